@@ -1,0 +1,1 @@
+"""Sealed, checksummed, self-describing HDF5 files."""

@@ -1,0 +1,1 @@
+"""The database that indexes the archive and owns the state of every job."""

@@ -1,0 +1,1 @@
+"""The `sms` command: parse, call one function, print."""

@@ -1,0 +1,95 @@
+"""The exceptions of `sms_jobs`: what went wrong, whose it is to mend, and whether trying again can help.
+
+The exit code of the command line and the retry policy of the job service follow from the class alone.
+A message is one sentence that names the thing, the value, the limit with its unit, and the next step.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+
+class SmsError(Exception):
+    """Base of every error that `sms_jobs` raises on purpose.
+
+    Attributes
+    ----------
+    exit_code
+        What the `sms` command returns.
+    retryable
+        True when the same work may succeed if it is tried again with nothing changed.
+    """
+
+    exit_code: ClassVar[int] = 1
+    retryable: ClassVar[bool] = False
+
+
+class InvalidInput(SmsError):
+    """A value that a person gave cannot be used; nothing was changed."""
+
+    exit_code = 2
+
+
+class ConfigurationError(InvalidInput):
+    """A setting or a configuration file cannot be used."""
+
+
+class NotFound(SmsError):
+    """A campaign, state, job, calibration or file that was named does not exist."""
+
+    exit_code = 3
+
+
+class Conflict(SmsError):
+    """The thing exists already, is locked, or is in a state that forbids what was asked."""
+
+    exit_code = 4
+
+
+class JobFailed(SmsError):
+    """A job that was waited for did not succeed."""
+
+    exit_code = 5
+
+
+class ArchiveCorrupt(SmsError):
+    """A file of the archive is missing, truncated, or differs from its recorded hash."""
+
+    exit_code = 6
+
+
+class FormatTooNew(SmsError):
+    """A file, message or catalogue was written by a newer version than this one reads."""
+
+    exit_code = 4
+
+
+class ServerUnreachable(SmsError):
+    """A database or broker does not answer."""
+
+    exit_code = 7
+    retryable = True
+
+
+class StorageFull(SmsError):
+    """The disk that holds the archive or the catalogue has no room left."""
+
+    retryable = True
+
+
+class WaitTimedOut(SmsError):
+    """What was waited for did not happen in time; the work goes on."""
+
+    exit_code = 124
+
+
+class MeasurementFailed(SmsError):
+    """The data hold no answer: no texture, no valid pixel, no overlap, no common region."""
+
+
+class Cancelled(SmsError):
+    """The job was asked to stop and did."""
+
+
+class LeaseLost(SmsError):
+    """Another worker holds the job now; this attempt's outputs are discarded."""

@@ -1,0 +1,1 @@
+"""Devices that record: here simulated ones over the virtual rig."""

@@ -1,0 +1,246 @@
+"""What a job kind is: a declaration that the planner reads and a pure function that the runner calls.
+
+A module of this package that has a `KIND` is a job kind; there is nothing else to register. The runner
+alone loads inputs, stores outputs, hashes and reports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+from pydantic import BaseModel, ConfigDict
+
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.sensors import Calibration
+
+R = TypeVar("R")
+
+
+class Parameters(BaseModel):
+    """Base of every kind's parameters: immutable, unknown names refused, units in the names."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+P = TypeVar("P", bound=Parameters)
+
+
+class Scope(Enum):
+    """What one job of a kind covers."""
+
+    CAMPAIGN = "campaign"
+    STATE = "state"
+    TUPLE = "tuple"
+
+
+class Queue(Enum):
+    """The resource that a job needs, and so the queue that its messages go through."""
+
+    CPU = "cpu"
+    IO = "io"
+    ACQUISITION = "acquisition"
+
+
+MEASUREMENT = "measurement"
+CALIBRATION = "calibration"
+
+
+@dataclass(frozen=True)
+class Need:
+    """One input of a job.
+
+    Attributes
+    ----------
+    role
+        The name under which `run` finds it.
+    source
+        `MEASUREMENT`, `CALIBRATION`, or the name of the kind whose result is wanted.
+    subject
+        Of the measurement or result; the campaign for a calibration.
+    """
+
+    role: str
+    source: str
+    subject: Subject
+
+
+class Dataset(Protocol):
+    """One file of the archive, open for reading."""
+
+    @property
+    def subject(self) -> Subject:
+        """What the file is about."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the records it holds."""
+        ...
+
+    def read(self, name: str, record: type[R]) -> R:
+        """Read one record; frame stacks stay in the file and are streamed."""
+        ...
+
+
+class Progress(Protocol):
+    """Tells how far a job has come; raises `Cancelled` when the job is to stop."""
+
+    def __call__(self, fraction: float, message: str = "") -> None:
+        """Report `fraction`, 0 .. 1, of the work done."""
+        ...
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What `run` is given besides its parameters.
+
+    Attributes
+    ----------
+    subject
+        What the job is about.
+    context
+        What the kind's `context` took from the campaign's definition.
+    datasets
+        The needs, by role.
+    threads
+        How many threads the job may use; results must not depend on it.
+    """
+
+    subject: Subject
+    context: Any
+    datasets: Mapping[str, Dataset]
+    threads: int = 1
+
+    def read(self, role: str, name: str, record: type[R]) -> R:
+        """Read one record of the dataset in `role`."""
+        return self.datasets[role].read(name, record)
+
+
+@dataclass(frozen=True)
+class DatasetOutput:
+    """Records to be sealed in one HDF5 file; the first is shown when the file is opened.
+
+    `statistics` are the numbers of this result that people search by, with units in their names.
+    """
+
+    subject: Subject
+    records: Mapping[str, Any]
+    statistics: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class DocumentOutput:
+    """A file for people or other programs; `write` fills it at the path that it is given."""
+
+    subject: Subject
+    filename: str
+    media_type: str
+    write: Callable[[Path], None]
+
+
+Output = DatasetOutput | DocumentOutput
+
+
+def no_context(campaign: Campaign, subject: Subject) -> None:
+    """Take nothing from the campaign's definition."""
+
+
+def always(parameters: Parameters) -> bool:
+    """Say that a job can be run again whatever its parameters."""
+    return True
+
+
+@dataclass(frozen=True)
+class Kind(Generic[P]):
+    """A job kind.
+
+    Attributes
+    ----------
+    name, summary
+        As `sms job submit` shows them.
+    version
+        Changes whenever the numbers would.
+    scope
+        What one job covers.
+    parameters
+        The class of its parameters.
+    needs
+        Which inputs a job about a subject has; with `subjects`, all that the planner knows of a kind.
+    run
+        Pure: yields outputs, takes everything from its arguments.
+    subjects
+        Overrides the subjects that follow from the scope, e.g. to leave out the reference state.
+    context
+        The part of the campaign's definition that the outputs depend on; hashed into the reuse key.
+    repeatable
+        True when running again does no harm and gives the same result: such a job is reused, and is
+        retried by itself after a crash. An acquisition on real hardware is not.
+    makes
+        `MEASUREMENT` for kinds that record, else the kind's own name.
+    """
+
+    name: str
+    summary: str
+    version: int
+    scope: Scope
+    parameters: type[P]
+    needs: Callable[[Campaign, Subject], Iterable[Need]]
+    run: Callable[[Inputs, P, Progress], Iterator[Output]]
+    subjects: Callable[[Campaign], Iterable[Subject]] | None = None
+    context: Callable[[Campaign, Subject], Any] = no_context
+    repeatable: Callable[[P], bool] = always
+    queue: Queue = Queue.CPU
+    makes: str = ""
+
+
+def tuples(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return every tuple of a campaign: states in order, pairs in order."""
+    return tuple(Subject(campaign.name, s.label, p) for s in campaign.states for p in campaign.pairs)
+
+
+def deformed_tuples(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return every tuple of a campaign but those of its reference state."""
+    return tuple(t for t in tuples(campaign) if t.state != campaign.reference.label)
+
+
+def deformed_states(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return every state of a campaign but its reference."""
+    return tuple(Subject(campaign.name, s.label) for s in campaign.states[1:])
+
+
+def default_subjects(kind: Kind[Any], campaign: Campaign) -> tuple[Subject, ...]:
+    """Return the subjects of a kind in a campaign, in order."""
+    if kind.subjects is not None:
+        return tuple(kind.subjects(campaign))
+    if kind.scope is Scope.CAMPAIGN:
+        return (Subject(campaign.name),)
+    if kind.scope is Scope.STATE:
+        return tuple(Subject(campaign.name, s.label) for s in campaign.states)
+    return tuples(campaign)
+
+
+__all__ = [
+    "CALIBRATION",
+    "MEASUREMENT",
+    "Calibration",
+    "Dataset",
+    "DatasetOutput",
+    "DocumentOutput",
+    "Inputs",
+    "Kind",
+    "Need",
+    "Output",
+    "Parameters",
+    "Progress",
+    "Queue",
+    "Scope",
+    "always",
+    "default_subjects",
+    "deformed_states",
+    "deformed_tuples",
+    "tuples",
+]

@@ -1,0 +1,46 @@
+"""How kernels are compiled, and how they are spread over threads.
+
+Kernels release the interpreter's lock and are compiled without Numba's own threading layer: they are
+called on blocks of rows from ordinary threads. That keeps them safe in forked workers, makes the number
+of threads a plain argument, and makes results independent of it (every pixel is computed by the same
+instructions whichever block it falls into).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar, cast
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., object])
+
+
+def kernel(function: F) -> F:
+    """Compile `function` to machine code: cached on disk, lock released, IEEE arithmetic."""
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+def in_row_blocks(work: Callable[[int, int], None], rows: int, threads: int, block: int = 64) -> None:
+    """Call `work(start, stop)` for blocks of rows that cover `0 .. rows`, on `threads` threads.
+
+    Parameters
+    ----------
+    work
+        Fills its own rows of arrays that it closes over; must not depend on the other rows' results.
+    rows
+        Number of rows.
+    threads
+        Number of threads, at least 1.
+    block
+        Rows in a block.
+    """
+    blocks = [(start, min(start + block, rows)) for start in range(0, rows, block)]
+    if threads == 1:
+        for start, stop in blocks:
+            work(start, stop)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for finished in [pool.submit(work, start, stop) for start, stop in blocks]:
+            finished.result()

@@ -1,0 +1,1 @@
+"""Correlation of textures, displacement in three dimensions, merging and strain."""

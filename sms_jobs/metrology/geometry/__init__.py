@@ -1,0 +1,1 @@
+"""Cameras, rays, triangulation and rigid transforms."""

@@ -1,0 +1,1 @@
+"""Interpolation, masks and the segmentation of images into continuous regions."""

@@ -1,0 +1,1 @@
+"""Fringe patterns, phase stepping and temporal unwrapping."""

@@ -1,0 +1,1 @@
+"""Meshes from organised point clouds."""

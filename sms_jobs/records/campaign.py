@@ -1,0 +1,135 @@
+"""A campaign: one specimen, its load states, and how they are measured."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from datetime import datetime
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.scene import Deformation, Scene
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+
+
+def checked_name(name: str, what: str) -> str:
+    """Return `name` when it can stand in a path and in `campaign/state/pair`; raise `InvalidInput` if not."""
+    if not _NAME.fullmatch(name) or ".." in name:
+        raise InvalidInput(
+            f"'{name}' cannot be the name of a {what}: use at most 64 letters, digits, '.', '_' or '-', "
+            "beginning with a letter or digit"
+        )
+    return name
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What a job is about: a campaign, one state of it, or one tuple `campaign/state/pair`."""
+
+    campaign: str
+    state: str | None = None
+    pair: str | None = None
+
+    def __str__(self) -> str:
+        return "/".join(part for part in (self.campaign, self.state, self.pair) if part is not None)
+
+    @classmethod
+    def parse(cls, text: str) -> Subject:
+        """Read `campaign`, `campaign/state` or `campaign/state/pair`."""
+        parts = text.split("/")
+        if not 1 <= len(parts) <= 3:
+            raise InvalidInput(f"'{text}' is not campaign/state/pair")
+        names = [checked_name(p, w) for p, w in zip(parts, ("campaign", "state", "pair"), strict=False)]
+        return cls(*names)
+
+
+@dataclass(frozen=True)
+class LoadState:
+    """One load case.
+
+    Attributes
+    ----------
+    label
+        S00, S01, ...
+    load_n
+        Applied load in N, if known.
+    displacement_mm
+        Prescribed displacement in mm, if known.
+    time
+        When the state was held; None before it is measured.
+    channels
+        Any further scalar readings, by name.
+    deformation
+        For a virtual rig: the exact displacement fields that are applied, one after the other.
+    """
+
+    label: str
+    load_n: float | None = None
+    displacement_mm: float | None = None
+    time: datetime | None = None
+    channels: dict[str, float] = field(default_factory=dict)
+    deformation: tuple[Deformation, ...] = ()
+
+    def __post_init__(self) -> None:
+        checked_name(self.label, "state")
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """The thing that is tested."""
+
+    name: str
+    material: str = ""
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A test of one specimen.
+
+    Attributes
+    ----------
+    name
+        Unique in the catalogue.
+    rig
+        Name of the rig that measures it.
+    states
+        In order of the test; the first is the reference.
+    pairs
+        Camera-projector pairs that measure every state.
+    sequence
+        Fringe patterns of every measurement.
+    scene
+        For a virtual rig: what stands in front of it.
+    """
+
+    name: str
+    specimen: Specimen
+    rig: str
+    states: tuple[LoadState, ...]
+    pairs: tuple[str, ...]
+    sequence: FringeSequence = FringeSequence()
+    scene: Scene | None = None
+
+    def __post_init__(self) -> None:
+        checked_name(self.name, "campaign")
+        checked_name(self.rig, "rig")
+        if not self.states:
+            raise InvalidInput(f"campaign {self.name} has no state")
+        labels = [s.label for s in self.states]
+        if len(set(labels)) < len(labels):
+            raise InvalidInput(f"campaign {self.name} has two states of one label: {', '.join(labels)}")
+
+    @property
+    def reference(self) -> LoadState:
+        """The state that displacements are measured from."""
+        return self.states[0]
+
+    def state(self, label: str) -> LoadState:
+        """Return the state of that label; raise `InvalidInput` where there is none."""
+        for state in self.states:
+            if state.label == label:
+                return state
+        known = ", ".join(s.label for s in self.states)
+        raise InvalidInput(f"campaign {self.name} has no state {label}; it has {known}")

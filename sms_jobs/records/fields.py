@@ -1,0 +1,148 @@
+"""Fields over a camera's image: phase, shape, regions, displacement, strain, and the meshes made of them.
+
+Fields are component-first: a vector over an image is (3, rows, columns), a packed symmetric tensor
+(6, rows, columns) in the order of `SYMMETRIC`. Values are NaN where `reason` is not `Reason.VALID`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.records.quantity import IMAGE, SYMMETRIC, XYZ, array
+
+Double = NDArray[np.float64]
+Single = NDArray[np.float32]
+Reasons = NDArray[np.uint32]
+
+VECTOR_IMAGE = ("component", *IMAGE)
+ORIENTED_IMAGE = ("orientation", *IMAGE)
+POINTS = ("point",)
+
+
+@dataclass(frozen=True)
+class PhaseMaps:
+    """What temporal unwrapping or ranging says of every pixel, for each fringe orientation."""
+
+    orientations_rad: tuple[float, ...]
+    omega: Double = array("rad", "phase gradient per fringe, -pi .. pi across the projector", ORIENTED_IMAGE)
+    omega_sigma: Single = array("rad", "standard deviation of the phase gradient", ORIENTED_IMAGE)
+    modulation: Single = array("count", "fringe modulation", ORIENTED_IMAGE)
+    phase_error: Single = array("rad", "rms residual of the phase against the fringe density", ORIENTED_IMAGE)
+    mean_intensity: Single = array("count", "texture averaged over all fringe frames")
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """One point for each camera pixel, in the world's frame."""
+
+    camera: str
+    projector: str
+    xyz: Double = array("mm", "position", VECTOR_IMAGE, XYZ)
+    covariance: Single = array(
+        "mm^2", "covariance of the position, from phase noise", VECTOR_IMAGE, SYMMETRIC
+    )
+    ray_gap: Single = array("mm", "distance between camera and projector ray at closest approach")
+    reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
+
+
+@dataclass(frozen=True)
+class Region:
+    """One continuous piece of surface in a label map: its label, area in px and centroid (x, y) in px."""
+
+    label: int
+    area: int
+    centroid: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Regions:
+    """Continuous pieces of surface, found in measured shape; label 0 is none of them."""
+
+    regions: tuple[Region, ...]
+    labels: NDArray[np.int32] = array("1", "region label, by descending area")
+
+
+@dataclass(frozen=True)
+class ImageMatches:
+    """Sample points of the reference texture and where they are found in the deformed one."""
+
+    x: Double = array("px", "column in the reference image", POINTS)
+    y: Double = array("px", "row in the reference image", POINTS)
+    region: NDArray[np.int32] = array("1", "region label", POINTS)
+    u: Double = array("px", "displacement along the columns", POINTS)
+    v: Double = array("px", "displacement along the rows", POINTS)
+    gradient: Double = array(
+        "1",
+        "gradient of the image displacement",
+        ("component", "point"),
+        ("du/dx", "du/dy", "dv/dx", "dv/dy"),
+    )
+    sigma_u: Single = array("px", "standard deviation of u", POINTS)
+    sigma_v: Single = array("px", "standard deviation of v", POINTS)
+    score: Single = array("1", "zero-normalised cross-correlation, 1 for a perfect match", POINTS)
+    iterations: NDArray[np.int32] = array("1", "Gauss-Newton iterations", POINTS)
+    reason: Reasons = array("bit", "why a point has no value, 0 where it has one", POINTS)
+
+
+@dataclass(frozen=True)
+class DisplacementField:
+    """Displacement of the material point seen by each pixel of the reference image."""
+
+    camera: str
+    projector: str
+    reference_state: str
+    displacement: Double = array("mm", "displacement", VECTOR_IMAGE, XYZ)
+    covariance: Single = array("mm^2", "covariance of the displacement", VECTOR_IMAGE, SYMMETRIC)
+    image_displacement: Double = array("px", "displacement in the image", VECTOR_IMAGE, ("u", "v"))
+    reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
+
+
+StrainMeasure = Literal["green-lagrange", "small"]
+
+
+@dataclass(frozen=True)
+class StrainField:
+    """In-plane strain at each pixel of the reference image.
+
+    The frame at a point lies in the tangent plane of the reference surface: x is the specimen's x axis
+    projected onto that plane, z the outward normal (towards the camera), y completes it.
+    """
+
+    measure: StrainMeasure
+    gauge_length_mm: float
+    strain: Double = array("1", "strain", VECTOR_IMAGE, ("xx", "yy", "xy"))
+    sigma: Single = array("1", "standard deviation of the strain", VECTOR_IMAGE, ("xx", "yy", "xy"))
+    principal: Double = array("1", "principal strains, larger first", VECTOR_IMAGE, ("first", "second"))
+    von_mises: Double = array("1", "equivalent strain after von Mises")
+    reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
+
+
+@dataclass(frozen=True)
+class MergedField:
+    """Shape and displacement of one camera's view, all its projectors taken together."""
+
+    camera: str
+    pairs: tuple[str, ...]
+    discrepancy_rms_mm: float
+    displacement: Double = array("mm", "displacement", VECTOR_IMAGE, XYZ)
+    xyz: Double = array("mm", "position at the reference state", VECTOR_IMAGE, XYZ)
+    covariance: Single = array("mm^2", "covariance of the displacement", VECTOR_IMAGE, SYMMETRIC)
+    contributors: NDArray[np.uint8] = array("1", "number of pairs that gave a value")
+    reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles over measured points, with values at the points."""
+
+    value_names: tuple[str, ...]
+    value_units: tuple[str, ...]
+    vertices: Double = array("mm", "position at the reference state", ("vertex", "component"), XYZ)
+    faces: NDArray[np.int32] = array(
+        "1", "vertex indices, counter-clockwise seen from outside", ("face", "corner")
+    )
+    values: Double = array("mixed", "values at the vertices, see value_names", ("value", "vertex"))

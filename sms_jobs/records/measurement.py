@@ -1,0 +1,140 @@
+"""What a pair records at a state: a fringe sequence and its frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from math import pi
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.records.quantity import array
+
+
+@dataclass(frozen=True)
+class FringeSequence:
+    """The patterns that a projector shows, in order: orientations, then densities, then phase steps.
+
+    Attributes
+    ----------
+    densities
+        Number of fringes across the projector, in the order of projection; thesis default
+        (32, 31, 30, 28, 24, 16).
+    steps
+        Phase steps a density, at least 3.
+    orientations_rad
+        Direction in which the phase grows, from the projector's x axis towards its y axis: 0 gives
+        vertical fringes, pi/2 horizontal ones.
+    """
+
+    densities: tuple[int, ...] = (32, 31, 30, 28, 24, 16)
+    steps: int = 4
+    orientations_rad: tuple[float, ...] = (0.0, pi / 2)
+
+    def __post_init__(self) -> None:
+        if self.steps < 3:
+            raise InvalidInput(f"a fringe sequence needs at least 3 phase steps, not {self.steps}")
+        if not self.densities or min(self.densities) < 1:
+            raise InvalidInput(f"fringe densities must be at least 1, not {self.densities}")
+        if not self.orientations_rad:
+            raise InvalidInput("a fringe sequence needs at least one orientation")
+
+    @property
+    def frames(self) -> int:
+        """Number of fringe frames of the whole sequence."""
+        return len(self.orientations_rad) * len(self.densities) * self.steps
+
+    def patterns(self) -> Iterator[tuple[float, int, int]]:
+        """Yield (orientation in rad, density, step 0 .. steps-1) of each frame in order."""
+        for orientation in self.orientations_rad:
+            for density in self.densities:
+                for step in range(self.steps):
+                    yield orientation, density, step
+
+
+class FrameStack(Protocol):
+    """Frames that may lie in memory, in a file, or be made as they are asked for."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(frames, rows, columns)."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """uint8 or uint16."""
+        ...
+
+    def frame(self, index: int) -> NDArray[Any]:
+        """Return one frame, (rows, columns)."""
+        ...
+
+    def rows(self, start: int, stop: int) -> NDArray[Any]:
+        """Return a slab of every frame, (frames, stop - start, columns)."""
+        ...
+
+
+@dataclass(frozen=True)
+class ArrayStack:
+    """Frames in memory.
+
+    Attributes
+    ----------
+    frames
+        (frames, rows, columns), uint8 or uint16.
+    """
+
+    frames: NDArray[Any]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(frames, rows, columns)."""
+        count, rows, columns = self.frames.shape
+        return count, rows, columns
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of one grey level."""
+        return self.frames.dtype
+
+    def frame(self, index: int) -> NDArray[Any]:
+        """Return one frame, (rows, columns)."""
+        frame: NDArray[Any] = self.frames[index]
+        return frame
+
+    def rows(self, start: int, stop: int) -> NDArray[Any]:
+        """Return a slab of every frame, (frames, stop - start, columns)."""
+        return self.frames[:, start:stop]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What one pair recorded at one state.
+
+    Attributes
+    ----------
+    recorded_at
+        Start of the recording, with time zone.
+    sequence
+        The patterns that were projected.
+    full_scale
+        Grey level at which the camera saturates, e.g. 4095.
+    gain, read_noise
+        Noise model of the camera in grey levels: variance = read_noise^2 + gain * grey level.
+    texture
+        White frame: the projector at full brightness and no fringes.
+    frames
+        Fringe frames in the order of `sequence.patterns()`; streamed.
+    """
+
+    recorded_at: datetime
+    sequence: FringeSequence
+    full_scale: int
+    gain: float
+    read_noise: float
+    texture: NDArray[np.uint16] = array("count", "white-light texture")
+    frames: FrameStack = array("count", "fringe frames", ("frame", "row", "column"))

@@ -1,0 +1,231 @@
+"""What stands in front of a virtual rig: surface, speckle, light, noise, and how it deforms.
+
+Material points are named by their place in the specimen's own frame at rest: x along its length, y across,
+z outwards (towards the sensors), origin at its middle, in mm. `placement` brings that frame into the world.
+The classes only describe; `sms_jobs.virtual_rig` gives them their geometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from sms_jobs.metrology.geometry.camera import Pose
+
+Vector: TypeAlias = tuple[float, float, float]
+
+AT_ORIGIN = Pose(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A flat rectangular plate."""
+
+    width_mm: float
+    height_mm: float
+    shape: Literal["plane"] = "plane"
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """Part of a cylinder about an axis along y, its crest at the origin, convex towards the sensors."""
+
+    radius_mm: float
+    width_mm: float
+    height_mm: float
+    shape: Literal["cylinder"] = "cylinder"
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """The cap of a sphere that is at most `cap_angle_rad` from its pole; the pole is at the origin."""
+
+    radius_mm: float
+    cap_angle_rad: float = 1.2
+    shape: Literal["sphere"] = "sphere"
+
+
+@dataclass(frozen=True)
+class PlateWithHoleAndStep:
+    """A plate with a round hole and, beside it, a raised flat step (thesis section 4.6)."""
+
+    width_mm: float
+    height_mm: float
+    hole_centre_mm: tuple[float, float]
+    hole_radius_mm: float
+    step_centre_mm: tuple[float, float]
+    step_size_mm: tuple[float, float]
+    step_height_mm: float
+    shape: Literal["plate-with-hole-and-step"] = "plate-with-hole-and-step"
+
+
+@dataclass(frozen=True)
+class TopHat:
+    """A sheet bent along four lines parallel to y into a top-hat profile (thesis section 5.3.1).
+
+    Base, side, top, side, base; two round holes in the top, on its centre line x = 0.
+    """
+
+    width_mm: float = 500.0
+    height_mm: float = 500.0
+    depth_mm: float = 100.0
+    top_width_mm: float = 200.0
+    side_width_mm: float = 50.0
+    """Width of each side section as seen from the front: its slope is depth over this."""
+    hole_radius_mm: float = 25.0
+    hole_offset_mm: float = 130.0
+    """Distance of each hole's centre from the middle, along y."""
+    shape: Literal["top-hat"] = "top-hat"
+
+
+@dataclass(frozen=True)
+class PlateAndMirror:
+    """A diffuse plate and a partly reflective one that meet in a V along y (thesis section 7.3.1).
+
+    Light that reaches the plate by way of the mirror is a second return in the same pixel.
+    """
+
+    plate_width_mm: float
+    height_mm: float
+    opening_angle_rad: float
+    mirror_reflectance: float = 0.5
+    shape: Literal["plate-and-mirror"] = "plate-and-mirror"
+
+
+Surface: TypeAlias = Plane | Cylinder | Sphere | PlateWithHoleAndStep | TopHat | PlateAndMirror
+
+
+@dataclass(frozen=True)
+class Rigid:
+    """A rotation about the specimen's origin (rotation vector, rad), then a translation (mm)."""
+
+    rotation_rad: Vector = (0.0, 0.0, 0.0)
+    translation_mm: Vector = (0.0, 0.0, 0.0)
+    motion: Literal["rigid"] = "rigid"
+
+
+@dataclass(frozen=True)
+class UniaxialStrain:
+    """Uniform strain along x with contraction across: d = (e x, -nu e y, -nu e z)."""
+
+    strain: float
+    poisson_ratio: float = 0.3
+    motion: Literal["uniaxial-strain"] = "uniaxial-strain"
+
+
+@dataclass(frozen=True)
+class MidPointBending:
+    """Clamped at all edges, pushed out along z at the middle by `deflection_mm`.
+
+    d_z = deflection f(x / width) f(y / height), f(s) = 1 - 12 s^2 + 16 |s|^3 for |s| <= 1/2, the
+    deflection line of a beam clamped at both ends under a load at its middle.
+    """
+
+    deflection_mm: float
+    width_mm: float
+    height_mm: float
+    motion: Literal["mid-point-bending"] = "mid-point-bending"
+
+
+@dataclass(frozen=True)
+class HalvesApart:
+    """The halves x < 0 and x > 0 move apart by `gap_mm` in all, each by half of it."""
+
+    gap_mm: float
+    motion: Literal["halves-apart"] = "halves-apart"
+
+
+Deformation: TypeAlias = Rigid | UniaxialStrain | MidPointBending | HalvesApart
+
+
+@dataclass(frozen=True)
+class Speckle:
+    """A printed speckle pattern: dark blobs on a bright ground, fixed to the material.
+
+    Attributes
+    ----------
+    diameter_mm
+        Mean diameter of a speckle.
+    dark, bright
+        Diffuse reflectance of paint and ground, 0 .. 1.
+    seed
+        Of the pattern.
+    """
+
+    diameter_mm: float
+    dark: float = 0.25
+    bright: float = 0.85
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class CameraResponse:
+    """How a camera turns light into grey levels.
+
+    Attributes
+    ----------
+    bits
+        8, 12 or 16.
+    exposure
+        Grey level, as a fraction of full scale, of a perfectly diffuse white surface that faces a
+        projector at full brightness.
+    full_well
+        Electrons at full scale: sets the shot noise.
+    read_noise
+        Standard deviation in electrons.
+    blur_px
+        Standard deviation of the lens's Gaussian blur.
+    ambient
+        Light that does not come from the projector, as a fraction of `exposure`.
+    """
+
+    bits: Literal[8, 12, 16] = 12
+    exposure: float = 0.8
+    full_well: float = 30_000.0
+    read_noise: float = 10.0
+    blur_px: float = 0.5
+    ambient: float = 0.02
+
+
+@dataclass(frozen=True)
+class ProjectorResponse:
+    """How a projector turns pixel values into light.
+
+    Attributes
+    ----------
+    gamma
+        Exponent of its response; 1 is linear.
+    defocus_px
+        Standard deviation, in projector pixels, of its Gaussian defocus: lowers the modulation of dense
+        fringes.
+    visibility
+        V of thesis Eq. (1.16).
+    """
+
+    gamma: float = 1.0
+    defocus_px: float = 0.0
+    visibility: float = 1.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything a virtual rig needs besides its sensors.
+
+    Attributes
+    ----------
+    surface, speckle
+        The specimen; None for an unmarked surface.
+    placement
+        Brings the specimen's frame into the world: X_world = rotation @ x_specimen + translation.
+    camera, projector
+        Responses, the same for every camera and every projector.
+    seed
+        Of the noise.
+    """
+
+    surface: Surface
+    speckle: Speckle | None = None
+    placement: Pose = AT_ORIGIN
+    camera: CameraResponse = CameraResponse()
+    projector: ProjectorResponse = ProjectorResponse()
+    seed: int = 0

@@ -1,0 +1,106 @@
+"""Cameras, projectors, the rig they form, and its calibration."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from datetime import datetime
+from enum import Enum
+
+import numpy as np
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+
+_PAIR = re.compile(r"(C[1-9][0-9]*)(P[1-9][0-9]*)")
+
+
+class Role(Enum):
+    """What a sensor does with light."""
+
+    CAMERA = "camera"
+    PROJECTOR = "projector"
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A camera or a projector.
+
+    Attributes
+    ----------
+    name
+        C1, C2, ... for cameras, P1, P2, ... for projectors.
+    role
+        Camera or projector.
+    columns, rows
+        Size of its image, in pixels.
+    intrinsics, pose
+        See `sms_jobs.metrology.geometry.camera`.
+    """
+
+    name: str
+    role: Role
+    columns: int
+    rows: int
+    intrinsics: Intrinsics
+    pose: Pose
+
+
+@dataclass(frozen=True)
+class Box:
+    """The measurement volume: a box along the world's axes, corners in mm."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+    @property
+    def diagonal_mm(self) -> float:
+        """Length of the space diagonal, in mm."""
+        return float(np.linalg.norm(np.subtract(self.high, self.low)))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The parameters of every sensor of a rig, valid from a time on.
+
+    Attributes
+    ----------
+    rig
+        Name of the rig.
+    sensors
+        Cameras first, each group in order of name.
+    volume
+        The measurement volume, in the world's frame.
+    valid_from
+        With time zone.
+    origin
+        How it came about, in words: "exact parameters of the virtual rig", "bundle adjustment of ...".
+    """
+
+    rig: str
+    sensors: tuple[Sensor, ...]
+    volume: Box
+    valid_from: datetime
+    origin: str
+
+    def sensor(self, name: str) -> Sensor:
+        """Return the sensor of that name; raise `InvalidInput` where there is none."""
+        for sensor in self.sensors:
+            if sensor.name == name:
+                return sensor
+        known = ", ".join(s.name for s in self.sensors)
+        raise InvalidInput(f"rig {self.rig} has no sensor {name}; it has {known}")
+
+    def pairs(self) -> tuple[str, ...]:
+        """Return every camera-projector pair, C1P1, C1P2, ..."""
+        cameras = [s.name for s in self.sensors if s.role is Role.CAMERA]
+        projectors = [s.name for s in self.sensors if s.role is Role.PROJECTOR]
+        return tuple(c + p for c in cameras for p in projectors)
+
+
+def split_pair(pair: str) -> tuple[str, str]:
+    """Return (camera, projector) of a pair such as C1P2; raise `InvalidInput` for anything else."""
+    found = _PAIR.fullmatch(pair)
+    if not found:
+        raise InvalidInput(f"'{pair}' is not a camera-projector pair; write it like C1P2")
+    return found[1], found[2]

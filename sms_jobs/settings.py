@@ -1,0 +1,1 @@
+"""Where the home is and which servers are used."""

@@ -1,0 +1,1 @@
+"""The only home of Celery: messages, the supervisor, and the publisher."""
