@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.quantity import array
+from sms_jobs.records.scene import Simulation
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,8 @@ class Measurement:
         White frame: the projector at full brightness and no fringes.
     frames
         Fringe frames in the order of `sequence.patterns()`; streamed.
+    simulation
+        For a virtual rig: what was simulated.
     """
 
     recorded_at: datetime
@@ -138,3 +141,4 @@ class Measurement:
     read_noise: float
     texture: NDArray[np.uint16] = array("count", "white-light texture")
     frames: FrameStack = array("count", "fringe frames", ("frame", "row", "column"))
+    simulation: Simulation | None = None

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.records.sensors import Sensor
 
 Vector: TypeAlias = tuple[float, float, float]
 
@@ -209,10 +210,12 @@ class ProjectorResponse:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything a virtual rig needs besides its sensors.
+    """A virtual rig and what stands in front of it.
 
     Attributes
     ----------
+    sensors
+        The cameras and projectors as they truly are, whatever a calibration says of them.
     surface, speckle
         The specimen; None for an unmarked surface.
     placement
@@ -223,9 +226,30 @@ class Scene:
         Of the noise.
     """
 
+    sensors: tuple[Sensor, ...]
     surface: Surface
     speckle: Speckle | None = None
     placement: Pose = AT_ORIGIN
     camera: CameraResponse = CameraResponse()
     projector: ProjectorResponse = ProjectorResponse()
     seed: int = 0
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """How a simulated measurement came about: enough to know the exact truth behind it.
+
+    Attributes
+    ----------
+    scene
+        The virtual rig and its specimen.
+    camera, projector
+        Names of the sensors that measured.
+    deformation
+        What had been done to the specimen, in order.
+    """
+
+    scene: Scene
+    camera: str
+    projector: str
+    deformation: tuple[Deformation, ...]
