@@ -1,0 +1,119 @@
+# Sourced by test.sh: private PostgreSQL and Redis servers for the tests, in a temporary folder.
+# They listen on the loopback interface alone and never touch servers that run already.
+#
+#   start_servers    exports SMS_TEST_POSTGRESQL_URL and SMS_TEST_REDIS_URL
+#   stop_servers     ends what start_servers started and removes the folder
+#
+# A URL that is set beforehand is used as it is, and no server is started for it.
+
+SERVERS=""         # the temporary folder
+POSTGRESQL_BIN=""  # the folder of initdb and pg_ctl
+REDIS_PID=""
+AS_POSTGRES=""     # a prefix that leaves root: PostgreSQL refuses to run as root
+
+as_root() {
+    if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi
+}
+
+# Installs Debian packages, without starting their system services.
+apt_install() {
+    local policy=/usr/sbin/policy-rc.d made="" status=0
+    if [ ! -e "$policy" ]; then
+        made=yes
+        printf '#!/bin/sh\nexit 101\n' | as_root tee "$policy" >/dev/null
+        as_root chmod 755 "$policy"
+    fi
+    { as_root env DEBIAN_FRONTEND=noninteractive apt-get update -qq &&
+        as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@"; } >&2 || status=1
+    if [ -n "$made" ]; then as_root rm -f "$policy"; fi
+    return $status
+}
+
+# Tries to install Debian packages where that is possible; says what to do where it is not.
+provide() {
+    local what="$1"
+    shift
+    if command -v apt-get >/dev/null && { [ "$(id -u)" = 0 ] || command -v sudo >/dev/null; }; then
+        say "installing $* with apt-get, because the tests need $what"
+        apt_install "$@" || die "apt-get could not install $*: install $what and run this again"
+    elif command -v brew >/dev/null; then
+        die "the tests need $what: brew install postgresql redis, and run this again"
+    else
+        die "the tests need $what, which is not installed: install it and run this again"
+    fi
+}
+
+find_postgresql() {
+    local folder
+    if command -v initdb >/dev/null && command -v pg_ctl >/dev/null; then
+        POSTGRESQL_BIN="$(dirname "$(command -v pg_ctl)")"
+        return
+    fi
+    # The last match is the newest version.
+    for folder in /opt/homebrew/opt/postgresql*/bin /usr/local/opt/postgresql*/bin /usr/pgsql-*/bin /usr/lib/postgresql/*/bin; do
+        if [ -x "$folder/initdb" ]; then POSTGRESQL_BIN="$folder"; fi
+    done
+    [ -n "$POSTGRESQL_BIN" ]
+}
+
+free_port() {
+    .venv/bin/python -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])'
+}
+
+start_postgresql() {
+    local port account=nobody data="$SERVERS/postgresql"
+    if ! find_postgresql; then
+        provide "a PostgreSQL server" postgresql
+        find_postgresql || die "PostgreSQL's initdb was not found after its installation"
+    fi
+    mkdir "$data"
+    if [ "$(id -u)" = 0 ]; then
+        if id postgres >/dev/null 2>&1; then account=postgres; fi
+        chown "$account" "$data"
+        AS_POSTGRES="runuser -u $account --"
+    fi
+    port="$(free_port)"
+    (
+        cd "$data" # an account other than root may not be allowed to stay in the checkout
+        $AS_POSTGRES "$POSTGRESQL_BIN/initdb" --pgdata="$data/data" --username=sms --auth=trust --encoding=UTF8 --no-locale >"$SERVERS/initdb.log" 2>&1 &&
+            $AS_POSTGRES "$POSTGRESQL_BIN/pg_ctl" start --silent --wait --pgdata="$data/data" --log="$data/server.log" \
+                --options="-c listen_addresses=127.0.0.1 -c port=$port -c unix_socket_directories=$data -c max_connections=100" >&2
+    ) || { cat "$SERVERS/initdb.log" "$data/server.log" >&2 2>/dev/null || true; die "the tests' PostgreSQL server did not start: see its messages above"; }
+    export SMS_TEST_POSTGRESQL_URL="postgresql+psycopg://sms@127.0.0.1:$port/postgres"
+}
+
+start_redis() {
+    local port tries=0
+    if ! command -v redis-server >/dev/null; then provide "a Redis server" redis-server; fi
+    port="$(free_port)"
+    mkdir "$SERVERS/redis"
+    redis-server --port "$port" --bind 127.0.0.1 --dir "$SERVERS/redis" --save '' --appendonly yes --maxmemory-policy noeviction >"$SERVERS/redis/server.log" 2>&1 &
+    REDIS_PID=$!
+    until redis-cli -p "$port" ping >/dev/null 2>&1; do
+        tries=$((tries + 1))
+        if [ $tries -gt 100 ] || ! kill -0 "$REDIS_PID" 2>/dev/null; then
+            cat "$SERVERS/redis/server.log" >&2
+            die "the tests' Redis server did not start: see its messages above"
+        fi
+        sleep 0.1
+    done
+    export SMS_TEST_REDIS_URL="redis://127.0.0.1:$port/0"
+}
+
+start_servers() {
+    SERVERS="$(mktemp -d /tmp/sms-test.XXXXXX)" # a short path: that of a unix socket is limited to about 100 characters
+    chmod 755 "$SERVERS"
+    if [ -z "${SMS_TEST_POSTGRESQL_URL:-}" ]; then start_postgresql; fi
+    if [ -z "${SMS_TEST_REDIS_URL:-}" ]; then start_redis; fi
+}
+
+stop_servers() {
+    if [ -n "$REDIS_PID" ]; then
+        kill "$REDIS_PID" 2>/dev/null || true
+        wait "$REDIS_PID" 2>/dev/null || true
+    fi
+    if [ -n "$SERVERS" ] && [ -e "$SERVERS/postgresql/data/postmaster.pid" ]; then
+        (cd / && $AS_POSTGRES "$POSTGRESQL_BIN/pg_ctl" stop --silent --wait --mode=immediate --pgdata="$SERVERS/postgresql/data") >&2 || true
+    fi
+    if [ -n "$SERVERS" ]; then rm -rf "$SERVERS"; fi
+}

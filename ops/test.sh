@@ -1,0 +1,42 @@
+#!/usr/bin/env bash
+# Sets everything up and passes the tests, against private PostgreSQL and Redis servers.
+#
+#   bash ops/test.sh                      every check: formatting, lint, types, layers, then every test
+#   bash ops/test.sh tests/unit -k strain only pytest, with these arguments (servers are there all the same)
+#
+# With CI=true a missing server fails the tests that need it instead of skipping them.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+. ops/setup.sh
+. ops/servers.sh
+
+step() {
+    local name="$1" started=$SECONDS status=0
+    shift
+    say "== $name"
+    "$@" || status=$?
+    say "== $name: $([ $status = 0 ] && echo passed || echo "failed with exit code $status"), $((SECONDS - started)) s"
+    return $status
+}
+
+# A bare Debian has a Python that cannot make virtual environments.
+if python="$(find_python)" && ! "$python" -c 'import venv, ensurepip' 2>/dev/null; then
+    provide "the venv module of $python" python3-venv
+fi
+
+trap stop_servers EXIT
+trap 'exit 130' INT
+trap 'exit 143' TERM HUP
+
+set_up requirements-test.lock
+if [ $# = 0 ]; then
+    step "ruff check" .venv/bin/ruff check .
+    step "ruff format" .venv/bin/ruff format --check .
+    step "mypy" .venv/bin/mypy
+    step "layers" .venv/bin/lint-imports
+fi
+start_servers
+say "== servers: $SMS_TEST_POSTGRESQL_URL and $SMS_TEST_REDIS_URL"
+export CI="${CI:-true}"
+step "pytest" .venv/bin/python -m pytest "$@"
+say "== all passed in $SECONDS s"
