@@ -1,3 +1,4 @@
+# shellcheck shell=bash
 # Sourced by test.sh: private PostgreSQL and Redis servers for the tests, in a temporary folder.
 # They listen on the loopback interface alone and never touch servers that run already.
 #

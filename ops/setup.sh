@@ -1,3 +1,4 @@
+# shellcheck shell=bash
 # Sourced by demo.sh and test.sh: makes the virtual environment .venv of this checkout from a lock.
 # Plain bash 3.2, so that it runs on macOS. Needs no root.
 #
@@ -49,12 +50,12 @@ set_up() {
     say "setting up .venv from $lock (about a minute, once)"
     rm -f .venv/*.stamp
     if [ "$(.venv/bin/python -c 'import sys; print(sys.version)' 2>/dev/null)" != "$("$python" -c 'import sys; print(sys.version)')" ]; then
-        "$python" -m venv --clear .venv
+        "$python" -m venv --clear .venv >&2
     fi
     local pip=".venv/bin/python -m pip --disable-pip-version-check --quiet"
-    $pip install --requirement "$lock" || die "the packages of $lock could not be installed: see pip's message above, mend it and run this again"
+    $pip install --requirement "$lock" >&2 || die "the packages of $lock could not be installed: see pip's message above, mend it and run this again"
     # The build backend comes from the lock too.
-    $pip install --no-deps --no-build-isolation --editable . || die "sms_jobs itself could not be installed: see pip's message above"
+    $pip install --no-deps --no-build-isolation --editable . >&2 || die "sms_jobs itself could not be installed: see pip's message above"
     fingerprint "$python" "$lock" >".venv/$lock.stamp"
     if [ "$lock" = requirements-test.lock ]; then
         fingerprint "$python" requirements.lock >.venv/requirements.lock.stamp

@@ -1,0 +1,94 @@
+"""What every test may ask for: servers, a home of its own, seeded randomness.
+
+`ops/test.sh` starts private servers and names them in SMS_TEST_POSTGRESQL_URL and SMS_TEST_REDIS_URL.
+Without them the tests that need a server are skipped, or fail where CI=true.
+"""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import hypothesis
+import numpy as np
+import pytest
+import redis
+import sqlalchemy
+
+# Deadlines would time the tests on a busy machine; fixed seeds make a failure repeat itself.
+hypothesis.settings.register_profile("sms", deadline=None, derandomize=True, print_blob=True)
+hypothesis.settings.load_profile("sms")
+
+
+def _server(variable: str, what: str) -> str:
+    url = os.environ.get(variable, "")
+    if url:
+        return url
+    reason = f"needs a {what} server: run ops/test.sh, or set {variable}"
+    if os.environ.get("CI", "").lower() == "true":
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
+@pytest.fixture(autouse=True)
+def _settings_of_the_developer_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in os.environ:
+        if name.startswith("SMS_") and not name.startswith("SMS_TEST_"):
+            monkeypatch.delenv(name)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A seeded generator, the same for every test."""
+    return np.random.default_rng(20_031)
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """An empty folder for a home of this test alone."""
+    folder = tmp_path / "home"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture(scope="session")
+def postgresql_url() -> str:
+    """The URL of a PostgreSQL server, with an account that may create databases."""
+    return _server("SMS_TEST_POSTGRESQL_URL", "PostgreSQL")
+
+
+@pytest.fixture
+def fresh_postgresql_url(postgresql_url: str) -> Iterator[str]:
+    """The URL of an empty PostgreSQL database that belongs to this test alone."""
+    name = f"sms_test_{uuid.uuid4().hex}"
+    engine = sqlalchemy.create_engine(
+        postgresql_url, isolation_level="AUTOCOMMIT", poolclass=sqlalchemy.pool.NullPool
+    )
+    with engine.connect() as connection:
+        connection.execute(sqlalchemy.text(f"CREATE DATABASE {name}"))
+    try:
+        yield sqlalchemy.make_url(postgresql_url).set(database=name).render_as_string(hide_password=False)
+    finally:
+        with engine.connect() as connection:
+            # FORCE ends what a worker that was killed on purpose has left connected.
+            connection.execute(sqlalchemy.text(f"DROP DATABASE {name} WITH (FORCE)"))
+
+
+@pytest.fixture(scope="session")
+def redis_server_url() -> str:
+    """The URL of a Redis server whose contents the tests may delete."""
+    return _server("SMS_TEST_REDIS_URL", "Redis")
+
+
+@pytest.fixture
+def redis_url(redis_server_url: str) -> Iterator[str]:
+    """The URL of a Redis database that is empty before and after the test."""
+    with redis.Redis.from_url(redis_server_url) as client:
+        client.flushdb()
+        try:
+            yield redis_server_url
+        finally:
+            client.flushdb()
