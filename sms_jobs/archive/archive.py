@@ -1,0 +1,215 @@
+"""The archive: a folder of sealed files that never change."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from sms_jobs.archive import hdf5, layout
+from sms_jobs.archive.checking import check_apart
+from sms_jobs.archive.dataset import ArchivedDataset, check_dataset, open_dataset
+from sms_jobs.archive.provenance import (
+    InputReference,
+    Provenance,
+    Sealed,
+    provenance_from_json,
+    provenance_to_json,
+)
+from sms_jobs.archive.sealing import sealing, sync
+from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.sensors import Calibration
+
+DATASET_MEDIA_TYPE = "application/x-hdf5"
+
+
+def _sha256_of(file: Path) -> str:
+    """Return the SHA-256 of a file's bytes."""
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+class Archive:
+    """A folder of sealed files.
+
+    A sealed file is complete, checked and on the disk before it has its name, and is never changed or
+    overwritten afterwards. Paths are relative to the folder, with forward slashes.
+    """
+
+    def __init__(self, root: Path) -> None:
+        """Use the archive in the folder `root`, which is created if it is not there."""
+        root.mkdir(parents=True, exist_ok=True)
+        self.root = root.resolve()
+
+    def path(self, relative: str) -> Path:
+        """Return the file at a relative path; raise `InvalidInput` when it is outside the archive."""
+        return layout.inside(self.root, relative)
+
+    def _new(self, relative: str) -> Path:
+        """Return where a new file goes: its folder with links followed, its own name as it is."""
+        path = self.root / relative
+        return layout.inside(self.root, str(Path(relative).parent)) / path.name
+
+    def seal_dataset(self, records: Mapping[str, Any], provenance: Provenance) -> Sealed:
+        """Store records in one HDF5 file; the first is shown when the file is opened in a viewer.
+
+        Raises
+        ------
+        Conflict
+            When the job's attempt has sealed a file of that name already.
+        StorageFull
+            When the disk is full; nothing is left behind, as on every other error.
+        """
+        relative = layout.dataset_path(provenance)
+        path = self._new(relative)
+        with sealing(self.root, path, layout.identity(provenance)) as temporary:
+            with h5py.File(temporary, "w", libver=hdf5.LIBRARY_VERSIONS) as file:
+                content_hash = hdf5.write(file, records, provenance)
+            sync(temporary)
+            check_dataset(temporary, relative, content_hash)
+            size = temporary.stat().st_size
+        return Sealed(relative, content_hash, size, DATASET_MEDIA_TYPE)
+
+    def seal_document(
+        self, filename: str, media_type: str, write: Callable[[Path], None], provenance: Provenance
+    ) -> Sealed:
+        """Store a file that `write` fills at the path that it is given, and its provenance beside it.
+
+        The file is called `<kind>-<time>-<job>-<attempt>-<filename>`. Raises as `seal_dataset` does.
+        """
+        relative = layout.document_path(provenance, filename)
+        path = self._new(relative)
+        job = layout.identity(provenance)
+        with sealing(self.root, path, job) as temporary:
+            write(temporary)
+            if not temporary.is_file():
+                raise InvalidInput(f"nothing was written for {filename} of {provenance.subject}")
+            sealed = Sealed(relative, _sha256_of(temporary), temporary.stat().st_size, media_type)
+            about = {
+                "format": f"{hdf5.FORMAT}-document",
+                "format_version": hdf5.FORMAT_VERSION,
+                "filename": filename,
+                "media_type": media_type,
+                "content_hash": sealed.content_hash,
+                "provenance": json.loads(provenance_to_json(provenance)),
+            }
+            # First, so that no document is ever without its provenance.
+            with sealing(self.root, path.with_name(layout.sidecar(path.name)), job) as beside:
+                beside.write_text(json.dumps(about, indent=1), encoding="utf-8")
+        return sealed
+
+    def seal_calibration(
+        self,
+        calibration: Calibration,
+        created_at: datetime,
+        *,
+        program_version: str,
+        host: str,
+        operator: str,
+        inputs: tuple[InputReference, ...] = (),
+        parameters: Mapping[str, Any] | None = None,
+        job_id: str = "",
+    ) -> Sealed:
+        """Store a calibration under `calibrations/<rig>`; `job_id` is empty when a person brought it in."""
+        provenance = Provenance(
+            kind="calibration",
+            kind_version=1,
+            subject=Subject(layout.CALIBRATIONS, calibration.rig),
+            job_id=job_id,
+            attempt=1,
+            created_at=created_at,
+            parameters=parameters or {},
+            inputs=inputs,
+            program_version=program_version,
+            host=host,
+            operator=operator,
+        )
+        return self.seal_dataset({"calibration": calibration}, provenance)
+
+    def open(self, path: str) -> AbstractContextManager[ArchivedDataset]:
+        """Open a dataset file for reading.
+
+        Raises
+        ------
+        ArchiveCorrupt
+            When it is missing, truncated, or not a file of the archive.
+        FormatTooNew
+            When it was written by a newer version.
+        """
+        return open_dataset(self.path(path), path)
+
+    def document_provenance(self, path: str) -> Provenance:
+        """Return how a document came about; raise `ArchiveCorrupt` when that is not known."""
+        beside = self.path(layout.sidecar(path))
+        try:
+            about = json.loads(beside.read_bytes())["provenance"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ArchiveCorrupt(f"the provenance of {path} is missing; restore {beside}") from error
+        return provenance_from_json(json.dumps(about), path)
+
+    def verify(self, path: str, content_hash: str) -> None:
+        """Read a whole file; raise `ArchiveCorrupt` unless its contents have that hash.
+
+        A dataset is read by a process of its own: a damaged file can hang or kill the HDF5 library.
+        """
+        file = self.path(path)
+        if layout.is_dataset(path):
+            check_apart(file, path, content_hash)
+            return
+        if not file.is_file():
+            raise ArchiveCorrupt(f"{path} is missing from the archive; restore it from a backup")
+        found = _sha256_of(file)
+        if found != content_hash:
+            raise ArchiveCorrupt(
+                f"{path} hashes to {found[:12]}..., but {content_hash[:12]}... is on record; "
+                "restore it from a backup"
+            )
+
+    def files(self) -> Iterator[str]:
+        """Yield the path of every sealed dataset and document, in no order; none that is being written."""
+        for relative in self._names():
+            if layout.is_result(relative):
+                yield relative
+
+    def leftovers(self, job_id: str) -> tuple[str, ...]:
+        """Return every file, sealed or still being written, of a job's attempts so far, in order of path."""
+        found = []
+        for relative in self._names():
+            name = relative.rsplit("/", 1)[-1]
+            if layout.is_temporary_of(name, job_id) or (
+                layout.may_be_of(name, job_id) and self._job_of(relative) == job_id
+            ):
+                found.append(relative)
+        return tuple(sorted(found))
+
+    def discard(self, path: str) -> None:
+        """Remove a file, if it is there; for what a job left behind, never for a file in the catalogue."""
+        file = self.path(path)
+        file.unlink(missing_ok=True)
+        if file.parent.is_dir():
+            sync(file.parent)
+
+    def _names(self) -> Iterator[str]:
+        """Yield the relative path of every file; links to folders are not followed."""
+        for folder, _, names in os.walk(self.root):
+            inner = Path(folder).relative_to(self.root)
+            for name in names:
+                yield (inner / name).as_posix()
+
+    def _job_of(self, relative: str) -> str | None:
+        """Return the id of the job that sealed a file; None when the file does not tell."""
+        try:
+            if layout.is_dataset(relative):
+                with self.open(relative) as dataset:
+                    return dataset.provenance.job_id
+            return self.document_provenance(layout.without_sidecar(relative)).job_id
+        except (ArchiveCorrupt, FormatTooNew):
+            return None

@@ -1,0 +1,258 @@
+"""The HDF5 file itself: NeXus groups, filters and chunks; written in one pass, read back as records.
+
+`docs/archive_format.md` describes the same from the outside.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from datetime import UTC
+from math import prod
+from typing import Any
+
+import h5py
+import hdf5plugin
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.archive.codec import ArrayField, checked_array, layout_of, plain_to_json
+from sms_jobs.archive.hashing import ArrayDigest, Manifest
+from sms_jobs.archive.provenance import Provenance, digest, provenance_to_json
+from sms_jobs.errors import InvalidInput
+from sms_jobs.records.quantity import Quantity
+from sms_jobs.records.reasons import Reason
+
+FORMAT = "sms-archive"
+FORMAT_VERSION = 1
+LIBRARY_VERSIONS = ("v108", "v110")
+"""Newer object formats cannot be read by the HDF5 1.10 and 1.12 of people's tools."""
+
+CHUNK_BYTES = 1 << 20
+SLAB_BYTES = 16 << 20
+FRAMES_IN_CHUNK = 4
+ROWS_IN_CHUNK = 64
+FIELDS = "record_fields"
+PROCESS = "process"
+_RESERVED = {PROCESS, "title", "start_time", "definition"}
+
+
+def chunk_shape(shape: tuple[int, ...], itemsize: int, streamed: bool) -> tuple[int, ...]:
+    """Return chunks of at most 1 MiB: whole rows of one image, or row slabs over several frames.
+
+    A slab (4, 64, columns) of a stack lets ranging read some rows of every frame, and a viewer one frame,
+    without reading much else.
+    """
+    if streamed:
+        frames, rows, columns = shape
+        depth = min(FRAMES_IN_CHUNK, frames)
+        slab = max(1, CHUNK_BYTES // (depth * columns * itemsize))
+        return depth, min(ROWS_IN_CHUNK, rows, slab), columns
+    chunks: list[int] = []
+    room = CHUNK_BYTES // itemsize
+    for length in reversed(shape):
+        chunks.append(max(1, min(length, room)))
+        room //= chunks[-1]
+    return tuple(reversed(chunks))
+
+
+def _create(group: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any, streamed: bool) -> Any:
+    """Create a dataset, with filters unless it is empty or a scalar."""
+    dtype = np.dtype(dtype)
+    if 0 in shape or not shape:
+        return group.create_dataset(name, shape=shape, dtype=dtype)
+    if dtype.kind == "f":
+        # Level 1: twice as fast as 3 on noisy fields, and as small within 3 %.
+        packing = hdf5plugin.Blosc2(cname="zstd", clevel=1, filters=hdf5plugin.Blosc2.BITSHUFFLE)
+    else:
+        packing = hdf5plugin.Bitshuffle(cname="lz4")
+    return group.create_dataset(
+        name,
+        shape=shape,
+        dtype=dtype,
+        chunks=chunk_shape(shape, dtype.itemsize, streamed),
+        fletcher32=True,
+        **packing,
+    )
+
+
+def _write_stack(dataset: Any, stack: Any) -> str:
+    """Write a frame stack, a few frames in memory at a time; return the SHA-256 of its bytes."""
+    count, rows, columns = stack.shape
+    sha = hashlib.sha256()
+    for start in range(0, count, FRAMES_IN_CHUNK):
+        stop = min(start + FRAMES_IN_CHUNK, count)
+        slab = np.empty((stop - start, rows, columns), dataset.dtype)
+        for index in range(start, stop):
+            slab[index - start] = stack.frame(index)
+        sha.update(slab.data)
+        dataset[start:stop] = slab
+    return sha.hexdigest()
+
+
+def _describe(dataset: Any, quantity: Quantity) -> None:
+    """Attach unit, meaning, axes and the names of components and flags."""
+    dataset.attrs["units"] = quantity.unit
+    dataset.attrs["long_name"] = f"{quantity.meaning} [{quantity.unit}]"
+    dataset.attrs["meaning"] = quantity.meaning
+    dataset.attrs["axes"] = list(quantity.axes)
+    if quantity.components:
+        dataset.attrs["components"] = list(quantity.components)
+    if quantity.is_image:
+        dataset.attrs["interpretation"] = "image"
+    if quantity.unit == "bit":
+        dataset.attrs["flag_names"] = [str(flag.name) for flag in Reason]
+        dataset.attrs["flag_masks"] = np.array([flag.value for flag in Reason], np.uint32)
+
+
+def _text(group: h5py.Group, name: str, text: str) -> None:
+    """Write a text of fixed length: viewers show it, and it lies in one place of the file."""
+    raw = text.encode() or b"\0"
+    group.create_dataset(name, data=np.bytes_(raw), dtype=h5py.string_dtype("utf-8", len(raw)))
+
+
+def _plot_as_nxdata(group: h5py.Group, arrays: Mapping[str, ArrayField]) -> None:
+    """Say what a viewer shows first: the first image, or the first value over points."""
+    images = [n for n, f in arrays.items() if n in group and f.quantity.is_image]
+    points = [n for n, f in arrays.items() if n in group and f.quantity.axes == ("point",)]
+    if images:
+        signal = images[0]
+        axes = ["."] * (group[signal].ndim - 2) + ["row", "column"]
+        for axis, length in zip(axes[-2:], group[signal].shape[-2:], strict=True):
+            group.create_dataset(axis, data=np.arange(length, dtype=np.int32))
+            group[axis].attrs["units"] = "px"
+            group[axis].attrs["long_name"] = f"{axis} [px]"
+        group.attrs["auxiliary_signals"] = [n for n in images[1:] if group[n].shape == group[signal].shape]
+    elif {"x", "y"} < set(points) and group["x"].size:
+        signal, axes = next(n for n in points if n not in ("x", "y", "region")), ["x", "y"]
+    else:
+        group.attrs["NX_class"] = "NXcollection"
+        return
+    group.attrs["NX_class"] = "NXdata"
+    group.attrs["signal"] = signal
+    group.attrs["axes"] = axes
+
+
+def _write_record(entry: h5py.Group, name: str, record: Any, manifest: Manifest) -> None:
+    """Write one record as a group of the entry and add it to the manifest."""
+    layout = layout_of(type(record))
+    if not name.isidentifier() or name in _RESERVED:
+        raise InvalidInput(f"'{name}' cannot be the name of a record in a file")
+    group = entry.create_group(name)
+    plain = plain_to_json(record)
+    digests = []
+    for field_name, field in layout.arrays.items():
+        value = getattr(record, field_name)
+        if value is None and field.optional:
+            continue
+        array = checked_array(f"{name}.{field_name}", field, value)
+        dataset = _create(group, field_name, array.shape, array.dtype, field.streamed)
+        _describe(dataset, field.quantity)
+        if field.streamed:
+            sha = _write_stack(dataset, array)
+        else:
+            dataset[...] = array
+            sha = hashlib.sha256(array.data).hexdigest()
+        dataset.attrs["sha256"] = sha
+        digests.append(ArrayDigest(field_name, dataset.dtype.str, dataset.shape, field.quantity.unit, sha))
+    group.attrs["record"] = type(record).__name__
+    group.attrs["arrays"] = [d.name for d in digests]
+    _text(group, FIELDS, plain)
+    _plot_as_nxdata(group, layout.arrays)
+    manifest.add(name, type(record).__name__, plain, digests)
+
+
+def _write_process(entry: h5py.Group, provenance: Provenance) -> None:
+    """Write the provenance: NeXus' own fields for any reader, and all of it as JSON for this program."""
+    group = entry.create_group(PROCESS)
+    group.attrs["NX_class"] = "NXprocess"
+    everything = provenance_to_json(provenance)
+    parts = json.loads(everything)
+    texts = {
+        "program": "sms_jobs",
+        "version": provenance.program_version,
+        "date": provenance.created_at.astimezone(UTC).isoformat(),
+        "subject": str(provenance.subject),
+        "parameters": json.dumps(parts["parameters"]),
+        "inputs": json.dumps(parts["inputs"]),
+        **{key: str(parts[key]) for key in ("kind", "kind_version", "job_id", "attempt", "host", "operator")},
+        "provenance": everything,
+    }
+    for name, text in texts.items():
+        _text(group, name, text)
+    group.attrs["sha256"] = digest(everything)
+
+
+def write(file: h5py.File, records: Mapping[str, Any], provenance: Provenance) -> str:
+    """Fill a new file with records and their provenance; return the content hash.
+
+    The first record is what viewers show when they open the file.
+    """
+    if not records:
+        raise InvalidInput(f"there is no record to seal for {provenance.subject}")
+    file.attrs.update(
+        {
+            "NX_class": "NXroot",
+            "default": "entry",
+            "creator": f"sms_jobs {provenance.program_version}",
+            "file_time": provenance.created_at.astimezone(UTC).isoformat(),
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+        }
+    )
+    entry = file.create_group("entry")
+    entry.attrs["NX_class"] = "NXentry"
+    entry.attrs["default"] = next(iter(records))
+    entry.attrs["records"] = list(records)
+    _text(entry, "title", f"{provenance.kind} of {provenance.subject}")
+    _text(entry, "start_time", provenance.created_at.astimezone(UTC).isoformat())
+    manifest = Manifest()
+    for name, record in records.items():
+        _write_record(entry, name, record, manifest)
+    _write_process(entry, provenance)
+    file.attrs["content_hash"] = manifest.content_hash()
+    return manifest.content_hash()
+
+
+def _slabs(dataset: Any) -> Iterator[NDArray[Any]]:
+    """Yield a dataset in C order, some MiB at a time and chunks whole."""
+    if not dataset.shape or 0 in dataset.shape:
+        yield np.ascontiguousarray(dataset[()])
+        return
+    step = dataset.chunks[0]
+    line = prod(dataset.shape[1:]) * dataset.dtype.itemsize
+    step *= max(1, SLAB_BYTES // (step * line))
+    for start in range(0, dataset.shape[0], step):
+        yield np.ascontiguousarray(dataset[start : start + step])
+
+
+def array_digest(name: str, dataset: Any) -> ArrayDigest:
+    """Read a whole dataset and return what the manifest says of it."""
+    sha = hashlib.sha256()
+    for slab in _slabs(dataset):
+        sha.update(slab.data)
+    return ArrayDigest(name, dataset.dtype.str, dataset.shape, dataset.attrs["units"], sha.hexdigest())
+
+
+def read_text(dataset: Any) -> str:
+    """Read a text written by `_text`."""
+    value: bytes = dataset[()]
+    return value.decode()
+
+
+def content_hash(file: h5py.File) -> str:
+    """Read everything in a file and return its content hash."""
+    entry = file["entry"]
+    manifest = Manifest()
+    for name in entry.attrs["records"]:
+        group = entry[name]
+        digests = [array_digest(array, group[array]) for array in group.attrs["arrays"]]
+        manifest.add(name, group.attrs["record"], read_text(group[FIELDS]), digests)
+    return manifest.content_hash()
+
+
+def provenance_is_whole(file: h5py.File) -> bool:
+    """Say whether the provenance is what was written; the content hash does not cover it."""
+    group = file["entry"][PROCESS]
+    return bool(digest(read_text(group["provenance"])) == group.attrs["sha256"])

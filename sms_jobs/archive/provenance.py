@@ -1,0 +1,114 @@
+"""Where a sealed file came from, and what is known of it from outside."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from sms_jobs.errors import ArchiveCorrupt
+from sms_jobs.records.campaign import Subject
+
+
+@dataclass(frozen=True)
+class InputReference:
+    """One input of a job.
+
+    Attributes
+    ----------
+    role, source
+        As its kind declared the need.
+    path
+        Of the sealed file, relative to the archive.
+    content_hash
+        That the file had when it was read.
+    """
+
+    role: str
+    source: str
+    path: str
+    content_hash: str
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a file came about.
+
+    Attributes
+    ----------
+    kind, kind_version
+        What made it.
+    subject
+        What it is about.
+    job_id, attempt
+        Who made it; the job is empty for a calibration that a person brought in.
+    created_at
+        With time zone.
+    parameters
+        Of the kind, as JSON.
+    inputs
+        Everything that was read.
+    program_version, host, operator
+        Version of `sms_jobs`, name of the computer, name of the person.
+    """
+
+    kind: str
+    kind_version: int
+    subject: Subject
+    job_id: str
+    attempt: int
+    created_at: datetime
+    parameters: Mapping[str, Any]
+    inputs: tuple[InputReference, ...]
+    program_version: str
+    host: str
+    operator: str
+
+
+@dataclass(frozen=True)
+class Sealed:
+    """A sealed file.
+
+    Attributes
+    ----------
+    path
+        Relative to the archive, with forward slashes.
+    content_hash
+        SHA-256 in hexadecimal: of the contents of a dataset file, of the bytes of a document.
+    size_bytes
+        Of the file.
+    media_type
+        E.g. application/x-hdf5.
+    """
+
+    path: str
+    content_hash: str
+    size_bytes: int
+    media_type: str
+
+
+_JSON = TypeAdapter(Provenance)
+
+
+def provenance_to_json(provenance: Provenance) -> str:
+    """Write a provenance as JSON."""
+    return _JSON.dump_json(provenance, warnings="error").decode()
+
+
+def provenance_from_json(text: str | bytes, path: str) -> Provenance:
+    """Read a provenance from JSON; raise `ArchiveCorrupt`, naming the file at `path`, if it is none."""
+    try:
+        return _JSON.validate_json(text, strict=True)
+    except ValidationError as error:
+        raise ArchiveCorrupt(
+            f"{path} has no readable provenance ({error.error_count()} errors); restore it from a backup"
+        ) from error
+
+
+def digest(text: str | bytes) -> str:
+    """Return the SHA-256 of a text in UTF-8, or of bytes, in hexadecimal."""
+    return hashlib.sha256(text.encode() if isinstance(text, str) else text).hexdigest()

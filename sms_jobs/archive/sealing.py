@@ -1,0 +1,75 @@
+"""Sealing: a file is under its final name only when it is whole, checked and on the disk."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from sms_jobs.archive.layout import temporary_name
+from sms_jobs.errors import Conflict, StorageFull
+
+_FULL = {errno.ENOSPC, errno.EDQUOT}
+_HDF5_ERRNO = re.compile(r"errno = (\d+)")
+_READ_ONLY = 0o444
+
+
+def says_full(error: BaseException) -> bool:
+    """Say whether an error means that the disk, or the quota, is full; HDF5 only says so in words."""
+    if not isinstance(error, OSError | RuntimeError):
+        return False
+    if isinstance(error, OSError) and error.errno in _FULL:
+        return True
+    found = _HDF5_ERRNO.search(str(error))
+    return found is not None and int(found[1]) in _FULL
+
+
+def sync(path: Path) -> None:
+    """Force a file or folder to the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def make_folders(root: Path, folder: Path) -> None:
+    """Create a folder below `root` and force the names on the way to the disk."""
+    if folder != root and not folder.is_dir():
+        make_folders(root, folder.parent)
+        folder.mkdir(exist_ok=True)
+        sync(folder.parent)
+
+
+@contextmanager
+def sealing(root: Path, path: Path, job_id: str) -> Iterator[Path]:
+    """Give a temporary file in the folder of `path`; on success make it `path`, synced and read-only.
+
+    Raises
+    ------
+    Conflict
+        When there is a file at `path` already.
+    StorageFull
+        When the disk is full; the temporary file is removed, as on every other error.
+    """
+    temporary = path.with_name(temporary_name(path.name, job_id))
+    if os.path.lexists(path):
+        raise Conflict(f"{path} is sealed already and is never overwritten")
+    try:
+        make_folders(root, path.parent)
+        yield temporary
+        temporary.chmod(_READ_ONLY)
+        sync(temporary)
+        temporary.replace(path)
+        sync(path.parent)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if says_full(error):
+            raise StorageFull(
+                f"the disk of {root} has no room for {path.name}; free some space and run the job again"
+            ) from error
+        raise
