@@ -1,0 +1,238 @@
+"""Campaign files: the example is valid, units are converted once, and nothing wrong is taken in."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import fields
+from datetime import UTC, datetime
+from math import pi
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from sms_jobs.errors import ConfigurationError, NotFound
+from sms_jobs.formats.campaign_tables import _table_of
+from sms_jobs.formats.configuration import (
+    LARGEST_FILE_BYTES,
+    CampaignPlan,
+    example_campaign,
+    load_campaign,
+    parse_campaign,
+)
+from sms_jobs.metrology.geometry.camera import project
+from sms_jobs.records.scene import (
+    CameraResponse,
+    Deformation,
+    Plane,
+    ProjectorResponse,
+    Rigid,
+    Speckle,
+    Surface,
+    UniaxialStrain,
+)
+from sms_jobs.records.sensors import Role
+
+REAL = """
+name = "wing"
+rig = "hall-3"
+pairs = ["C1P1"]
+specimen = { name = "wing panel" }
+states = [{ label = "S00" }]
+"""
+
+
+def changed(old: str, new: str) -> CampaignPlan:
+    """Parse the example after a change of its text."""
+    text = example_campaign()
+    assert old in text
+    return parse_campaign(text.replace(old, new, 1), "plate.toml")
+
+
+def test_the_example_is_read_as_it_is_written() -> None:
+    plan = parse_campaign(example_campaign(), "example")
+    campaign = plan.campaign
+    assert (campaign.name, campaign.rig, campaign.pairs) == ("plate-tension", "virtual", ("C1P1", "C2P1"))
+    assert [s.load_n for s in campaign.states] == [0.0, 20_000.0, 40_000.0]
+    assert campaign.states[1].channels == {"gauge_1": 0.00057}
+    assert campaign.scene is not None
+    assert campaign.scene.surface == Plane(300.0, 240.0)
+    assert campaign.scene.camera.blur_px == 0.5
+    strain, motion = campaign.states[2].deformation
+    assert strain == UniaxialStrain(0.0011428, 0.33)
+    assert isinstance(motion, Rigid)
+    # 0.2 degrees; the tolerance is a few roundings.
+    assert motion.rotation_rad == pytest.approx((0.0, 0.2 * pi / 180.0, 0.0), rel=1e-15)
+    assert campaign.sequence.orientations_rad == pytest.approx((0.0, pi / 2), rel=1e-15)
+
+
+def test_the_calibration_of_a_virtual_rig_is_its_exact_parameters() -> None:
+    plan = parse_campaign(example_campaign(), "example")
+    calibration = plan.calibration
+    assert calibration is not None
+    assert plan.campaign.scene is not None
+    assert calibration.sensors == plan.campaign.scene.sensors
+    assert calibration.rig == plan.campaign.rig
+    assert [s.role for s in calibration.sensors] == [Role.CAMERA, Role.CAMERA, Role.PROJECTOR]
+    assert calibration.valid_from <= datetime(2000, 1, 1, tzinfo=UTC)
+
+
+def test_every_sensor_of_the_example_sees_the_whole_plate() -> None:
+    plan = parse_campaign(example_campaign(), "example")
+    assert plan.calibration is not None
+    corners = np.array([(x, y, 0.0) for x in (-150.0, 150.0) for y in (-120.0, 120.0)])
+    for sensor in plan.calibration.sensors:
+        pixels = project(sensor.intrinsics, sensor.pose, corners)
+        assert (pixels > 0.0).all(), sensor.name
+        assert (pixels < [sensor.columns - 1, sensor.rows - 1]).all(), sensor.name
+        # And the plate fills at least 40 % of the image's width: no pixels are wasted on the background.
+        assert np.ptp(pixels[:, 0]) > 0.4 * sensor.columns
+
+
+def test_a_pose_can_be_given_by_what_is_looked_at_or_by_its_matrix() -> None:
+    looking = parse_campaign(example_campaign(), "example").calibration
+    assert looking is not None
+    pose = looking.sensor("P1").pose
+    matrix = [list(row) for row in pose.rotation]
+    given = changed(
+        "position_mm = [0.0, -40.0, 1000.0]\ntarget_mm = [0.0, 0.0, 0.0]",
+        f"rotation = {matrix}\ntranslation_mm = {list(pose.translation)}",
+    ).calibration
+    assert given is not None
+    assert given.sensor("P1") == looking.sensor("P1")
+
+
+def test_a_placement_turns_by_degrees() -> None:
+    plan = changed("[scene.volume]", "[scene.placement]\nrotation_deg = [0, 0, 90]\n\n[scene.volume]")
+    assert plan.campaign.scene is not None
+    # A quarter turn about z brings x to y; the tolerance is rounding.
+    turned = plan.campaign.scene.placement.matrix() @ [1.0, 0.0, 0.0]
+    np.testing.assert_allclose(turned, [0.0, 1.0, 0.0], atol=1e-15)
+
+
+def test_every_pair_of_a_virtual_rig_measures_unless_some_are_named() -> None:
+    assert changed('pairs = ["C1P1", "C2P1"]', "").campaign.pairs == ("C1P1", "C2P1")
+    assert changed('pairs = ["C1P1", "C2P1"]', 'pairs = ["C2P1"]').campaign.pairs == ("C2P1",)
+
+
+def test_a_real_rig_has_no_scene_and_is_calibrated_by_measurement() -> None:
+    plan = parse_campaign(REAL, "wing.toml")
+    assert plan.calibration is None
+    assert plan.campaign.scene is None
+    assert len(plan.campaign.sequence.densities) == 6
+    with pytest.raises(ConfigurationError, match="pairs is missing or empty"):
+        parse_campaign(REAL.replace('pairs = ["C1P1"]', ""), "wing.toml")
+    with pytest.raises(ConfigurationError, match=r"described under \[scene\]"):
+        parse_campaign(
+            REAL.replace('"S00"', '"S00", deformation = [{ motion = "halves-apart", gap_mm = 1 }]'),
+            "wing.toml",
+        )
+
+
+MISTAKES = [
+    ("width_mm = 300.0", 'width_mm = "wide"', "scene.surface.width_mm should be a number, not 'wide'"),
+    ("width_mm = 300.0", "width_mm = -300", "scene.surface.width_mm should be greater than 0, not -300"),
+    ("width_mm", "widht_mm", "scene.surface has no key 'widht_mm'; its keys are width_mm, height_mm, shape"),
+    ('shape = "plane"', 'shape = "plain"', "scene.surface.shape should be one of 'plane', 'cylinder'"),
+    ('shape = "plane"', "", "scene.surface.shape is missing"),
+    ("load_n = 40_000", "load_n = true", "states[S02].load_n should be a number, not True"),
+    ("load_n = 40_000", "load_kn = 40", "states[S02] has no key 'load_kn'"),
+    ("load_n = 40_000", "time = 2026-01-01T00:00:00", "states[S02].time needs a time zone"),
+    ('label = "S02"', "", "states[3].label is missing"),
+    ('label = "S02"', 'label = "S01"', "two states of one label"),
+    ('label = "S02"', 'label = "a/b"', "'a/b' cannot be the name of a state"),
+    ('name = "plate-tension"', 'name = "../etc"', "'../etc' cannot be the name of a campaign"),
+    ("channels = { gauge_1 = 0.00114 }", "channels = 3", "states[S02].channels should be a table, not 3"),
+    ("strain = 0.0011428", "strain = nan", "states[S02].deformation[1].strain should be a finite number"),
+    ("gamma = 1.0", "gamma = 0", "scene.projector.gamma should be greater than 0, not 0"),
+    ("bits = 12", "bits = 10", "scene.camera.bits should be 8, 12 or 16, not 10"),
+    ("columns = 800", "columns = 800.5", "scene.sensors[P1].columns should be a whole number, not 800.5"),
+    ("columns = 800", "columns = 800_000", "scene.sensors[P1].columns should be less than or equal to 20000"),
+    ('name = "P1"', 'name = "Q1"', "scene.sensors[Q1].name should be C1, C2, ... for a camera"),
+    ('name = "P1"', 'name = "C2"', "two sensors of the scene have one name: C1, C2, C2"),
+    ('"C2P1"', '"C3P1"', "rig virtual has no sensor C3; it has C1, C2, P1"),
+    ('"C2P1"', '"C1P1"', "pairs names one pair twice"),
+    ('"C2P1"', '"P1C2"', "'P1C2' is not a camera-projector pair"),
+    ("position_mm = [0.0, -40.0, 1000.0]", "", "scene.sensors[P1] needs either position_mm and target_mm"),
+    ("[0.0, -40.0, 1000.0]", "[0.0, 5.0, 0.0]", "sensor P1 cannot look along [0.0, -5.0, 0.0] mm"),
+    (
+        "position_mm = [0.0, -40.0, 1000.0]\ntarget_mm = [0.0, 0.0, 0.0]",
+        "rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]\ntranslation_mm = [0, 0, 1]",
+        "sensor P1 has a rotation that is no right-handed rotation matrix",
+    ),
+    ("low_mm = [-170.0", "low_mm = [170.0", "scene.volume needs every coordinate of low_mm below"),
+    ("low_mm = [-170.0", "low_mm = [0, -170.0", "scene.volume.low_mm should have at most 3 items, not 4"),
+    ("steps = 4", "steps = 2", "at least 3 phase steps, not 2"),
+    ("[specimen]", "[[specimen]]", "specimen should be a table"),
+    ("[scene.camera]", "[camera]", "the file has no key 'camera'"),
+    ("seed = 7", "seed = ", "is not valid TOML: Invalid value (at line 45"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), MISTAKES, ids=[m[2][:50] for m in MISTAKES])
+def test_a_mistake_is_refused_by_file_key_and_expectation(old: str, new: str, message: str) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        changed(old, new)
+    assert str(refused.value).startswith("plate.toml")
+    assert message in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_campaign_needs_a_state_a_camera_and_a_projector() -> None:
+    with pytest.raises(ConfigurationError, match="campaign wing has no state"):
+        parse_campaign(REAL.replace('{ label = "S00" }', ""), "wing.toml")
+    scene = example_campaign().partition("[[scene.sensors]]")[0].replace("[scene]", "[scene]\nsensors = []")
+    with pytest.raises(ConfigurationError, match="at least one camera and one projector"):
+        parse_campaign(scene, "plate.toml")
+
+
+def test_several_mistakes_are_counted() -> None:
+    with pytest.raises(ConfigurationError, match=r"\(and 1 more\)"):
+        parse_campaign(example_campaign().replace("fx = 1800.0", "fx = 0"), "plate.toml")
+
+
+@pytest.mark.parametrize(
+    "record",
+    [*get_args(Surface), *get_args(Deformation), Speckle, CameraResponse, ProjectorResponse],
+    ids=lambda record: record.__name__,
+)
+def test_every_kind_of_scene_can_be_written(record: type) -> None:
+    keys = {name.replace("_deg", "_rad") for name in _table_of(record).model_fields}
+    assert keys == {f.name for f in fields(record)}
+
+
+def test_every_surface_and_motion_is_known_by_its_name() -> None:
+    for surface in get_args(Surface):
+        with pytest.raises(ConfigurationError) as refused:
+            changed('shape = "plane"', f'shape = "{surface.shape}"\nno_such_key = 1')
+        assert "scene.surface has no key 'no_such_key'" in str(refused.value)
+    for motion in get_args(Deformation):
+        with pytest.raises(ConfigurationError) as refused:
+            changed('motion = "rigid"', f'motion = "{motion.motion}", no_such_key = 1')
+        assert "states[S01].deformation[2] has no key 'no_such_key'" in str(refused.value)
+
+
+def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "plate.toml"
+    with pytest.raises(NotFound, match=r"plate\.toml"):
+        load_campaign(path)
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        load_campaign(tmp_path)
+    path.write_bytes(b"name = '\xff'")
+    with pytest.raises(ConfigurationError, match="not UTF-8 text"):
+        load_campaign(path)
+    path.write_bytes(b"#" * (LARGEST_FILE_BYTES + 1))
+    with pytest.raises(ConfigurationError, match="larger than the 1048576 bytes"):
+        load_campaign(path)
+    path.write_text("a = " + "[" * 100_000, encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="not valid TOML"):
+        load_campaign(path)
+    path.write_text(example_campaign(), encoding="utf-8")
+    assert load_campaign(path) == parse_campaign(example_campaign(), "example")
+
+
+def test_every_line_of_the_example_is_needed_or_a_default() -> None:
+    # The example must not drift from the tables: what it shows as a default is one.
+    camera = tomllib.loads(example_campaign())["scene"]["camera"]
+    assert CameraResponse(**camera) == CameraResponse()
