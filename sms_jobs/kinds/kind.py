@@ -181,6 +181,8 @@ class Kind(Generic[P]):
         retried by itself after a crash. An acquisition on real hardware is not.
     makes
         `MEASUREMENT` for kinds that record, else the kind's own name.
+    in_pipeline
+        Whether `sms job submit pipeline` includes it.
     """
 
     name: str
@@ -195,6 +197,7 @@ class Kind(Generic[P]):
     repeatable: Callable[[P], bool] = always
     queue: Queue = Queue.CPU
     makes: str = ""
+    in_pipeline: bool = True
 
 
 def tuples(campaign: Campaign) -> tuple[Subject, ...]:

@@ -1,0 +1,14 @@
+"""Runs the migrations on the connection that `sms_jobs.catalogue.schema` hands over."""
+
+from alembic import context
+
+from sms_jobs.catalogue.models import Table
+
+connection = context.config.attributes["connection"]
+context.configure(
+    connection=connection,
+    target_metadata=Table.metadata,
+    compare_type=True,
+    render_as_batch=connection.dialect.name == "sqlite",
+)
+context.run_migrations()

@@ -1,0 +1,153 @@
+"""Campaigns, their states, rigs and calibrations in the catalogue."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from pydantic import TypeAdapter
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.models import (
+    CalibrationRow,
+    CampaignRow,
+    ChannelRow,
+    FileRow,
+    LoadStateRow,
+    RigRow,
+    SensorRow,
+    SpecimenRow,
+)
+from sms_jobs.errors import Conflict, NotFound
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.sensors import Calibration
+
+_DEFINITION = TypeAdapter(Campaign)
+
+
+def add_campaign(session: Session, campaign: Campaign, now: datetime) -> None:
+    """Add a campaign with its specimen, rig and states.
+
+    Raises
+    ------
+    Conflict
+        There is a campaign of that name.
+    """
+    if session.scalar(select(CampaignRow.id).where(CampaignRow.name == campaign.name)) is not None:
+        raise Conflict(
+            f"there is a campaign '{campaign.name}' already; choose another name or see "
+            f"'sms campaign show {campaign.name}'"
+        )
+    specimen = session.scalar(select(SpecimenRow).where(SpecimenRow.name == campaign.specimen.name))
+    if specimen is None:
+        specimen = SpecimenRow(
+            name=campaign.specimen.name,
+            material=campaign.specimen.material,
+            description=campaign.specimen.description,
+        )
+        session.add(specimen)
+    rig = _rig(session, campaign.rig)
+    session.flush()
+    row = CampaignRow(
+        name=campaign.name,
+        specimen_id=specimen.id,
+        rig_id=rig.id,
+        created_at=now,
+        definition=_DEFINITION.dump_python(campaign, mode="json"),
+    )
+    session.add(row)
+    session.flush()
+    for position, state in enumerate(campaign.states):
+        state_row = LoadStateRow(
+            campaign_id=row.id,
+            label=state.label,
+            position=position,
+            load_n=state.load_n,
+            displacement_mm=state.displacement_mm,
+            time=state.time,
+        )
+        session.add(state_row)
+        session.flush()
+        session.add_all(
+            ChannelRow(state_id=state_row.id, name=name, value=value)
+            for name, value in state.channels.items()
+        )
+
+
+def campaign_row(session: Session, name: str) -> CampaignRow:
+    """Return the row of a campaign; raise `NotFound` with the names that there are."""
+    row = session.scalar(select(CampaignRow).where(CampaignRow.name == name))
+    if row is None:
+        known = session.scalars(select(CampaignRow.name).order_by(CampaignRow.id.desc()).limit(5)).all()
+        hint = (
+            f"the latest are {', '.join(known)}"
+            if known
+            else "there is none yet; see 'sms campaign create --help'"
+        )
+        raise NotFound(f"there is no campaign '{name}'; {hint}")
+    return row
+
+
+def definition(row: CampaignRow) -> Campaign:
+    """Return the `Campaign` record of a row."""
+    return _DEFINITION.validate_python(row.definition)
+
+
+def state_ids(session: Session, campaign_id: int) -> dict[str, int]:
+    """Return the ids of a campaign's states by label."""
+    rows = session.execute(
+        select(LoadStateRow.label, LoadStateRow.id).where(LoadStateRow.campaign_id == campaign_id)
+    )
+    return dict(rows.tuples().all())
+
+
+def add_calibration(session: Session, calibration: Calibration, file_id: int) -> None:
+    """Index a calibration file, and the sensors that it names."""
+    rig = _rig(session, calibration.rig)
+    session.flush()
+    known = set(session.scalars(select(SensorRow.name).where(SensorRow.rig_id == rig.id)))
+    session.add_all(
+        SensorRow(rig_id=rig.id, name=s.name, role=s.role.value, columns=s.columns, rows=s.rows)
+        for s in calibration.sensors
+        if s.name not in known
+    )
+    session.add(
+        CalibrationRow(
+            rig_id=rig.id, file_id=file_id, valid_from=calibration.valid_from, origin=calibration.origin
+        )
+    )
+
+
+def calibration_file(session: Session, rig_id: int, at: datetime) -> int | None:
+    """Return the file of the calibration that is valid at a time: the last to become so before it."""
+    return session.scalar(
+        select(CalibrationRow.file_id)
+        .where(CalibrationRow.rig_id == rig_id, CalibrationRow.valid_from <= at)
+        .order_by(CalibrationRow.valid_from.desc(), CalibrationRow.id.desc())
+        .limit(1)
+    )
+
+
+def newest_file(session: Session, source: str, subject: Subject) -> int | None:
+    """Return the newest measurement or result of a kind about a subject."""
+    query = (
+        select(func.max(FileRow.id))
+        .join(CampaignRow, CampaignRow.id == FileRow.campaign_id)
+        .where(FileRow.source == source, CampaignRow.name == subject.campaign)
+    )
+    if subject.state is None:
+        query = query.where(FileRow.state_id.is_(None))
+    else:
+        query = query.join(LoadStateRow, LoadStateRow.id == FileRow.state_id).where(
+            LoadStateRow.label == subject.state
+        )
+    query = query.where(FileRow.pair.is_(None) if subject.pair is None else FileRow.pair == subject.pair)
+    return session.scalar(query)
+
+
+def _rig(session: Session, name: str) -> RigRow:
+    rig = session.scalar(select(RigRow).where(RigRow.name == name))
+    if rig is None:
+        rig = RigRow(name=name)
+        session.add(rig)
+    return rig

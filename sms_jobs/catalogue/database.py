@@ -1,0 +1,142 @@
+"""The catalogue's database: SQLite in a file, or PostgreSQL; both behave alike behind this class."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, OperationalError
+from sqlalchemy.orm import Session
+
+from sms_jobs.errors import ConfigurationError, ServerUnreachable, StorageFull
+
+_WRITING = "sms_writing"
+
+
+class Catalogue:
+    """Sessions on the catalogue's database.
+
+    Parameters
+    ----------
+    url
+        `sqlite:///path` or `postgresql+psycopg://...`.
+    create
+        Make the file of an SQLite catalogue, and its folder, when it is not there yet.
+
+    Raises
+    ------
+    ConfigurationError
+        The URL is not one of these, or the file does not exist.
+    """
+
+    def __init__(self, url: str, *, create: bool = False) -> None:
+        self.engine = _engine(url, create)
+        self._writing = self.engine.execution_options(**{_WRITING: True})
+
+    @property
+    def dialect(self) -> str:
+        """Either sqlite or postgresql."""
+        return self.engine.dialect.name
+
+    def describe(self) -> str:
+        """Return the URL with its password hidden."""
+        return self.engine.url.render_as_string(hide_password=True)
+
+    @contextmanager
+    def reading(self) -> Iterator[Session]:
+        """Open a session that sees one consistent state and writes nothing."""
+        with self._explained(), Session(self.engine, expire_on_commit=False) as session:
+            yield session
+
+    @contextmanager
+    def writing(self) -> Iterator[Session]:
+        """Open a session that is committed at the end, or rolled back on an exception.
+
+        On SQLite the write lock is taken at once, so that nothing read inside can be changed by another
+        process before it is written back.
+        """
+        with (
+            self._explained(),
+            Session(self._writing, expire_on_commit=False) as session,
+            session.begin(),
+        ):
+            yield session
+
+    def close(self) -> None:
+        """Close all connections."""
+        self.engine.dispose()
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        try:
+            yield
+        except OperationalError as error:
+            reason = str(error.orig).strip().splitlines()[0]
+            if "disk is full" in reason or "No space left" in reason:
+                raise StorageFull(
+                    f"the catalogue {self.describe()} cannot be written: the disk is full; free some space"
+                ) from error
+            raise ServerUnreachable(
+                f"the catalogue {self.describe()} does not answer ({reason}); run 'sms doctor'"
+            ) from error
+        except DBAPIError as error:
+            if not error.connection_invalidated:
+                raise
+            raise ServerUnreachable(
+                f"the connection to the catalogue {self.describe()} broke; run 'sms doctor'"
+            ) from error
+
+
+def _engine(url: str, create: bool) -> Engine:
+    try:
+        parsed = make_url(url)
+        backend = parsed.get_backend_name()
+        if backend == "sqlite":
+            _require_file(parsed.database, create)
+            engine = create_engine(parsed, connect_args={"timeout": 30.0})
+            event.listen(engine, "connect", _prepare_sqlite)
+            event.listen(engine, "begin", _begin_sqlite)
+            return engine
+        if backend == "postgresql":
+            return create_engine(parsed, pool_pre_ping=True, connect_args={"connect_timeout": 10})
+    except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
+        # The text of the error may repeat the URL and so a password: it is not passed on.
+        raise ConfigurationError(
+            "database_url cannot be used: write sqlite:///PATH or postgresql+psycopg://USER@HOST/NAME "
+            "(the latter needs 'pip install sms-jobs[postgresql]')"
+        ) from error
+    raise ConfigurationError(f"database_url names '{backend}'; the catalogue runs on sqlite or postgresql")
+
+
+def _require_file(database: str | None, create: bool) -> None:
+    if not database:
+        raise ConfigurationError("database_url must name a file, like sqlite:////var/sms/catalogue.sqlite")
+    path = Path(database)
+    if create:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigurationError(
+                f"the catalogue's folder {path.parent} cannot be made: {error.strerror}; choose another home"
+            ) from error
+    elif not path.exists():
+        raise ConfigurationError(f"there is no catalogue at {path}; run 'sms init'")
+
+
+def _prepare_sqlite(connection: Any, _record: Any) -> None:
+    # The driver would begin transactions late and by itself; `_begin_sqlite` does it instead.
+    connection.isolation_level = None
+    cursor = connection.cursor()
+    cursor.execute("PRAGMA busy_timeout = 30000")
+    cursor.execute("PRAGMA journal_mode = WAL")
+    cursor.execute("PRAGMA synchronous = FULL")
+    cursor.execute("PRAGMA foreign_keys = ON")
+    cursor.close()
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    writing = connection.get_execution_options().get(_WRITING, False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")

@@ -1,0 +1,338 @@
+"""The tables: typed columns for what people ask, JSON for the rest."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any, ClassVar
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    DateTime,
+    Dialect,
+    Enum,
+    ForeignKey,
+    Index,
+    Integer,
+    MetaData,
+    String,
+    Text,
+    TypeDecorator,
+    UniqueConstraint,
+)
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+from sms_jobs.records.job import JobState
+
+
+class UtcDateTime(TypeDecorator[datetime]):
+    """A time with zone, kept as UTC; SQLite stores it without the zone and gets it back on reading."""
+
+    impl = DateTime(timezone=True)
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        """Refuse a time without zone; convert the rest to UTC."""
+        if value is None:
+            return None
+        if value.tzinfo is None:
+            raise ValueError(f"a time without time zone cannot be stored: {value}")
+        return value.astimezone(UTC)
+
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        """Return the time in UTC."""
+        if value is None:
+            return None
+        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+
+
+BigId = BigInteger().with_variant(Integer(), "sqlite")
+JobStateColumn = Enum(
+    JobState,
+    name="job_state",
+    native_enum=False,
+    length=16,
+    values_callable=lambda states: [s.value for s in states],
+)
+
+
+class Table(DeclarativeBase):
+    """Base of all tables; constraints have predictable names so that migrations can refer to them."""
+
+    metadata: ClassVar[MetaData] = MetaData(
+        naming_convention={
+            "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+            "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+            "ck": "ck_%(table_name)s_%(constraint_name)s",
+            "fk": "fk_%(table_name)s_%(column_0_name)s_%(referred_table_name)s",
+            "pk": "pk_%(table_name)s",
+        }
+    )
+    type_annotation_map: ClassVar[dict[Any, Any]] = {
+        datetime: UtcDateTime,
+        JobState: JobStateColumn,
+        dict[str, Any]: JSON,
+        dict[str, float]: JSON,
+    }
+
+
+class SpecimenRow(Table):
+    """A thing that is tested."""
+
+    __tablename__ = "specimen"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(String(64), unique=True)
+    material: Mapped[str] = mapped_column(Text)
+    description: Mapped[str] = mapped_column(Text)
+
+
+class RigRow(Table):
+    """A set of sensors."""
+
+    __tablename__ = "rig"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(String(64), unique=True)
+
+
+class SensorRow(Table):
+    """A camera or projector of a rig."""
+
+    __tablename__ = "sensor"
+    __table_args__ = (UniqueConstraint("rig_id", "name"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    rig_id: Mapped[int] = mapped_column(ForeignKey("rig.id"))
+    name: Mapped[str] = mapped_column(String(8))
+    role: Mapped[str] = mapped_column(String(16))
+    columns: Mapped[int]
+    rows: Mapped[int]
+
+
+class CampaignRow(Table):
+    """A test of one specimen; `definition` is the whole `Campaign` record."""
+
+    __tablename__ = "campaign"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(String(64), unique=True)
+    specimen_id: Mapped[int] = mapped_column(ForeignKey("specimen.id"), index=True)
+    rig_id: Mapped[int] = mapped_column(ForeignKey("rig.id"), index=True)
+    created_at: Mapped[datetime]
+    definition: Mapped[dict[str, Any]]
+
+
+class LoadStateRow(Table):
+    """One load case of a campaign."""
+
+    __tablename__ = "load_state"
+    __table_args__ = (UniqueConstraint("campaign_id", "label"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"))
+    label: Mapped[str] = mapped_column(String(64))
+    position: Mapped[int]
+    load_n: Mapped[float | None] = mapped_column(index=True)
+    displacement_mm: Mapped[float | None]
+    time: Mapped[datetime | None]
+
+
+class ChannelRow(Table):
+    """A scalar reading at a state."""
+
+    __tablename__ = "channel"
+    __table_args__ = (Index(None, "name", "value"),)
+    state_id: Mapped[int] = mapped_column(ForeignKey("load_state.id"), primary_key=True)
+    name: Mapped[str] = mapped_column(String(64), primary_key=True)
+    value: Mapped[float]
+
+
+class FileRow(Table):
+    """A sealed file of the archive, whatever it holds."""
+
+    __tablename__ = "file"
+    __table_args__ = (Index(None, "campaign_id", "source", "state_id", "pair", "id"),)
+    id: Mapped[int] = mapped_column(BigId, primary_key=True)
+    source: Mapped[str] = mapped_column(String(32))
+    """measurement, calibration, or the kind of job whose result it is."""
+    path: Mapped[str] = mapped_column(Text, unique=True)
+    content_hash: Mapped[str] = mapped_column(String(64))
+    size_bytes: Mapped[int] = mapped_column(BigInteger)
+    media_type: Mapped[str] = mapped_column(String(64))
+    created_at: Mapped[datetime] = mapped_column(index=True)
+    campaign_id: Mapped[int | None] = mapped_column(ForeignKey("campaign.id"))
+    state_id: Mapped[int | None] = mapped_column(ForeignKey("load_state.id"), index=True)
+    pair: Mapped[str | None] = mapped_column(String(16))
+    job_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), index=True)
+
+
+class CalibrationRow(Table):
+    """A calibration of a rig, valid from a time on."""
+
+    __tablename__ = "calibration"
+    __table_args__ = (Index(None, "rig_id", "valid_from"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    rig_id: Mapped[int] = mapped_column(ForeignKey("rig.id"))
+    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), unique=True)
+    valid_from: Mapped[datetime]
+    origin: Mapped[str] = mapped_column(Text)
+
+
+class MeasurementRow(Table):
+    """What one pair recorded at one state."""
+
+    __tablename__ = "measurement"
+    __table_args__ = (Index(None, "state_id", "pair", "recorded_at"),)
+    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
+    state_id: Mapped[int] = mapped_column(ForeignKey("load_state.id"))
+    pair: Mapped[str] = mapped_column(String(16))
+    recorded_at: Mapped[datetime]
+
+
+class ResultRow(Table):
+    """What a job computed: one file of its outputs."""
+
+    __tablename__ = "result"
+    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
+    kind: Mapped[str] = mapped_column(String(32), index=True)
+    kind_version: Mapped[int]
+
+
+class StatisticRow(Table):
+    """A number that a file can be found by."""
+
+    __tablename__ = "statistic"
+    __table_args__ = (Index(None, "name", "value"),)
+    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
+    name: Mapped[str] = mapped_column(String(64), primary_key=True)
+    value: Mapped[float]
+
+
+class ProvenanceRow(Table):
+    """An edge of the provenance graph: `output` was computed from `input`."""
+
+    __tablename__ = "provenance"
+    output_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
+    role: Mapped[str] = mapped_column(String(64), primary_key=True)
+    input_id: Mapped[int] = mapped_column(ForeignKey("file.id"), index=True)
+
+
+class WorkerRow(Table):
+    """A supervisor and the worker that it looks after."""
+
+    __tablename__ = "worker"
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    host: Mapped[str] = mapped_column(String(128))
+    pid: Mapped[int]
+    queues: Mapped[str] = mapped_column(String(128))
+    concurrency: Mapped[int]
+    started_at: Mapped[datetime]
+    beat_at: Mapped[datetime]
+    draining: Mapped[bool] = mapped_column(default=False)
+
+
+class JobRow(Table):
+    """A job; this row is the only truth about its state."""
+
+    __tablename__ = "job"
+    __table_args__ = (
+        Index(None, "state", "queue", "priority", "position"),
+        Index(None, "campaign_id", "position"),
+        Index(None, "reuse_key", "state"),
+        Index(None, "worker_id", "state"),
+    )
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    kind: Mapped[str] = mapped_column(String(32))
+    kind_version: Mapped[int]
+    campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"))
+    subject: Mapped[str] = mapped_column(String(200), index=True)
+    parameters: Mapped[dict[str, Any]]
+    queue: Mapped[str] = mapped_column(String(16))
+    priority: Mapped[int] = mapped_column(default=0)
+    position: Mapped[int] = mapped_column(BigInteger)
+    """Order of submission; smaller is earlier."""
+    repeatable: Mapped[bool]
+    use_cache: Mapped[bool] = mapped_column(default=True)
+    state: Mapped[JobState]
+    submitted_at: Mapped[datetime]
+    started_at: Mapped[datetime | None]
+    finished_at: Mapped[datetime | None]
+    rung_at: Mapped[datetime | None]
+    """When a message about it was last sent."""
+    attempts: Mapped[int] = mapped_column(default=0)
+    crashes: Mapped[int] = mapped_column(default=0)
+    fence: Mapped[int] = mapped_column(default=0)
+    """Grows with every claim; an attempt that holds an older one may write nothing."""
+    worker_id: Mapped[str | None] = mapped_column(ForeignKey("worker.id"))
+    pid: Mapped[int | None]
+    lease_until: Mapped[datetime | None]
+    cancel_requested: Mapped[bool] = mapped_column(default=False)
+    progress: Mapped[float] = mapped_column(default=0.0)
+    message: Mapped[str] = mapped_column(Text, default="")
+    error: Mapped[str | None] = mapped_column(Text)
+    reuse_key: Mapped[str | None] = mapped_column(String(64))
+    reused_from: Mapped[str | None] = mapped_column(ForeignKey("job.id"))
+
+
+class DependencyRow(Table):
+    """One input of a job: a file, or the job that will produce it."""
+
+    __tablename__ = "dependency"
+    job_id: Mapped[str] = mapped_column(ForeignKey("job.id"), primary_key=True)
+    role: Mapped[str] = mapped_column(String(64), primary_key=True)
+    source: Mapped[str] = mapped_column(String(32))
+    subject: Mapped[str] = mapped_column(String(200))
+    producer_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), index=True)
+    file_id: Mapped[int | None] = mapped_column(ForeignKey("file.id"), index=True)
+
+
+class EventRow(Table):
+    """A change of a job's state; rows are only ever added."""
+
+    __tablename__ = "event"
+    __table_args__ = (Index(None, "job_id", "id"),)
+    id: Mapped[int] = mapped_column(BigId, primary_key=True)
+    job_id: Mapped[str] = mapped_column(ForeignKey("job.id"))
+    at: Mapped[datetime]
+    state: Mapped[JobState]
+    attempt: Mapped[int]
+    message: Mapped[str] = mapped_column(Text, default="")
+
+
+class OutboxRow(Table):
+    """A message that is to be sent once the transaction that wrote this row is committed."""
+
+    __tablename__ = "outbox"
+    id: Mapped[int] = mapped_column(BigId, primary_key=True)
+    job_id: Mapped[str] = mapped_column(ForeignKey("job.id"))
+    queue: Mapped[str] = mapped_column(String(16))
+
+
+class ScheduleRow(Table):
+    """Work to be submitted at times that an expression gives."""
+
+    __tablename__ = "schedule"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(String(64), unique=True)
+    expression: Mapped[str] = mapped_column(String(128))
+    time_zone: Mapped[str] = mapped_column(String(64))
+    request: Mapped[dict[str, Any]]
+    missed_fire: Mapped[str] = mapped_column(String(16))
+    grace_s: Mapped[float]
+    paused: Mapped[bool] = mapped_column(default=False)
+    created_at: Mapped[datetime]
+
+
+class ScheduleFireRow(Table):
+    """One firing of a schedule; its key makes a second one impossible."""
+
+    __tablename__ = "schedule_fire"
+    schedule_id: Mapped[int] = mapped_column(ForeignKey("schedule.id"), primary_key=True)
+    fire_time: Mapped[datetime] = mapped_column(primary_key=True)
+    outcome: Mapped[str] = mapped_column(String(16))
+
+
+class LockRow(Table):
+    """A device that a job holds for as long as its lease lasts."""
+
+    __tablename__ = "lock"
+    device: Mapped[str] = mapped_column(String(128), primary_key=True)
+    job_id: Mapped[str] = mapped_column(ForeignKey("job.id"), index=True)
+    fence: Mapped[int]
+    taken_at: Mapped[datetime]

@@ -1,0 +1,162 @@
+"""Enters a job's outputs into the catalogue, and finds the files of its inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from math import isfinite
+from typing import Any
+
+from sqlalchemy import select, update
+from sqlalchemy.orm import Session
+
+from sms_jobs.archive import DATASET_MEDIA_TYPE, Sealed
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.models import (
+    DependencyRow,
+    FileRow,
+    JobRow,
+    LoadStateRow,
+    MeasurementRow,
+    ProvenanceRow,
+    ResultRow,
+    StatisticRow,
+)
+from sms_jobs.errors import ArchiveCorrupt
+from sms_jobs.jobs.lifecycle import Claim
+from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Kind, Output
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.measurement import Measurement
+
+
+@dataclass(frozen=True)
+class ResolvedInput:
+    """The file that meets a need of a job."""
+
+    role: str
+    source: str
+    path: str
+    content_hash: str
+    is_dataset: bool
+
+
+@dataclass(frozen=True)
+class SealedOutput:
+    """What the catalogue has to know of an output once it lies in the archive."""
+
+    subject: Subject
+    file: Sealed
+    statistics: Mapping[str, float]
+    recorded_at: datetime | None
+
+
+def sealed_output(output: Output, file: Sealed) -> SealedOutput:
+    """Keep of an output what is indexed, and let its arrays go."""
+    if not isinstance(output, DatasetOutput):
+        return SealedOutput(output.subject, file, {}, None)
+    measurement = output.records.get(MEASUREMENT)
+    recorded_at = measurement.recorded_at if isinstance(measurement, Measurement) else None
+    return SealedOutput(output.subject, file, output.statistics, recorded_at)
+
+
+def resolve_inputs(session: Session, job_id: str) -> tuple[ResolvedInput, ...]:
+    """Find the files of a job's inputs, now that their producers are done, and note them in its row.
+
+    Raises
+    ------
+    ArchiveCorrupt
+        A producer has succeeded, but the catalogue knows no such file of it.
+    """
+    found = []
+    edges = session.scalars(
+        select(DependencyRow).where(DependencyRow.job_id == job_id).order_by(DependencyRow.role)
+    ).all()
+    for edge in edges:
+        file_id = edge.file_id or _produced(session, edge)
+        file = session.get(FileRow, file_id) if file_id else None
+        if file is None:
+            raise ArchiveCorrupt(
+                f"the {edge.source} of {edge.subject} is missing from the catalogue although the job that "
+                "makes it has succeeded; retry that job"
+            )
+        if edge.file_id is None:
+            session.execute(
+                update(DependencyRow)
+                .where(DependencyRow.job_id == job_id, DependencyRow.role == edge.role)
+                .values(file_id=file.id)
+            )
+        found.append(
+            ResolvedInput(
+                edge.role, edge.source, file.path, file.content_hash, file.media_type == DATASET_MEDIA_TYPE
+            )
+        )
+    return tuple(found)
+
+
+def _produced(session: Session, edge: DependencyRow) -> int | None:
+    producer = session.get_one(JobRow, edge.producer_id)
+    subject = Subject.parse(edge.subject)
+    query = select(FileRow.id).where(
+        FileRow.job_id == (producer.reused_from or producer.id), FileRow.source == edge.source
+    )
+    if subject.pair is not None:
+        query = query.where(FileRow.pair == subject.pair)
+    if subject.state is not None:
+        query = query.join(LoadStateRow, LoadStateRow.id == FileRow.state_id).where(
+            LoadStateRow.label == subject.state
+        )
+    return session.scalar(query.order_by(FileRow.id.desc()).limit(1))
+
+
+def add_outputs(
+    session: Session, held: Claim, kind: Kind[Any], outputs: Sequence[SealedOutput], now: datetime
+) -> None:
+    """Index the sealed outputs of a job, with their statistics and where they come from."""
+    campaign = campaigns.campaign_row(session, held.subject.campaign)
+    states = campaigns.state_ids(session, campaign.id)
+    for output in outputs:
+        state_id = None if output.subject.state is None else states[output.subject.state]
+        file = FileRow(
+            source=kind.makes or kind.name,
+            path=output.file.path,
+            content_hash=output.file.content_hash,
+            size_bytes=output.file.size_bytes,
+            media_type=output.file.media_type,
+            created_at=now,
+            campaign_id=campaign.id,
+            state_id=state_id,
+            pair=output.subject.pair,
+            job_id=held.job_id,
+        )
+        session.add(file)
+        session.flush()
+        if output.recorded_at is None:
+            session.add(ResultRow(file_id=file.id, kind=kind.name, kind_version=kind.version))
+        else:
+            session.add(
+                MeasurementRow(
+                    file_id=file.id,
+                    state_id=state_id,
+                    pair=output.subject.pair,
+                    recorded_at=output.recorded_at,
+                )
+            )
+        session.add_all(
+            StatisticRow(file_id=file.id, name=name, value=float(value))
+            for name, value in output.statistics.items()
+            if isfinite(value)
+        )
+        _add_provenance(session, held.job_id, file.id)
+
+
+def _add_provenance(session: Session, job_id: str, file_id: int) -> None:
+    edges = session.execute(
+        select(DependencyRow.role, DependencyRow.file_id).where(DependencyRow.job_id == job_id)
+    ).all()
+    session.add_all(ProvenanceRow(output_id=file_id, role=role, input_id=source) for role, source in edges)
+
+
+def paths_of(session: Session, job_id: str) -> set[str]:
+    """Return the paths of the files that a job has made and that are indexed."""
+    return set(session.scalars(select(FileRow.path).where(FileRow.job_id == job_id)))

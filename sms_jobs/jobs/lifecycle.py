@@ -1,0 +1,294 @@
+"""Every change of a job's state: guarded by the state it leaves, and told by an event.
+
+All functions take a writing session. A change that is not allowed, or that comes from an attempt which
+has been superseded, changes nothing and returns False.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any
+
+from sqlalchemy import exists, insert, select, update
+from sqlalchemy.orm import Session, aliased
+
+from sms_jobs.catalogue.models import DependencyRow, EventRow, JobRow, OutboxRow, WorkerRow
+from sms_jobs.errors import Conflict
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.job import UNSUCCESSFUL, JobState, origins
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A worker's right to run a job, for as long as `fence` is the newest."""
+
+    job_id: str
+    fence: int
+    attempt: int
+    kind: str
+    subject: Subject
+    parameters: dict[str, Any]
+    repeatable: bool
+    use_cache: bool
+
+
+def change(
+    session: Session,
+    job_id: str,
+    target: JobState,
+    now: datetime,
+    message: str,
+    *,
+    leaving: Collection[JobState] = (),
+    fence: int | None = None,
+    **columns: Any,
+) -> bool:
+    """Bring a job to `target` if it is in a state that allows it, and record the event.
+
+    Parameters
+    ----------
+    leaving
+        Narrows the states that may be left; by default all that the transition table allows.
+    fence
+        When given, the change is made only if no newer attempt has begun.
+    columns
+        Further columns to set.
+    """
+    allowed = [s for s in origins(target) if not leaving or s in leaving]
+    statement = (
+        update(JobRow)
+        .where(JobRow.id == job_id, JobRow.state.in_(allowed))
+        .values(state=target, message=message, **columns)
+        .returning(JobRow.attempts, JobRow.queue)
+    )
+    if fence is not None:
+        statement = statement.where(JobRow.fence == fence)
+    changed = session.execute(statement).one_or_none()
+    if changed is None:
+        return False
+    _tell(session, job_id, target, now, changed.attempts, message)
+    if target is JobState.QUEUED:
+        session.execute(insert(OutboxRow), [{"job_id": job_id, "queue": changed.queue}])
+    if target in UNSUCCESSFUL:
+        _skip_dependents(session, job_id, target, now)
+    return True
+
+
+def claim(
+    session: Session, queues: Sequence[str], worker_id: str, pid: int, now: datetime, lease: timedelta
+) -> Claim | None:
+    """Take the first queued job of some queues, or None when there is none or the worker is draining."""
+    candidate = (
+        select(JobRow.id)
+        .where(
+            JobRow.state == JobState.QUEUED,
+            JobRow.queue.in_(queues),
+            exists().where(WorkerRow.id == worker_id, WorkerRow.draining.is_(False)),
+        )
+        .order_by(JobRow.priority.desc(), JobRow.position)
+        .limit(1)
+        .with_for_update(skip_locked=True, of=JobRow)
+    )
+    row = session.execute(
+        update(JobRow)
+        .where(JobRow.id == candidate.scalar_subquery(), JobRow.state == JobState.QUEUED)
+        .values(
+            state=JobState.RUNNING,
+            fence=JobRow.fence + 1,
+            attempts=JobRow.attempts + 1,
+            worker_id=worker_id,
+            pid=pid,
+            started_at=now,
+            lease_until=now + lease,
+            progress=0.0,
+            message="",
+            error=None,
+        )
+        .returning(JobRow)
+    ).scalar_one_or_none()
+    if row is None:
+        return None
+    _tell(
+        session, row.id, JobState.RUNNING, now, row.attempts, f"claimed by worker {worker_id}, process {pid}"
+    )
+    return Claim(
+        row.id,
+        row.fence,
+        row.attempts,
+        row.kind,
+        Subject.parse(row.subject),
+        row.parameters,
+        row.repeatable,
+        row.use_cache,
+    )
+
+
+def report_progress(session: Session, held: Claim, fraction: float, message: str) -> bool | None:
+    """Store how far a job has come; return whether it is to stop, or None when the claim is lost."""
+    return session.execute(
+        update(JobRow)
+        .where(JobRow.id == held.job_id, JobRow.fence == held.fence, JobRow.state == JobState.RUNNING)
+        .values(progress=fraction, message=message)
+        .returning(JobRow.cancel_requested)
+    ).scalar_one_or_none()
+
+
+def succeed(
+    session: Session,
+    held: Claim,
+    now: datetime,
+    message: str,
+    *,
+    reuse_key: str,
+    reused_from: str | None = None,
+) -> bool:
+    """End a job well and queue the jobs that waited for it alone; False when the claim is lost."""
+    done = change(
+        session,
+        held.job_id,
+        JobState.SUCCEEDED,
+        now,
+        message,
+        fence=held.fence,
+        finished_at=now,
+        progress=1.0,
+        reuse_key=reuse_key,
+        reused_from=reused_from,
+    )
+    if done:
+        queue_ready_dependents(session, held.job_id, now)
+    return done
+
+
+def queue_ready_dependents(session: Session, producer_id: str, now: datetime) -> None:
+    """Queue every waiting job that needs `producer_id` and whose producers have all succeeded."""
+    # Locking the dependents first makes two producers that end at the same moment see each other.
+    waiting = session.scalars(
+        select(JobRow.id)
+        .where(
+            JobRow.id.in_(select(DependencyRow.job_id).where(DependencyRow.producer_id == producer_id)),
+            JobRow.state == JobState.WAITING,
+        )
+        .order_by(JobRow.id)
+        .with_for_update()
+    ).all()
+    for job_id in session.scalars(ready(waiting)).all():
+        change(session, job_id, JobState.QUEUED, now, "all it needs is there", leaving=[JobState.WAITING])
+
+
+def ready(job_ids: Collection[str] | None = None) -> Any:
+    """Select waiting jobs whose producers have all succeeded, among some jobs or all."""
+    producer = aliased(JobRow)
+    unfinished = exists().where(
+        DependencyRow.job_id == JobRow.id,
+        producer.id == DependencyRow.producer_id,
+        producer.state != JobState.SUCCEEDED,
+    )
+    query = select(JobRow.id).where(JobRow.state == JobState.WAITING, ~unfinished).order_by(JobRow.position)
+    return query if job_ids is None else query.where(JobRow.id.in_(job_ids))
+
+
+def cancel(session: Session, job_id: str, now: datetime) -> bool:
+    """Cancel a job that does not run, or ask a running one to stop; False when it has ended already."""
+    asked = session.execute(
+        update(JobRow)
+        .where(JobRow.id == job_id, JobRow.state == JobState.RUNNING)
+        .values(cancel_requested=True)
+        .returning(JobRow.id)
+    ).one_or_none()
+    if asked is not None:
+        return True
+    return change(session, job_id, JobState.CANCELLED, now, "cancelled before it ran", finished_at=now)
+
+
+def retry(session: Session, job_id: str, now: datetime) -> int:
+    """Give a job that ended without success another chance, and with it all that was skipped for it.
+
+    Returns
+    -------
+    Number of jobs that wait or are queued again.
+
+    Raises
+    ------
+    Conflict
+        The job has not ended without success.
+    """
+    row = session.get_one(JobRow, job_id, with_for_update=True)
+    if row.state not in UNSUCCESSFUL or row.state is JobState.SKIPPED:
+        hint = " because of a job that it needs; retry that one" if row.state is JobState.SKIPPED else ""
+        raise Conflict(f"job {job_id[:8]} is {row.state.value}{hint}; only a job that failed can be retried")
+    producer = aliased(JobRow)
+    producers = session.scalars(
+        select(producer.state)
+        .join(DependencyRow, DependencyRow.producer_id == producer.id)
+        .where(DependencyRow.job_id == job_id)
+    ).all()
+    if any(state in UNSUCCESSFUL for state in producers):
+        raise Conflict(f"job {job_id[:8]} needs a job that did not succeed; retry that one first")
+    change(
+        session,
+        job_id,
+        JobState.QUEUED if all(s is JobState.SUCCEEDED for s in producers) else JobState.WAITING,
+        now,
+        "retried by an operator",
+        finished_at=None,
+        crashes=0,
+        cancel_requested=False,
+    )
+    count = 1
+    level = [job_id]
+    while level:
+        skipped = session.scalars(
+            select(JobRow.id)
+            .where(
+                JobRow.id.in_(select(DependencyRow.job_id).where(DependencyRow.producer_id.in_(level))),
+                JobRow.state == JobState.SKIPPED,
+            )
+            .order_by(JobRow.id)
+        ).all()
+        for dependent in skipped:
+            change(
+                session, dependent, JobState.WAITING, now, "what it needs is tried again", finished_at=None
+            )
+        count += len(skipped)
+        level = list(skipped)
+    return count
+
+
+def _skip_dependents(session: Session, job_id: str, why: JobState, now: datetime) -> None:
+    level = [job_id]
+    while level:
+        waiting = session.scalars(
+            select(JobRow.id)
+            .where(
+                JobRow.id.in_(select(DependencyRow.job_id).where(DependencyRow.producer_id.in_(level))),
+                JobRow.state == JobState.WAITING,
+            )
+            .order_by(JobRow.id)
+        ).all()
+        session.execute(
+            update(JobRow)
+            .where(JobRow.id.in_(waiting), JobRow.state == JobState.WAITING)
+            .values(
+                state=JobState.SKIPPED,
+                message=f"job {job_id[:8]}, which it needs, is {why.value}",
+                finished_at=now,
+            )
+        )
+        _tell_all(session, waiting, JobState.SKIPPED, now, f"job {job_id} is {why.value}")
+        level = list(waiting)
+
+
+def _tell(session: Session, job_id: str, state: JobState, now: datetime, attempt: int, message: str) -> None:
+    session.execute(
+        insert(EventRow),
+        [{"job_id": job_id, "at": now, "state": state, "attempt": attempt, "message": message}],
+    )
+
+
+def _tell_all(session: Session, job_ids: Iterable[str], state: JobState, now: datetime, message: str) -> None:
+    rows = [{"job_id": i, "at": now, "state": state, "attempt": 0, "message": message} for i in job_ids]
+    if rows:
+        session.execute(insert(EventRow), rows)

@@ -1,0 +1,211 @@
+"""From what a person asks for to the graph of jobs that gives it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from graphlib import CycleError, TopologicalSorter
+from typing import Any
+
+from pydantic import ValidationError
+
+from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.kinds import all_kinds, kind_named
+from sms_jobs.kinds.kind import Kind, Need, Parameters, Scope, default_subjects
+from sms_jobs.records.campaign import Campaign, Subject
+
+PIPELINE = "pipeline"
+
+
+@dataclass(frozen=True)
+class Request:
+    """A kind, or the whole pipeline, with parameters, for some or all states and pairs of a campaign.
+
+    Attributes
+    ----------
+    kind
+        Name of a kind, or `PIPELINE`.
+    parameters
+        By name; for the pipeline, by `kind.name`.
+    states, pairs
+        Empty for all.
+    """
+
+    kind: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    states: tuple[str, ...] = ()
+    pairs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class PlannedInput:
+    """An input of a planned job: a file that exists, or the planned job that will make it."""
+
+    need: Need
+    file_id: int | None
+    producer: int | None
+
+
+@dataclass(frozen=True)
+class PlannedJob:
+    """One job of a plan; producers are places in the plan, always before the job itself."""
+
+    kind: Kind[Any]
+    subject: Subject
+    parameters: Parameters
+    inputs: tuple[PlannedInput, ...]
+
+
+_Key = tuple[str, Subject]
+
+
+def plan(
+    campaign: Campaign, requests: Sequence[Request], archived: Callable[[Need], int | None]
+) -> tuple[PlannedJob, ...]:
+    """Expand requests into jobs, each after the jobs whose results it needs.
+
+    Parameters
+    ----------
+    campaign
+        What the jobs are about.
+    requests
+        What was asked for.
+    archived
+        Finds the file that meets a need, if there is one already.
+
+    Raises
+    ------
+    InvalidInput
+        A kind, parameter, state or pair does not exist.
+    NotFound
+        A job would need a result that neither exists nor is part of the plan.
+    """
+    wanted = _expand(campaign, requests)
+    makers = {kind.makes or kind.name: kind for kind, _ in wanted.values()}
+    jobs: dict[_Key, None] = {}
+    for name, (kind, request) in wanted.items():
+        for subject in _selected(kind, campaign, request):
+            jobs[(name, subject)] = None
+    producers: dict[_Key, dict[_Key, None]] = {}
+    inputs: dict[_Key, list[tuple[Need, _Key | None, int | None]]] = {}
+    # A wanted kind also makes what the other jobs need of it, e.g. the reference state's shape.
+    pending = list(jobs)
+    while pending:
+        key = pending.pop()
+        name, subject = key
+        found = inputs.setdefault(key, [])
+        producers.setdefault(key, {})
+        for need in wanted[name][0].needs(campaign, subject):
+            producer, file_id = _source(need, makers, campaign, archived, f"{name} {subject}")
+            if producer is not None:
+                if producer not in jobs:
+                    jobs[producer] = None
+                    pending.append(producer)
+                producers[key][producer] = None
+            found.append((need, producer, file_id))
+    order = _ordered(jobs, producers)
+    place = {key: i for i, key in enumerate(order)}
+    return tuple(
+        PlannedJob(
+            wanted[key[0]][0],
+            key[1],
+            _parameters(*wanted[key[0]]),
+            tuple(
+                PlannedInput(need, file_id, None if producer is None else place[producer])
+                for need, producer, file_id in inputs[key]
+            ),
+        )
+        for key in order
+    )
+
+
+def _expand(campaign: Campaign, requests: Sequence[Request]) -> dict[str, tuple[Kind[Any], Request]]:
+    wanted: dict[str, tuple[Kind[Any], Request]] = {}
+    for request in requests:
+        for label in request.states:
+            campaign.state(label)
+        unknown = set(request.pairs) - set(campaign.pairs)
+        if unknown:
+            raise InvalidInput(
+                f"campaign {campaign.name} has no pair {', '.join(sorted(unknown))}; "
+                f"it has {', '.join(campaign.pairs)}"
+            )
+        if request.kind != PIPELINE:
+            wanted[request.kind] = (kind_named(request.kind), request)
+            continue
+        kinds = {name: kind for name, kind in all_kinds().items() if kind.in_pipeline}
+        by_kind = _by_kind(request.parameters, kinds)
+        for name, kind in kinds.items():
+            # A part of a campaign has no report of the whole.
+            if kind.scope is Scope.CAMPAIGN and (request.states or request.pairs):
+                continue
+            wanted[name] = (kind, replace(request, kind=name, parameters=by_kind.get(name, {})))
+    return wanted
+
+
+def _by_kind(parameters: Mapping[str, Any], kinds: Mapping[str, Kind[Any]]) -> dict[str, dict[str, Any]]:
+    split: dict[str, dict[str, Any]] = {}
+    for name, value in parameters.items():
+        kind, dot, parameter = name.partition(".")
+        if not dot or kind not in kinds:
+            raise InvalidInput(
+                f"parameter '{name}' of the pipeline must be KIND.NAME=VALUE, "
+                f"with KIND one of {', '.join(kinds)}"
+            )
+        split.setdefault(kind, {})[parameter] = value
+    return split
+
+
+def _selected(kind: Kind[Any], campaign: Campaign, request: Request) -> list[Subject]:
+    return [
+        subject
+        for subject in default_subjects(kind, campaign)
+        if (not request.states or subject.state is None or subject.state in request.states)
+        and (not request.pairs or subject.pair is None or subject.pair in request.pairs)
+    ]
+
+
+def _source(
+    need: Need,
+    makers: Mapping[str, Kind[Any]],
+    campaign: Campaign,
+    archived: Callable[[Need], int | None],
+    who: str,
+) -> tuple[_Key | None, int | None]:
+    maker = makers.get(need.source)
+    if maker is not None:
+        covering = {
+            Scope.TUPLE: need.subject,
+            Scope.STATE: replace(need.subject, pair=None),
+            Scope.CAMPAIGN: Subject(campaign.name),
+        }[maker.scope]
+        return (maker.name, covering), None
+    file_id = archived(need)
+    if file_id is None:
+        raise NotFound(
+            f"{who} needs the {need.source} of {need.subject}, and there is none; "
+            "submit the pipeline, or the job that makes it first"
+        )
+    return None, file_id
+
+
+def _ordered(jobs: Mapping[_Key, None], producers: Mapping[_Key, Mapping[_Key, None]]) -> list[_Key]:
+    try:
+        return list(TopologicalSorter({key: tuple(producers[key]) for key in jobs}).static_order())
+    except CycleError as error:
+        raise InvalidInput("the requested kinds need each other's results in a circle") from error
+
+
+def _parameters(kind: Kind[Any], request: Request) -> Parameters:
+    try:
+        checked = kind.parameters.model_validate(dict(request.parameters))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        name = ".".join(str(part) for part in first["loc"])
+        known = ", ".join(kind.parameters.model_fields) or "none"
+        raise InvalidInput(
+            f"parameter '{name}' of {kind.name} cannot be {first.get('input')!r}: {first['msg']}; "
+            f"its parameters are {known}"
+        ) from error
+    assert isinstance(checked, Parameters)
+    return checked

@@ -1,0 +1,71 @@
+"""When a job need not run: the same kind, version, parameters and inputs have given a result before."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import TypeAdapter
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.models import FileRow, JobRow
+from sms_jobs.kinds.kind import Kind
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.job import JobState
+
+_ANYTHING = TypeAdapter(Any)
+
+
+def reuse_key(
+    kind: Kind[Any],
+    subject: Subject,
+    parameters: Mapping[str, Any],
+    context: object,
+    inputs: Mapping[str, str],
+) -> str:
+    """Return the SHA-256 of everything that a job's outputs depend on.
+
+    Parameters
+    ----------
+    kind
+        Its name and version count.
+    subject
+        Named in the outputs.
+    parameters
+        Complete, defaults included.
+    context
+        What the kind took from the campaign's definition.
+    inputs
+        Content hash of each input by role.
+    """
+    parts = {
+        "kind": kind.name,
+        "version": kind.version,
+        "subject": str(subject),
+        "parameters": parameters,
+        "context": _ANYTHING.dump_python(context, mode="json"),
+        "inputs": inputs,
+    }
+    canonical = json.dumps(parts, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def earlier_success(session: Session, key: str) -> tuple[str, tuple[str, ...]] | None:
+    """Return (job id, paths of its files) of the newest job that computed the same, if there is one."""
+    job_id = session.scalar(
+        select(JobRow.id)
+        .where(
+            JobRow.reuse_key == key,
+            JobRow.state == JobState.SUCCEEDED,
+            JobRow.reused_from.is_(None),
+            JobRow.repeatable,
+        )
+        .order_by(JobRow.finished_at.desc())
+        .limit(1)
+    )
+    if job_id is None:
+        return None
+    return job_id, tuple(session.scalars(select(FileRow.path).where(FileRow.job_id == job_id)))

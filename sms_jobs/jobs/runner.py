@@ -1,0 +1,258 @@
+"""Runs one job: loads what it needs, calls its kind, seals and indexes what comes out.
+
+The only place where kinds, archive and catalogue meet. Whatever happens, the job's row tells it: done,
+failed with a reason, queued again after a passing fault, or lost because a newer attempt has begun.
+"""
+
+from __future__ import annotations
+
+import errno
+import getpass
+import logging
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import sms_jobs
+from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.errors import Cancelled, LeaseLost, SmsError, StorageFull
+from sms_jobs.jobs import indexing, lifecycle, reuse
+from sms_jobs.jobs.indexing import SealedOutput
+from sms_jobs.jobs.lifecycle import Claim
+from sms_jobs.jobs.logs import logged
+from sms_jobs.kinds import kind_named
+from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Output
+from sms_jobs.records.job import JobState
+
+_PROGRESS_EVERY_S = 0.5
+_ATTEMPTS = 3
+"""How often a job is tried when what fails may pass by itself."""
+_SPARE_BYTES = 256 * 2**20
+"""No job is begun with less room than this on the archive's disk."""
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Runner:
+    """Claims and runs jobs in this process.
+
+    Attributes
+    ----------
+    catalogue, archive
+        Where jobs come from and outputs go.
+    worker_id, host
+        Of the supervisor that looks after this process.
+    lease
+        How long a claim holds without a sign of life; the supervisor renews it.
+    threads
+        Threads that a job may use.
+    log_folder
+        Of the jobs' log files.
+    now
+        Clock, with time zone.
+    """
+
+    catalogue: Catalogue
+    archive: Archive
+    worker_id: str
+    host: str
+    lease: timedelta
+    threads: int
+    log_folder: Path
+    now: Callable[[], datetime]
+
+    def run_next(self, queues: Sequence[str]) -> str | None:
+        """Run the first job of some queues to its end; return its id, or None when there was none."""
+        with self.catalogue.writing() as session:
+            held = lifecycle.claim(session, queues, self.worker_id, os.getpid(), self.now(), self.lease)
+        if held is None:
+            return None
+        with logged(self.log_folder, held.job_id):
+            logger.info("job %s: %s %s, attempt %d", held.job_id, held.kind, held.subject, held.attempt)
+            self._run_to_end(held)
+        return held.job_id
+
+    def _run_to_end(self, held: Claim) -> None:
+        try:
+            self._run(held)
+        except LeaseLost as error:
+            logger.warning("job %s: %s", held.job_id, error)
+        except Cancelled:
+            self._end(held, JobState.CANCELLED, "cancelled while it ran")
+        except (SmsError, OSError, MemoryError) as error:
+            self._fail(held, _as_ours(error))
+        except Exception as error:  # noqa: BLE001 - a kind may raise anything; the job's row must tell it
+            self._fail(held, error)
+
+    def _run(self, held: Claim) -> None:
+        kind = kind_named(held.kind)
+        task = self._load(kind, held)
+        key = reuse.reuse_key(
+            kind, held.subject, held.parameters, task.context, {i.role: i.content_hash for i in task.inputs}
+        )
+        if held.use_cache and held.repeatable and self._reuse(held, key):
+            return
+        if held.repeatable:
+            self._clear_leftovers(held)
+        self._require_room()
+        started = time.monotonic()
+        sealed: list[SealedOutput] = []
+        try:
+            sealed.extend(self._sealed_outputs(kind, held, task))
+        except BaseException:
+            self._discard(held, sealed)
+            raise
+        # From here on an exception may leave the commit in doubt: the files stay, and the next attempt
+        # clears away those that were not indexed.
+        with self.catalogue.writing() as session:
+            took = f"took {time.monotonic() - started:.1f} s"
+            done = lifecycle.succeed(session, held, self.now(), took, reuse_key=key)
+            if done:
+                indexing.add_outputs(session, held, kind, sealed, self.now())
+        if not done:
+            self._discard(held, sealed)
+            raise LeaseLost("a newer attempt has begun; what this one made is discarded")
+        logger.info("job %s: done, %d files", held.job_id, len(sealed))
+
+    def _discard(self, held: Claim, sealed: Sequence[SealedOutput]) -> None:
+        # What was measured and cannot be measured again is kept for the operator.
+        if held.repeatable:
+            for output in sealed:
+                self.archive.discard(output.file.path)
+
+    def _load(self, kind: Kind[Any], held: Claim) -> _Task:
+        with self.catalogue.writing() as session:
+            definition = campaigns.definition(campaigns.campaign_row(session, held.subject.campaign))
+            inputs = indexing.resolve_inputs(session, held.job_id)
+        return _Task(inputs, kind.context(definition, held.subject), kind.parameters(**held.parameters))
+
+    def _reuse(self, held: Claim, key: str) -> bool:
+        with self.catalogue.writing() as session:
+            earlier = reuse.earlier_success(session, key)
+            if earlier is None or not all(self.archive.path(p).is_file() for p in earlier[1]):
+                return False
+            done = lifecycle.succeed(
+                session,
+                held,
+                self.now(),
+                f"reused from job {earlier[0][:8]}",
+                reuse_key=key,
+                reused_from=earlier[0],
+            )
+        if not done:
+            raise LeaseLost("a newer attempt has begun")
+        logger.info("job %s: reused from %s", held.job_id, earlier[0])
+        return True
+
+    def _clear_leftovers(self, held: Claim) -> None:
+        with self.catalogue.reading() as session:
+            indexed = indexing.paths_of(session, held.job_id)
+        for path in self.archive.leftovers(held.job_id):
+            if path not in indexed:
+                logger.warning("job %s: discarding %s of an earlier attempt", held.job_id, path)
+                self.archive.discard(path)
+
+    def _require_room(self) -> None:
+        free = shutil.disk_usage(self.archive.root).free
+        if free < _SPARE_BYTES:
+            raise StorageFull(
+                f"the archive's disk has {free / 2**20:.0f} MiB left and a job needs at least "
+                f"{_SPARE_BYTES / 2**20:.0f} MiB; free some space"
+            )
+
+    def _sealed_outputs(self, kind: Kind[Any], held: Claim, task: _Task) -> Iterator[SealedOutput]:
+        progress = _ThrottledProgress(self, held)
+        with ExitStack() as stack:
+            datasets = {
+                i.role: stack.enter_context(self.archive.open(i.path)) for i in task.inputs if i.is_dataset
+            }
+            inputs = Inputs(held.subject, task.context, datasets, self.threads)
+            for output in kind.run(inputs, task.parameters, progress):
+                yield indexing.sealed_output(output, self._seal(output, held, task))
+
+    def _seal(self, output: Output, held: Claim, task: _Task) -> Sealed:
+        provenance = Provenance(
+            kind=held.kind,
+            kind_version=kind_named(held.kind).version,
+            subject=output.subject,
+            job_id=held.job_id,
+            attempt=held.attempt,
+            created_at=self.now(),
+            parameters=task.parameters.model_dump(mode="json"),
+            inputs=tuple(InputReference(i.role, i.source, i.path, i.content_hash) for i in task.inputs),
+            program_version=sms_jobs.__version__,
+            host=self.host,
+            operator=_operator(),
+        )
+        if isinstance(output, DatasetOutput):
+            return self.archive.seal_dataset(output.records, provenance)
+        return self.archive.seal_document(output.filename, output.media_type, output.write, provenance)
+
+    def _fail(self, held: Claim, error: BaseException) -> None:
+        if isinstance(error, SmsError) and error.retryable and held.repeatable and held.attempt < _ATTEMPTS:
+            logger.warning("job %s: %s; tried again", held.job_id, error)
+            self._end(held, JobState.QUEUED, f"tried again: {error}")
+            return
+        if isinstance(error, SmsError):
+            message = str(error)
+            logger.error("job %s: %s", held.job_id, error)
+        else:
+            message = f"{type(error).__name__}: {error}"
+            logger.error("job %s: unexpected error", held.job_id, exc_info=error)
+        self._end(held, JobState.FAILED, message, error=message)
+
+    def _end(self, held: Claim, state: JobState, message: str, **columns: Any) -> None:
+        ended: dict[str, Any] = {} if state is JobState.QUEUED else {"finished_at": self.now()}
+        with self.catalogue.writing() as session:
+            lifecycle.change(
+                session, held.job_id, state, self.now(), message, fence=held.fence, **ended, **columns
+            )
+
+
+@dataclass(frozen=True)
+class _Task:
+    inputs: tuple[indexing.ResolvedInput, ...]
+    context: object
+    parameters: Any
+
+
+class _ThrottledProgress:
+    """Writes progress to the catalogue a few times a second at most, and hears from it when to stop."""
+
+    def __init__(self, runner: Runner, held: Claim) -> None:
+        self._runner = runner
+        self._held = held
+        self._next = 0.0
+
+    def __call__(self, fraction: float, message: str = "") -> None:
+        if time.monotonic() < self._next:
+            return
+        self._next = time.monotonic() + _PROGRESS_EVERY_S
+        with self._runner.catalogue.writing() as session:
+            stop = lifecycle.report_progress(session, self._held, min(max(fraction, 0.0), 1.0), message)
+        if stop is None:
+            raise LeaseLost("a newer attempt has begun")
+        if stop:
+            raise Cancelled("cancelled by an operator")
+
+
+def _as_ours(error: Exception) -> Exception:
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        return StorageFull(f"the disk is full: {error.filename or 'writing an output'}; free some space")
+    return error
+
+
+def _operator() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "unknown"

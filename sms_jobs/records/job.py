@@ -1,0 +1,62 @@
+"""The states of a job and the changes between them that are allowed."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class JobState(Enum):
+    """Where a job stands in its life."""
+
+    WAITING = "waiting"
+    """For the jobs whose results it needs."""
+    QUEUED = "queued"
+    RUNNING = "running"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    SKIPPED = "skipped"
+    """Something it needs failed or was cancelled, so it never ran."""
+    CANCELLED = "cancelled"
+    LOST = "lost"
+    """Its worker vanished; the reconciler decides what becomes of it."""
+    QUARANTINED = "quarantined"
+    """Its worker vanished too often: running it again may bring down another."""
+    NEEDS_OPERATOR = "needs-operator"
+    """It was interrupted and must not be repeated without a person's word."""
+
+
+TRANSITIONS: dict[JobState, frozenset[JobState]] = {
+    JobState.WAITING: frozenset({JobState.QUEUED, JobState.SKIPPED, JobState.CANCELLED}),
+    JobState.QUEUED: frozenset({JobState.RUNNING, JobState.CANCELLED}),
+    JobState.RUNNING: frozenset(
+        {JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELLED, JobState.LOST, JobState.QUEUED}
+    ),
+    JobState.LOST: frozenset(
+        {JobState.QUEUED, JobState.QUARANTINED, JobState.NEEDS_OPERATOR, JobState.CANCELLED}
+    ),
+    JobState.SUCCEEDED: frozenset(),
+    JobState.FAILED: frozenset({JobState.WAITING, JobState.QUEUED}),
+    JobState.SKIPPED: frozenset({JobState.WAITING}),
+    JobState.CANCELLED: frozenset({JobState.WAITING, JobState.QUEUED}),
+    JobState.QUARANTINED: frozenset({JobState.QUEUED, JobState.CANCELLED}),
+    JobState.NEEDS_OPERATOR: frozenset({JobState.QUEUED, JobState.CANCELLED}),
+}
+"""To which states a job may go from each; running -> queued is a retry after a passing fault."""
+
+ACTIVE = frozenset({JobState.WAITING, JobState.QUEUED, JobState.RUNNING, JobState.LOST})
+"""States that change by themselves: somebody who waits for a job waits while it is in one of them."""
+
+UNSUCCESSFUL = frozenset(
+    {
+        JobState.FAILED,
+        JobState.SKIPPED,
+        JobState.CANCELLED,
+        JobState.QUARANTINED,
+        JobState.NEEDS_OPERATOR,
+    }
+)
+
+
+def origins(target: JobState) -> tuple[JobState, ...]:
+    """Return the states from which a job may go to `target`."""
+    return tuple(state for state, targets in TRANSITIONS.items() if target in targets)

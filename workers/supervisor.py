@@ -1,0 +1,194 @@
+"""Looks after one Celery worker: starts it, renews the leases of its jobs, and recovers lost ones.
+
+It is a process of its own, so that native code in a job, which may hold the interpreter for minutes,
+cannot keep it from giving the sign of life. Every supervisor also recovers the jobs of others.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import secrets
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from types import FrameType
+
+import psutil
+from sqlalchemy import exists, select
+
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.errors import ServerUnreachable
+from sms_jobs.jobs import recovery
+from sms_jobs.records.job import ACTIVE
+from sms_jobs.workers.celery_app import QUEUES, WORKER_ID, WORKER_QUEUES, make_app, message_queue
+from sms_jobs.workers.publisher import Publisher
+
+logger = logging.getLogger(__name__)
+
+_TICK_S = 0.2
+_RECOVER_EVERY_S = 1.0
+_RESTART_AFTER_S = 2.0
+_PATIENCE_WITH_JOBS_S = 600.0
+"""How long a worker that is told to stop may finish what it runs."""
+
+
+class Supervisor:
+    """One worker and all that keeps it and its jobs alive.
+
+    Parameters
+    ----------
+    services
+        Of the home.
+    queues
+        Names of the job queues that are served.
+    """
+
+    def __init__(self, services: Services, queues: Sequence[str] = QUEUES) -> None:
+        self.worker_id = secrets.token_hex(4)
+        self._services = services
+        self._settings = services.settings
+        self._queues = tuple(queues)
+        self._lease = timedelta(seconds=self._settings.lease_s)
+        self._host = socket.gethostname()
+        self._app = make_app(self._settings, self._queues)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._stop_asked = 0
+
+    def run(self, *, until_idle: bool = False) -> None:
+        """Serve until a signal asks to stop, or, if wished, until no job is left that can run."""
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._ask_to_stop)
+        with self._services.catalogue.writing() as session:
+            recovery.register_worker(
+                session,
+                self.worker_id,
+                self._host,
+                os.getpid(),
+                self._queues,
+                self._settings.workers,
+                datetime.now(UTC),
+            )
+        publisher = Publisher(self._app, self._services.catalogue, self._settings.workers)
+        self._start_worker()
+        publisher.start()
+        try:
+            self._serve(until_idle)
+        finally:
+            publisher.stop()
+            publisher.join(timeout=5.0)
+            self._stop_worker()
+
+    def _serve(self, until_idle: bool) -> None:
+        beat_at = recover_at = 0.0
+        while not self._stop_asked:
+            moment = time.monotonic()
+            try:
+                if moment >= beat_at:
+                    self._beat()
+                    beat_at = moment + self._settings.lease_s / 3
+                if moment >= recover_at:
+                    self._recover()
+                    recover_at = moment + _RECOVER_EVERY_S
+                    if until_idle and self._is_idle():
+                        return
+            except ServerUnreachable as error:
+                logger.warning("%s", error)
+            self._restart_if_dead()
+            time.sleep(_TICK_S)
+
+    def _beat(self) -> None:
+        with self._services.catalogue.writing() as session:
+            recovery.beat(session, self.worker_id, datetime.now(UTC), self._lease, process_lives)
+
+    def _recover(self) -> None:
+        with self._services.catalogue.writing() as session:
+            lost = recovery.recover(
+                session, datetime.now(UTC), self._host, self._settings.crash_budget, process_lives
+            )
+        for job_id in lost:
+            logger.warning("job %s was lost", job_id)
+
+    def _is_idle(self) -> bool:
+        with self._services.catalogue.reading() as session:
+            return not session.scalar(select(exists().where(JobRow.state.in_(ACTIVE))))
+
+    def _start_worker(self) -> None:
+        threads = str(self._settings.threads)
+        environment = os.environ | {
+            "SMS_HOME": str(self._settings.home),
+            WORKER_ID: self.worker_id,
+            WORKER_QUEUES: ",".join(self._queues),
+            # One worker process uses as many threads as it was given, and its libraries no more.
+            "OMP_NUM_THREADS": threads,
+            "OPENBLAS_NUM_THREADS": threads,
+            "MKL_NUM_THREADS": threads,
+        }
+        command = [sys.executable, "-m", "celery", "-A", "sms_jobs.workers.tasks", "worker"]
+        command += ["--pool", "prefork", "--concurrency", str(self._settings.workers)]
+        command += ["--queues", ",".join(message_queue(queue) for queue in self._queues)]
+        command += ["--hostname", f"sms-{self.worker_id}@%h", "--loglevel", "INFO"]
+        command += ["--without-gossip", "--without-mingle", "--without-heartbeat"]
+        self._settings.log_folder.mkdir(parents=True, exist_ok=True)
+        with (self._settings.log_folder / f"worker-{self.worker_id}.log").open("ab") as output:
+            # A group of its own: Ctrl-C reaches the supervisor alone, which then ends the worker in order.
+            self._process = subprocess.Popen(
+                command,
+                env=environment,
+                stdout=output,
+                stderr=output,
+                stdin=subprocess.DEVNULL,
+                process_group=0,
+            )
+        logger.info("worker %s started as process %d", self.worker_id, self._process.pid)
+
+    def _restart_if_dead(self) -> None:
+        if self._process is not None and self._process.poll() is not None:
+            logger.error("the worker process ended with code %d; starting another", self._process.returncode)
+            time.sleep(_RESTART_AFTER_S)
+            self._start_worker()
+
+    def _stop_worker(self) -> None:
+        if self._process is None or self._process.poll() is not None:
+            return
+        try:
+            with self._services.catalogue.writing() as session:
+                recovery.drain(session, self.worker_id)
+        except ServerUnreachable as error:
+            logger.warning("%s", error)
+        self._process.terminate()
+        deadline = time.monotonic() + _PATIENCE_WITH_JOBS_S
+        while self._process.poll() is None and time.monotonic() < deadline and self._stop_asked < 2:
+            self._beat_quietly()
+            time.sleep(_TICK_S)
+        if self._process.poll() is None:
+            logger.warning("the worker does not end; killing it, its jobs will be run again")
+            for child in psutil.Process(self._process.pid).children(recursive=True):
+                child.kill()
+            self._process.kill()
+            self._process.wait()
+
+    def _beat_quietly(self) -> None:
+        try:
+            self._beat()
+        except ServerUnreachable as error:
+            logger.warning("%s", error)
+
+    def _ask_to_stop(self, number: int, frame: FrameType | None) -> None:
+        self._stop_asked += 1
+
+
+def process_lives(pid: int, before: datetime) -> bool:
+    """Tell whether a process of this host that began before a time is alive."""
+    try:
+        process = psutil.Process(pid)
+        # A process that is younger than its claim has only inherited the number.
+        started = float(process.create_time())
+        return started <= before.timestamp() + 1.0 and process.status() != str(psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False

@@ -1,0 +1,67 @@
+"""What runs inside a Celery worker: the one task, and what each of its processes sets up.
+
+Started by the supervisor as `celery -A sms_jobs.workers.tasks worker`; which home, worker and queues it
+serves comes through the environment.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import threading
+import time
+from datetime import UTC, datetime, timedelta
+from functools import cache
+from typing import Any
+
+import cv2
+from celery.signals import worker_init, worker_process_init
+
+from sms_jobs import settings as settings_file
+from sms_jobs.archive import Archive
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.jobs.runner import Runner
+from sms_jobs.workers.celery_app import QUEUES, RUN, WORKER_ID, WORKER_QUEUES, make_app
+
+_settings = settings_file.load()
+_queues = tuple(os.environ.get(WORKER_QUEUES, ",".join(QUEUES)).split(","))
+app = make_app(_settings, _queues)
+
+
+@cache
+def _runner() -> Runner:
+    """Open this process's own connections; called in the child, after the fork."""
+    return Runner(
+        catalogue=Catalogue(_settings.catalogue_url),
+        archive=Archive(_settings.archive_root),
+        worker_id=os.environ[WORKER_ID],
+        host=socket.gethostname(),
+        lease=timedelta(seconds=_settings.lease_s),
+        threads=_settings.threads,
+        log_folder=_settings.log_folder,
+        now=lambda: datetime.now(UTC),
+    )
+
+
+@app.task(name=RUN, ignore_result=True)  # type: ignore[untyped-decorator]
+def run(job_id: str) -> None:
+    """Run queued jobs until there are none; `job_id` only says that there is at least one."""
+    while _runner().run_next(_queues) is not None:
+        pass
+
+
+@worker_init.connect  # type: ignore[untyped-decorator]
+@worker_process_init.connect  # type: ignore[untyped-decorator]
+def _prepare_process(**_: Any) -> None:
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(process)d %(message)s")
+    cv2.setNumThreads(_settings.threads)
+    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
+
+
+def _end_with_parent(parent: int) -> None:
+    # Without its supervisor a worker would run jobs that nobody renews: their results would be refused.
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    logging.getLogger(__name__).error("process %d, which looked after this one, is gone: ending", parent)
+    os._exit(1)
