@@ -1,0 +1,151 @@
+"""The fringe patterns that a projector shows, and where in the projector a phase gradient lies.
+
+The coordinate along an orientation is counted in projector pixels from the middle of the projector's
+image, and the phase gradient omega runs from -pi to pi over its span, so that t fringes have the phase
+omega t (see docs/conventions.md).
+"""
+
+from __future__ import annotations
+
+from math import cos, pi, sin
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.geometry.camera import pixel_grid
+
+Floats: TypeAlias = NDArray[np.float64]
+
+
+def direction(orientation_rad: float) -> tuple[float, float]:
+    """Return (cos, sin) of a fringe orientation, exact zeros where the orientation is along an axis."""
+    along = (cos(orientation_rad), sin(orientation_rad))
+    return (0.0 if abs(along[0]) < 1e-15 else along[0], 0.0 if abs(along[1]) < 1e-15 else along[1])
+
+
+def span_px(columns: int, rows: int, orientation_rad: float) -> float:
+    """Return N, the length in pixels over which omega grows from -pi to pi along an orientation."""
+    a, b = direction(orientation_rad)
+    return columns * abs(a) + rows * abs(b)
+
+
+def phase_gradient(pixels: Floats, columns: int, rows: int, orientation_rad: float) -> Floats:
+    """Return the phase gradient omega at projector pixels.
+
+    Parameters
+    ----------
+    pixels
+        (..., 2), projector pixel coordinates (x, y), sub-pixel.
+    columns, rows
+        Size of the projector's image, in pixels.
+    orientation_rad
+        Direction in which the phase grows.
+
+    Returns
+    -------
+    (...), in rad per fringe.
+
+    Notes
+    -----
+    omega = 2 pi (x + 0.5 - N/2) / N for orientation 0: thesis Eq. (1.16), with the half pixel that puts
+    omega = 0 at the middle of the image when pixel 0 is the centre of the first pixel.
+    """
+    a, b = direction(orientation_rad)
+    x = pixels[..., 0] + 0.5 - columns / 2.0
+    y = pixels[..., 1] + 0.5 - rows / 2.0
+    return np.asarray((a * x + b * y) * (2.0 * pi / span_px(columns, rows, orientation_rad)))
+
+
+def projector_pixels(
+    first: Floats, second: Floats, columns: int, rows: int, orientations_rad: tuple[float, float]
+) -> Floats:
+    """Return the projector pixels at which two phase gradients of different orientations meet.
+
+    Parameters
+    ----------
+    first, second
+        (...), omega in rad for each of the two orientations.
+    columns, rows
+        Size of the projector's image, in pixels.
+    orientations_rad
+        The two orientations; they must not be parallel.
+
+    Returns
+    -------
+    (..., 2), projector pixel coordinates (x, y): the inverse of `phase_gradient`.
+    """
+    inverse = np.linalg.inv(np.array([direction(o) for o in orientations_rad]))
+    along = [
+        omega * (span_px(columns, rows, orientation) / (2.0 * pi))
+        for omega, orientation in zip((first, second), orientations_rad, strict=True)
+    ]
+    x = inverse[0, 0] * along[0] + inverse[0, 1] * along[1] - 0.5 + columns / 2.0
+    y = inverse[1, 0] * along[0] + inverse[1, 1] * along[1] - 0.5 + rows / 2.0
+    return np.stack([x, y], axis=-1)
+
+
+def fringe_intensity(omega: Floats, density: int, step: int, steps: int, visibility: float = 1.0) -> Floats:
+    """Return the brightness of a fringe pattern, 0 .. 1 of the projector's full brightness.
+
+    Parameters
+    ----------
+    omega
+        (...), phase gradient in rad.
+    density
+        Number of fringes t across the projector.
+    step, steps
+        Phase step k = 0 .. q-1, and their number q.
+    visibility
+        V, 0 .. 1.
+
+    Notes
+    -----
+    (1 + V cos(omega t + 2 pi k / q)) / 2: thesis Eq. (1.16) with I_0 = 1/2 and k counted from 0.
+    """
+    return np.asarray(0.5 * (1.0 + visibility * np.cos(omega * density + 2.0 * pi * step / steps)))
+
+
+def fringe_pattern(
+    columns: int, rows: int, orientation_rad: float, density: int, step: int, steps: int
+) -> Floats:
+    """Return a whole pattern as the projector shows it, (rows, columns), brightness 0 .. 1."""
+    omega = phase_gradient(pixel_grid(rows, columns), columns, rows, orientation_rad)
+    return fringe_intensity(omega, density, step, steps)
+
+
+def fringe_harmonics(
+    density: int, span: float, *, visibility: float = 1.0, gamma: float = 1.0, defocus_px: float = 0.0
+) -> Floats:
+    """Return the Fourier cosine coefficients c_n of a pattern as an imperfect projector shows it.
+
+    Parameters
+    ----------
+    density
+        Number of fringes t across `span`.
+    span
+        N in projector pixels, see `span_px`.
+    visibility
+        V of the pattern that is sent to the projector.
+    gamma
+        Exponent of the projector's response: brightness = sent^gamma.
+    defocus_px
+        Standard deviation of its Gaussian defocus, in projector pixels.
+
+    Returns
+    -------
+    (n,): the brightness is the sum over n of c_n cos(n phi). A linear projector has two coefficients.
+
+    Notes
+    -----
+    A Gaussian of standard deviation s damps the frequency f by exp(-2 pi^2 s^2 f^2); f = n t / N. The
+    powers of the raised cosine are expanded numerically; harmonics below 1e-7 are left out.
+    """
+    samples = 512
+    sent = 0.5 * (1.0 + visibility * np.cos(2.0 * pi * np.arange(samples) / samples))
+    spectrum = np.fft.rfft(sent**gamma).real / samples
+    spectrum[1:] *= 2.0
+    n = np.arange(spectrum.size)
+    spectrum *= np.exp(-2.0 * (pi * defocus_px * n * density / span) ** 2)
+    kept = np.flatnonzero(np.abs(spectrum) > 1e-7)
+    return np.asarray(spectrum[: max(int(kept[-1]) + 1, 2)])
