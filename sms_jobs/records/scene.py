@@ -64,7 +64,8 @@ class PlateWithHoleAndStep:
 class TopHat:
     """A sheet bent along four lines parallel to y into a top-hat profile (thesis section 5.3.1).
 
-    Base, side, top, side, base; two round holes in the top, on its centre line x = 0.
+    Base, side, top, side, base; two round holes in the top, on its centre line x = 0. The middle of the
+    depth is at z = 0.
     """
 
     width_mm: float = 500.0
@@ -81,15 +82,17 @@ class TopHat:
 
 @dataclass(frozen=True)
 class PlateAndMirror:
-    """A diffuse plate and a partly reflective one that meet in a V along y (thesis section 7.3.1).
+    """A diffuse plate and a mirror that meet in a V along y (thesis section 7.3.1).
 
-    Light that reaches the plate by way of the mirror is a second return in the same pixel.
+    The hinge is the y axis, the V opens towards z, the plate is on the side of negative x. Light that
+    reaches the plate by way of the mirror is a second return in the same pixel.
     """
 
     plate_width_mm: float
     height_mm: float
     opening_angle_rad: float
     mirror_reflectance: float = 0.5
+    mirror_width_mm: float = 200.0
     shape: Literal["plate-and-mirror"] = "plate-and-mirror"
 
 
@@ -247,9 +250,13 @@ class Simulation:
         Names of the sensors that measured.
     deformation
         What had been done to the specimen, in order.
+    state
+        Label of the load state. With the scene's seed and the names of the sensors it seeds the noise, so
+        that two recordings of one thing differ in their noise.
     """
 
     scene: Scene
     camera: str
     projector: str
     deformation: tuple[Deformation, ...]
+    state: str = ""
