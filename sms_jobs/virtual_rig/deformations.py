@@ -1,0 +1,184 @@
+"""What is done to a specimen: exact maps of material points to the world, their inverses and gradients.
+
+Deformations act one after the other in the specimen's frame; the placement in the world comes last. Each
+has an exact inverse, so that a ray of light can be followed back to the specimen at rest.
+
+Kernels take the maps as rows of an array: code 0, then for an affine map x -> A x + b the matrix 1 - 9,
+b 10 - 12 and the inverse matrix 13 - 21; for bending deflection, width, height 1 - 3; for halves apart
+the gap 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.records.scene import Deformation, HalvesApart, MidPointBending, Rigid, UniaxialStrain
+
+Floats: TypeAlias = NDArray[np.float64]
+
+AFFINE, BENDING, HALVES = 0, 1, 2
+
+
+def packed_chain(deformation: Iterable[Deformation], placement: Pose) -> Floats:
+    """Return the maps from the specimen at rest to the world, in order, as kernels take them, (n, 22)."""
+    rows = [_packed(d) for d in deformation]
+    rows.append(_affine(placement.matrix(), np.array(placement.translation)))
+    return np.array(rows)
+
+
+def bending_slack(deformation: Iterable[Deformation]) -> float:
+    """Return how far, in mm, the deformations may move a point off their best affine map."""
+    slack = 0.0
+    for d in deformation:
+        if isinstance(d, MidPointBending):
+            slack += abs(d.deflection_mm)
+        elif isinstance(d, HalvesApart):
+            slack += abs(d.gap_mm)
+    return slack
+
+
+def _packed(deformation: Deformation) -> Floats:
+    if isinstance(deformation, Rigid):
+        rotation = Rotation.from_rotvec(deformation.rotation_rad).as_matrix()
+        return _affine(rotation, np.array(deformation.translation_mm))
+    if isinstance(deformation, UniaxialStrain):
+        across = 1.0 - deformation.poisson_ratio * deformation.strain
+        return _affine(np.diag([1.0 + deformation.strain, across, across]), np.zeros(3))
+    row = np.zeros(22)
+    if isinstance(deformation, MidPointBending):
+        row[:4] = BENDING, deformation.deflection_mm, deformation.width_mm, deformation.height_mm
+    else:
+        row[:2] = HALVES, deformation.gap_mm
+    return row
+
+
+def _affine(matrix: Floats, shift: Floats) -> Floats:
+    return np.concatenate([[AFFINE], matrix.ravel(), shift, np.linalg.inv(matrix).ravel()])
+
+
+@kernel
+def deflection_line(s: float) -> tuple[float, float]:
+    """Return f(s) = 1 - 12 s^2 + 16 |s|^3 and its slope; both are 0 beyond |s| = 1/2."""
+    r = abs(s)
+    if r >= 0.5:
+        return 0.0, 0.0
+    return 1.0 + r * r * (16.0 * r - 12.0), s * (48.0 * r - 24.0)
+
+
+@kernel
+def carried(
+    chain: Floats, x: float, y: float, z: float, nx: float, ny: float, nz: float
+) -> tuple[float, float, float, float, float, float]:
+    """Carry a material point to the world, and with it a normal (not normalised).
+
+    A normal is carried by the inverse transpose of the map's gradient.
+    """
+    for i in range(chain.shape[0]):
+        m = chain[i]
+        if m[0] == AFFINE:
+            x, y, z = (
+                m[1] * x + m[2] * y + m[3] * z + m[10],
+                m[4] * x + m[5] * y + m[6] * z + m[11],
+                m[7] * x + m[8] * y + m[9] * z + m[12],
+            )
+            nx, ny, nz = (
+                m[13] * nx + m[16] * ny + m[19] * nz,
+                m[14] * nx + m[17] * ny + m[20] * nz,
+                m[15] * nx + m[18] * ny + m[21] * nz,
+            )
+        elif m[0] == BENDING:
+            f, df = deflection_line(x / m[2])
+            g, dg = deflection_line(y / m[3])
+            z += m[1] * f * g
+            nx -= m[1] * df / m[2] * g * nz
+            ny -= m[1] * f * dg / m[3] * nz
+        elif x < 0.0:
+            x -= 0.5 * m[1]
+        else:
+            x += 0.5 * m[1]
+    return x, y, z, nx, ny, nz
+
+
+@kernel
+def followed_back(
+    chain: Floats, x: float, y: float, z: float, vx: float, vy: float, vz: float
+) -> tuple[float, float, float, float, float, float, bool]:
+    """Carry a point of the world and a direction back to the specimen at rest: the inverse of `carried`.
+
+    The last value is False in a gap between halves, which comes from no material; the point is then
+    taken to the edge of the gap.
+    """
+    material = True
+    for i in range(chain.shape[0] - 1, -1, -1):
+        m = chain[i]
+        if m[0] == AFFINE:
+            x, y, z = x - m[10], y - m[11], z - m[12]
+            x, y, z = (
+                m[13] * x + m[14] * y + m[15] * z,
+                m[16] * x + m[17] * y + m[18] * z,
+                m[19] * x + m[20] * y + m[21] * z,
+            )
+            vx, vy, vz = (
+                m[13] * vx + m[14] * vy + m[15] * vz,
+                m[16] * vx + m[17] * vy + m[18] * vz,
+                m[19] * vx + m[20] * vy + m[21] * vz,
+            )
+        elif m[0] == BENDING:
+            f, df = deflection_line(x / m[2])
+            g, dg = deflection_line(y / m[3])
+            z -= m[1] * f * g
+            vz -= m[1] * (df / m[2] * g * vx + f * dg / m[3] * vy)
+        else:
+            half = 0.5 * m[1]
+            if abs(x) < half:
+                material = False
+                x = 0.0
+            elif x < 0.0:
+                x += half
+            else:
+                x -= half
+    return x, y, z, vx, vy, vz, material
+
+
+@kernel
+def _carry_all(chain: Floats, points: Floats, out: Floats) -> None:
+    for i in range(points.shape[0]):
+        out[i, 0], out[i, 1], out[i, 2], _, _, _ = carried(
+            chain, points[i, 0], points[i, 1], points[i, 2], 0.0, 0.0, 0.0
+        )
+
+
+def carried_points(chain: Floats, material: Floats) -> Floats:
+    """Return where material points lie in the world, (n, 3) to (n, 3) in mm; NaN stays NaN."""
+    out = np.empty_like(material)
+    _carry_all(chain, np.ascontiguousarray(material), out)
+    return out
+
+
+def gradients(chain: Floats, material: Floats) -> Floats:
+    """Return d(world)/d(material) of material points (n, 3), (n, 3, 3), dimensionless."""
+    x = np.array(material, dtype=np.float64)
+    total = np.broadcast_to(np.eye(3), (len(x), 3, 3)).copy()
+    for i, row in enumerate(chain):
+        if row[0] == AFFINE:
+            total = row[1:10].reshape(3, 3) @ total
+        elif row[0] == BENDING:
+            deflection, width, height = row[1:4]
+            f, df = _deflection_lines(x[:, 0] / width)
+            g, dg = _deflection_lines(x[:, 1] / height)
+            slope = deflection * np.stack([df * g / width, f * dg / height], axis=-1)
+            total[:, 2] += np.einsum("ni,nij->nj", slope, total[:, :2])
+        x = carried_points(chain[i : i + 1], x)
+    return total
+
+
+def _deflection_lines(s: Floats) -> tuple[Floats, Floats]:
+    r = np.minimum(np.abs(s), 0.5)
+    return 1.0 + r * r * (16.0 * r - 12.0), np.sign(s) * r * (48.0 * r - 24.0)

@@ -1,0 +1,216 @@
+"""The light that reaches every camera pixel, and the projector pixel that it came from.
+
+Each pixel is divided into sub-samples and a ray sent through the middle of each, so that a pixel on an
+edge mixes what lies on both sides of it. A sub-sample holds up to two returns: light straight from the
+projector, and light by way of a mirror.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.records.scene import PlateAndMirror, Simulation
+from sms_jobs.records.sensors import Sensor
+from sms_jobs.virtual_rig.deformations import carried
+from sms_jobs.virtual_rig.optics import image_point, in_image, packed_sensor, pixel_ray
+from sms_jobs.virtual_rig.rays import (
+    TOUCHING_MM,
+    Specimen,
+    first_hit,
+    specimen_in,
+    surface_normal,
+    unit_to,
+    unobstructed,
+)
+from sms_jobs.virtual_rig.speckle import packed_speckle, reflectance
+from sms_jobs.virtual_rig.surfaces import patch_coordinates
+
+Floats: TypeAlias = NDArray[np.float64]
+Singles: TypeAlias = NDArray[np.float32]
+
+SUBSAMPLES = 2
+"""Sub-samples along each side of a pixel."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """What reaches the sub-samples of a camera's image.
+
+    Attributes
+    ----------
+    x, y
+        (returns, n rows, n columns): projector pixel that the light came from; 0 where there is none.
+    strength
+        (returns, n rows, n columns): what a projector at full brightness gives, 1 for a perfectly diffuse
+        white surface that faces it where the specimen stands.
+    ambient
+        (n rows, n columns): diffuse reflectance, by which ambient light is multiplied.
+    """
+
+    x: Floats
+    y: Floats
+    strength: Singles
+    ambient: Singles
+
+
+def sensor_named(simulation: Simulation, name: str) -> Sensor:
+    """Return a sensor of the simulated rig."""
+    return next(s for s in simulation.scene.sensors if s.name == name)
+
+
+def trace(simulation: Simulation, threads: int = 1) -> Light:
+    """Follow the rays of every sub-sample of a camera to the specimen and on to the projector."""
+    scene = simulation.scene
+    camera = packed_sensor(sensor_named(simulation, simulation.camera))
+    projector = packed_sensor(sensor_named(simulation, simulation.projector))
+    specimen = specimen_in(scene, simulation.deformation)
+    speckle = packed_speckle(scene.speckle)
+    rows, columns = SUBSAMPLES * int(camera[25]), SUBSAMPLES * int(camera[24])
+    returns = 2 if isinstance(scene.surface, PlateAndMirror) else 1
+    shape = (returns, rows, columns)
+    light = Light(
+        np.zeros(shape), np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape[1:], np.float32)
+    )
+    # The distance at which a facing white surface has the strength 1.
+    distance = float(np.linalg.norm(projector[21:24] - np.array(scene.placement.translation)))
+
+    def work(start: int, stop: int) -> None:
+        _trace_rows(
+            camera,
+            projector,
+            specimen,
+            speckle,
+            distance,
+            start,
+            stop,
+            light.x,
+            light.y,
+            light.strength,
+            light.ambient,
+        )
+
+    in_row_blocks(work, rows, threads)
+    return light
+
+
+@kernel
+def _trace_rows(
+    camera: Floats,
+    projector: Floats,
+    specimen: Specimen,
+    speckle: Floats,
+    distance: float,
+    start: int,
+    stop: int,
+    x: Floats,
+    y: Floats,
+    strength: Singles,
+    ambient: Singles,
+) -> None:
+    returns = x.shape[0]
+    for i in range(start, stop):
+        py = (i + 0.5) / SUBSAMPLES - 0.5
+        gx = (-0.5 - camera[2]) / camera[0]
+        gy = (py - camera[3]) / camera[1]
+        for j in range(x.shape[2]):
+            px = (j + 0.5) / SUBSAMPLES - 0.5
+            dx, dy, dz, gx, gy = pixel_ray(camera, px, py, gx, gy)
+            ox, oy, oz = camera[21], camera[22], camera[23]
+            s, patch, mx, my, mz = first_hit(specimen, ox, oy, oz, dx, dy, dz, 0.0)
+            travelled, factor = s, 1.0
+            if patch >= 0 and specimen.patches[patch, 19] > 0.0:
+                factor = specimen.patches[patch, 19]
+                nx, ny, nz = surface_normal(specimen, patch, mx, my, mz)
+                ox, oy, oz = ox + s * dx, oy + s * dy, oz + s * dz
+                along = 2.0 * (nx * dx + ny * dy + nz * dz)
+                dx, dy, dz = dx - along * nx, dy - along * ny, dz - along * nz
+                s, patch, mx, my, mz = first_hit(specimen, ox, oy, oz, dx, dy, dz, TOUCHING_MM)
+                travelled += s
+            if patch < 0 or specimen.patches[patch, 19] > 0.0:
+                continue
+            wx, wy, wz = ox + s * dx, oy + s * dy, oz + s * dz
+            nx, ny, nz = surface_normal(specimen, patch, mx, my, mz)
+            towards = -(nx * dx + ny * dy + nz * dz)
+            if towards < 0.0:  # the side that is seen is the side that is lit
+                nx, ny, nz, towards = -nx, -ny, -nz, -towards
+            a, b = patch_coordinates(specimen.patches[patch], mx, my, mz)
+            shift_a, shift_b = specimen.patches[patch, 23], specimen.patches[patch, 24]
+            footprint = travelled / (camera[0] * SUBSAMPLES * np.sqrt(max(towards, 0.01)))
+            white = factor * reflectance(speckle, a + shift_a, b + shift_b, footprint)
+            ambient[i, j] = white
+            xp, yp, lit = direct_light(projector, specimen, distance, wx, wy, wz, nx, ny, nz)
+            x[0, i, j], y[0, i, j], strength[0, i, j] = xp, yp, white * lit
+            if returns == 2:
+                xp, yp, lit = mirrored_light(projector, specimen, distance, wx, wy, wz, nx, ny, nz)
+                x[1, i, j], y[1, i, j], strength[1, i, j] = xp, yp, white * lit
+
+
+@kernel
+def direct_light(
+    projector: Floats,
+    specimen: Specimen,
+    distance: float,
+    x: float,
+    y: float,
+    z: float,
+    nx: float,
+    ny: float,
+    nz: float,
+) -> tuple[float, float, float]:
+    """Return the projector pixel that lights a point of the specimen, and how strongly.
+
+    Lambert's cosine times the inverse square of the distance, 1 at `distance` mm and facing; 0 in shadow,
+    outside the projector's image or from behind.
+    """
+    ox, oy, oz = projector[21], projector[22], projector[23]
+    dx, dy, dz, length = unit_to(x, y, z, ox, oy, oz)
+    cosine = nx * dx + ny * dy + nz * dz
+    if cosine <= 0.0:
+        return 0.0, 0.0, 0.0
+    px, py = image_point(projector, x, y, z)
+    if not in_image(projector, px, py) or not unobstructed(specimen, ox, oy, oz, x, y, z):
+        return 0.0, 0.0, 0.0
+    return px, py, cosine * distance * distance / (length * length)
+
+
+@kernel
+def mirrored_light(
+    projector: Floats,
+    specimen: Specimen,
+    distance: float,
+    x: float,
+    y: float,
+    z: float,
+    nx: float,
+    ny: float,
+    nz: float,
+) -> tuple[float, float, float]:
+    """Return the projector pixel that lights a point by way of a flat mirror, and how strongly.
+
+    The light comes as if from the projector's image behind the mirror.
+    """
+    for i in range(specimen.patches.shape[0]):
+        patch = specimen.patches[i]
+        if patch[19] == 0.0:
+            continue
+        qx, qy, qz, _, _, _ = carried(specimen.chain, patch[1], patch[2], patch[3], 0.0, 0.0, 0.0)
+        rx, ry, rz = surface_normal(specimen, i, patch[1], patch[2], patch[3])
+        ox, oy, oz = projector[21], projector[22], projector[23]
+        behind = 2.0 * ((ox - qx) * rx + (oy - qy) * ry + (oz - qz) * rz)
+        dx, dy, dz, length = unit_to(x, y, z, ox - behind * rx, oy - behind * ry, oz - behind * rz)
+        cosine = nx * dx + ny * dy + nz * dz
+        if cosine <= 0.0:
+            continue
+        s, met, _, _, _ = first_hit(specimen, x, y, z, dx, dy, dz, TOUCHING_MM)
+        if met != i:
+            continue
+        mx, my, mz = x + s * dx, y + s * dy, z + s * dz
+        px, py = image_point(projector, mx, my, mz)
+        if in_image(projector, px, py) and unobstructed(specimen, ox, oy, oz, mx, my, mz):
+            return px, py, patch[19] * cosine * distance * distance / (length * length)
+    return 0.0, 0.0, 0.0
