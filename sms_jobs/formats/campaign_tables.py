@@ -42,7 +42,7 @@ ALWAYS = datetime(1970, 1, 1, tzinfo=UTC)
 Vector: TypeAlias = tuple[float, float, float]
 
 _POSITIVE = (
-    *("width_mm", "height_mm", "radius_mm", "size_mm", "depth_mm", "diameter_mm", "angle_rad"),
+    *("width_mm", "height_mm", "radius_mm", "size_mm", "depth_mm", "diameter_mm"),
     *("exposure", "full_well", "gamma"),
 )
 """Endings of the names of fields that must be above zero."""
@@ -92,7 +92,9 @@ def _table_of(record: type) -> Any:
     columns: dict[str, Any] = {}
     for f in fields(record):
         limits: dict[str, Any] = {}
-        if f.name.endswith(_POSITIVE):
+        if f.name.endswith("angle_rad"):
+            limits = {"gt": 0.0, "le": 180.0}
+        elif f.name.endswith(_POSITIVE):
             limits = {"gt": 0.0}
         elif f.name in _NOT_NEGATIVE:
             limits = {"ge": 0}

@@ -1,0 +1,104 @@
+"""Rules of the house that a linter does not know."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = sorted(
+    path
+    for folder in ("sms_jobs", "workers", "migrations")
+    for path in (ROOT / folder).rglob("*.py")
+    if "__pycache__" not in path.parts
+)
+TESTS = sorted(path for path in (ROOT / "tests").rglob("*.py") if "__pycache__" not in path.parts)
+
+LINES_IN_A_FILE = 450
+LINES_IN_A_FUNCTION = 70  # a screen, without the docstring
+
+
+def relative(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def packages(lock: str) -> dict[str, set[str]]:
+    """Return the versions of each package of a lock; platforms may differ."""
+    found: dict[str, set[str]] = {}
+    for name, version in re.findall(
+        r"^([A-Za-z0-9._-]+)(?:\[[^\]]*\])?==([^ ;\\]+)", (ROOT / lock).read_text(), re.MULTILINE
+    ):
+        found.setdefault(name.lower(), set()).add(version)
+    return found
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=relative)
+def test_a_module_fits_in_the_head(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= LINES_IN_A_FILE
+    if "versions" in path.parts:
+        return  # a migration lists tables, one after the other
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            first = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]
+            lines = (node.end_lineno or first.lineno) - first.lineno + 1
+            assert lines <= LINES_IN_A_FUNCTION, f"{node.name} has {lines} lines"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=relative)
+def test_nothing_is_left_for_later(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert not re.search(r"\b(TODO|FIXME|XXX|HACK)\b", text)
+    assert "NotImplementedError" not in text
+
+
+def test_names_say_what_is_inside() -> None:
+    vague = {"utils", "util", "helpers", "helper", "manager", "managers", "common", "misc", "data", "process"}
+    assert [relative(p) for p in SOURCES if {p.stem, p.parent.name} & vague] == []
+
+
+def test_test_files_have_names_of_their_own() -> None:
+    # Reports and selections name a test by its file.
+    counts = Counter(p.name for p in TESTS if p.name not in ("conftest.py", "__init__.py"))
+    assert [name for name, count in counts.items() if count > 1] == []
+
+
+@pytest.mark.parametrize("lock", ["requirements.lock", "requirements-test.lock"])
+def test_a_lock_is_exact_and_belongs_to_no_machine(lock: str) -> None:
+    text = (ROOT / lock).read_text(encoding="utf-8")
+    assert "://" not in text
+    assert "file:" not in text
+    assert "-i " not in text
+    requirements = text.replace("\\\n", " ").splitlines()
+    assert requirements
+    for requirement in requirements:
+        assert "==" in requirement
+        assert "--hash=sha256:" in requirement
+
+
+def test_tests_run_what_users_run() -> None:
+    runtime, test = packages("requirements.lock"), packages("requirements-test.lock")
+    assert {name: test.get(name) for name in runtime} == runtime
+
+
+def test_every_declared_dependency_is_locked() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+
+    def names(requirements: list[str]) -> set[str]:
+        return {re.split(r"[\[<>=~! ;]", r)[0].lower() for r in requirements}
+
+    assert names(project["dependencies"] + extras["build"]) <= packages("requirements.lock").keys()
+    assert names(extras["test"] + extras["postgresql"]) <= packages("requirements-test.lock").keys()
+
+
+@pytest.mark.parametrize("script", sorted((ROOT / "ops").glob("*.sh")), ids=relative)
+def test_a_script_runs_on_the_bash_of_macos(script: Path) -> None:
+    # Bash 3.2 has no associative arrays, no mapfile, no ${x,,} and no &>>.
+    text = script.read_text(encoding="utf-8")
+    assert not re.search(r"declare -A|mapfile|readarray|\$\{\w+(,,|\^\^)\}|&>>|\|&", text)
