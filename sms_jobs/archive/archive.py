@@ -23,7 +23,7 @@ from sms_jobs.archive.provenance import (
     provenance_from_json,
     provenance_to_json,
 )
-from sms_jobs.archive.sealing import sealing, sync
+from sms_jobs.archive.sealing import safe_file, sealing, sync
 from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.sensors import Calibration
@@ -71,7 +71,7 @@ class Archive:
         relative = layout.dataset_path(provenance)
         path = self._new(relative)
         with sealing(self.root, path, layout.identity(provenance)) as temporary:
-            with h5py.File(temporary, "w", libver=hdf5.LIBRARY_VERSIONS) as file:
+            with safe_file(temporary) as raw, h5py.File(raw, "w", libver=hdf5.LIBRARY_VERSIONS) as file:
                 content_hash = hdf5.write(file, records, provenance)
             sync(temporary)
             check_dataset(temporary, relative, content_hash)

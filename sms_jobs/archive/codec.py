@@ -8,6 +8,7 @@ unpickled and no name out of a file is looked up outside `sms_jobs.records`.
 from __future__ import annotations
 
 import importlib
+import json
 import pkgutil
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
@@ -101,11 +102,16 @@ def _layout_of(record: type) -> RecordLayout:
     return RecordLayout(record, arrays, names, TypeAdapter(plain))
 
 
+def compact_json(value: Any) -> str:
+    """Write JSON as short as can be; not a number and infinity as NaN and Infinity, which pydantic loses."""
+    return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
+
+
 def plain_to_json(record: Any) -> str:
     """Write the plain fields of a record as JSON; equal records give equal text."""
     layout = layout_of(type(record))
     values = {name: getattr(record, name) for name in layout.plain_names}
-    return layout.plain.dump_json(values, warnings="error").decode()
+    return compact_json(layout.plain.dump_python(values, mode="json", warnings="error"))
 
 
 def record_from_parts(record: type[R], plain: str | bytes, arrays: Mapping[str, Any], where: str) -> R:

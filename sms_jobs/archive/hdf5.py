@@ -30,7 +30,7 @@ LIBRARY_VERSIONS = ("v108", "v110")
 """Newer object formats cannot be read by the HDF5 1.10 and 1.12 of people's tools."""
 
 CHUNK_BYTES = 1 << 20
-SLAB_BYTES = 16 << 20
+SLAB_BYTES = 4 << 20
 FRAMES_IN_CHUNK = 4
 ROWS_IN_CHUNK = 64
 FIELDS = "record_fields"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -96,7 +97,7 @@ _JSON = TypeAdapter(Provenance)
 
 def provenance_to_json(provenance: Provenance) -> str:
     """Write a provenance as JSON."""
-    return _JSON.dump_json(provenance, warnings="error").decode()
+    return json.dumps(_JSON.dump_python(provenance, mode="json", warnings="error"), ensure_ascii=False)
 
 
 def provenance_from_json(text: str | bytes, path: str) -> Provenance:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from sms_jobs.archive.layout import temporary_name
 from sms_jobs.errors import Conflict, StorageFull
@@ -25,6 +27,62 @@ def says_full(error: BaseException) -> bool:
         return True
     found = _HDF5_ERRNO.search(str(error))
     return found is not None and int(found[1]) in _FULL
+
+
+class SafeFile(io.RawIOBase):
+    """A file for the HDF5 library that drops everything after the first error and remembers that error.
+
+    The library must be able to close a file that it could not write, or it takes the process down with it
+    when the disk is full.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._file = path.open("w+b", buffering=0)
+        self.error: OSError | None = None
+
+    def readinto(self, buffer: Any) -> int:
+        """Read at the present place."""
+        return self._file.readinto(buffer)
+
+    def write(self, data: Any) -> int:
+        """Write at the present place; after an error, pretend to."""
+        view = memoryview(data).cast("B")
+        done = 0
+        while done < len(view) and self.error is None:
+            try:
+                done += self._file.write(view[done:])
+            except OSError as error:
+                self.error = error
+        return len(view)
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        """Go to a place."""
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        """Return the present place."""
+        return self._file.tell()
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the length; after an error, pretend to."""
+        return self._file.truncate(size) if self.error is None else size or 0
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+        super().close()
+
+
+@contextmanager
+def safe_file(path: Path) -> Iterator[SafeFile]:
+    """Give a new file to write HDF5 to; raise its first error, if any, when it is closed."""
+    with SafeFile(path) as file:
+        try:
+            yield file
+        finally:
+            if file.error is not None:
+                raise file.error
 
 
 def sync(path: Path) -> None:

@@ -1,0 +1,511 @@
+"""A sealed file is whole or absent, tells when it was damaged, and stays inside the archive."""
+
+from __future__ import annotations
+
+import errno
+import json
+import subprocess
+import sys
+import tracemalloc
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import silx.io
+from silx.io.nxdata import get_default
+
+from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
+from sms_jobs.errors import ArchiveCorrupt, Conflict, FormatTooNew, InvalidInput, NotFound, StorageFull
+from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.fields import ImageMatches, PointCloud, Region, Regions
+from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
+from sms_jobs.records.sensors import Box, Calibration, Role, Sensor
+
+JOB = "0123456789abcdef"
+
+
+def provenance(**changes: Any) -> Provenance:
+    made = Provenance(
+        kind="example",
+        kind_version=1,
+        subject=Subject("test", "S00", "C1P1"),
+        job_id=JOB,
+        attempt=1,
+        created_at=datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC),
+        parameters={"threshold": 0.5, "names": ["a", "b"]},
+        inputs=(InputReference("measured", "measurement", "test/S00/C1P1/a.h5", "ab" * 32),),
+        program_version="0.1.0",
+        host="here",
+        operator="Jürgen",
+    )
+    return replace(made, **changes)
+
+
+def measurement(rng: np.random.Generator, rows: int = 150, columns: int = 90) -> Measurement:
+    shape = (6, rows, columns)
+    return Measurement(
+        recorded_at=datetime(2026, 1, 2, tzinfo=UTC),
+        sequence=FringeSequence(densities=(3, 2), steps=3, orientations_rad=(0.0,)),
+        full_scale=4095,
+        gain=0.1,
+        read_noise=2.0,
+        texture=rng.integers(0, 4096, shape[1:], dtype=np.uint16),
+        frames=ArrayStack(rng.integers(0, 4096, shape, dtype=np.uint16)),
+    )
+
+
+def point_cloud(rng: np.random.Generator) -> PointCloud:
+    image = (40, 30)
+    return PointCloud(
+        camera="C1",
+        projector="P1",
+        xyz=rng.normal(size=(3, *image)),
+        covariance=rng.normal(size=(6, *image)).astype(np.float32),
+        ray_gap=rng.normal(size=image).astype(np.float32),
+        reason=np.zeros(image, np.uint32),
+    )
+
+
+def regions() -> Regions:
+    return Regions((Region(1, 9, (1.0, 1.0)),), np.ones((3, 3), np.int32))
+
+
+def calibration() -> Calibration:
+    pose = Pose(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 500.0))
+    sensor = Sensor("C1", Role.CAMERA, 90, 150, Intrinsics(100.0, 100.0, 44.5, 74.5), pose)
+    return Calibration(
+        "rig", (sensor,), Box((-1.0,) * 3, (1.0,) * 3), datetime(2026, 1, 1, tzinfo=UTC), "exact"
+    )
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Archive:
+    return Archive(tmp_path / "archive")
+
+
+@pytest.fixture
+def sealed(archive: Archive) -> Sealed:
+    return archive.seal_dataset({"measurement": measurement(np.random.default_rng(7))}, provenance())
+
+
+def files_below(archive: Archive) -> list[str]:
+    return sorted(p.relative_to(archive.root).as_posix() for p in archive.root.rglob("*") if p.is_file())
+
+
+def damaged(archive: Archive, sealed: Sealed, change: Any) -> None:
+    path = archive.path(sealed.path)
+    data = bytearray(path.read_bytes())
+    path.chmod(0o644)
+    path.write_bytes(change(data))
+
+
+# --- sealing -----------------------------------------------------------------------------------------
+
+
+def test_a_sealed_file_says_where_it_comes_from(archive: Archive, sealed: Sealed) -> None:
+    assert sealed.path == "test/S00/C1P1/example-20260102T030405Z-01234567-1.h5"
+    assert sealed.size_bytes == archive.path(sealed.path).stat().st_size
+    archive.verify(sealed.path, sealed.content_hash)
+    with archive.open(sealed.path) as dataset:
+        assert dataset.provenance == provenance()
+        assert dataset.subject == Subject("test", "S00", "C1P1")
+        assert dataset.names == ("measurement",)
+        assert dataset.content_hash == sealed.content_hash
+
+
+def test_frames_are_read_from_the_open_file(archive: Archive, sealed: Sealed) -> None:
+    expected = measurement(np.random.default_rng(7)).frames
+    with archive.open(sealed.path) as dataset:
+        frames = dataset.read("measurement", Measurement).frames
+        assert frames.shape == expected.shape
+        assert frames.dtype == expected.dtype
+        np.testing.assert_array_equal(frames.frame(5), expected.frame(5))
+        np.testing.assert_array_equal(frames.rows(60, 130), expected.rows(60, 130))
+    with pytest.raises(ArchiveCorrupt):
+        frames.frame(0)
+
+
+def test_what_is_asked_for_must_be_there(archive: Archive, sealed: Sealed) -> None:
+    with archive.open(sealed.path) as dataset:
+        with pytest.raises(NotFound, match="it has measurement"):
+            dataset.read("strain", PointCloud)
+        with pytest.raises(InvalidInput, match="is a Measurement, not a PointCloud"):
+            dataset.read("measurement", PointCloud)
+
+
+def test_a_sealed_file_is_never_overwritten(archive: Archive, sealed: Sealed) -> None:
+    before = archive.path(sealed.path).read_bytes()
+    with pytest.raises(Conflict, match="never overwritten"):
+        archive.seal_dataset({"regions": regions()}, provenance())
+    assert archive.path(sealed.path).read_bytes() == before
+    assert files_below(archive) == [sealed.path]
+
+
+class FailingStack(ArrayStack):
+    """Frames whose source fails half way."""
+
+    def frame(self, index: int) -> Any:
+        if index == 5:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().frame(index)
+
+
+def test_a_full_disk_leaves_nothing_behind(archive: Archive, rng: np.random.Generator) -> None:
+    whole = measurement(rng)
+    broken = replace(whole, frames=FailingStack(whole.frames.rows(0, 150)))
+    with pytest.raises(StorageFull, match="no room"):
+        archive.seal_dataset({"measurement": broken}, provenance())
+    assert files_below(archive) == []
+
+
+WRITE_AND_STOP = """
+import resource, sys
+from datetime import UTC, datetime
+from pathlib import Path
+import os
+import numpy as np
+from sms_jobs.archive import Archive, Provenance
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
+
+class Stack(ArrayStack):
+    def frame(self, index):
+        if index == 20 and sys.argv[2] == "die":
+            os._exit(9)
+        return super().frame(index)
+
+if sys.argv[2] == "limit":
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+frames = np.random.default_rng(0).integers(0, 4096, (24, 150, 90), dtype=np.uint16)
+when = datetime(2026, 1, 2, tzinfo=UTC)
+record = Measurement(when, FringeSequence(), 4095, 0.1, 2.0, frames[0], Stack(frames))
+provenance = Provenance("example", 1, Subject("test"), "0123456789abcdef", 2,
+                        when, {}, (), "0.1.0", "here", "me")
+try:
+    Archive(Path(sys.argv[1])).seal_dataset({"measurement": record}, provenance)
+except OSError as error:
+    print(error.errno)
+"""
+
+
+def write_and_stop(archive: Archive, how: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", WRITE_AND_STOP, str(archive.root), how]
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=120)
+
+
+def test_a_killed_writer_leaves_only_a_temporary_file_that_its_job_finds(archive: Archive) -> None:
+    assert write_and_stop(archive, "die").returncode == 9
+    (left,) = files_below(archive)
+    assert left.endswith(f"/.example-20260102T000000Z-01234567-2.h5.{JOB}.tmp")
+    assert list(archive.files()) == []
+    assert archive.leftovers(JOB) == (left,)
+    archive.discard(left)
+    assert files_below(archive) == []
+
+
+def test_a_file_that_cannot_be_written_does_not_take_the_process_down(archive: Archive) -> None:
+    # HDF5 crashes when it must give up a file that it can neither write nor close.
+    done = write_and_stop(archive, "limit")
+    assert (done.returncode, done.stdout.strip()) == (0, str(errno.EFBIG)), done.stderr
+    assert files_below(archive) == []
+
+
+class EndlessStack:
+    """Frames that exist only while they are asked for."""
+
+    shape = (48, 512, 512)
+    dtype = np.dtype(np.uint16)
+
+    def frame(self, index: int) -> Any:
+        return np.full(self.shape[1:], index, np.uint16)
+
+    def rows(self, start: int, stop: int) -> Any:
+        raise AssertionError("frames are written one by one")
+
+
+def test_frames_are_never_in_memory_as_a_whole(archive: Archive, rng: np.random.Generator) -> None:
+    record = replace(measurement(rng), frames=EndlessStack())
+    tracemalloc.start()
+    archive.seal_dataset({"measurement": record}, provenance())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # The stack has 25.2 MB. In memory at a time: while writing 4 frames and one being made (2.6 MB); while
+    # checking, a slab of at most 4 MiB and the one before it (8.4 MB); and some small change.
+    assert peak < 10e6
+
+
+# --- what the content hash covers ----------------------------------------------------------------------
+
+
+def test_the_hash_depends_on_contents_alone(archive: Archive, rng: np.random.Generator) -> None:
+    cloud = point_cloud(rng)
+    first = archive.seal_dataset({"cloud": cloud}, provenance())
+    later = provenance(attempt=2, created_at=datetime(2027, 1, 1, tzinfo=UTC), host="there", operator="x")
+    again = archive.seal_dataset({"cloud": replace(cloud, xyz=cloud.xyz[::1].copy(order="F"))}, later)
+    assert first.content_hash == again.content_hash
+
+
+@pytest.mark.parametrize("what", ["value", "text", "name", "order", "field"])
+def test_the_hash_changes_with_everything_that_is_said(
+    what: str, archive: Archive, rng: np.random.Generator
+) -> None:
+    cloud = point_cloud(rng)
+    other = point_cloud(rng)
+    records = {"cloud": cloud, "regions": regions()}
+    before = archive.seal_dataset(records, provenance())
+    xyz = cloud.xyz.copy()
+    xyz[2, -1, -1] = np.nextafter(xyz[2, -1, -1], np.inf)
+    changed: dict[str, dict[str, Any]] = {
+        "value": records | {"cloud": replace(cloud, xyz=xyz)},
+        "text": records | {"cloud": replace(cloud, camera="C2")},
+        "name": {"points": cloud, "regions": regions()},
+        "order": {"regions": regions(), "cloud": cloud},
+        "field": records | {"cloud": replace(cloud, ray_gap=other.ray_gap)},
+    }
+    after = archive.seal_dataset(changed[what], provenance(attempt=2))
+    assert before.content_hash != after.content_hash
+
+
+# --- damage ----------------------------------------------------------------------------------------------
+
+
+def test_a_truncated_file_is_found_out(archive: Archive, sealed: Sealed) -> None:
+    damaged(archive, sealed, lambda data: data[: len(data) // 2])
+    with pytest.raises(ArchiveCorrupt, match=r"example-.* cannot be read .*restore"):
+        archive.verify(sealed.path, sealed.content_hash)
+    with pytest.raises(ArchiveCorrupt), archive.open(sealed.path):
+        pass
+
+
+def test_a_flipped_bit_anywhere_in_the_frames_is_found_out(
+    archive: Archive, sealed: Sealed, rng: np.random.Generator
+) -> None:
+    with h5py.File(archive.path(sealed.path)) as file:
+        frames = file["entry/measurement/frames"].id
+        chunk = frames.get_chunk_info(int(rng.integers(frames.get_num_chunks())))
+    place = chunk.byte_offset + int(rng.integers(chunk.size))
+
+    def flip(data: bytearray) -> bytearray:
+        data[place] ^= 1 << int(rng.integers(8))
+        return data
+
+    damaged(archive, sealed, flip)
+    with pytest.raises(ArchiveCorrupt):
+        archive.verify(sealed.path, sealed.content_hash)
+    with archive.open(sealed.path) as dataset:
+        stack = dataset.read("measurement", Measurement).frames
+        with pytest.raises(ArchiveCorrupt):
+            stack.rows(0, 150)
+
+
+@pytest.mark.parametrize("where", ["provenance", "record_fields"])
+def test_altered_text_is_found_out(where: str, archive: Archive, sealed: Sealed) -> None:
+    old, new = {
+        "provenance": (b'"threshold": 0.5, "names": ["a", "b"]}, "inputs"', b"0.5"),
+        "record_fields": (b'"full_scale":4095', b"4095"),
+    }[where]
+
+    def alter(data: bytearray) -> bytearray:
+        start = data.index(old)
+        place = data.index(new, start)
+        data[place + 2] = ord("7")
+        return data
+
+    damaged(archive, sealed, alter)
+    with pytest.raises(ArchiveCorrupt):
+        archive.verify(sealed.path, sealed.content_hash)
+
+
+def test_another_hash_than_recorded_is_an_error(archive: Archive, sealed: Sealed) -> None:
+    with pytest.raises(ArchiveCorrupt, match="is on record"):
+        archive.verify(sealed.path, "0" * 64)
+
+
+def test_a_missing_file_and_a_foreign_file_are_named(archive: Archive, sealed: Sealed) -> None:
+    with pytest.raises(ArchiveCorrupt, match=r"test/none-1\.h5 is missing"), archive.open("test/none-1.h5"):
+        pass
+    archive.path("test/foreign.h5").write_bytes(b"not HDF5 at all")
+    with pytest.raises(ArchiveCorrupt, match="cannot be read"), archive.open("test/foreign.h5"):
+        pass
+    with h5py.File(archive.path("test/other.h5"), "w") as file:
+        file["x"] = 1
+    with pytest.raises(ArchiveCorrupt, match="not one of this archive"), archive.open("test/other.h5"):
+        pass
+
+
+def test_a_file_of_a_newer_version_is_refused_with_both_versions(archive: Archive, sealed: Sealed) -> None:
+    path = archive.path(sealed.path)
+    path.chmod(0o644)
+    with h5py.File(path, "r+") as file:
+        file.attrs["format_version"] = 7
+    with (
+        pytest.raises(FormatTooNew, match=r"version 7, this program reads up to 1"),
+        archive.open(sealed.path),
+    ):
+        pass
+    with pytest.raises(FormatTooNew, match="version 7"):
+        archive.verify(sealed.path, sealed.content_hash)
+
+
+# --- names -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", ["../x.h5", "/etc/passwd", "a/../../x", "", "a\0b", ".."])
+def test_paths_stay_inside_the_archive(path: str, archive: Archive) -> None:
+    with pytest.raises(InvalidInput, match="not a path inside"):
+        archive.path(path)
+    with pytest.raises(InvalidInput):
+        archive.discard(path)
+
+
+def test_links_do_not_lead_out_of_the_archive(archive: Archive, tmp_path: Path) -> None:
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "secret.h5").write_bytes(b"x")
+    (archive.root / "test").symlink_to(outside)
+    with pytest.raises(InvalidInput, match="through a link"):
+        archive.path("test/secret.h5")
+    with pytest.raises(InvalidInput, match="through a link"):
+        archive.discard("test/secret.h5")
+    with pytest.raises(InvalidInput, match="through a link"):
+        archive.seal_dataset({"regions": regions()}, provenance())
+    assert [p.name for p in outside.iterdir()] == ["secret.h5"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"subject": Subject("..")},
+        {"subject": Subject("test", "../../S00")},
+        {"subject": Subject("test", "S00", "C1/P1")},
+        {"kind": "../example"},
+        {"job_id": "../../etc"},
+        {"created_at": datetime(2026, 1, 1)},  # noqa: DTZ001
+    ],
+)
+def test_names_that_could_lead_elsewhere_are_refused(changes: Any, archive: Archive) -> None:
+    with pytest.raises(InvalidInput):
+        archive.seal_dataset({"regions": regions()}, provenance(**changes))
+    assert files_below(archive) == []
+
+
+@pytest.mark.parametrize("name", ["../x.html", "a/b.html", ".hidden", "x.provenance.json", ""])
+def test_names_of_documents_are_plain(name: str, archive: Archive) -> None:
+    with pytest.raises(InvalidInput, match="name of a document"):
+        archive.seal_document(name, "text/html", lambda p: None, provenance())
+
+
+def test_a_job_finds_its_own_files_and_no_others(archive: Archive) -> None:
+    mine = archive.seal_dataset({"regions": regions()}, provenance())
+    mine_too = archive.seal_dataset({"regions": regions()}, provenance(attempt=2, subject=Subject("test")))
+    page = archive.seal_document("p.html", "text/html", lambda p: None or p.write_text("x"), provenance())
+    begins_alike = provenance(job_id=JOB[:8] + "ffffffff", attempt=3)
+    other = archive.seal_dataset({"regions": regions()}, begins_alike)
+    found = archive.leftovers(JOB)
+    assert set(found) == {mine.path, mine_too.path, page.path, f"{page.path}.provenance.json"}
+    assert set(archive.files()) == {mine.path, mine_too.path, page.path, other.path}
+    for path in found:
+        archive.discard(path)
+    archive.discard(mine.path)  # twice does no harm
+    assert files_below(archive) == [other.path]
+
+
+# --- documents and calibrations ----------------------------------------------------------------------------
+
+
+def test_documents_are_sealed_with_their_provenance(archive: Archive) -> None:
+    def write(path: Path) -> None:
+        path.write_bytes(b"<p>")
+
+    sealed = archive.seal_document("report.html", "text/html", write, provenance())
+    assert sealed.path == "test/S00/C1P1/example-20260102T030405Z-01234567-1-report.html"
+    assert (sealed.size_bytes, sealed.media_type) == (3, "text/html")
+    archive.verify(sealed.path, sealed.content_hash)
+    assert archive.document_provenance(sealed.path) == provenance()
+    beside = json.loads(archive.path(f"{sealed.path}.provenance.json").read_text())
+    assert (beside["filename"], beside["content_hash"]) == ("report.html", sealed.content_hash)
+    damaged(archive, sealed, lambda data: data + b"!")
+    with pytest.raises(ArchiveCorrupt, match="is on record"):
+        archive.verify(sealed.path, sealed.content_hash)
+
+
+def test_a_document_that_fails_leaves_nothing_behind(archive: Archive) -> None:
+    with pytest.raises(InvalidInput, match="nothing was written"):
+        archive.seal_document("a.html", "text/html", lambda path: None, provenance())
+
+    def fill_up(path: Path) -> None:
+        path.write_text("half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(StorageFull):
+        archive.seal_document("b.html", "text/html", fill_up, provenance())
+    assert files_below(archive) == []
+
+
+def test_calibrations_have_a_place_of_their_own(archive: Archive) -> None:
+    when = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+    sealed = archive.seal_calibration(calibration(), when, program_version="0.1", host="h", operator="me")
+    assert sealed.path == "calibrations/rig/calibration-20260102T030405Z-nojob-1.h5"
+    archive.verify(sealed.path, sealed.content_hash)
+    with archive.open(sealed.path) as dataset:
+        assert dataset.read("calibration", Calibration) == calibration()
+
+
+# --- NeXus -------------------------------------------------------------------------------------------------
+
+
+def default_plot(path: Path) -> Any:
+    with silx.io.open(str(path)) as file:
+        plot = get_default(file)
+        assert plot is not None
+        assert plot.is_valid
+        return plot.signal_name, plot.signal_dataset_name, plot.signal.shape, plot.axes_dataset_names
+
+
+def test_viewers_open_a_measurement_with_its_texture(archive: Archive, sealed: Sealed) -> None:
+    name, signal, shape, axes = default_plot(archive.path(sealed.path))
+    assert (name, signal) == ("white-light texture [count]", "texture")
+    assert shape == (150, 90)
+    assert axes == ["row", "column"]
+
+
+def test_viewers_open_a_result_with_its_first_image(archive: Archive, rng: np.random.Generator) -> None:
+    result = archive.seal_dataset({"cloud": point_cloud(rng), "regions": regions()}, provenance())
+    _, signal, shape, axes = default_plot(archive.path(result.path))
+    assert (signal, shape, axes) == ("xyz", (3, 40, 30), [None, "row", "column"])
+    with h5py.File(archive.path(result.path)) as file:
+        cloud = file["entry/cloud"]
+        assert cloud["reason"].attrs["flag_names"][0] == "LOW_MODULATION"
+        assert list(cloud["xyz"].attrs["components"]) == ["X", "Y", "Z"]
+        assert cloud["xyz"].attrs["units"] == "mm"
+        assert all(cloud[name].fletcher32 for name in cloud.attrs["arrays"])
+
+
+def test_viewers_open_points_as_a_scatter_plot(archive: Archive, rng: np.random.Generator) -> None:
+    n = 50
+    double, single = rng.normal(size=n), rng.normal(size=n).astype(np.float32)
+    integer = np.ones(n, np.int32)
+    matches = ImageMatches(
+        x=double,
+        y=double[::-1].copy(),
+        region=integer,
+        u=double,
+        v=double,
+        gradient=rng.normal(size=(4, n)),
+        sigma_u=single,
+        sigma_v=single,
+        score=single,
+        iterations=integer,
+        reason=np.zeros(n, np.uint32),
+    )
+    result = archive.seal_dataset({"matches": matches}, provenance())
+    with silx.io.open(str(archive.path(result.path))) as file:
+        plot = get_default(file)
+        assert plot.is_valid
+        assert plot.is_scatter
+        assert plot.signal_dataset_name == "u"
