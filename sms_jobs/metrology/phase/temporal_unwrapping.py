@@ -1,0 +1,408 @@
+"""Temporal phase unwrapping over any list of fringe densities, and the phase gradient omega.
+
+Every wrapped phase is omega t modulo 2 pi, with t the density and omega within -pi .. pi. A plan, made once
+for a list, says in which order the fringe orders are found; it climbs over rungs, each a density or an
+integer combination of two (such as 32 - 31), from one fringe across the projector up to every density.
+The thesis's linear, forward and reverse exponential sequences (its Fig. 10) are cases of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations, pairwise, product
+from math import gcd, pi
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.phase.phase_stepping import (
+    add_frame,
+    mark_saturated,
+    phase_and_power,
+    stepping_weights,
+)
+
+Floats = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+_LARGEST_FACTOR = 8  # of the combinations that are tried where no two densities differ by one fringe
+_ALL_PAIRS_UP_TO = 32  # densities; a longer list is dense, and its neighbours' differences suffice
+_AMBIGUOUS = 0.5 * pi  # half way to the next fringe order
+_GUESS = 4.0  # predicted standard deviations of a rung that must fit into pi
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a list of densities is unwrapped.
+
+    Attributes
+    ----------
+    densities
+        As given.
+    first, second
+        Index of each rung's densities, (rungs,).
+    factors
+        (rungs, 2): the rung's phase is factors[0] phase[first] + factors[1] phase[second].
+    below
+        Rung whose omega predicts this one's phase; -1 for the lowest.
+    density
+        Of each rung: factors[0] t[first] + factors[1] t[second].
+    top
+        Rung of each density by itself.
+    amplification
+        Largest standard deviation of a rung's prediction error, in units of that of a single phase.
+    """
+
+    densities: tuple[int, ...]
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    factors: Floats
+    below: NDArray[np.int64]
+    density: Floats
+    top: NDArray[np.int64]
+    amplification: float
+
+
+@dataclass(frozen=True)
+class PhaseGradient:
+    """What unwrapping says of every pixel, for one orientation; each (rows, columns).
+
+    Attributes
+    ----------
+    omega, omega_sigma
+        Phase gradient in rad per fringe, in -pi .. pi, and its standard deviation from the noise model.
+    modulation
+        Root mean square of B over the fitted densities, in grey levels.
+    phase_error
+        Residual of the phase against the fringe density in rad, as an estimate of the standard deviation
+        of one phase: expected to be `phase_sigma` of noise and modulation. NaN where one density is fitted.
+    mean_intensity
+        Of all frames, in grey levels.
+    fitted
+        Number of densities in the fit.
+    saturated
+        True where too few densities are free of saturated frames; omega is NaN there.
+    ambiguous
+        True where the fringe orders contradict each other or are lost in noise.
+    """
+
+    omega: Floats
+    omega_sigma: Single
+    modulation: Single
+    phase_error: Single
+    mean_intensity: Single
+    fitted: NDArray[np.uint8]
+    saturated: NDArray[np.bool_]
+    ambiguous: NDArray[np.bool_]
+
+
+@lru_cache(maxsize=64)
+def unwrapping_plan(densities: tuple[int, ...]) -> Plan:
+    """Plan how to unwrap a list of densities so that the least certain step is as certain as can be.
+
+    The prediction of rung s from rung r has the error c_s - (d_s / d_r) c_r in units of the phase noise,
+    c being the factors of the phases and d the rung's density. From the rungs of one fringe, which need no
+    prediction, the path to each density is the one with the smallest largest error.
+
+    Raises `InvalidInput` for a list that leaves omega ambiguous within -pi .. pi.
+    """
+    t = np.array(densities, dtype=np.float64)
+    rungs = _candidates(densities)
+    d = rungs @ t
+    start = np.flatnonzero(d == 1.0)
+    if not start.size:
+        raise InvalidInput(_why_ambiguous(densities))
+    noise = np.sum(rungs * rungs, axis=1)
+    worst = np.full(d.size, np.inf)
+    worst[start] = 0.0
+    tie = np.where(d == 1.0, noise, np.inf)
+    below = np.full(d.size, -1)
+    left = np.ones(d.size, dtype=bool)
+    top = np.arange(len(densities))
+    while left[top].any():
+        open_rungs = np.flatnonzero(left)
+        r = open_rungs[np.lexsort((tie[open_rungs], worst[open_rungs]))[0]]
+        left[r] = False
+        growth = d / d[r]
+        error = noise - 2.0 * growth * (rungs @ rungs[r]) + growth * growth * noise[r]
+        reached = np.maximum(worst[r], error)
+        better = left & ((reached < worst) | ((reached == worst) & (tie[r] + error < tie)))
+        worst[better], tie[better], below[better] = reached[better], tie[r] + error[better], r
+    return _as_plan(densities, rungs, d, below, float(np.sqrt(worst[top].max())))
+
+
+def _candidates(densities: tuple[int, ...]) -> Floats:
+    """Return the rungs to choose from, (rungs, densities): the densities first, then combinations of two."""
+    n = len(densities)
+    unit = np.eye(n)
+    order = sorted(range(n), key=lambda i: densities[i])
+    pairs = combinations(order, 2) if n <= _ALL_PAIRS_UP_TO else pairwise(order)
+    rungs = [unit[i] for i in range(n)]
+    rungs += [unit[high] - unit[low] for low, high in pairs if densities[high] > densities[low]]
+    if any(np.dot(rung, densities) == 1.0 for rung in rungs):
+        return np.array(rungs)
+    factors = range(1, _LARGEST_FACTOR + 1)
+    for (i, j), a, b in product(combinations(range(n), 2), factors, factors):
+        if abs(a * densities[i] - b * densities[j]) == 1:
+            sign = a * densities[i] - b * densities[j]
+            rungs.append(sign * (a * unit[i] - b * unit[j]))
+    return np.array(rungs)
+
+
+def _why_ambiguous(densities: tuple[int, ...]) -> str:
+    listed = ", ".join(str(t) for t in densities)
+    shared = gcd(*densities)
+    if shared > 1:
+        return (
+            f"fringe densities {listed} share the factor {shared}, so that omega is known only modulo "
+            f"2 pi / {shared}: add a density that does not share it"
+        )
+    return (
+        f"fringe densities {listed} cannot be unwrapped: no two of them, taken at most {_LARGEST_FACTOR} "
+        "times, differ by one fringe; add the density 1 or a neighbour of one of them"
+    )
+
+
+def _as_plan(
+    densities: tuple[int, ...], rungs: Floats, d: Floats, below: NDArray[np.int64], amplification: float
+) -> Plan:
+    """Keep only the rungs on the way to a density, each after the one below it."""
+    order: list[int] = []
+    for index in range(len(densities)):
+        path = []
+        rung = index
+        while rung >= 0 and rung not in order:
+            path.append(rung)
+            rung = int(below[rung])
+        order += reversed(path)
+    place = {rung: i for i, rung in enumerate(order)}
+    first, second, factors = [], [], []
+    for rung in order:
+        used = np.flatnonzero(rungs[rung])
+        first.append(used[0])
+        second.append(used[-1])
+        factors.append([rungs[rung][used[0]], rungs[rung][used[1]] if used.size > 1 else 0.0])
+    return Plan(
+        densities,
+        np.array(first),
+        np.array(second),
+        np.array(factors),
+        np.array([place[int(below[r])] if below[r] >= 0 else -1 for r in order]),
+        d[order],
+        np.array([place[i] for i in range(len(densities))]),
+        amplification,
+    )
+
+
+@kernel
+def _climb(
+    below: Floats,
+    phase_a: Floats,
+    phase_b: Floats,
+    factors: Floats,
+    density: float,
+    omega: Floats,
+    worst: Floats,
+) -> None:
+    """Unwrap one rung of one row by the omega of the rung below it; keep the largest correction."""
+    a, b, over = factors[0], factors[1], 1.0 / density
+    for j in range(omega.size):
+        predicted = below[j] * density
+        residual = a * phase_a[j] + b * phase_b[j] - predicted
+        residual -= 2.0 * pi * np.rint(residual * (0.5 / pi))
+        omega[j] = (predicted + residual) * over
+        worst[j] = max(worst[j], abs(residual))
+
+
+@kernel
+def _add_to_fit(omega: Floats, t: float, power: Floats, moments: Floats) -> None:
+    """Add one density of one row to the sums of B^2 t phi, B^2 t^2, B^2 and the number of densities."""
+    for j in range(omega.size):
+        w = power[j]
+        wtt = w * t * t
+        moments[0, j] += wtt * omega[j]
+        moments[1, j] += wtt
+        moments[2, j] += w
+        moments[3, j] += 1.0 if w > 0.0 else 0.0
+
+
+@kernel
+def _add_residual(rung: Floats, t: float, power: Floats, omega: Floats, squares: Floats) -> None:
+    """Add B^2 (phi - omega t)^2 of one density of one row."""
+    for j in range(omega.size):
+        residual = (rung[j] - omega[j]) * t
+        squares[j] += power[j] * residual * residual
+
+
+@kernel
+def _finish(
+    moments: Floats, squares: Floats, omega: Floats, maps: Single, noise_variance: Floats, q: int, least: int
+) -> None:
+    """Write omega, its standard deviation, modulation and phase error of one row; NaN with too few densities.
+
+    `maps` is (3, columns).
+    """
+    for j in range(omega.size):
+        n = moments[3, j]
+        enough = n >= least
+        weight = moments[2, j] if enough else np.nan
+        omega[j] = omega[j] - 2.0 * pi * np.rint(omega[j] * (0.5 / pi)) if enough else np.nan
+        maps[0, j] = np.sqrt(2.0 / q * noise_variance[j] / moments[1, j]) if enough else np.nan
+        maps[1, j] = np.sqrt(weight / n)
+        maps[2, j] = np.sqrt(squares[j] / weight * n / (n - 1.0)) if n > 1.0 else np.nan
+
+
+@kernel
+def _unwrap_rows(
+    frames: NDArray[Any],
+    weights: Floats,
+    densities: Floats,
+    rungs: tuple[NDArray[np.int64], NDArray[np.int64], Floats, NDArray[np.int64], Floats, NDArray[np.int64]],
+    camera: tuple[int, float, float],
+    amplification: float,
+    start: int,
+    omega: Floats,
+    maps: Single,
+    flags: NDArray[np.uint8],
+) -> None:
+    """Unwrap a block of rows, frames (densities * q, block, columns), into whole maps from row `start` on.
+
+    omega is (rows, columns); maps (4, rows, columns) are sigma, modulation, phase error and mean; flags
+    (2, rows, columns) the densities in the fit, and 1 where the fringe orders are ambiguous.
+    """
+    first, second, factors, below, rung_density, top = rungs
+    full_scale, gain, read_noise = camera
+    n, q, columns = densities.size, weights.shape[1], frames.shape[2]
+    phase, power = np.empty((n, columns)), np.empty((n, columns))
+    climbed = np.zeros((rung_density.size + 1, columns))  # the last stays 0: no prediction
+    quadratures, moments = np.empty((2, columns)), np.empty((4, columns))
+    total, squares = np.empty(columns), np.empty(columns)
+    worst = np.empty((2, columns))
+    for block_row in range(frames.shape[1]):
+        row = start + block_row
+        total[:] = 0.0
+        for i in range(n):
+            quadratures[:] = 0.0
+            for k in range(q):
+                add_frame(
+                    frames[i * q + k, block_row],
+                    weights[0, k],
+                    weights[1, k],
+                    quadratures[0],
+                    quadratures[1],
+                    total,
+                )
+            phase_and_power(quadratures[0], quadratures[1], phase[i], power[i])
+            for k in range(q):
+                mark_saturated(frames[i * q + k, block_row], full_scale, power[i])
+        worst[:] = 0.0
+        for m in range(rung_density.size):
+            _climb(
+                climbed[below[m]],
+                phase[first[m]],
+                phase[second[m]],
+                factors[m],
+                rung_density[m],
+                climbed[m],
+                worst[1 if below[m] >= 0 else 0],
+            )
+        moments[:] = 0.0
+        squares[:] = 0.0
+        for i in range(n):
+            _add_to_fit(climbed[top[i]], densities[i], power[i], moments)
+        for j in range(columns):
+            omega[row, j] = moments[0, j] / moments[1, j]
+            total[j] /= n * q
+        for i in range(n):
+            _add_residual(climbed[top[i]], densities[i], power[i], omega[row], squares)
+        maps[3, row] = total
+        for j in range(columns):
+            flags[0, row, j] = np.uint8(moments[3, j])
+            total[j] = read_noise * read_noise + gain * total[j]
+        _finish(moments, squares, omega[row], maps[:3, row], total, q, min(2, n))
+        for j in range(columns):
+            spread = amplification * np.sqrt(2.0 / q * total[j]) / maps[1, row, j]
+            lost = worst[1, j] > _AMBIGUOUS or _GUESS * spread > pi
+            flags[1, row, j] = 1 if lost else 0
+
+
+def unwrap(
+    frames: NDArray[Any],
+    densities: tuple[int, ...],
+    steps: int,
+    *,
+    full_scale: int,
+    gain: float,
+    read_noise: float,
+    threads: int = 1,
+) -> PhaseGradient:
+    """Find the phase gradient of every pixel from the frames of one orientation.
+
+    Parameters
+    ----------
+    frames
+        (densities * steps, rows, columns), uint8 or uint16, densities slower than steps.
+    densities
+        Fringes across the projector, any list that leaves omega unambiguous (see `unwrapping_plan`).
+    steps
+        Phase steps a density, at least 3.
+    full_scale
+        Grey level from which on a frame is saturated. Such a frame still tells the fringe order, but its
+        density is left out of the pixel's fit as long as two densities (or the only one) remain.
+    gain, read_noise
+        Noise model: variance = read_noise^2 + gain * grey level, in grey levels; taken at the mean level,
+        which is exact in the mean over the phase (for q >= 4 at every phase).
+    threads
+        Number of threads; the result does not depend on it.
+
+    Returns
+    -------
+    Maps of the size of a frame.
+
+    Notes
+    -----
+    omega = sum B_t^2 t phi_t / sum B_t^2 t^2, the least-squares slope through the origin (thesis section
+    2.3.2). A phase has the variance 2 sigma^2 / (q B_t^2), so the weights B_t^2 give the least variance
+    wherever blur lowers the modulation of dense fringes; where it does not, they cost a part of the order
+    of (sigma / B)^2, since the noise of B_t is independent of that of phi_t. Then
+    sigma_omega = sigma sqrt(2 / q) / sqrt(sum B_t^2 t^2), or sigma / (B sqrt(q / 2 sum t^2)) for one B.
+
+    Raises `InvalidInput` for fewer than three steps, for an ambiguous list, and for a wrong number of frames.
+    """
+    plan = unwrapping_plan(densities)
+    weights = stepping_weights(steps)
+    if len(frames) != len(densities) * steps:
+        raise InvalidInput(
+            f"{len(densities)} fringe densities of {steps} steps make {len(densities) * steps} frames, "
+            f"not {len(frames)}: check the fringe sequence"
+        )
+    rows, columns = frames.shape[1:]
+    omega = np.empty((rows, columns))
+    maps = np.empty((4, rows, columns), np.float32)
+    flags = np.empty((2, rows, columns), np.uint8)
+    rungs = (plan.first, plan.second, plan.factors, plan.below, plan.density, plan.top)
+    camera = (full_scale, float(gain), float(read_noise))
+
+    def work(start: int, stop: int) -> None:
+        _unwrap_rows(
+            np.ascontiguousarray(frames[:, start:stop]),
+            weights,
+            np.array(densities, dtype=np.float64),
+            rungs,
+            camera,
+            plan.amplification,
+            start,
+            omega,
+            maps,
+            flags,
+        )
+
+    in_row_blocks(work, rows, threads, block=16)
+    least = min(2, len(densities))
+    return PhaseGradient(
+        omega, maps[0], maps[1], maps[2], maps[3], flags[0], flags[0] < least, flags[1].astype(bool)
+    )
