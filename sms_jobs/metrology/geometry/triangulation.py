@@ -1,0 +1,360 @@
+"""Points from camera rays and phase gradients: closest approach of two rays, or a ray and a plane of phase.
+
+Two orientations of fringes make a ray of the projector of every camera pixel, one orientation a plane of
+constant phase (thesis sections 2.3.3 and 2.4.3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from math import pi
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.geometry.camera import (
+    Intrinsics,
+    Pose,
+    pixel_grid,
+    project,
+    projection_jacobian,
+    ray_directions,
+)
+from sms_jobs.metrology.geometry.transforms import PACKED
+from sms_jobs.metrology.phase.patterns import direction, span_px
+
+Floats = NDArray[np.float64]
+Single = NDArray[np.float32]
+Vector: TypeAlias = tuple[float, float, float]
+
+_NEWTON_STEPS = 12
+_NEWTON_TOLERANCE = 1e-12  # in units of the focal length: a nanometre at a kilometre
+
+
+@dataclass(frozen=True)
+class Projector:
+    """A projector: its camera model, and the size of its image in pixels."""
+
+    intrinsics: Intrinsics
+    pose: Pose
+    columns: int
+    rows: int
+
+
+@dataclass(frozen=True)
+class Triangulation:
+    """Points of every camera pixel; NaN where omega is, or where the rays meet behind a sensor.
+
+    Attributes
+    ----------
+    xyz
+        (3, rows, columns) in mm, in the world's frame.
+    covariance
+        (6, rows, columns) in mm^2, packed XX, XY, XZ, YY, YZ, ZZ; from the noise of omega alone.
+    ray_gap, ray_gap_sigma
+        (rows, columns) in mm: signed distance epsilon_1 of the rays at closest approach, positive along
+        camera ray x projector ray, and its standard deviation from the noise of omega. For one
+        orientation a plane is met exactly: both are 0.
+    """
+
+    xyz: Floats
+    covariance: Single
+    ray_gap: Single
+    ray_gap_sigma: Single
+
+
+@lru_cache(maxsize=4)
+def camera_rays(intrinsics: Intrinsics, pose: Pose, rows: int, columns: int) -> Floats:
+    """Return the unit direction, in the world, of the ray of every pixel, (rows, columns, 3), read-only.
+
+    Depends on the calibration alone, and is kept for the next call. NaN outside the lens's valid field.
+    """
+    rays = ray_directions(intrinsics, pose, pixel_grid(rows, columns))
+    rays.setflags(write=False)
+    return rays
+
+
+def _to_pixel(orientations: Sequence[float], columns: int, rows: int) -> Floats:
+    """Return the (2, orientations) matrix from omega to pixels off the centre, in px/rad.
+
+    By least squares where there are more than two orientations; thesis Eq. (1.20) in pixel units.
+    """
+    directions = np.array([direction(a) for a in orientations])
+    if np.linalg.matrix_rank(directions, tol=1e-6) < 2:
+        listed = ", ".join(f"{a:g}" for a in orientations)
+        raise InvalidInput(f"fringe orientations {listed} rad are parallel: a ray needs two that cross")
+    spans = np.array([span_px(columns, rows, a) for a in orientations])
+    return np.asarray(np.linalg.pinv(directions) * (spans / (2.0 * pi)))
+
+
+@kernel
+def _undistorted(lens: Floats, pixel: Floats, result: Floats) -> bool:
+    """Turn a pixel into result = (x, y, dx/du, dx/dv, dy/du, dy/dv), normalised; say whether it converged.
+
+    `lens` is (fx, fy, cx, cy, k1, k2, p1, p2, k3). Newton on the distortion, whose Jacobian then gives the
+    derivatives.
+    """
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens
+    wanted_x, wanted_y = (pixel[0] - cx) / fx, (pixel[1] - cy) / fy
+    x, y = wanted_x, wanted_y
+    for _ in range(_NEWTON_STEPS):
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
+        off_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - wanted_x
+        off_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - wanted_y
+        a = radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+        b = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+        d = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+        determinant = a * d - b * b
+        if abs(off_x) + abs(off_y) < _NEWTON_TOLERANCE:
+            result[0], result[1] = x, y
+            result[2], result[3] = d / (determinant * fx), -b / (determinant * fy)
+            result[4], result[5] = -b / (determinant * fx), a / (determinant * fy)
+            return True
+        x -= (d * off_x - b * off_y) / determinant
+        y -= (a * off_y - b * off_x) / determinant
+    return False
+
+
+@kernel
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def _closest(u: Vector, v: Vector, base: Vector, towards: float) -> tuple[Vector, float]:
+    """Find the point between two rays, relative to the first ray's origin, and the signed gap.
+
+    The rays are s u and base + t v with s, t > 0 (else NaN). With n = u x v they are nearest at
+    s = (base x v) n / n^2 and t = (base x u) n / n^2, and the way from one to the other there is
+    n (base n) / n^2.
+    """
+    n = _cross(u, v)
+    square = _dot(n, n)
+    along = _dot(_cross(base, v), n) / square
+    if not (along > 0.0 and _dot(_cross(base, u), n) > 0.0):
+        return (np.nan, np.nan, np.nan), np.nan
+    share = towards * _dot(base, n) / square
+    point = (along * u[0] + share * n[0], along * u[1] + share * n[1], along * u[2] + share * n[2])
+    return point, _dot(base, n) / np.sqrt(square)
+
+
+@kernel
+def _closest_change(u: Vector, v: Vector, base: Vector, towards: float, dv: Vector) -> tuple[Vector, float]:
+    """Return the derivatives of what `_closest` returns when v changes by dv."""
+    n, dn = _cross(u, v), _cross(u, dv)
+    square, n_dn = _dot(n, n), _dot(n, dn)
+    base_v, base_n, base_dn = _cross(base, v), _dot(base, n), _dot(base, dn)
+    along = _dot(base_v, n) / square
+    d_along = (_dot(_cross(base, dv), n) + _dot(base_v, dn) - 2.0 * along * n_dn) / square
+    g = towards * base_n / square
+    dg = (towards * base_dn - 2.0 * g * n_dn) / square
+    change = (
+        d_along * u[0] + dg * n[0] + g * dn[0],
+        d_along * u[1] + dg * n[1] + g * dn[1],
+        d_along * u[2] + dg * n[2] + g * dn[2],
+    )
+    return change, base_dn / np.sqrt(square) - base_n * n_dn / (square * np.sqrt(square))
+
+
+@kernel
+def _turned(turn: Floats, x: float, y: float, z: float) -> Vector:
+    """Bring a direction of the projector's frame into the world: the transposed rotation times it."""
+    return (
+        turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z,
+        turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z,
+        turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z,
+    )
+
+
+@kernel
+def _triangulate_rows(
+    rays: Floats,
+    omega: Floats,
+    omega_sigma: Single,
+    centres: Floats,
+    turn: Floats,
+    lens: Floats,
+    to_pixel: Floats,
+    towards: float,
+    block: tuple[int, int],
+    xyz: Floats,
+    covariance: Single,
+    gap: Single,
+) -> None:
+    """Fill a block of rows of xyz (3, r, c), covariance (6, r, c) and gap (2, r, c).
+
+    `centres` holds the two pin-holes and the centre of the projector's image (x, y, 0).
+    """
+    base = (centres[1, 0] - centres[0, 0], centres[1, 1] - centres[0, 1], centres[1, 2] - centres[0, 2])
+    pixel, inner, change = np.empty(2), np.empty(6), np.empty((4, omega.shape[0]))
+    for row in range(block[0], block[1]):
+        for column in range(omega.shape[2]):
+            xyz[:, row, column] = np.nan
+            covariance[:, row, column] = np.nan
+            gap[:, row, column] = np.nan
+            for i in range(2):
+                pixel[i] = centres[2, i]
+                for k in range(omega.shape[0]):
+                    pixel[i] += to_pixel[i, k] * omega[k, row, column]
+            if not _undistorted(lens, pixel, inner):
+                continue
+            u = (rays[row, column, 0], rays[row, column, 1], rays[row, column, 2])
+            v = _turned(turn, inner[0], inner[1], 1.0)
+            point, distance = _closest(u, v, base, towards)
+            if not np.isfinite(distance):
+                continue
+            gap[0, row, column] = distance
+            for i in range(3):
+                xyz[i, row, column] = centres[0, i] + point[i]
+            for k in range(omega.shape[0]):
+                px, py = to_pixel[0, k], to_pixel[1, k]
+                dv = _turned(turn, inner[2] * px + inner[3] * py, inner[4] * px + inner[5] * py, 0.0)
+                moved, opened = _closest_change(u, v, base, towards, dv)
+                sigma = omega_sigma[k, row, column]
+                for i in range(3):
+                    change[i, k] = moved[i] * sigma
+                change[3, k] = opened * sigma
+            packed = 0
+            for i in range(3):
+                for j in range(i, 3):
+                    covariance[packed, row, column] = np.sum(change[i] * change[j])
+                    packed += 1
+            gap[1, row, column] = np.sqrt(np.sum(change[3] * change[3]))
+
+
+def triangulate(
+    camera_centre: Floats,
+    rays: Floats,
+    projector: Projector,
+    orientations: Sequence[float],
+    omega: Floats,
+    omega_sigma: Single,
+    *,
+    towards_projector: float = 0.0,
+    threads: int = 1,
+) -> Triangulation:
+    """Find the point of every camera pixel by closest approach of its ray to the projector's ray.
+
+    Parameters
+    ----------
+    camera_centre
+        Pin-hole of the camera in the world, (3,) in mm.
+    rays
+        (rows, columns, 3) unit directions in the world, from `camera_rays`.
+    projector
+        Whose distortion is removed from the ray.
+    orientations
+        Directions of the fringes in rad; one alone is met as a surface of constant phase.
+    omega, omega_sigma
+        (orientations, rows, columns) in rad per fringe: the phase gradients and their standard deviations,
+        taken as independent.
+    towards_projector
+        Where the point lies between the nearest points of the two rays: 0 on the camera's, 0.5 half way,
+        1 on the projector's.
+    threads
+        Number of threads; the result does not depend on it.
+
+    Notes
+    -----
+    Thesis Fig. 12 and Eq. (1.26): the gap is epsilon_1. The point is taken on the camera's ray because
+    that one is free of noise, being named by its pixel, and the projector's is measured: half way, half of
+    the gap's noise would go into the position across the ray and from there into strain. The covariance
+    is J diag(sigma^2) J^T with the analytic Jacobian J = d(point)/d(omega).
+
+    Raises `InvalidInput` for parallel orientations.
+    """
+    if len(orientations) == 1:
+        return _meet_phase_surface(
+            camera_centre, rays, projector, orientations[0], omega[0], omega_sigma[0], threads
+        )
+    rows, columns = omega.shape[1:]
+    xyz = np.empty((3, rows, columns))
+    covariance = np.empty((6, rows, columns), np.float32)
+    gap = np.empty((2, rows, columns), np.float32)
+    image_centre = [0.5 * (projector.columns - 1), 0.5 * (projector.rows - 1), 0.0]
+    centres = np.array([camera_centre, projector.pose.centre(), image_centre])
+    inner = projector.intrinsics
+    lens = np.array([inner.fx, inner.fy, inner.cx, inner.cy, *inner.distortion()])
+    to_pixel = np.ascontiguousarray(_to_pixel(orientations, projector.columns, projector.rows))
+    turn = projector.pose.matrix()
+
+    def work(start: int, stop: int) -> None:
+        _triangulate_rows(
+            rays,
+            omega,
+            omega_sigma,
+            centres,
+            turn,
+            lens,
+            to_pixel,
+            towards_projector,
+            (start, stop),
+            xyz,
+            covariance,
+            gap,
+        )
+
+    in_row_blocks(work, rows, threads, block=16)
+    return Triangulation(xyz, covariance, gap[0], gap[1])
+
+
+def _meet_phase_surface(
+    camera_centre: Floats,
+    rays: Floats,
+    projector: Projector,
+    orientation: float,
+    omega: Floats,
+    omega_sigma: Single,
+    threads: int,
+) -> Triangulation:
+    """Meet each camera ray with the projector's surface of constant phase of one orientation.
+
+    Without distortion that surface is a plane through the projector's pin-hole (thesis section 2.3.3),
+    which starts a Newton iteration along the ray.
+    """
+    inner, pose = projector.intrinsics, projector.pose
+    across = np.array(direction(orientation))
+    period = span_px(projector.columns, projector.rows, orientation)
+    middle = 0.5 * (np.array([projector.columns, projector.rows]) - 1.0)
+    wanted = omega * period / (2.0 * pi) + middle @ across
+    xyz = np.empty((3, *omega.shape))
+    covariance = np.empty((6, *omega.shape), np.float32)
+
+    def work(start: int, stop: int) -> None:
+        u, target = rays[start:stop], wanted[start:stop]
+        lens = np.array([across[0] * inner.fx, across[1] * inner.fy])
+        offset = across @ [inner.cx, inner.cy] - target
+        normal = np.stack([np.full_like(offset, lens[0]), np.full_like(offset, lens[1]), offset], -1)
+        normal = normal @ pose.matrix()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            along = normal @ (pose.centre() - camera_centre) / np.sum(normal * u, axis=-1)
+            slope = np.ones_like(along)
+            for _ in range(_NEWTON_STEPS):
+                points = camera_centre + along[..., None] * u
+                slope = np.einsum("i,...ij,...j", across, projection_jacobian(inner, pose, points), u)
+                step = (project(inner, pose, points) @ across - target) / slope
+                along = along - step
+                if np.nanmax(np.abs(step), initial=0.0) < 1e-9:
+                    break
+            along[~((along > 0.0) & (np.abs(step) < 1e-6))] = np.nan
+            sigma = omega_sigma[start:stop] * period / (2.0 * pi) / slope
+        xyz[:, start:stop] = np.moveaxis(camera_centre + along[..., None] * u, -1, 0)
+        for packed, (i, j) in enumerate(PACKED):
+            covariance[packed, start:stop] = u[..., i] * u[..., j] * sigma**2
+        covariance[:, start:stop][:, np.isnan(along)] = np.nan
+
+    in_row_blocks(work, len(omega), threads)
+    gap = np.where(np.isnan(xyz[0]), np.nan, 0.0).astype(np.float32)
+    return Triangulation(xyz, covariance, gap, gap.copy())
