@@ -1,0 +1,49 @@
+"""Which pixels to trust: thesis Eq. (3.1)-(3.4), and the ray gap; True where a test is failed.
+
+A value that is NaN fails no test here: it was lost for a reason of its own.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+Mask = NDArray[np.bool_]
+Floating = NDArray[np.floating]
+
+
+def high_phase_error(phase_error: Floating, limit: Floating | float) -> Mask:
+    """Return where the phase error in rad reaches its limit, thesis Eq. (3.1)."""
+    return np.asarray(phase_error >= limit)
+
+
+def low_modulation(modulation: Floating, least: Floating | float) -> Mask:
+    """Return where the modulation, in grey levels, is below its least value, thesis Eq. (3.2)."""
+    return np.asarray(modulation < least)
+
+
+def outside_box(xyz: Floating, low: tuple[float, float, float], high: tuple[float, float, float]) -> Mask:
+    """Return where points (3, rows, columns) lie outside a box, corners in mm: thesis Eq. (3.3), all axes."""
+    corner_low, corner_high = np.reshape(low, (3, 1, 1)), np.reshape(high, (3, 1, 1))
+    return np.asarray(np.any((xyz < corner_low) | (xyz > corner_high), axis=0))
+
+
+def large_ray_gap(ray_gap: Floating, ray_gap_sigma: Floating, limit_mm: float, sigmas: float) -> Mask:
+    """Return where the rays miss each other by more than noise and calibration explain.
+
+    The noise may take `sigmas` standard deviations and the calibration `limit_mm`; they add as squares.
+    """
+    allowed = np.hypot(sigmas * ray_gap_sigma, limit_mm)
+    return np.asarray(np.abs(ray_gap) > allowed)
+
+
+def phase_error_factor(fitted: int, kept: float) -> float:
+    """Return how many phase standard deviations the phase error may reach so that `kept` of good pixels pass.
+
+    With Gaussian noise, (n - 1) (phase error / sigma)^2 of n fitted densities has the chi-square
+    distribution of n - 1 degrees of freedom. Infinite for one density, which leaves no residual.
+    """
+    return sqrt(chi2.ppf(kept, fitted - 1) / (fitted - 1)) if fitted > 1 else float("inf")
