@@ -13,6 +13,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.records.scene import PlateAndMirror, Simulation
 from sms_jobs.records.sensors import Sensor
@@ -59,8 +60,12 @@ class Light:
 
 
 def sensor_named(simulation: Simulation, name: str) -> Sensor:
-    """Return a sensor of the simulated rig."""
-    return next(s for s in simulation.scene.sensors if s.name == name)
+    """Return a sensor of the simulated rig; raise `InvalidInput` where there is none."""
+    for sensor in simulation.scene.sensors:
+        if sensor.name == name:
+            return sensor
+    known = ", ".join(s.name for s in simulation.scene.sensors)
+    raise InvalidInput(f"the virtual rig has no sensor {name}; it has {known}")
 
 
 def trace(simulation: Simulation, threads: int = 1) -> Light:

@@ -143,7 +143,7 @@ class SimulatedFrames:
 
         Image 0 of `fringes` is the mean brightness of the patterns; then c_n cos(n w t) and c_n sin(n w t).
         """
-        levels = steady[1] + fringes[0]
+        levels: Singles = steady[1] + fringes[0]
         for n in range(1, (len(fringes) + 1) // 2):
             angle = 2.0 * pi * n * step / self._sequence.steps
             levels += np.float32(np.cos(angle)) * fringes[2 * n - 1]
@@ -159,8 +159,7 @@ class SimulatedFrames:
             blocks[start] = rows_of(start, stop)
 
         in_row_blocks(work, rows, self._threads)
-        whole: Singles = np.concatenate([blocks[start] for start in sorted(blocks)], axis=1)
-        return whole
+        return np.asarray(np.concatenate([blocks[start] for start in sorted(blocks)], axis=1))
 
     def _steady_rows(self, start: int, stop: int) -> Singles:
         """Return rows of the images of full projector brightness and of ambient light."""

@@ -1,0 +1,229 @@
+"""What is exactly true of a simulated measurement: shape, displacement and strain at every camera pixel.
+
+A value belongs to the ray through the pixel's centre. Nothing here is rendered or measured: positions are
+exact to rounding and strains follow from the exact gradient of the deformation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.records.scene import Simulation
+from sms_jobs.virtual_rig.deformations import carried_points, gradients
+from sms_jobs.virtual_rig.light import direct_light, sensor_named
+from sms_jobs.virtual_rig.optics import image_point, in_image, packed_sensor, pixel_ray
+from sms_jobs.virtual_rig.rays import Specimen, first_hit, specimen_in, surface_normal, unobstructed
+
+Floats: TypeAlias = NDArray[np.float64]
+Flags: TypeAlias = NDArray[np.bool_]
+
+COMPONENTS = ("xx", "yy", "xy")
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The exact shape that a camera sees; NaN where a pixel's ray meets nothing that scatters light.
+
+    Attributes
+    ----------
+    xyz
+        (3, rows, columns), position in the world, mm.
+    normal
+        (3, rows, columns), unit normal in the world, towards the camera.
+    material
+        (3, rows, columns), the material point in the specimen's frame at rest, mm.
+    region
+        (rows, columns), number of the patch that the ray meets first, from 1; 0 for none.
+    seen
+        (rows, columns), whether that patch scatters light: a mirror has no shape that could be measured.
+    lit
+        (rows, columns), whether the light that it scatters comes straight from the projector.
+    """
+
+    xyz: Floats
+    normal: Floats
+    material: Floats
+    region: NDArray[np.int32]
+    seen: Flags
+    lit: Flags
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What happens between a reference state and another to the material seen in the reference.
+
+    Attributes
+    ----------
+    shape
+        Of the reference.
+    displacement
+        (3, rows, columns), in the world, mm.
+    green_lagrange, small
+        (3, rows, columns), xx, yy and xy of the strain in the tangent plane of the reference surface;
+        NaN where the specimen's x axis is normal to the surface.
+    lit_and_seen_at_end
+        (rows, columns), whether the material point is still in the camera's image, in its free sight,
+        and lit by the projector.
+    """
+
+    shape: Shape
+    displacement: Floats
+    green_lagrange: Floats
+    small: Floats
+    lit_and_seen_at_end: Flags
+
+    def strain(self, measure: str) -> Floats:
+        """Return the strain of a measure, `green-lagrange` or `small`."""
+        return self.green_lagrange if measure == "green-lagrange" else self.small
+
+
+def exact_shape(simulation: Simulation, *, threads: int = 1) -> Shape:
+    """Return the exact shape behind a simulated measurement."""
+    camera = packed_sensor(sensor_named(simulation, simulation.camera))
+    projector = packed_sensor(sensor_named(simulation, simulation.projector))
+    specimen = specimen_in(simulation.scene, simulation.deformation)
+    rows, columns = int(camera[25]), int(camera[24])
+    points, region = np.full((9, rows, columns), np.nan), np.zeros((rows, columns), np.int32)
+    lit = np.zeros((rows, columns), np.bool_)
+
+    def work(start: int, stop: int) -> None:
+        _see_rows(camera, projector, specimen, start, stop, points, region, lit)
+
+    in_row_blocks(work, rows, threads)
+    return Shape(points[:3], points[3:6], points[6:], region, np.isfinite(points[0]), lit)
+
+
+def exact_truth(reference: Simulation, state: Simulation, *, threads: int = 1) -> Truth:
+    """Return what truly happens, between two simulated measurements, to what the first one sees.
+
+    Raises
+    ------
+    InvalidInput
+        When the two are not of one scene and camera.
+    """
+    if reference.camera != state.camera or reference.scene != state.scene:
+        raise InvalidInput(
+            f"states {reference.state} seen by {reference.camera} and {state.state} seen by {state.camera} "
+            "have no common truth; choose two states of one campaign and one camera"
+        )
+    shape = exact_shape(reference, threads=threads)
+    seen = shape.seen
+    material = np.ascontiguousarray(shape.material[:, seen].T)
+    before = specimen_in(reference.scene, reference.deformation)
+    after = specimen_in(state.scene, state.deformation)
+    ends = carried_points(after.chain, material)
+    displacement = np.full_like(shape.xyz, np.nan)
+    displacement[:, seen] = (ends - carried_points(before.chain, material)).T
+    relative = gradients(after.chain, material) @ np.linalg.inv(gradients(before.chain, material))
+    axis = state.scene.placement.matrix()[:, 0]
+    frame = tangent_frame(np.ascontiguousarray(shape.normal[:, seen].T), axis)
+    green, small = np.full_like(shape.xyz, np.nan), np.full_like(shape.xyz, np.nan)
+    green[:, seen] = _green_lagrange(relative, frame).T
+    small[:, seen] = _small(relative, frame).T
+    stays = np.zeros_like(seen)
+    stays[seen] = _stay(state, after, material, ends, shape.region[seen] - 1)
+    return Truth(shape, displacement, green, small, stays)
+
+
+def tangent_frame(normals: Floats, axis: Floats) -> Floats:
+    """Return the tangent vectors x and y at surface points, (n, 3, 2).
+
+    Parameters
+    ----------
+    normals
+        (n, 3), unit normals.
+    axis
+        (3,), the specimen's x axis in the world; its projection onto the tangent plane is x.
+    """
+    x = axis - normals * (normals @ axis)[:, None]
+    length = np.linalg.norm(x, axis=1, keepdims=True)
+    # Below this the projection's direction is rounding.
+    x /= np.where(length > 1e-9, length, np.nan)
+    return np.stack([x, np.cross(normals, x)], axis=-1)
+
+
+def _green_lagrange(gradient: Floats, frame: Floats) -> Floats:
+    """Return xx, yy, xy of E = (F^T F - I) / 2 in the tangent plane, (n, 3)."""
+    stretched = gradient @ frame
+    e = 0.5 * (np.swapaxes(stretched, 1, 2) @ stretched - np.eye(2))
+    return np.stack([e[:, 0, 0], e[:, 1, 1], e[:, 0, 1]], axis=-1)
+
+
+def _small(gradient: Floats, frame: Floats) -> Floats:
+    """Return xx, yy, xy of the symmetric part of the displacement gradient in the tangent plane, (n, 3)."""
+    e = np.swapaxes(frame, 1, 2) @ (gradient - np.eye(3)) @ frame
+    return np.stack([e[:, 0, 0], e[:, 1, 1], 0.5 * (e[:, 0, 1] + e[:, 1, 0])], axis=-1)
+
+
+def _stay(
+    state: Simulation, specimen: Specimen, material: Floats, ends: Floats, patches: NDArray[np.int32]
+) -> Flags:
+    camera = packed_sensor(sensor_named(state, state.camera))
+    projector = packed_sensor(sensor_named(state, state.projector))
+    out = np.zeros(len(material), np.bool_)
+    _still_seen(camera, projector, specimen, material, ends, patches, out)
+    return out
+
+
+@kernel
+def _see_rows(
+    camera: Floats,
+    projector: Floats,
+    specimen: Specimen,
+    start: int,
+    stop: int,
+    points: Floats,
+    region: NDArray[np.int32],
+    lit: Flags,
+) -> None:
+    ox, oy, oz = camera[21], camera[22], camera[23]
+    for i in range(start, stop):
+        gx, gy = -camera[2] / camera[0], (i - camera[3]) / camera[1]
+        for j in range(region.shape[1]):
+            dx, dy, dz, gx, gy = pixel_ray(camera, float(j), float(i), gx, gy)
+            s, patch, mx, my, mz = first_hit(specimen, ox, oy, oz, dx, dy, dz, 0.0)
+            if patch < 0:
+                continue
+            region[i, j] = int(specimen.patches[patch, 20])
+            if specimen.patches[patch, 19] > 0.0:
+                continue
+            x, y, z = ox + s * dx, oy + s * dy, oz + s * dz
+            nx, ny, nz = surface_normal(specimen, patch, mx, my, mz)
+            if nx * dx + ny * dy + nz * dz > 0.0:
+                nx, ny, nz = -nx, -ny, -nz
+            points[0, i, j], points[1, i, j], points[2, i, j] = x, y, z
+            points[3, i, j], points[4, i, j], points[5, i, j] = nx, ny, nz
+            points[6, i, j], points[7, i, j], points[8, i, j] = mx, my, mz
+            _, _, light = direct_light(projector, specimen, 1.0, x, y, z, nx, ny, nz)
+            lit[i, j] = light > 0.0
+
+
+@kernel
+def _still_seen(
+    camera: Floats,
+    projector: Floats,
+    specimen: Specimen,
+    material: Floats,
+    ends: Floats,
+    patches: NDArray[np.int32],
+    out: Flags,
+) -> None:
+    ox, oy, oz = camera[21], camera[22], camera[23]
+    for i in range(out.shape[0]):
+        x, y, z = ends[i, 0], ends[i, 1], ends[i, 2]
+        patch = patches[i]
+        px, py = image_point(camera, x, y, z)
+        if not in_image(camera, px, py):
+            continue
+        nx, ny, nz = surface_normal(specimen, patch, material[i, 0], material[i, 1], material[i, 2])
+        if nx * (ox - x) + ny * (oy - y) + nz * (oz - z) < 0.0:
+            nx, ny, nz = -nx, -ny, -nz
+        if unobstructed(specimen, ox, oy, oz, x, y, z):
+            _, _, light = direct_light(projector, specimen, 1.0, x, y, z, nx, ny, nz)
+            out[i] = light > 0.0
