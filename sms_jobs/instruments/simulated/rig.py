@@ -1,0 +1,50 @@
+"""A rig that records what is in front of the virtual rig."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+
+from sms_jobs.records.measurement import FringeSequence, Measurement
+from sms_jobs.records.scene import Deformation, Scene, Simulation
+from sms_jobs.records.sensors import split_pair
+from sms_jobs.virtual_rig.rendering import render
+
+
+@dataclass(frozen=True)
+class SimulatedRig:
+    """A `Rig` made of light rays.
+
+    Attributes
+    ----------
+    scene
+        The sensors and the specimen.
+    state, deformation
+        Label of the load state, and what it does to the specimen.
+    recorded_at
+        The time that its measurements bear.
+    threads
+        For rendering; the measurements do not depend on it.
+    """
+
+    scene: Scene
+    state: str
+    deformation: tuple[Deformation, ...]
+    recorded_at: datetime
+    threads: int = 1
+
+    def record(self, pair: str, sequence: FringeSequence) -> Measurement:
+        """Render a measurement; its frames are made while they are asked for."""
+        camera, projector = split_pair(pair)
+        simulation = Simulation(self.scene, camera, projector, self.deformation, self.state)
+        rendering = render(simulation, sequence, threads=self.threads)
+        return Measurement(
+            self.recorded_at,
+            sequence,
+            rendering.full_scale,
+            rendering.gain,
+            rendering.read_noise,
+            rendering.texture,
+            rendering.frames,
+            simulation,
+        )

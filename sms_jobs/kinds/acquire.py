@@ -1,0 +1,131 @@
+"""Acquire: one measurement of every pair at a state, here by the virtual rig."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.instruments.protocols import Rig
+from sms_jobs.instruments.simulated.rig import SimulatedRig
+from sms_jobs.kinds.kind import (
+    MEASUREMENT,
+    DatasetOutput,
+    Inputs,
+    Kind,
+    Need,
+    Output,
+    Parameters,
+    Progress,
+    Queue,
+    Scope,
+)
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.measurement import FringeSequence, Measurement
+from sms_jobs.records.scene import Deformation, Scene
+
+UNTIMED = datetime(2000, 1, 1, tzinfo=UTC)
+"""What a simulated measurement bears whose state has no time: a clock would make every run differ."""
+
+
+class AcquireParameters(Parameters):
+    """What is recorded and how follows from the campaign alone."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What the virtual rig is to record.
+
+    Attributes
+    ----------
+    state
+        Label of the load state.
+    deformation
+        What that state does to the specimen.
+    pairs, sequence
+        Recorded one after the other, each with the whole sequence.
+    recorded_at
+        The time that the measurements bear.
+    """
+
+    scene: Scene
+    state: str
+    deformation: tuple[Deformation, ...]
+    pairs: tuple[str, ...]
+    sequence: FringeSequence
+    recorded_at: datetime
+
+
+def recipe(campaign: Campaign, subject: Subject) -> Recipe:
+    """Return what is to be recorded at a state.
+
+    Raises
+    ------
+    InvalidInput
+        When the campaign has no scene for the virtual rig.
+    """
+    if campaign.scene is None:
+        raise InvalidInput(
+            f"campaign {campaign.name} has no scene for the virtual rig to record: "
+            "import its frames with 'sms import frames', or give it a scene"
+        )
+    state = campaign.state(subject.state or "")
+    return Recipe(
+        campaign.scene,
+        state.label,
+        state.deformation,
+        campaign.pairs,
+        campaign.sequence,
+        state.time or UNTIMED,
+    )
+
+
+def simulated_states(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return every state of a campaign on the virtual rig; none of any other."""
+    if campaign.scene is None:
+        return ()
+    return tuple(Subject(campaign.name, s.label) for s in campaign.states)
+
+
+def no_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+    """Return no need: a recording starts from nothing."""
+    return ()
+
+
+def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> Iterator[Output]:
+    """Record every pair of a state, one after the other; frames are made while they are stored."""
+    task: Recipe = inputs.context
+    rig: Rig = SimulatedRig(task.scene, task.state, task.deformation, task.recorded_at, inputs.threads)
+    for number, pair in enumerate(task.pairs):
+        progress(number / len(task.pairs), f"recording {pair}")
+        measurement = rig.record(pair, task.sequence)
+        subject = Subject(inputs.subject.campaign, task.state, pair)
+        yield DatasetOutput(subject, {"measurement": measurement}, _statistics(measurement))
+    progress(1.0, f"recorded {len(task.pairs)} pairs")
+
+
+def _statistics(measurement: Measurement) -> dict[str, float]:
+    """Return what the white frame, the brightest, says of the exposure."""
+    texture = measurement.texture
+    return {
+        "saturated_fraction": float(np.mean(texture >= measurement.full_scale)),
+        "mean_level_count": float(np.mean(texture)),
+    }
+
+
+KIND = Kind(
+    name="acquire",
+    summary="record every pair of a state",
+    version=1,
+    scope=Scope.STATE,
+    parameters=AcquireParameters,
+    needs=no_needs,
+    run=run,
+    subjects=simulated_states,
+    context=recipe,
+    queue=Queue.ACQUISITION,
+    makes=MEASUREMENT,
+)
