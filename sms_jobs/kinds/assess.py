@@ -1,0 +1,223 @@
+"""Assess: compare the results of a tuple on the virtual rig with the exact truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict
+from math import isfinite
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.kind import (
+    MEASUREMENT,
+    DatasetOutput,
+    Inputs,
+    Kind,
+    Need,
+    Output,
+    Parameters,
+    Progress,
+    Scope,
+    tuples,
+)
+from sms_jobs.records.assessment import Assessment, Errors
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.fields import DisplacementField, PointCloud, StrainField
+from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.quantity import SYMMETRIC
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.scene import Simulation
+from sms_jobs.virtual_rig.truth import Truth, exact_shape, exact_truth
+
+Floats: TypeAlias = NDArray[np.float64]
+Flags: TypeAlias = NDArray[np.bool_]
+
+_DIAGONAL = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
+
+
+class AssessParameters(Parameters):
+    """There is one truth, and nothing to choose."""
+
+
+def simulated_tuples(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return every tuple of a campaign on the virtual rig; none of any other, whose truth nobody knows."""
+    return () if campaign.scene is None else tuples(campaign)
+
+
+def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+    """Return the results that are compared, and the measurements that say what was simulated."""
+    yield Need("measurement", MEASUREMENT, subject)
+    yield Need("shape", "reconstruct", subject)
+    if subject.state != campaign.reference.label:
+        reference = Subject(subject.campaign, campaign.reference.label, subject.pair)
+        yield Need("reference", MEASUREMENT, reference)
+        yield Need("displacement", "correlate", subject)
+        yield Need("strain", "strain", subject)
+
+
+def run(inputs: Inputs, parameters: AssessParameters, progress: Progress) -> Iterator[Output]:
+    """Compare the shape, and for a deformed state displacement and strain, with the truth."""
+    state = _simulation(inputs, "measurement")
+    cloud = inputs.read("shape", "cloud", PointCloud)
+    exact = exact_shape(state, threads=inputs.threads)
+    progress(0.3, "comparing the shape")
+    shape, shape_error = vector_errors(
+        cloud.xyz - exact.xyz, cloud.covariance, cloud.reason, exact.seen & exact.lit
+    )
+    if "reference" not in inputs.datasets:
+        yield _output(inputs.subject, Assessment(shape, None, None, shape_error))
+        return
+    truth = exact_truth(_simulation(inputs, "reference"), state, threads=inputs.threads)
+    expected = truth.shape.seen & truth.shape.lit & truth.lit_and_seen_at_end
+    progress(0.6, "comparing displacement and strain")
+    moved, moved_error = _displacement_errors(inputs, truth, expected)
+    strain, strain_error = _strain_errors(inputs, truth, expected)
+    yield _output(inputs.subject, Assessment(shape, moved, strain, shape_error, moved_error, strain_error))
+
+
+def _simulation(inputs: Inputs, role: str) -> Simulation:
+    simulation = inputs.read(role, "measurement", Measurement).simulation
+    if simulation is None:
+        raise InvalidInput(
+            f"the {role} of {inputs.subject} was not simulated, so its truth is unknown; "
+            "assess campaigns of the virtual rig only"
+        )
+    return simulation
+
+
+def _displacement_errors(inputs: Inputs, truth: Truth, expected: Flags) -> tuple[Errors, NDArray[np.float32]]:
+    field = inputs.read("displacement", "displacement", DisplacementField)
+    return vector_errors(field.displacement - truth.displacement, field.covariance, field.reason, expected)
+
+
+def _strain_errors(inputs: Inputs, truth: Truth, expected: Flags) -> tuple[Errors, NDArray[np.float32]]:
+    field = inputs.read("strain", "strain", StrainField)
+    return strain_errors(field.strain - truth.strain(field.measure), field.sigma, field.reason, expected)
+
+
+def vector_errors(
+    error: Floats, covariance: NDArray[np.float32], reason: NDArray[np.uint32], expected: Flags
+) -> tuple[Errors, NDArray[np.float32]]:
+    """Sum up the errors of positions or displacements.
+
+    Parameters
+    ----------
+    error
+        (3, rows, columns), measured minus true, mm; NaN where there is no truth.
+    covariance
+        (6, rows, columns), predicted, mm^2.
+    reason
+        (rows, columns), valid where 0.
+    expected
+        (rows, columns), where a value can be had.
+
+    Returns
+    -------
+    The errors, and their length as an image in mm.
+
+    Notes
+    -----
+    The score of a pixel is its squared error over the trace of its covariance: an error lies along the
+    camera's ray, so that the covariance has no inverse.
+    """
+    variance = covariance[_DIAGONAL].sum(axis=0, dtype=np.float64)
+    length = np.sqrt(np.sum(error**2, axis=0))
+    known = (reason == Reason.VALID) & np.isfinite(length)
+    mean = error[:, known].mean(axis=1) if known.any() else np.full(3, np.nan)
+    return _summed_up(
+        length[known] ** 2, float(np.linalg.norm(mean)), variance[known], reason, known, expected
+    ), np.where(known, length, np.nan).astype(np.float32)
+
+
+def strain_errors(
+    error: Floats, sigma: NDArray[np.float32], reason: NDArray[np.uint32], expected: Flags
+) -> tuple[Errors, NDArray[np.float32]]:
+    """Sum up the errors of strains, xx, yy and xy pooled.
+
+    Parameters
+    ----------
+    error
+        (3, rows, columns), measured minus true; NaN where there is no truth.
+    sigma
+        (3, rows, columns), predicted standard deviations.
+    reason
+        (rows, columns), valid where 0.
+    expected
+        (rows, columns), where a value can be had.
+
+    Returns
+    -------
+    The errors, and the error of each component as images.
+    """
+    known = (reason == Reason.VALID) & np.isfinite(error).all(axis=0)
+    mean = error[:, known].mean(axis=1) if known.any() else np.full(3, np.nan)
+    variance = sigma[:, known].astype(np.float64) ** 2
+    return _summed_up(
+        error[:, known].ravel() ** 2,
+        float(np.sqrt(np.mean(mean**2))),
+        variance.ravel(),
+        reason,
+        known,
+        expected,
+    ), np.where(known, error, np.nan).astype(np.float32)
+
+
+def _summed_up(
+    squared: Floats,
+    bias: float,
+    variance: Floats,
+    reason: NDArray[np.uint32],
+    known: Flags,
+    expected: Flags,
+) -> Errors:
+    valid = reason == Reason.VALID
+    with np.errstate(divide="ignore", invalid="ignore"):
+        score = squared / variance
+    nothing = float("nan")
+    return Errors(
+        count=int(known.sum()),
+        rms=float(np.sqrt(squared.mean())) if squared.size else nothing,
+        bias=bias,
+        largest=float(np.sqrt(squared.max())) if squared.size else nothing,
+        score_rms=float(np.sqrt(score.mean())) if score.size else nothing,
+        expected_count=int(expected.sum()),
+        valid_fraction=float(valid[expected].mean()) if expected.any() else nothing,
+        false_valid_count=int((valid & ~known).sum()),
+    )
+
+
+def _output(subject: Subject, assessment: Assessment) -> DatasetOutput:
+    statistics: dict[str, float] = {}
+    for name, errors, unit in (
+        ("shape", assessment.shape, "_mm"),
+        ("displacement", assessment.displacement, "_mm"),
+        ("strain", assessment.strain, ""),
+    ):
+        if errors is not None:
+            statistics |= _named(name, asdict(errors), unit)
+    return DatasetOutput(subject, {"assessment": assessment}, statistics)
+
+
+def _named(name: str, values: Mapping[str, Any], unit: str) -> dict[str, float]:
+    """Return the numbers of one result under the names that people search by; unknown ones are left out."""
+    lengths = ("rms", "bias", "largest")
+    return {
+        f"{name}_{key}{unit if key in lengths else ''}": float(value)
+        for key, value in values.items()
+        if isfinite(value)
+    }
+
+
+KIND = Kind(
+    name="assess",
+    summary="compare a tuple's results on the virtual rig with the exact truth",
+    version=1,
+    scope=Scope.TUPLE,
+    parameters=AssessParameters,
+    needs=needs,
+    run=run,
+    subjects=simulated_tuples,
+)
