@@ -180,10 +180,16 @@ class Archive:
                 yield relative
 
     def leftovers(self, job_id: str) -> tuple[str, ...]:
-        """Return every file, sealed or still being written, of a job's attempts so far, in order of path."""
+        """Return every file, sealed or still being written, of a job's attempts so far, in order of path.
+
+        The provenance of a document belongs to it and is named only when the document is not there.
+        """
         found = []
         for relative in self._names():
             name = relative.rsplit("/", 1)[-1]
+            document = layout.without_sidecar(relative)
+            if document != relative and self.path(document).is_file():
+                continue
             if layout.is_temporary_of(name, job_id) or (
                 layout.may_be_of(name, job_id) and self._job_of(relative) == job_id
             ):
@@ -191,11 +197,16 @@ class Archive:
         return tuple(sorted(found))
 
     def discard(self, path: str) -> None:
-        """Remove a file, if it is there; for what a job left behind, never for a file in the catalogue."""
+        """Remove a file, if it is there, and a document's provenance with it.
+
+        For what a job left behind, never for a file that the catalogue knows.
+        """
         file = self.path(path)
+        if not file.parent.is_dir():
+            return
         file.unlink(missing_ok=True)
-        if file.parent.is_dir():
-            sync(file.parent)
+        file.with_name(layout.sidecar(file.name)).unlink(missing_ok=True)
+        sync(file.parent)
 
     def _names(self) -> Iterator[str]:
         """Yield the relative path of every file; links to folders are not followed."""

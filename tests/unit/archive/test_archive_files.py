@@ -407,12 +407,20 @@ def test_a_job_finds_its_own_files_and_no_others(archive: Archive) -> None:
     begins_alike = provenance(job_id=JOB[:8] + "ffffffff", attempt=3)
     other = archive.seal_dataset({"regions": regions()}, begins_alike)
     found = archive.leftovers(JOB)
-    assert set(found) == {mine.path, mine_too.path, page.path, f"{page.path}.provenance.json"}
+    assert set(found) == {mine.path, mine_too.path, page.path}
     assert set(archive.files()) == {mine.path, mine_too.path, page.path, other.path}
     for path in found:
         archive.discard(path)
     archive.discard(mine.path)  # twice does no harm
     assert files_below(archive) == [other.path]
+
+
+def test_the_provenance_of_a_document_that_was_never_sealed_is_found(archive: Archive) -> None:
+    page = archive.seal_document("p.html", "text/html", lambda p: None or p.write_text("x"), provenance())
+    archive.path(page.path).unlink()
+    assert archive.leftovers(JOB) == (f"{page.path}.provenance.json",)
+    archive.discard(f"{page.path}.provenance.json")
+    assert files_below(archive) == []
 
 
 # --- documents and calibrations ----------------------------------------------------------------------------
