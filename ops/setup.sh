@@ -38,7 +38,7 @@ PYTHON
 set_up() {
     local lock="$1" python wanted started=$SECONDS
     python="$(find_python)" ||
-        die "sms_jobs needs Python 3.11 or newer, and $("${PYTHON:-python3}" --version 2>&1 || true) is what was found: install one, or set PYTHON to its path"
+        die "sms_jobs needs Python 3.11 or newer, but $("${PYTHON:-python3}" --version 2>/dev/null || echo "no ${PYTHON:-python3}") was found: install one, or set PYTHON to its path"
 
     wanted="$(fingerprint "$python" "$lock")"
     if [ -x .venv/bin/sms ] && [ "$(cat ".venv/$lock.stamp" 2>/dev/null)" = "$wanted" ]; then
