@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from celery import Celery
 from kombu.entity import Queue as MessageQueue
+from kombu.exceptions import OperationalError
 
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.kinds.kind import Queue
@@ -79,3 +80,13 @@ def _over_redis(url: str) -> dict[str, object]:
         )
     # Longer than any job: a message that Redis redelivers would only wake a worker for nothing.
     return {"broker_url": url, "broker_transport_options": {"visibility_timeout": 86_400}}
+
+
+def broker_answers(settings: Settings) -> str | None:
+    """Return what is wrong with the broker, in words that repeat no password; None when it answers."""
+    try:
+        with make_app(settings).connection_for_write() as connection:
+            connection.ensure_connection(max_retries=1, timeout=3.0)
+    except (OSError, OperationalError) as error:
+        return f"the broker does not answer ({type(error).__name__}); start it or correct broker_url"
+    return None

@@ -33,11 +33,7 @@ def add_campaign(session: Session, campaign: Campaign, now: datetime) -> None:
     Conflict
         There is a campaign of that name.
     """
-    if session.scalar(select(CampaignRow.id).where(CampaignRow.name == campaign.name)) is not None:
-        raise Conflict(
-            f"there is a campaign '{campaign.name}' already; choose another name or see "
-            f"'sms campaign show {campaign.name}'"
-        )
+    refuse_taken_name(session, campaign.name)
     specimen = session.scalar(select(SpecimenRow).where(SpecimenRow.name == campaign.specimen.name))
     if specimen is None:
         specimen = SpecimenRow(
@@ -71,6 +67,14 @@ def add_campaign(session: Session, campaign: Campaign, now: datetime) -> None:
         session.add_all(
             ChannelRow(state_id=state_row.id, name=name, value=value)
             for name, value in state.channels.items()
+        )
+
+
+def refuse_taken_name(session: Session, name: str) -> None:
+    """Raise `Conflict` where there is a campaign of that name."""
+    if session.scalar(select(CampaignRow.id).where(CampaignRow.name == name)) is not None:
+        raise Conflict(
+            f"there is a campaign '{name}' already; choose another name or see 'sms campaign show {name}'"
         )
 
 
@@ -125,6 +129,18 @@ def calibration_file(session: Session, rig_id: int, at: datetime) -> int | None:
         .where(CalibrationRow.rig_id == rig_id, CalibrationRow.valid_from <= at)
         .order_by(CalibrationRow.valid_from.desc(), CalibrationRow.id.desc())
         .limit(1)
+    )
+
+
+def time_of(session: Session, subject: Subject, now: datetime) -> datetime:
+    """Return when the state of a subject was held; `now` where that is not known or there is no state."""
+    return (
+        session.scalar(
+            select(LoadStateRow.time)
+            .join(CampaignRow, CampaignRow.id == LoadStateRow.campaign_id)
+            .where(CampaignRow.name == subject.campaign, LoadStateRow.label == subject.state)
+        )
+        or now
     )
 
 

@@ -59,7 +59,9 @@ def submit(
 
     def archived(need: Need) -> int | None:
         if need.source == CALIBRATION:
-            return campaigns.calibration_file(session, row.rig_id, now)
+            return campaigns.calibration_file(
+                session, row.rig_id, campaigns.time_of(session, need.subject, now)
+            )
         return campaigns.newest_file(session, need.source, need.subject)
 
     jobs = plan(campaign, requests, archived)

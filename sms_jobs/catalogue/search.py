@@ -1,0 +1,175 @@
+"""Finds sealed files by what they are about, and where they come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.models import (
+    CalibrationRow,
+    CampaignRow,
+    FileRow,
+    LoadStateRow,
+    ProvenanceRow,
+    RigRow,
+    SensorRow,
+    StatisticRow,
+)
+from sms_jobs.errors import NotFound
+
+
+@dataclass(frozen=True)
+class FileView:
+    """One file as it is shown."""
+
+    id: int
+    source: str
+    subject: str
+    path: str
+    content_hash: str
+    size_bytes: int
+    media_type: str
+    created_at: datetime
+    job_id: str | None
+
+
+@dataclass(frozen=True)
+class Ancestor:
+    """A file in a provenance tree, and what it was to the file below it."""
+
+    role: str
+    file: FileView
+    inputs: tuple[Ancestor, ...]
+
+
+def find_files(
+    session: Session,
+    *,
+    source: str | None = None,
+    campaign: str | None = None,
+    state: str | None = None,
+    pair: str | None = None,
+    limit: int = 50,
+) -> list[FileView]:
+    """Return measurements, results and calibrations, the newest first."""
+    query = _views().order_by(FileRow.id.desc()).limit(limit)
+    if source is not None:
+        query = query.where(FileRow.source == source)
+    if campaign is not None:
+        query = query.where(FileRow.campaign_id == campaigns.campaign_row(session, campaign).id)
+    if state is not None:
+        query = query.where(LoadStateRow.label == state)
+    if pair is not None:
+        query = query.where(FileRow.pair == pair)
+    return [_view(*row) for row in session.execute(query).tuples()]
+
+
+def file_view(session: Session, key: str) -> FileView:
+    """Return the file of that number or archive path.
+
+    Raises
+    ------
+    NotFound
+        There is no such file.
+    """
+    match = FileRow.id == int(key) if key.isdecimal() else FileRow.path == key
+    row = session.execute(_views().where(match)).one_or_none()
+    if row is None:
+        raise NotFound(f"there is no file '{key}' in the catalogue; 'sms data find' shows numbers and paths")
+    return _view(*row)
+
+
+def statistics(session: Session, file_id: int) -> dict[str, float]:
+    """Return the numbers that a file can be found by."""
+    rows = session.execute(
+        select(StatisticRow.name, StatisticRow.value)
+        .where(StatisticRow.file_id == file_id)
+        .order_by(StatisticRow.name)
+    )
+    return dict(rows.tuples().all())
+
+
+def ancestry(session: Session, file: FileView) -> tuple[Ancestor, ...]:
+    """Return what a file was computed from, and so on back to what was measured."""
+    rows = session.execute(
+        select(ProvenanceRow.role, ProvenanceRow.input_id)
+        .where(ProvenanceRow.output_id == file.id)
+        .order_by(ProvenanceRow.role)
+    ).tuples()
+    parents = [(role, file_view(session, str(key))) for role, key in rows.all()]
+    return tuple(Ancestor(role, parent, ancestry(session, parent)) for role, parent in parents)
+
+
+def files_of_job(session: Session, job_id: str) -> list[FileView]:
+    """Return the files that a job has made."""
+    query = _views().where(FileRow.job_id == job_id).order_by(FileRow.id)
+    return [_view(*row) for row in session.execute(query).tuples()]
+
+
+@dataclass(frozen=True)
+class CalibrationView:
+    """One calibration as it is shown."""
+
+    id: int
+    rig: str
+    valid_from: datetime
+    origin: str
+    sensors: tuple[str, ...]
+    path: str
+
+
+def list_calibrations(session: Session, rig: str | None = None) -> list[CalibrationView]:
+    """Return calibrations, the one that became valid last first."""
+    query = (
+        select(CalibrationRow, RigRow.name, FileRow.path)
+        .join(RigRow, RigRow.id == CalibrationRow.rig_id)
+        .join(FileRow, FileRow.id == CalibrationRow.file_id)
+        .order_by(CalibrationRow.valid_from.desc(), CalibrationRow.id.desc())
+    )
+    if rig is not None:
+        query = query.where(RigRow.name == rig)
+    views = []
+    for row, name, path in session.execute(query).tuples():
+        sensors = session.scalars(
+            select(SensorRow.name).where(SensorRow.rig_id == row.rig_id).order_by(SensorRow.id)
+        )
+        views.append(CalibrationView(row.id, name, row.valid_from, row.origin, tuple(sensors), path))
+    return views
+
+
+def calibration_view(session: Session, number: int) -> CalibrationView:
+    """Return the calibration of that number; raise `NotFound` where there is none."""
+    for view in list_calibrations(session):
+        if view.id == number:
+            return view
+    raise NotFound(f"there is no calibration {number}; 'sms calibration list' shows them")
+
+
+
+
+
+def _views() -> Select[FileRow, str, str]:
+    return (
+        select(FileRow, CampaignRow.name, LoadStateRow.label)
+        .outerjoin(CampaignRow, CampaignRow.id == FileRow.campaign_id)
+        .outerjoin(LoadStateRow, LoadStateRow.id == FileRow.state_id)
+    )
+
+
+def _view(row: FileRow, campaign: str | None, state: str | None) -> FileView:
+    subject = "/".join(part for part in (campaign, state, row.pair) if part is not None)
+    return FileView(
+        id=row.id,
+        source=row.source,
+        subject=subject,
+        path=row.path,
+        content_hash=row.content_hash,
+        size_bytes=row.size_bytes,
+        media_type=row.media_type,
+        created_at=row.created_at,
+        job_id=row.job_id,
+    )

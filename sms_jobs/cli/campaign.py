@@ -1,0 +1,145 @@
+"""`sms campaign`: tests, their states and how they are measured."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.catalogue import campaigns
+from sms_jobs.cli import output
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.errors import InvalidInput
+from sms_jobs.formats import configuration
+from sms_jobs.jobs import inquiry
+from sms_jobs.jobs.registration import register_campaign
+
+app = typer.Typer(
+    help="Campaigns: a specimen, its load states, and how they are measured.", no_args_is_help=True
+)
+
+
+@app.command()
+def create(
+    plan: Annotated[Path | None, typer.Argument(help="Test plan (TOML).", show_default=False)] = None,
+    example: Annotated[
+        bool, typer.Option("--example", help="Print a plan to start from, and do nothing.")
+    ] = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Create a campaign from a test plan.
+
+    Example: sms campaign create --example > plan.toml; sms campaign create plan.toml
+    """
+    if example:
+        sys.stdout.write(configuration.example_campaign())
+        return
+    if plan is None:
+        raise InvalidInput(
+            "give the file of a test plan; 'sms campaign create --example' prints one to start from"
+        )
+    loaded = configuration.load_campaign(plan)
+    campaign = loaded.campaign
+    with bootstrap.services(home) as services:
+        register_campaign(
+            services.catalogue, services.archive, campaign, loaded.calibration, datetime.now(UTC)
+        )
+    if as_json:
+        output.print_json(
+            {"campaign": campaign.name, "states": len(campaign.states), "pairs": campaign.pairs}
+        )
+        return
+    output.say(
+        f"campaign {campaign.name} has {len(campaign.states)} states and {len(campaign.pairs)} pairs; "
+        f"next: sms job submit acquire --campaign {campaign.name}"
+    )
+
+
+@app.command("list")
+def list_(home: Home = None, as_json: Json = False) -> None:
+    """Show all campaigns.
+
+    Example: sms campaign list --json
+    """
+    rows: list[dict[str, Any]] = []
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        for name in inquiry.campaign_names(session):
+            row = campaigns.campaign_row(session, name)
+            record = campaigns.definition(row)
+            jobs = inquiry.counts(session, campaign=name)
+            rows.append(
+                {
+                    "campaign": name,
+                    "specimen": record.specimen.name,
+                    "rig": record.rig,
+                    "states": len(record.states),
+                    "pairs": len(record.pairs),
+                    "created_at": row.created_at,
+                    "jobs": jobs,
+                }
+            )
+    if as_json:
+        output.print_json_list(rows)
+        return
+    output.print_table(
+        ["campaign", "specimen", "rig", "states", "pairs", "created", "jobs"],
+        [
+            (
+                r["campaign"],
+                r["specimen"],
+                r["rig"],
+                r["states"],
+                r["pairs"],
+                r["created_at"],
+                ", ".join(f"{n} {s}" for s, n in r["jobs"].items()),
+            )
+            for r in rows
+        ],
+        empty="there is no campaign yet; see 'sms campaign create --help'",
+    )
+
+
+@app.command()
+def show(name: str, home: Home = None, as_json: Json = False) -> None:
+    """Show a campaign's states and pairs.
+
+    Example: sms campaign show wing-fatigue
+    """
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        row = campaigns.campaign_row(session, name)
+        jobs = inquiry.counts(session, campaign=name)
+    campaign = campaigns.definition(row)
+    if as_json:
+        output.print_json({"campaign": row.definition, "created_at": row.created_at, "jobs": jobs})
+        return
+    output.print_facts(
+        {
+            "campaign": campaign.name,
+            "specimen": campaign.specimen.name,
+            "rig": campaign.rig + ("" if campaign.scene is None else " (virtual)"),
+            "pairs": ", ".join(campaign.pairs),
+            "fringes": f"{campaign.sequence.densities} x {campaign.sequence.steps} steps, "
+            f"{campaign.sequence.frames} frames",
+            "created": row.created_at,
+            "jobs": ", ".join(f"{n} {s}" for s, n in jobs.items()),
+        }
+    )
+    output.print_table(
+        ["state", "load [N]", "displacement [mm]", "time", "channels"],
+        [
+            (
+                s.label,
+                s.load_n,
+                s.displacement_mm,
+                s.time,
+                ", ".join(f"{k}={v:g}" for k, v in s.channels.items()),
+            )
+            for s in campaign.states
+        ],
+        empty="",
+    )

@@ -1,0 +1,178 @@
+"""`sms data`: find, look at and take out what the archive holds."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.tree import Tree
+
+from sms_jobs import bootstrap
+from sms_jobs.archive import DATASET_MEDIA_TYPE
+from sms_jobs.catalogue import search
+from sms_jobs.catalogue.search import Ancestor
+from sms_jobs.cli import output
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.formats.figures import plot_record
+
+app = typer.Typer(help="Measurements and results in the archive.", no_args_is_help=True)
+
+File = Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")]
+
+
+@app.command()
+def find(
+    kind: Annotated[
+        str | None, typer.Option(help="measurement, calibration, or the kind of a result.")
+    ] = None,
+    campaign: Annotated[str | None, typer.Option("--campaign", "-c", help="Only of this campaign.")] = None,
+    state: Annotated[str | None, typer.Option(help="Only of this state.")] = None,
+    pair: Annotated[str | None, typer.Option(help="Only of this pair.")] = None,
+    limit: Annotated[int, typer.Option(help="At most so many, the newest.", min=1, max=100_000)] = 50,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Find measurements, results and calibrations, the newest first.
+
+    Example: sms data find --kind strain -c wing-fatigue --state S03
+    """
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        files = search.find_files(
+            session, source=kind, campaign=campaign, state=state, pair=pair, limit=limit
+        )
+    if as_json:
+        output.print_json_list(files)
+        return
+    output.print_table(
+        ["file", "kind", "subject", "size", "created", "path"],
+        [(f.id, f.source, f.subject, output.size(f.size_bytes), f.created_at, f.path) for f in files],
+        empty="there is no such file",
+    )
+
+
+@app.command()
+def show(file: File, home: Home = None, as_json: Json = False) -> None:
+    """Show a file: what it is about, its statistics, and the records in it.
+
+    Example: sms data show 17
+    """
+    with bootstrap.services(home) as services:
+        with services.catalogue.reading() as session:
+            view = search.file_view(session, file)
+            numbers = search.statistics(session, view.id)
+        records: dict[str, Any] = {}
+        if view.media_type == DATASET_MEDIA_TYPE:
+            with services.archive.open(view.path) as dataset:
+                records = dataset.describe()
+        path = services.archive.path(view.path)
+    if as_json:
+        output.print_json({"file": view, "path": path, "statistics": numbers, "records": records})
+        return
+    output.print_facts(
+        {
+            "file": view.id,
+            "kind": view.source,
+            "subject": view.subject,
+            "path": path,
+            "size": output.size(view.size_bytes),
+            "created": view.created_at,
+            "content": f"sha256 {view.content_hash}",
+            "job": view.job_id,
+        }
+        | numbers
+    )
+    output.print_table(
+        ["record", "field", "shape", "unit", "meaning"],
+        [
+            (name, field, " x ".join(map(str, about["shape"])), about["unit"], about["meaning"])
+            for name, fields in records.items()
+            for field, about in fields.items()
+        ],
+        empty="",
+    )
+
+
+@app.command()
+def tree(file: File, home: Home = None, as_json: Json = False) -> None:
+    """Show what a file was computed from, back to what was measured.
+
+    Example: sms data tree 17
+    """
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        view = search.file_view(session, file)
+        inputs = search.ancestry(session, view)
+    if as_json:
+        output.print_json({"file": view, "inputs": inputs})
+        return
+    root = Tree(f"{view.source} {view.subject} ({view.id})")
+    _grow(root, inputs)
+    output.answer.print(root)
+
+
+@app.command()
+def plot(
+    file: File,
+    out: Annotated[Path, typer.Option("--out", "-o", help="PNG file to write.")],
+    record: Annotated[str | None, typer.Option(help="Record in the file; the first if not given.")] = None,
+    field: Annotated[
+        str | None, typer.Option(help="Field of the record; the first image if not given.")
+    ] = None,
+    component: Annotated[
+        str | None, typer.Option(help="Component, e.g. Z or xx; the magnitude of a vector if not given.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    home: Home = None,
+) -> None:
+    """Draw an image field with colour bar and unit as PNG.
+
+    Example: sms data plot 17 --field strain --component xx --out strain.png
+    """
+    _refuse_existing(out, force)
+    with bootstrap.services(home) as services:
+        with services.catalogue.reading() as session:
+            view = search.file_view(session, file)
+        if view.media_type != DATASET_MEDIA_TYPE:
+            raise InvalidInput(f"file {file} is a {view.media_type} document, which cannot be plotted")
+        with services.archive.open(view.path) as dataset:
+            name = record or dataset.names[0]
+            png = plot_record(dataset.read(name, dataset.record_class(name)), field, component)
+    out.write_bytes(png)
+    output.say(f"wrote {out}")
+
+
+@app.command()
+def export(
+    file: File,
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    home: Home = None,
+) -> None:
+    """Copy a sealed file, e.g. an exported mesh or a report, out of the archive.
+
+    Example: sms data find --kind export; sms data export 42 --out field.vtu
+    """
+    _refuse_existing(out, force)
+    with bootstrap.services(home) as services:
+        with services.catalogue.reading() as session:
+            view = search.file_view(session, file)
+        services.archive.verify(view.path, view.content_hash)
+        shutil.copyfile(services.archive.path(view.path), out)
+    output.say(f"wrote {out}")
+
+
+def _refuse_existing(out: Path, force: bool) -> None:
+    if out.exists() and not force:
+        raise Conflict(f"{out} exists already; give another name, or --force to replace it")
+    if not out.parent.is_dir():
+        raise InvalidInput(f"the folder {out.parent} does not exist; make it first")
+
+
+def _grow(node: Tree, inputs: tuple[Ancestor, ...]) -> None:
+    for ancestor in inputs:
+        child = node.add(
+            f"{ancestor.role}: {ancestor.file.source} {ancestor.file.subject} ({ancestor.file.id})"
+        )
+        _grow(child, ancestor.inputs)

@@ -1,0 +1,210 @@
+"""`sms demo`: a whole simulated campaign through the real service, compared with the exact truth."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from enum import Enum
+from math import sqrt
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from sqlalchemy.orm import Session
+
+from sms_jobs import bootstrap
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import search
+from sms_jobs.cli import output
+from sms_jobs.cli.output import Json
+from sms_jobs.cli.waiting import succeeded, unsuccessful, wait_for
+from sms_jobs.errors import JobFailed, SmsError
+from sms_jobs.jobs import inquiry
+from sms_jobs.jobs.planning import PIPELINE, Request
+from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.submission import submit
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.sensors import Calibration
+from sms_jobs.virtual_rig.campaigns import top_hat_bending
+
+
+class Size(Enum):
+    """Of the simulated cameras: 512 or 1024 px square."""
+
+    SMALL = "small"
+    FULL = "full"
+
+
+def demo(
+    size: Annotated[Size, typer.Option(help="Cameras of 512 (small) or 1024 (full) px square.")] = Size.SMALL,
+    out: Annotated[Path, typer.Option(help="Folder for catalogue, archive and results.")] = Path("sms-demo"),
+    as_json: Json = False,
+) -> None:
+    """Measure a simulated bending test from fringe frames to strain, and compare with the exact truth.
+
+    A top-hat profile is pushed out at its middle in three steps, seen by two cameras and lit by two
+    projectors. Run again in the same folder, every result is reused.
+
+    Example: sms demo --size full --out /tmp/demo
+    """
+    started = time.monotonic()
+    home = bootstrap.initialise(out.absolute()).home
+    name = f"top-hat-{size.value}"
+    calibration, campaign = top_hat_bending(name, size.value)
+    with bootstrap.services(home) as services:
+        _register(services, campaign, calibration)
+        with _service(home) as still_there:
+            with services.catalogue.writing() as session:
+                done = submit(session, name, [Request("acquire"), Request(PIPELINE)], datetime.now(UTC))
+            if not as_json:
+                output.say(
+                    f"campaign {name}: {len(done.job_ids)} jobs; the service's log is in {home / 'logs'}"
+                )
+            counted = wait_for(services.catalogue, done.job_ids, None, still_there=still_there)
+        with services.catalogue.reading() as session:
+            failures = unsuccessful(counted)
+            if failures:
+                first = inquiry.first_failure(session, done.job_ids)
+                raise JobFailed(f"{failures} jobs of the demo did not succeed; {first} --home {home}")
+            summary = {
+                "campaign": name,
+                "home": str(home),
+                "jobs": {
+                    "succeeded": succeeded(counted),
+                    "failed": failures,
+                    "reused": inquiry.reused(session, done.job_ids),
+                },
+                "seconds": round(time.monotonic() - started, 1),
+                **_accuracy(session, name, calibration),
+                **_products(session, services, name),
+            }
+    if as_json:
+        output.print_json(summary)
+    else:
+        _print_summary(summary)
+
+
+def _register(services: Services, campaign: Campaign, calibration: Calibration) -> None:
+    with services.catalogue.reading() as session:
+        known = campaign.name in inquiry.campaign_names(session)
+    if not known:
+        register_campaign(services.catalogue, services.archive, campaign, calibration, datetime.now(UTC))
+
+
+@contextmanager
+def _service(home: Path) -> Iterator[Any]:
+    """Run `sms up` in a process of its own; yield a function that raises when it has ended."""
+    log = home / "logs" / "up.log"
+    with log.open("ab") as stream:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "sms_jobs.cli.main", "up", "--home", str(home)],
+            stdin=subprocess.DEVNULL,
+            stdout=stream,
+            stderr=stream,
+            process_group=0,
+        )
+
+    def still_there() -> None:
+        if process.poll() is not None:
+            raise SmsError(f"the service ended with code {process.returncode}; see {log}")
+
+    try:
+        yield still_there
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait()
+
+
+def _accuracy(session: Session, campaign: str, calibration: Calibration) -> dict[str, Any]:
+    """Pool the errors of all tuples: every valid pixel counts the same."""
+    newest = {
+        file.subject: search.statistics(session, file.id)
+        for file in reversed(search.find_files(session, source="assess", campaign=campaign, limit=10_000))
+    }
+    tuples = list(newest.values())
+    diagonal = calibration.volume.diagonal_mm
+    displacement = _pooled_rms(tuples, "displacement", "_mm")
+    return {
+        "volume_diagonal_mm": round(diagonal, 3),
+        "shape_rms_mm": _pooled_rms(tuples, "shape", "_mm"),
+        "displacement_rms_mm": displacement,
+        "displacement_relative": displacement / diagonal,
+        "strain_rms_microstrain": 1e6 * _pooled_rms(tuples, "strain", ""),
+        "valid_fraction": min(_valid_fraction(tuples, "shape"), _valid_fraction(tuples, "displacement")),
+        "shape_valid_fraction": _valid_fraction(tuples, "shape"),
+        "displacement_valid_fraction": _valid_fraction(tuples, "displacement"),
+        "strain_valid_fraction": _valid_fraction(tuples, "strain"),
+        "valid_without_truth": int(
+            sum(t.get(f"{w}_false_valid_count", 0.0) for t in tuples for w in _FIELDS)
+        ),
+    }
+
+
+_FIELDS = ("shape", "displacement", "strain")
+
+
+def _pooled_rms(tuples: list[dict[str, float]], field: str, unit: str) -> float:
+    measured = [t for t in tuples if t.get(f"{field}_count")]
+    count = sum(t[f"{field}_count"] for t in measured)
+    return sqrt(sum(t[f"{field}_count"] * t[f"{field}_rms{unit}"] ** 2 for t in measured) / count)
+
+
+def _valid_fraction(tuples: list[dict[str, float]], field: str) -> float:
+    measured = [t for t in tuples if t.get(f"{field}_expected_count")]
+    count = sum(t[f"{field}_expected_count"] for t in measured)
+    return sum(t[f"{field}_expected_count"] * t[f"{field}_valid_fraction"] for t in measured) / count
+
+
+def _products(session: Session, services: Services, campaign: str) -> dict[str, Any]:
+    reports = search.find_files(session, source="report", campaign=campaign, limit=1)
+    exports = {
+        (file.subject, file.media_type): file.path
+        for file in reversed(search.find_files(session, source="export", campaign=campaign, limit=10_000))
+    }
+    return {
+        "report": str(services.archive.path(reports[0].path)),
+        "exports": [str(services.archive.path(path)) for path in exports.values()],
+    }
+
+
+def _print_summary(summary: dict[str, Any]) -> None:
+    jobs = summary["jobs"]
+    output.print_facts(
+        {
+            "campaign": summary["campaign"],
+            "jobs": f"{jobs['succeeded']} succeeded ({jobs['reused']} reused), {jobs['failed']} failed",
+            "took": f"{summary['seconds']:.0f} s",
+            "report": summary["report"],
+            "exports": f"{len(summary['exports'])} files beside {summary['exports'][0]}",
+        }
+    )
+    diagonal = summary["volume_diagonal_mm"]
+    output.print_table(
+        ["compared with exact truth", "rms error", "of the volume diagonal", "valid"],
+        [
+            (
+                "shape",
+                f"{1e3 * summary['shape_rms_mm']:.1f} um",
+                f"1/{diagonal / summary['shape_rms_mm']:,.0f}",
+                f"{100 * summary['shape_valid_fraction']:.1f} %",
+            ),
+            (
+                "displacement",
+                f"{1e3 * summary['displacement_rms_mm']:.1f} um",
+                f"1/{diagonal / summary['displacement_rms_mm']:,.0f}",
+                f"{100 * summary['displacement_valid_fraction']:.1f} %",
+            ),
+            (
+                "strain",
+                f"{summary['strain_rms_microstrain']:.0f} microstrain",
+                None,
+                f"{100 * summary['strain_valid_fraction']:.1f} %",
+            ),
+        ],
+        empty="",
+    )

@@ -1,0 +1,324 @@
+"""`sms job`: submit, follow and mend jobs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Annotated, Any
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import search
+from sms_jobs.cli import output
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.cli.waiting import unsuccessful, wait_for
+from sms_jobs.errors import Conflict, InvalidInput, JobFailed
+from sms_jobs.jobs import inquiry, lifecycle
+from sms_jobs.jobs.logs import job_log
+from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.submission import submit as submit_requests
+from sms_jobs.kinds import all_kinds
+from sms_jobs.records.job import JobState
+
+app = typer.Typer(help="Jobs: submit, follow and mend them.", no_args_is_help=True)
+
+Campaign = Annotated[str | None, typer.Option("--campaign", "-c", help="Name of the campaign.")]
+JobId = Annotated[str, typer.Argument(help="Job id, or the beginning of one.")]
+
+
+@app.command()
+def submit(
+    kind: Annotated[
+        str, typer.Argument(help="A job kind, or 'pipeline' for all of them; see 'sms job kinds'.")
+    ],
+    campaign: Annotated[str, typer.Option("--campaign", "-c", help="Name of the campaign.")],
+    state: Annotated[list[str] | None, typer.Option(help="Only this state; can be repeated.")] = None,
+    pair: Annotated[list[str] | None, typer.Option(help="Only this pair; can be repeated.")] = None,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", help="NAME=VALUE of the kind, or KIND.NAME=VALUE of the pipeline; can be repeated."
+        ),
+    ] = None,
+    priority: Annotated[int, typer.Option(help="Higher runs earlier.", min=-100, max=100)] = 0,
+    no_cache: Annotated[
+        bool, typer.Option("--no-cache", help="Compute again what was computed before.")
+    ] = False,
+    wait: Annotated[bool, typer.Option("--wait", help="Return when the jobs have ended.")] = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Submit jobs for the tuples of a campaign.
+
+    Example: sms job submit pipeline -c wing-fatigue --set strain.gauge_length_mm=30
+    """
+    request = Request(kind, _parameters(parameter or []), tuple(state or ()), tuple(pair or ()))
+    with bootstrap.services(home) as services:
+        with services.catalogue.writing() as session:
+            done = submit_requests(
+                session, campaign, [request], datetime.now(UTC), priority=priority, use_cache=not no_cache
+            )
+        if as_json and not wait:
+            output.print_json({"campaign": campaign, "jobs": done.job_ids})
+        elif not as_json:
+            counted = {name: done.kinds.count(name) for name in dict.fromkeys(done.kinds)}
+            what = ", ".join(f"{count} {name}" for name, count in counted.items())
+            output.say(
+                f"submitted {len(done.job_ids)} jobs: {what}" if done.job_ids else "there is nothing to do"
+            )
+        if wait:
+            _wait(services, done.job_ids, None, as_json)
+
+
+@app.command()
+def kinds(as_json: Json = False) -> None:
+    """Show the job kinds and their parameters with defaults.
+
+    Example: sms job kinds
+    """
+    found = [
+        {
+            "kind": kind.name,
+            "version": kind.version,
+            "per": kind.scope.value,
+            "summary": kind.summary,
+            "parameters": {
+                name: None if field.is_required() else field.get_default(call_default_factory=True)
+                for name, field in kind.parameters.model_fields.items()
+            },
+        }
+        for kind in all_kinds().values()
+    ]
+    if as_json:
+        output.print_json_list(found)
+        return
+    output.print_table(
+        ["kind", "per", "summary", "parameters"],
+        [
+            (k["kind"], k["per"], k["summary"], ", ".join(f"{n}={v}" for n, v in _items(k["parameters"])))
+            for k in found
+        ],
+        empty="there is no job kind: the installation is broken",
+    )
+
+
+@app.command("list")
+def list_(
+    campaign: Campaign = None,
+    state: Annotated[list[JobState] | None, typer.Option(help="Only in this state; can be repeated.")] = None,
+    kind: Annotated[str | None, typer.Option(help="Only of this kind.")] = None,
+    limit: Annotated[int, typer.Option(help="At most so many, the latest.", min=1, max=100_000)] = 50,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Show jobs, the latest first.
+
+    Example: sms job list -c wing-fatigue --state failed
+    """
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        jobs = inquiry.list_jobs(session, campaign=campaign, states=state or (), kind=kind, limit=limit)
+    if as_json:
+        output.print_json_list(jobs)
+        return
+    output.print_table(
+        ["job", "kind", "subject", "state", "%", "seconds", "message"],
+        [
+            (
+                j.id[: inquiry.SHORT],
+                j.kind,
+                j.subject,
+                j.state,
+                f"{100 * j.progress:.0f}",
+                j.seconds,
+                j.message,
+            )
+            for j in jobs
+        ],
+        empty="there is no such job",
+    )
+
+
+@app.command()
+def show(job: JobId, home: Home = None, as_json: Json = False) -> None:
+    """Show a job, what has happened to it, and the files that it made.
+
+    Example: sms job show 3f2a
+    """
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        row = inquiry.find_job(session, job)
+        view = inquiry.job_view(row)
+        happened = inquiry.events(session, row.id)
+        files = search.files_of_job(session, row.reused_from or row.id)
+    if as_json:
+        output.print_json({"job": view, "events": happened, "files": files})
+        return
+    output.print_facts(
+        {
+            "job": view.id,
+            "kind": view.kind,
+            "subject": view.subject,
+            "state": view.state,
+            "message": view.message,
+            "parameters": ", ".join(f"{n}={v}" for n, v in view.parameters.items()),
+            "attempts": view.attempts,
+            "seconds": view.seconds,
+        }
+    )
+    output.print_table(
+        ["time", "state", "attempt", "message"],
+        [(e.at, e.state, e.attempt, e.message) for e in happened],
+        empty="",
+    )
+    output.print_table(
+        ["file", "subject", "size", "path"],
+        [(f.id, f.subject, output.size(f.size_bytes), f.path) for f in files],
+        empty="it has made no file",
+    )
+
+
+@app.command()
+def logs(job: JobId, home: Home = None) -> None:
+    """Print the log of a job.
+
+    Example: sms job logs 3f2a
+    """
+    with bootstrap.services(home) as services:
+        with services.catalogue.reading() as session:
+            row = inquiry.find_job(session, job)
+        path = job_log(services.settings.log_folder, row.id)
+    if path.exists():
+        sys.stdout.write(path.read_text(encoding="utf-8"))
+    else:
+        output.say(f"job {row.id[: inquiry.SHORT]} is {row.state.value} and has written no log on this host")
+
+
+@app.command()
+def watch(
+    jobs: Annotated[list[str] | None, typer.Argument(help="Job ids; all active jobs if none.")] = None,
+    campaign: Campaign = None,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Follow jobs until they have ended; with --json, one object a change.
+
+    Example: sms job watch -c wing-fatigue
+    """
+    with bootstrap.services(home) as services:
+        ids = _named(services, jobs or [], campaign)
+
+        def tell(counted: dict[str, int]) -> None:
+            if as_json:
+                output.print_json({"jobs": counted})
+
+        counted = wait_for(services.catalogue, ids, None, tell)
+    if not as_json:
+        output.answer.print(", ".join(f"{n} {s}" for s, n in counted.items()) or "no job is active")
+
+
+@app.command()
+def wait(
+    jobs: Annotated[list[str] | None, typer.Argument(help="Job ids; all active jobs if none.")] = None,
+    campaign: Campaign = None,
+    timeout: Annotated[float | None, typer.Option(help="Seconds to wait at most.", min=0.0)] = None,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Return when jobs have ended: 0 if all succeeded, 5 if one did not, 124 if time ran out.
+
+    Example: sms job wait -c wing-fatigue --timeout 3600
+    """
+    with bootstrap.services(home) as services:
+        _wait(services, _named(services, jobs or [], campaign), timeout, as_json)
+
+
+@app.command()
+def cancel(
+    jobs: Annotated[list[str] | None, typer.Argument(help="Job ids.")] = None,
+    campaign: Campaign = None,
+    home: Home = None,
+) -> None:
+    """Cancel jobs; running ones stop at their next checkpoint.
+
+    Example: sms job cancel 3f2a
+    """
+    if not jobs and campaign is None:
+        raise InvalidInput("name the jobs to cancel, or a campaign with --campaign")
+    with bootstrap.services(home) as services:
+        ids = _named(services, jobs or [], campaign)
+        with services.catalogue.writing() as session:
+            cancelled = [i for i in ids if lifecycle.cancel(session, i, datetime.now(UTC))]
+    if jobs and not cancelled:
+        raise Conflict("these jobs have ended already; nothing was cancelled")
+    output.say(f"cancelled {len(cancelled)} jobs")
+
+
+@app.command()
+def retry(
+    jobs: Annotated[list[str] | None, typer.Argument(help="Job ids.")] = None,
+    campaign: Campaign = None,
+    home: Home = None,
+) -> None:
+    """Give jobs that ended without success another chance, with all that was skipped for them.
+
+    Example: sms job retry -c wing-fatigue
+    """
+    if not jobs and campaign is None:
+        raise InvalidInput("name the jobs to retry, or a campaign with --campaign")
+    with bootstrap.services(home) as services, services.catalogue.writing() as session:
+        if jobs:
+            ids = [inquiry.find_job(session, prefix).id for prefix in jobs]
+        else:
+            ids = inquiry.retryable(session, campaign or "")
+        count = sum(lifecycle.retry(session, job_id, datetime.now(UTC)) for job_id in ids)
+    output.say(f"{count} jobs run again")
+
+
+@app.command()
+def explain(job: JobId, home: Home = None, as_json: Json = False) -> None:
+    """Say why a job waits, ran, was reused, or is stale.
+
+    Example: sms job explain 3f2a
+    """
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        row = inquiry.find_job(session, job)
+        sentences = inquiry.explain(session, row, datetime.now(UTC))
+    if as_json:
+        output.print_json({"job": row.id, "explanation": sentences})
+        return
+    for sentence in sentences:
+        output.answer.print(sentence, markup=False, soft_wrap=True)
+
+
+def _items(mapping: Any) -> list[tuple[str, Any]]:
+    return list(mapping.items())
+
+
+def _parameters(settings: Sequence[str]) -> dict[str, Any]:
+    parameters = {}
+    for text in settings:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise InvalidInput(f"'{text}' is not NAME=VALUE")
+        parameters[name] = value.split(",") if "," in value else value
+    return parameters
+
+
+def _named(services: Services, prefixes: Sequence[str], campaign: str | None) -> list[str]:
+    with services.catalogue.reading() as session:
+        if prefixes:
+            return [inquiry.find_job(session, prefix).id for prefix in prefixes]
+        return inquiry.active(session, campaign)
+
+
+def _wait(services: Services, ids: Sequence[str], timeout: float | None, as_json: bool) -> None:
+    counted = wait_for(services.catalogue, ids, timeout)
+    if as_json:
+        output.print_json({"jobs": counted})
+    failures = unsuccessful(counted)
+    if failures:
+        with services.catalogue.reading() as session:
+            first = inquiry.first_failure(session, ids)
+        raise JobFailed(f"{failures} of {len(ids)} jobs did not succeed; {first}")

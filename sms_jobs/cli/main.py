@@ -1,0 +1,87 @@
+"""The `sms` command: its groups, and how errors become one sentence and an exit code."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import click
+import typer
+
+import sms_jobs
+from sms_jobs.cli import calibration, campaign, data, db, demo, job, service, worker
+from sms_jobs.cli.output import remarks
+from sms_jobs.errors import SmsError
+
+_INTERRUPTED = 130
+
+app = typer.Typer(
+    name="sms",
+    help="Archive, process and query optical shape, deformation and strain measurements.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command("demo")(demo.demo)
+app.command("init")(service.init)
+app.command("up")(service.up)
+app.command("status")(service.status)
+app.command("doctor")(service.doctor)
+app.add_typer(campaign.app, name="campaign")
+app.add_typer(job.app, name="job")
+app.add_typer(data.app, name="data")
+app.add_typer(calibration.app, name="calibration")
+app.add_typer(worker.app, name="worker")
+app.add_typer(db.app, name="db")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        sys.stdout.write(f"sms {sms_jobs.__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    debug: Annotated[bool, typer.Option("--debug", envvar="SMS_DEBUG", help="Show tracebacks.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Hold the options of every command."""
+    if debug:
+        os.environ["SMS_DEBUG"] = "1"
+
+
+def main() -> None:
+    """Run the command line; exit codes are those of `sms_jobs.errors`."""
+    try:
+        code = app(standalone_mode=False)
+    except SmsError as error:
+        _refuse(error, str(error), error.exit_code)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        remarks.print("interrupted")
+        sys.exit(_INTERRUPTED)
+    except BrokenPipeError:
+        # Whoever read our output has enough of it.
+        os._exit(0)
+    except Exception as error:  # noqa: BLE001 - the last line of defence against a traceback
+        text = f"internal error ({type(error).__name__}: {error}); run again with 'sms --debug' and report it"
+        _refuse(error, text, 1)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _refuse(error: Exception, text: str, code: int) -> None:
+    if os.environ.get("SMS_DEBUG"):
+        raise error
+    remarks.print(f"[red]error:[/red] {text.replace('[', chr(92) + '[')}", soft_wrap=True)
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

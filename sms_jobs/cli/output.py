@@ -1,0 +1,128 @@
+"""How the command line speaks: the answer alone on stdout, everything else on stderr."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, is_dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+SCHEMA = 1
+"""Version of every JSON object that is printed."""
+
+Home = Annotated[
+    Path | None,
+    typer.Option(
+        "--home",
+        envvar="SMS_HOME",
+        help="Folder of catalogue and archive; ~/sms-home if not given.",
+        show_default=False,
+    ),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
+
+answer = Console(soft_wrap=False, highlight=False)
+remarks = Console(stderr=True, highlight=False)
+
+
+def print_json(value: dict[str, Any]) -> None:
+    """Print one JSON object on one line, with its schema version."""
+    print_line({"schema": SCHEMA} | value)
+
+
+def print_json_list(values: Iterable[Any]) -> None:
+    """Print a JSON list; `[]` when there is nothing."""
+    print_line([_plain(v) for v in values])
+
+
+def print_line(value: Any) -> None:
+    """Print one JSON value on one line, at once."""
+    sys.stdout.write(json.dumps(_plain(value), ensure_ascii=False) + "\n")
+    sys.stdout.flush()
+
+
+def print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, empty: str) -> None:
+    """Print a table that fits the terminal, or say on stderr that there is nothing."""
+    table = Table(*columns, box=None, pad_edge=False, header_style="bold")
+    for row in rows:
+        table.add_row(*(shown(cell) for cell in row))
+    if table.row_count:
+        answer.print(table)
+    else:
+        say(empty)
+
+
+def print_facts(facts: dict[str, Any]) -> None:
+    """Print names and values, one a line."""
+    table = Table.grid(padding=(0, 2))
+    for name, value in facts.items():
+        table.add_row(f"[bold]{name}[/bold]", shown(value))
+    answer.print(table)
+
+
+def say(text: str) -> None:
+    """Tell the person something that is not the answer."""
+    remarks.print(text, markup=False)
+
+
+def shown(value: Any) -> str:
+    """Return a value as people read it: local time, short numbers, a dash for nothing."""
+    if value is None or value == "":
+        return "-"
+    if isinstance(value, datetime):
+        return value.astimezone().strftime("%Y-%m-%d %H:%M:%S")
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(value).replace("[", "\\[")
+
+
+def size(count: int) -> str:
+    """Return a number of bytes as people read it."""
+    amount = float(count)
+    for unit in ("B", "kB", "MB", "GB"):
+        if amount < 1000:
+            return f"{amount:.0f} {unit}" if unit == "B" else f"{amount:.1f} {unit}"
+        amount /= 1000
+    return f"{amount:.1f} TB"
+
+
+def progress_bar() -> Progress:
+    """Return a progress bar on stderr, with counts and time left; silent when nobody watches."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=remarks,
+        disable=not remarks.is_terminal,
+    )
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, datetime):
+        return value.isoformat()
+    if isinstance(value, Path):
+        return str(value)
+    return value

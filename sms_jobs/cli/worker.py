@@ -1,0 +1,76 @@
+"""`sms worker`: workers of a grown deployment."""
+
+from __future__ import annotations
+
+import logging
+from datetime import UTC, datetime, timedelta
+from typing import Annotated
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.cli import output
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.jobs import inquiry, recovery
+
+app = typer.Typer(help="Workers on this and other hosts.", no_args_is_help=True)
+
+_SHOWN_FOR = timedelta(minutes=5)
+
+
+@app.command()
+def start(
+    home: Home = None,
+    queues: Annotated[str, typer.Option(help="Queues to serve, separated by commas.")] = "cpu,io,acquisition",
+) -> None:
+    """Join the service on this host, serving some queues only, until Ctrl-C.
+
+    Example: sms worker start --queues cpu,io
+    """
+    from sms_jobs.workers.celery_app import QUEUES
+    from sms_jobs.workers.supervisor import Supervisor
+
+    wanted = tuple(queue.strip() for queue in queues.split(","))
+    unknown = [queue for queue in wanted if queue not in QUEUES]
+    if unknown:
+        raise InvalidInput(f"there is no queue '{unknown[0]}'; choose among {', '.join(QUEUES)}")
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    with bootstrap.services(home) as services:
+        Supervisor(services, wanted).run()
+
+
+@app.command("list")
+def list_(home: Home = None, as_json: Json = False) -> None:
+    """Show the workers that have lately given a sign of life.
+
+    Example: sms worker list
+    """
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        workers = inquiry.workers(session, datetime.now(UTC) - _SHOWN_FOR)
+    if as_json:
+        output.print_json_list(workers)
+        return
+    output.print_table(
+        ["worker", "host", "process", "queues", "jobs", "last beat", "draining"],
+        [
+            (w.id, w.host, w.pid, w.queues, f"{w.running}/{w.concurrency}", w.beat_at, w.draining)
+            for w in workers
+        ],
+        empty="no worker is alive; start one with 'sms up'",
+    )
+
+
+@app.command()
+def drain(worker: str, home: Home = None) -> None:
+    """Let a worker finish what it runs and claim nothing more.
+
+    Example: sms worker drain 1f3a
+    """
+    with bootstrap.services(home) as services, services.catalogue.writing() as session:
+        known = inquiry.workers(session, datetime.now(UTC) - _SHOWN_FOR)
+        matching = [w.id for w in known if worker and w.id.startswith(worker)]
+        if len(matching) != 1:
+            raise NotFound(f"there is no one worker '{worker}'; 'sms worker list' shows them")
+        recovery.drain(session, matching[0])
+    output.say(f"worker {matching[0]} claims no more jobs")

@@ -1,0 +1,348 @@
+"""What people ask about jobs: which there are, how they stand, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.models import (
+    CalibrationRow,
+    CampaignRow,
+    DependencyRow,
+    EventRow,
+    FileRow,
+    JobRow,
+    WorkerRow,
+)
+from sms_jobs.errors import Conflict, NotFound
+from sms_jobs.kinds import all_kinds
+from sms_jobs.kinds.kind import CALIBRATION
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState
+
+SHORT = 8
+"""Characters of a job id that are shown; a unique prefix is enough to name a job."""
+
+
+@dataclass(frozen=True)
+class JobView:
+    """One job as it is shown."""
+
+    id: str
+    kind: str
+    subject: str
+    state: str
+    progress: float
+    message: str
+    error: str | None
+    attempts: int
+    priority: int
+    submitted_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    seconds: float | None
+    reused_from: str | None
+    parameters: dict[str, Any]
+
+
+def job_view(row: JobRow) -> JobView:
+    """Return a job's row as it is shown."""
+    begun, ended = row.started_at, row.finished_at
+    return JobView(
+        id=row.id,
+        kind=row.kind,
+        subject=row.subject,
+        state=row.state.value,
+        progress=row.progress,
+        message=row.message,
+        error=row.error,
+        attempts=row.attempts,
+        priority=row.priority,
+        submitted_at=row.submitted_at,
+        started_at=begun,
+        finished_at=ended,
+        seconds=(ended - begun).total_seconds() if begun and ended and ended >= begun else None,
+        reused_from=row.reused_from,
+        parameters=row.parameters,
+    )
+
+
+def find_job(session: Session, prefix: str) -> JobRow:
+    """Return the job whose id begins with `prefix`.
+
+    Raises
+    ------
+    NotFound, Conflict
+        There is none, or more than one.
+    """
+    matching = session.scalars(
+        select(JobRow).where(JobRow.id.startswith(prefix, autoescape=True)).limit(2)
+    ).all()
+    if not prefix or not matching:
+        raise NotFound(f"there is no job '{prefix}'; 'sms job list' shows them")
+    if len(matching) > 1:
+        raise Conflict(f"'{prefix}' is the beginning of several job ids; give more characters")
+    return matching[0]
+
+
+def list_jobs(
+    session: Session,
+    *,
+    campaign: str | None = None,
+    states: Collection[JobState] = (),
+    kind: str | None = None,
+    limit: int = 50,
+) -> list[JobView]:
+    """Return jobs, the latest submitted first."""
+    query = select(JobRow).order_by(JobRow.position.desc()).limit(limit)
+    if campaign is not None:
+        query = query.where(JobRow.campaign_id == campaigns.campaign_row(session, campaign).id)
+    if states:
+        query = query.where(JobRow.state.in_(states))
+    if kind is not None:
+        query = query.where(JobRow.kind == kind)
+    return [job_view(row) for row in session.scalars(query)]
+
+
+def counts(
+    session: Session, job_ids: Sequence[str] | None = None, campaign: str | None = None
+) -> dict[str, int]:
+    """Return how many jobs are in each state; among some jobs, a campaign's, or all."""
+    query = select(JobRow.state, func.count()).group_by(JobRow.state)
+    if job_ids is not None:
+        query = query.where(JobRow.id.in_(job_ids))
+    if campaign is not None:
+        query = query.where(JobRow.campaign_id == campaigns.campaign_row(session, campaign).id)
+    return {state.value: count for state, count in session.execute(query).tuples()}
+
+
+def still_active(counted: dict[str, int]) -> int:
+    """Return how many of some counted jobs have not ended."""
+    return sum(counted.get(state.value, 0) for state in ACTIVE)
+
+
+@dataclass(frozen=True)
+class Event:
+    """A change of a job's state."""
+
+    at: datetime
+    state: str
+    attempt: int
+    message: str
+
+
+def events(session: Session, job_id: str) -> list[Event]:
+    """Return what has happened to a job, in order."""
+    rows = session.scalars(select(EventRow).where(EventRow.job_id == job_id).order_by(EventRow.id))
+    return [Event(row.at, row.state.value, row.attempt, row.message) for row in rows]
+
+
+def explain(session: Session, job: JobRow, now: datetime) -> list[str]:
+    """Say in sentences why a job stands where it does."""
+    say = [f"{job.kind} {job.subject} is {job.state.value}" + (f": {job.message}" if job.message else "")]
+    if job.state is JobState.WAITING:
+        say += _why_waiting(session, job)
+    elif job.state is JobState.QUEUED:
+        say += _why_queued(session, job)
+    elif job.state is JobState.RUNNING:
+        say.append(f"it runs in process {job.pid} under worker {job.worker_id}, attempt {job.attempts}")
+    elif job.state is JobState.SUCCEEDED:
+        say += _why_computed(session, job)
+        say += _staleness(session, job, now)
+    return say
+
+
+def _why_waiting(session: Session, job: JobRow) -> list[str]:
+    producers = session.scalars(
+        select(JobRow)
+        .join(DependencyRow, DependencyRow.producer_id == JobRow.id)
+        .where(DependencyRow.job_id == job.id, JobRow.state != JobState.SUCCEEDED)
+        .distinct()
+    ).all()
+    return [
+        f"it needs {p.kind} {p.subject} (job {p.id[:SHORT]}), which is {p.state.value}" for p in producers
+    ]
+
+
+def _why_queued(session: Session, job: JobRow) -> list[str]:
+    ahead = session.scalar(
+        select(func.count()).where(
+            JobRow.state == JobState.QUEUED,
+            JobRow.queue == job.queue,
+            (JobRow.priority > job.priority)
+            | ((JobRow.priority == job.priority) & (JobRow.position < job.position)),
+        )
+    )
+    workers = session.scalars(select(WorkerRow).where(WorkerRow.draining.is_(False))).all()
+    serving = [w.id for w in workers if job.queue in w.queues.split(",")]
+    if not serving:
+        return [f"no worker serves the queue '{job.queue}'; start one with 'sms up'"]
+    return [f"{ahead} jobs of the queue '{job.queue}' come before it"]
+
+
+def _why_computed(session: Session, job: JobRow) -> list[str]:
+    if job.reused_from is not None:
+        same = "same kind and version, parameters, inputs and definition"
+        return [f"it was reused from job {job.reused_from[:SHORT]}: {same}"]
+    earlier = session.scalar(
+        select(JobRow)
+        .where(
+            JobRow.kind == job.kind,
+            JobRow.subject == job.subject,
+            JobRow.state == JobState.SUCCEEDED,
+            JobRow.reused_from.is_(None),
+            JobRow.position < job.position,
+        )
+        .order_by(JobRow.position.desc())
+        .limit(1)
+    )
+    if earlier is None:
+        return ["it was computed: nothing like it had been before"]
+    if not job.use_cache:
+        return ["it was computed because reuse was switched off for it"]
+    return [
+        f"it was computed although job {earlier.id[:SHORT]} is alike: {why}"
+        for why in _changes(session, earlier, job)
+    ]
+
+
+def _changes(session: Session, earlier: JobRow, job: JobRow) -> list[str]:
+    changes = []
+    if earlier.kind_version != job.kind_version:
+        changes.append(f"{job.kind} is now version {job.kind_version}, then {earlier.kind_version}")
+    for name in sorted(earlier.parameters.keys() | job.parameters.keys()):
+        then, now = earlier.parameters.get(name), job.parameters.get(name)
+        if then != now:
+            changes.append(f"parameter {name} was {then}, now {now}")
+    then_hashes, now_hashes = _input_hashes(session, earlier.id), _input_hashes(session, job.id)
+    changes += [
+        f"the content of its input '{role}' is another"
+        for role in sorted(then_hashes.keys() | now_hashes.keys())
+        if then_hashes.get(role) != now_hashes.get(role)
+    ]
+    return changes or ["what the campaign's definition says of it is another, or its file was gone"]
+
+
+def _input_hashes(session: Session, job_id: str) -> dict[str, str]:
+    rows = session.execute(
+        select(DependencyRow.role, FileRow.content_hash)
+        .join(FileRow, FileRow.id == DependencyRow.file_id)
+        .where(DependencyRow.job_id == job_id)
+    )
+    return dict(rows.tuples().all())
+
+
+def _staleness(session: Session, job: JobRow, now: datetime) -> list[str]:
+    say = []
+    current = all_kinds().get(job.kind)
+    if current is not None and current.version != job.kind_version:
+        say.append(
+            f"it is stale: {job.kind} is now version {current.version}, it was made by {job.kind_version}"
+        )
+    used = session.execute(
+        select(CalibrationRow.file_id, CalibrationRow.rig_id, DependencyRow.subject)
+        .join(DependencyRow, DependencyRow.file_id == CalibrationRow.file_id)
+        .where(DependencyRow.job_id == job.id, DependencyRow.source == CALIBRATION)
+    ).first()
+    if used is not None:
+        at = campaigns.time_of(session, Subject.parse(used.subject), now)
+        if campaigns.calibration_file(session, used.rig_id, at) != used.file_id:
+            say.append("it is stale: another calibration of the rig is valid for this state now")
+    return say
+
+
+@dataclass(frozen=True)
+class WorkerView:
+    """One supervisor as it is shown."""
+
+    id: str
+    host: str
+    pid: int
+    queues: str
+    concurrency: int
+    beat_at: datetime
+    draining: bool
+    running: int
+
+
+def workers(session: Session, since: datetime) -> list[WorkerView]:
+    """Return the workers that have given a sign of life since a time."""
+    running = (
+        select(func.count())
+        .where(JobRow.worker_id == WorkerRow.id, JobRow.state == JobState.RUNNING)
+        .correlate(WorkerRow)
+        .scalar_subquery()
+    )
+    rows = session.execute(
+        select(WorkerRow, running).where(WorkerRow.beat_at >= since).order_by(WorkerRow.started_at)
+    )
+    return [
+        WorkerView(w.id, w.host, w.pid, w.queues, w.concurrency, w.beat_at, w.draining, count)
+        for w, count in rows.tuples()
+    ]
+
+
+def campaign_names(session: Session) -> list[str]:
+    """Return the names of all campaigns, the newest first."""
+    return list(session.scalars(select(CampaignRow.name).order_by(CampaignRow.id.desc())))
+
+
+def running(session: Session, job_ids: Sequence[str]) -> str:
+    """Name the jobs that run among some jobs, and how far they have come."""
+    rows = session.scalars(
+        select(JobRow)
+        .where(JobRow.id.in_(job_ids), JobRow.state == JobState.RUNNING)
+        .order_by(JobRow.position)
+        .limit(4)
+    )
+    return ", ".join(f"{row.kind} {row.subject.partition('/')[2] or row.subject}" for row in rows)
+
+
+def reused(session: Session, job_ids: Sequence[str]) -> int:
+    """Return how many of some jobs were reused."""
+    query = select(func.count()).where(JobRow.id.in_(job_ids), JobRow.reused_from.is_not(None))
+    return session.scalar(query) or 0
+
+
+def active(session: Session, campaign: str | None = None) -> list[str]:
+    """Return the ids of jobs that have not ended, of a campaign or all, in order of submission."""
+    query = select(JobRow.id).where(JobRow.state.in_(ACTIVE)).order_by(JobRow.position)
+    if campaign is not None:
+        query = query.where(JobRow.campaign_id == campaigns.campaign_row(session, campaign).id)
+    return list(session.scalars(query))
+
+
+def retryable(session: Session, campaign: str) -> list[str]:
+    """Return the ids of a campaign's jobs that can be retried; skipped ones come along with them."""
+    states = UNSUCCESSFUL - {JobState.SKIPPED}
+    query = (
+        select(JobRow.id)
+        .where(
+            JobRow.state.in_(states),
+            JobRow.campaign_id == campaigns.campaign_row(session, campaign).id,
+        )
+        .order_by(JobRow.position)
+    )
+    return list(session.scalars(query))
+
+
+def first_failure(session: Session, job_ids: Sequence[str]) -> str:
+    """Name the first of some jobs that failed, and say why and what to do."""
+    row = session.scalar(
+        select(JobRow)
+        .where(JobRow.id.in_(job_ids), JobRow.state.in_(UNSUCCESSFUL - {JobState.SKIPPED}))
+        .order_by(JobRow.finished_at)
+        .limit(1)
+    )
+    if row is None:
+        return "they were skipped; see 'sms job list'"
+    return (
+        f"the first was {row.kind} {row.subject}, {row.state.value}: {row.message}; "
+        f"see 'sms job logs {row.id[:SHORT]}', then 'sms job retry {row.id[:SHORT]}'"
+    )

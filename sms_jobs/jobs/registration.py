@@ -1,0 +1,77 @@
+"""Enters a campaign and the calibration of its rig: sealed first, then indexed, or neither."""
+
+from __future__ import annotations
+
+import getpass
+import socket
+from datetime import datetime
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+import sms_jobs
+from sms_jobs.archive import Archive, Sealed
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import FileRow
+from sms_jobs.errors import Conflict
+from sms_jobs.kinds.kind import CALIBRATION
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.sensors import Calibration
+
+
+def register_campaign(
+    catalogue: Catalogue, archive: Archive, campaign: Campaign, calibration: Calibration | None, now: datetime
+) -> None:
+    """Add a campaign and, if given, the calibration of its rig.
+
+    Raises
+    ------
+    Conflict
+        There is a campaign of that name; nothing is changed.
+    """
+    with catalogue.reading() as session:
+        campaigns.refuse_taken_name(session, campaign.name)
+    sealed = None if calibration is None else _seal(archive, calibration, now)
+    try:
+        with catalogue.writing() as session:
+            campaigns.add_campaign(session, campaign, now)
+            if calibration is not None and sealed is not None:
+                _index(session, archive, calibration, sealed, now)
+    except Conflict:
+        # Somebody else was faster with the same name.
+        if sealed is not None:
+            archive.discard(sealed.path)
+        raise
+
+
+def _seal(archive: Archive, calibration: Calibration, now: datetime) -> Sealed:
+    return archive.seal_calibration(
+        calibration,
+        now,
+        program_version=sms_jobs.__version__,
+        host=socket.gethostname(),
+        operator=getpass.getuser(),
+    )
+
+
+def _index(
+    session: Session, archive: Archive, calibration: Calibration, sealed: Sealed, now: datetime
+) -> None:
+    same = session.scalar(
+        select(FileRow.path).where(FileRow.source == CALIBRATION, FileRow.content_hash == sealed.content_hash)
+    )
+    if same is not None:
+        archive.discard(sealed.path)
+        return
+    file = FileRow(
+        source=CALIBRATION,
+        path=sealed.path,
+        content_hash=sealed.content_hash,
+        size_bytes=sealed.size_bytes,
+        media_type=sealed.media_type,
+        created_at=now,
+    )
+    session.add(file)
+    session.flush()
+    campaigns.add_calibration(session, calibration, file.id)
