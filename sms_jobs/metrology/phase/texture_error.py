@@ -1,0 +1,148 @@
+"""The error that a surface's texture makes in the phase gradient, and its correction.
+
+A pixel collects light through a spot of finite size. Where the texture is brighter on one side of the
+pixel, so is the spot's weight, and the phase is that of a point to that side: by s^2 grad(ln B) pixels for
+a Gaussian spot of variance s^2, whatever the texture, because the spot's gradient is its first moment over
+s^2. On a speckle pattern this exceeds the noise several times. The shift is known from the modulation B
+itself; s^2 follows from the gaps between camera and projector rays, which it opens.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Floating = NDArray[np.floating]
+
+_LARGEST_BLUR = 2.0  # px^2; a camera so far out of focus is not used for correlation
+_TRIM = 4.0  # robust standard deviations
+_FEWEST = 100  # pixels
+
+
+@dataclass(frozen=True)
+class Blur:
+    """The spot through which a pixel collects light.
+
+    Attributes
+    ----------
+    variance
+        s^2 in px^2, the pixel's own area included; 0 where the data do not tell.
+    unexplained
+        Part of the correction, 0 .. 1, that is to be taken as its standard deviation.
+    """
+
+    variance: float
+    unexplained: float
+
+
+def log_gradient(brightness: Floating) -> Floats:
+    """Return the gradient of ln(brightness) along columns and rows, (2, rows, columns) in 1/px.
+
+    The derivative of the interpolating cubic spline: speckles of a few pixels have too much fine detail
+    for central differences, which would leave twice the error.
+    """
+    image = np.asarray(brightness, dtype=np.float64)
+    gradient = np.empty((2, *image.shape))
+    for component, axis in enumerate((1, 0)):
+        spline = ndimage.spline_filter1d(image, 3, axis=axis, mode="mirror")
+        gradient[component] = ndimage.correlate1d(spline, [-0.5, 0.0, 0.5], axis=axis, mode="mirror")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gradient /= image
+    return np.nan_to_num(gradient, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+@kernel
+def _difference(before: float, here: float, after: float) -> float:
+    """Return the slope at a pixel from valid neighbours (NaN if not); the gentler side where they disagree.
+
+    Across an edge of the surface one side's slope is the edge's.
+    """
+    back, forth = here - before, after - here
+    if np.isnan(back):
+        return 0.0 if np.isnan(forth) else forth
+    if np.isnan(forth):
+        return back
+    if abs(forth - back) <= 0.5 * max(abs(forth), abs(back)):
+        return 0.5 * (forth + back)
+    return forth if abs(forth) < abs(back) else back
+
+
+@kernel
+def _shift_rows(omega: Floats, valid: Mask, gradient: Floats, start: int, stop: int, shift: Floats) -> None:
+    rows, columns = valid.shape
+    for row in range(start, stop):
+        for column in range(columns):
+            if not valid[row, column]:
+                continue
+            for axis in range(2):
+                down, right = axis, 1 - axis
+                r0, c0, r1, c1 = row - down, column - right, row + down, column + right
+                has_before = r0 >= 0 and c0 >= 0 and valid[r0, c0]
+                has_after = r1 < rows and c1 < columns and valid[r1, c1]
+                for k in range(omega.shape[0]):
+                    before = omega[k, r0, c0] if has_before else np.nan
+                    after = omega[k, r1, c1] if has_after else np.nan
+                    slope = _difference(before, omega[k, row, column], after)
+                    shift[k, row, column] += slope * gradient[axis, row, column]
+
+
+def texture_shift(omega: Floats, valid: Mask, gradient: Floats, threads: int = 1) -> Floats:
+    """Return by how much the texture raises omega per unit of s^2: grad(omega) . grad(ln B).
+
+    Parameters
+    ----------
+    omega
+        (orientations, rows, columns) in rad.
+    valid
+        (rows, columns): whose omega can be used.
+    gradient
+        (2, rows, columns) in 1/px: `log_gradient` of the modulation.
+
+    Returns
+    -------
+    (orientations, rows, columns) in rad/px^2; 0 where not valid.
+    """
+    shift = np.zeros_like(omega)
+    in_row_blocks(
+        lambda start, stop: _shift_rows(omega, valid, gradient, start, stop, shift), len(valid), threads
+    )
+    return shift
+
+
+def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating) -> Blur:
+    """Find s^2 from the ray gaps that the texture opens, by trimmed weighted least squares.
+
+    Parameters
+    ----------
+    gap, gap_sigma
+        (points,), signed ray gap before the correction and its standard deviation from noise, in mm.
+    change
+        (points,), how the gap changes with s^2, in mm/px^2.
+
+    Notes
+    -----
+    gap + s^2 change = noise. What remains of the gap's variance beyond the noise is ascribed to the
+    correction, as the part `unexplained` of it.
+    """
+    known = np.isfinite(gap) & np.isfinite(change) & (gap_sigma > 0.0)
+    g, h, w = gap[known].astype(float), change[known].astype(float), gap_sigma[known].astype(float) ** -2
+    if g.size < _FEWEST or not np.any(h):
+        return Blur(0.0, 0.0)
+    variance, kept = 0.0, np.ones(g.size, dtype=bool)
+    for _ in range(4):
+        found = -np.sum((w * g * h)[kept]) / np.sum((w * h * h)[kept])
+        variance = float(np.clip(found, 0.0, _LARGEST_BLUR))
+        rest = (g + variance * h) * np.sqrt(w)
+        kept = np.abs(rest) < _TRIM * max(1.0, float(np.median(np.abs(rest))) / 0.6745)
+    correction = variance * variance * np.sum((w * h * h)[kept])
+    excess = np.sum(rest[kept] ** 2) - np.count_nonzero(kept)
+    if correction == 0.0:
+        return Blur(0.0, 0.0)
+    return Blur(variance, float(np.sqrt(np.clip(excess / correction, 0.0, 1.0))))
