@@ -1,0 +1,107 @@
+"""Deformations: inverses, gradients by finite differences, and strains that are known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.records.scene import Deformation, HalvesApart, MidPointBending, Rigid, UniaxialStrain
+from sms_jobs.virtual_rig.deformations import (
+    carried,
+    carried_points,
+    deflection_line,
+    followed_back,
+    gradients,
+    packed_chain,
+)
+
+PLACEMENT = Pose.looking_at(np.array([30.0, 20.0, 500.0]), np.zeros(3), np.array([0.1, 1.0, 0.0]))
+CHAINS: list[tuple[Deformation, ...]] = [
+    (),
+    (Rigid((0.1, -0.2, 0.3), (5.0, -6.0, 7.0)),),
+    (UniaxialStrain(0.01, 0.3),),
+    (MidPointBending(10.0, 500.0, 400.0),),
+    (HalvesApart(0.5),),
+    (UniaxialStrain(0.02), MidPointBending(-8.0, 500.0, 500.0), Rigid((0.02, 0.01, 0.0), (1.0, 2.0, 3.0))),
+    (Rigid((0.3, 0.1, -0.2)), MidPointBending(5.0, 600.0, 600.0), HalvesApart(2.0)),
+]
+
+
+def material_points(rng: np.random.Generator, count: int = 50) -> np.ndarray:
+    points = rng.uniform(-200.0, 200.0, (count, 3))
+    # Off the cut of halves apart, where there is no gradient.
+    points[:, 0] = np.where(np.abs(points[:, 0]) < 1.0, 5.0, points[:, 0])
+    return points
+
+
+@pytest.mark.parametrize("deformation", CHAINS)
+def test_following_back_inverts_carrying(
+    deformation: tuple[Deformation, ...], rng: np.random.Generator
+) -> None:
+    chain = packed_chain(deformation, PLACEMENT)
+    points = material_points(rng)
+    for point, end in zip(points, carried_points(chain, points), strict=True):
+        *back, _, _, _, material = followed_back(chain, *end, 0.0, 0.0, 1.0)
+        # A few dozen roundings of numbers up to 1000 mm.
+        np.testing.assert_allclose(back, point, atol=1e-11)
+        assert material
+
+
+@pytest.mark.parametrize("deformation", CHAINS)
+def test_gradient_is_that_of_finite_differences(
+    deformation: tuple[Deformation, ...], rng: np.random.Generator
+) -> None:
+    chain = packed_chain(deformation, PLACEMENT)
+    points = material_points(rng)
+    h = 1e-3
+    exact = gradients(chain, points)
+    for axis in range(3):
+        step = np.zeros(3)
+        step[axis] = h
+        slope = (carried_points(chain, points + step) - carried_points(chain, points - step)) / (2 * h)
+        # Rounding 1e-13 x 1000 mm / h = 1e-7 at worst; truncation h^2 f''' / 6 is below 1e-11.
+        np.testing.assert_allclose(exact[:, :, axis], slope, atol=1e-7)
+
+
+@pytest.mark.parametrize("deformation", CHAINS)
+def test_followed_direction_is_the_inverse_gradient(
+    deformation: tuple[Deformation, ...], rng: np.random.Generator
+) -> None:
+    chain = packed_chain(deformation, PLACEMENT)
+    points = material_points(rng, 10)
+    ends, exact = carried_points(chain, points), gradients(chain, points)
+    for end, gradient in zip(ends, exact, strict=True):
+        direction = rng.normal(size=3)
+        _, _, _, *back, _ = followed_back(chain, *end, *direction)
+        np.testing.assert_allclose(back, np.linalg.solve(gradient, direction), atol=1e-12)
+
+
+@pytest.mark.parametrize("deformation", CHAINS)
+def test_a_carried_normal_stays_normal_to_carried_tangents(
+    deformation: tuple[Deformation, ...], rng: np.random.Generator
+) -> None:
+    chain = packed_chain(deformation, PLACEMENT)
+    for point in material_points(rng, 10):
+        normal, first = rng.normal(size=3), rng.normal(size=3)
+        tangent = np.cross(normal, first)
+        *_, nx, ny, nz = carried(chain, *point, *normal)
+        gradient = gradients(chain, point[None])[0]
+        assert np.dot([nx, ny, nz], gradient @ tangent) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_bending_is_clamped_at_the_edge_and_whole_in_the_middle() -> None:
+    assert deflection_line(0.0) == (1.0, 0.0)
+    assert deflection_line(0.5) == (0.0, 0.0)
+    # Just inside, value and slope vanish with the square and the first power of the distance, times 24.
+    value, slope = deflection_line(0.5 - 1e-6)
+    assert abs(value) < 24e-12
+    assert abs(slope) < 25e-6
+
+
+def test_halves_apart_leave_a_gap_without_material() -> None:
+    chain = packed_chain((HalvesApart(4.0),), Pose.from_arrays(np.eye(3), np.zeros(3)))
+    np.testing.assert_array_equal(
+        carried_points(chain, np.array([[-1.0, 0, 0], [1.0, 0, 0]]))[:, 0], [-3.0, 3.0]
+    )
+    assert not followed_back(chain, 1.5, 0.0, 0.0, 0.0, 0.0, 1.0)[6]
