@@ -127,7 +127,8 @@ def exact_truth(reference: Simulation, state: Simulation, *, threads: int = 1) -
     green[:, seen] = _green_lagrange(relative, frame).T
     small[:, seen] = _small(relative, frame).T
     stays = np.zeros_like(seen)
-    stays[seen] = _stay(state, after, material, ends, shape.region[seen] - 1)
+    normals = np.einsum("nji,nj->ni", np.linalg.inv(relative), shape.normal[:, seen].T)
+    stays[seen] = _stay(state, after, ends, normals)
     return Truth(shape, displacement, green, small, stays)
 
 
@@ -161,13 +162,13 @@ def _small(gradient: Floats, frame: Floats) -> Floats:
     return np.stack([e[:, 0, 0], e[:, 1, 1], 0.5 * (e[:, 0, 1] + e[:, 1, 0])], axis=-1)
 
 
-def _stay(
-    state: Simulation, specimen: Specimen, material: Floats, ends: Floats, patches: NDArray[np.int32]
-) -> Flags:
+def _stay(state: Simulation, specimen: Specimen, ends: Floats, normals: Floats) -> Flags:
+    """Tell which points show the camera the side that they showed it before, and are lit on it."""
     camera = packed_sensor(sensor_named(state, state.camera))
     projector = packed_sensor(sensor_named(state, state.projector))
-    out = np.zeros(len(material), np.bool_)
-    _still_seen(camera, projector, specimen, material, ends, patches, out)
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    out = np.zeros(len(ends), np.bool_)
+    _still_seen(camera, projector, specimen, ends, normals, out)
     return out
 
 
@@ -209,21 +210,17 @@ def _still_seen(
     camera: Floats,
     projector: Floats,
     specimen: Specimen,
-    material: Floats,
     ends: Floats,
-    patches: NDArray[np.int32],
+    normals: Floats,
     out: Flags,
 ) -> None:
     ox, oy, oz = camera[21], camera[22], camera[23]
     for i in range(out.shape[0]):
         x, y, z = ends[i, 0], ends[i, 1], ends[i, 2]
-        patch = patches[i]
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
         px, py = image_point(camera, x, y, z)
-        if not in_image(camera, px, py):
+        if not in_image(camera, px, py) or nx * (ox - x) + ny * (oy - y) + nz * (oz - z) <= 0.0:
             continue
-        nx, ny, nz = surface_normal(specimen, patch, material[i, 0], material[i, 1], material[i, 2])
-        if nx * (ox - x) + ny * (oy - y) + nz * (oz - z) < 0.0:
-            nx, ny, nz = -nx, -ny, -nz
         if unobstructed(specimen, ox, oy, oz, x, y, z):
             _, _, light = direct_light(projector, specimen, 1.0, x, y, z, nx, ny, nz)
             out[i] = light > 0.0
