@@ -124,8 +124,8 @@ def draw_map(image: Map, width_px: int = 640) -> bytes:
     height = min(max(0.78 * width * rows / columns + 0.75, 0.4 * width), 1.6 * width)
     figure = _new_figure(width, height)
     axes = figure.add_subplot()
-    colours = matplotlib.colormaps[GREY_LEVELS if image.unit == "count" else COLOUR_MAP].copy()
-    colours.set_bad(MISSING_COLOUR)
+    colours = matplotlib.colormaps[GREY_LEVELS if image.unit == "count" else COLOUR_MAP]
+    colours = colours.with_extremes(bad=MISSING_COLOUR)
     low, high = robust_limits(image.values)
     extent = (-0.5, columns - 0.5, rows - 0.5, -0.5)
     drawn = axes.imshow(
