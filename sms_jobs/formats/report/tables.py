@@ -1,0 +1,87 @@
+"""The tables of a report, in the units that people expect: strain in microstrain, fractions in per cent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+
+from sms_jobs.formats.report.html import Cell, Markup, table
+from sms_jobs.records.assessment import Assessment, Errors
+from sms_jobs.records.campaign import Campaign, LoadState
+
+MICROSTRAIN = 1e6
+PER_CENT = 100.0
+
+
+def local_time(time: datetime | None) -> str | None:
+    """Write a time as the clock on this wall showed it, with its zone."""
+    return None if time is None else time.astimezone().strftime("%Y-%m-%d %H:%M:%S %Z")
+
+
+def campaign_facts(campaign: Campaign) -> Markup:
+    """Say what was tested, with what and how."""
+    sequence = campaign.sequence
+    facts: list[tuple[str, Cell]] = [
+        ("specimen", campaign.specimen.name),
+        ("material", campaign.specimen.material or None),
+        ("description", campaign.specimen.description or None),
+        ("rig", campaign.rig + (" (virtual)" if campaign.scene is not None else "")),
+        ("pairs of camera and projector", ", ".join(campaign.pairs)),
+        ("fringe densities", ", ".join(str(density) for density in sequence.densities)),
+        ("phase steps", sequence.steps),
+        ("fringe orientations [rad]", ", ".join(f"{angle:.4g}" for angle in sequence.orientations_rad)),
+        ("states", len(campaign.states)),
+    ]
+    return table(["", ""], [[name, str(value) if isinstance(value, int) else value] for name, value in facts])
+
+
+def load_states(states: Sequence[LoadState], recorded: Mapping[str, datetime]) -> Markup:
+    """List the load states; `recorded` says when those were measured whose definition does not."""
+    channels = sorted({name for state in states for name in state.channels})
+    header = ["state", "load [N]", "displacement [mm]", "time", *channels]
+    rows: list[list[Cell]] = []
+    for place, state in enumerate(states):
+        rows.append(
+            [
+                state.label + (" (reference)" if place == 0 else ""),
+                state.load_n,
+                state.displacement_mm,
+                local_time(state.time or recorded.get(state.label)),
+                *(state.channels.get(name) for name in channels),
+            ]
+        )
+    return table(header, rows)
+
+
+def _error_cells(errors: Errors | None, scale: float) -> list[Cell]:
+    if errors is None:
+        return [None] * 4
+    return [errors.rms * scale, errors.bias * scale, errors.score_rms, errors.valid_fraction * PER_CENT]
+
+
+def accuracy(assessments: Mapping[tuple[str, str], Assessment], diagonal_mm: float) -> list[Markup]:
+    """List the errors of every (state, pair), for shape, displacement and strain.
+
+    The rms of shape and displacement is also given as a part of the volume's diagonal, as is usual in the
+    field.
+    """
+    header = ["state", "pair", "rms [mm]", "bias [mm]", "error / predicted", "valid [%]", "diagonal / rms"]
+    tables = []
+    for name in ("shape", "displacement"):
+        rows: list[list[Cell]] = []
+        for (state, pair), assessment in assessments.items():
+            errors: Errors | None = getattr(assessment, name)
+            if errors is not None:
+                part = diagonal_mm / errors.rms if errors.rms > 0.0 else None
+                rows.append([state, pair, *_error_cells(errors, 1.0), part])
+        if rows:
+            tables += [Markup(f"<h3>{name.capitalize()}</h3>"), table(header, rows)]
+    strains: list[list[Cell]] = [
+        [state, pair, *_error_cells(a.strain, MICROSTRAIN)]
+        for (state, pair), a in assessments.items()
+        if a.strain is not None
+    ]
+    if strains:
+        header = ["state", "pair", "rms [µε]", "bias [µε]", "error / predicted", "valid [%]"]
+        tables += [Markup("<h3>Strain</h3>"), table(header, strains)]
+    return tables
