@@ -1,0 +1,85 @@
+"""The standard campaigns: in the volume and the image, at useful angles, partly hidden as in the thesis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.scene import Simulation
+from sms_jobs.records.sensors import Calibration, split_pair
+from sms_jobs.virtual_rig.campaigns import small_plate, top_hat_bending
+from sms_jobs.virtual_rig.rendering import render
+from sms_jobs.virtual_rig.truth import exact_shape
+
+BOTH = [small_plate("plate"), top_hat_bending("hat", "small")]
+
+
+def simulation(campaign: Campaign, state: int, pair: str) -> Simulation:
+    assert campaign.scene is not None
+    load = campaign.states[state]
+    return Simulation(campaign.scene, *split_pair(pair), load.deformation, load.label)
+
+
+@pytest.mark.parametrize(("calibration", "campaign"), BOTH, ids=["plate", "hat"])
+def test_every_state_stays_in_the_volume_and_in_the_image(
+    calibration: Calibration, campaign: Campaign
+) -> None:
+    low, high = (np.array(c)[:, None, None] for c in (calibration.volume.low, calibration.volume.high))
+    for state in range(len(campaign.states)):
+        for pair in campaign.pairs:
+            shape = exact_shape(simulation(campaign, state, pair))
+            inside = (shape.xyz > low) & (shape.xyz < high)
+            assert inside.all(axis=0)[shape.seen].all()
+            border = np.ones_like(shape.seen)
+            border[2:-2, 2:-2] = False
+            assert not shape.seen[border].any()
+            assert shape.seen.mean() > 0.4
+
+
+@pytest.mark.parametrize(("calibration", "campaign"), BOTH, ids=["plate", "hat"])
+def test_rays_meet_at_a_useful_angle(calibration: Calibration, campaign: Campaign) -> None:
+    for pair in campaign.pairs:
+        camera, projector = (calibration.sensor(name).pose.centre() for name in split_pair(pair))
+        cosine = camera @ projector / np.linalg.norm(camera) / np.linalg.norm(projector)
+        assert np.degrees(np.arccos(cosine)) > 25.0
+
+
+def test_the_calibration_is_the_truth_and_the_states_are_in_order() -> None:
+    for calibration, campaign in BOTH:
+        assert campaign.scene is not None
+        assert campaign.scene.sensors == calibration.sensors
+        assert campaign.pairs == calibration.pairs()
+        assert campaign.reference.deformation == ()
+        loads = [s.load_n for s in campaign.states]
+        times = [s.time for s in campaign.states]
+        assert loads == sorted(loads, key=lambda load: load or 0.0)
+        assert times == sorted(times, key=str)
+
+
+def test_crossed_pairs_miss_the_side_that_straight_pairs_see() -> None:
+    campaign = BOTH[1][1]
+    lit = {}
+    for pair in campaign.pairs:
+        shape = exact_shape(simulation(campaign, 0, pair))
+        sides = {region: shape.lit & (shape.region == region) for region in (2, 3, 4)}
+        lit[pair] = {region: int(part.sum()) for region, part in sides.items()}
+    assert lit["C1P1"][2] > 10_000
+    assert lit["C1P2"][2] == 0
+    assert lit["C2P2"][4] > 10_000
+    assert lit["C2P1"][4] == 0
+    assert all(found[3] > 20_000 for found in lit.values())
+    # What a scanner sees of the far base is cut off by the top: there is a real silhouette in its image.
+    assert lit["C1P1"][4] == lit["C2P2"][2] == 0
+
+
+def test_light_is_neither_scarce_nor_too_much() -> None:
+    for _, campaign in BOTH:
+        for pair in campaign.pairs:
+            sim = simulation(campaign, 0, pair)
+            rendering = render(sim, replace(campaign.sequence, densities=(8,)))
+            lit = exact_shape(sim).lit
+            assert (rendering.texture < rendering.full_scale).all()
+            assert np.percentile(rendering.texture[lit], 90) > 0.4 * rendering.full_scale
