@@ -1,0 +1,92 @@
+"""The acquire kind: what it records, for which campaigns, and that it records the same again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.acquire import KIND, UNTIMED, AcquireParameters, Recipe
+from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Inputs, default_subjects
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.scene import Simulation
+from sms_jobs.virtual_rig.campaigns import small_plate
+
+CAMPAIGN = small_plate("plate")[1]
+
+
+def recorded(campaign: Campaign, state: str, threads: int = 1) -> dict[str, DatasetOutput]:
+    subject = Subject(campaign.name, state)
+    inputs = Inputs(subject, KIND.context(campaign, subject), {}, threads)
+    told: list[float] = []
+    outputs = KIND.run(inputs, AcquireParameters(), lambda fraction, message="": told.append(fraction))
+    found = {}
+    for output in outputs:
+        assert isinstance(output, DatasetOutput)
+        found[str(output.subject)] = output
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    return found
+
+
+def measurement_of(output: DatasetOutput) -> Measurement:
+    found = output.records["measurement"]
+    assert isinstance(found, Measurement)
+    return found
+
+
+def test_every_pair_of_the_state_is_recorded() -> None:
+    outputs = recorded(CAMPAIGN, "S01")
+    assert list(outputs) == ["plate/S01/C1P1", "plate/S01/C1P2"]
+    assert CAMPAIGN.scene is not None
+    for pair, output in zip(("P1", "P2"), outputs.values(), strict=True):
+        measurement = measurement_of(output)
+        assert measurement.frames.shape == (CAMPAIGN.sequence.frames, 128, 128)
+        assert measurement.sequence == CAMPAIGN.sequence
+        assert measurement.recorded_at == CAMPAIGN.state("S01").time
+        deformation = CAMPAIGN.state("S01").deformation
+        assert measurement.simulation == Simulation(CAMPAIGN.scene, "C1", pair, deformation, "S01")
+        assert output.statistics["saturated_fraction"] == 0.0
+        assert output.statistics["mean_level_count"] == pytest.approx(measurement.texture.mean())
+
+
+def test_recording_again_gives_the_same_and_another_state_does_not() -> None:
+    first, again, other = (recorded(CAMPAIGN, s, n) for s, n in (("S00", 1), ("S00", 2), ("S01", 1)))
+    for a, b in zip(first.values(), again.values(), strict=True):
+        np.testing.assert_array_equal(measurement_of(a).texture, measurement_of(b).texture)
+        np.testing.assert_array_equal(measurement_of(a).frames.frame(7), measurement_of(b).frames.frame(7))
+    here, there = measurement_of(first["plate/S00/C1P1"]), measurement_of(other["plate/S01/C1P1"])
+    assert not np.array_equal(here.texture, there.texture)
+
+
+def test_what_is_hashed_is_what_the_recording_depends_on() -> None:
+    subject = Subject("plate", "S00")
+    renamed = replace(CAMPAIGN, specimen=replace(CAMPAIGN.specimen, description="another"))
+    assert KIND.context(renamed, subject) == KIND.context(CAMPAIGN, subject)
+    assert KIND.context(CAMPAIGN, Subject("plate", "S01")) != KIND.context(CAMPAIGN, subject)
+
+
+def test_a_state_without_a_time_gets_a_fixed_one() -> None:
+    untimed = replace(CAMPAIGN, states=(replace(CAMPAIGN.states[0], time=None),))
+    context = KIND.context(untimed, Subject("plate", "S00"))
+    assert isinstance(context, Recipe)
+    assert context.recorded_at == UNTIMED
+
+
+def test_only_campaigns_of_the_virtual_rig_can_be_recorded() -> None:
+    real = replace(CAMPAIGN, scene=None)
+    assert default_subjects(KIND, real) == ()
+    with pytest.raises(InvalidInput, match="no scene"):
+        KIND.context(real, Subject("plate", "S00"))
+    with pytest.raises(InvalidInput, match="no sensor P7"):
+        recorded(replace(CAMPAIGN, pairs=("C1P7",)), "S00")
+
+
+def test_it_makes_measurements_from_nothing() -> None:
+    assert KIND.makes == MEASUREMENT
+    assert not list(KIND.needs(CAMPAIGN, Subject("plate", "S00")))
+    assert [str(s) for s in default_subjects(KIND, CAMPAIGN)] == ["plate/S00", "plate/S01"]
+    assert KIND.repeatable(AcquireParameters())
