@@ -18,7 +18,7 @@ from sms_jobs.cli.waiting import unsuccessful, wait_for
 from sms_jobs.errors import Conflict, InvalidInput, JobFailed
 from sms_jobs.jobs import inquiry, lifecycle
 from sms_jobs.jobs.logs import job_log
-from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.submission import submit as submit_requests
 from sms_jobs.kinds import all_kinds
 from sms_jobs.records.job import JobState
@@ -32,7 +32,7 @@ JobId = Annotated[str, typer.Argument(help="Job id, or the beginning of one.")]
 @app.command()
 def submit(
     kind: Annotated[
-        str, typer.Argument(help="A job kind, or 'pipeline' for all of them; see 'sms job kinds'.")
+        list[str], typer.Argument(help="Job kinds, or 'pipeline' for all but acquire; see 'sms job kinds'.")
     ],
     campaign: Annotated[str, typer.Option("--campaign", "-c", help="Name of the campaign.")],
     state: Annotated[list[str] | None, typer.Option(help="Only this state; can be repeated.")] = None,
@@ -55,11 +55,11 @@ def submit(
 
     Example: sms job submit pipeline -c wing-fatigue --set strain.gauge_length_mm=30
     """
-    request = Request(kind, _parameters(parameter or []), tuple(state or ()), tuple(pair or ()))
+    requests = _requests(kind, _parameters(parameter or []), tuple(state or ()), tuple(pair or ()))
     with bootstrap.services(home) as services:
         with services.catalogue.writing() as session:
             done = submit_requests(
-                session, campaign, [request], datetime.now(UTC), priority=priority, use_cache=not no_cache
+                session, campaign, requests, datetime.now(UTC), priority=priority, use_cache=not no_cache
             )
         if as_json and not wait:
             output.print_json({"campaign": campaign, "jobs": done.job_ids})
@@ -294,6 +294,27 @@ def explain(job: JobId, home: Home = None, as_json: Json = False) -> None:
 
 def _items(mapping: Any) -> list[tuple[str, Any]]:
     return list(mapping.items())
+
+
+def _requests(
+    kinds: Sequence[str], parameters: dict[str, Any], states: tuple[str, ...], pairs: tuple[str, ...]
+) -> list[Request]:
+    """Give each kind its parameters: all to a single one, by `KIND.` to one of several."""
+    if len(kinds) == 1:
+        return [Request(kinds[0], parameters, states, pairs)]
+    stray = [name for name in parameters if name.partition(".")[0] not in kinds]
+    if stray and PIPELINE not in kinds:
+        raise InvalidInput(
+            f"parameter '{stray[0]}' must be KIND.NAME=VALUE, with KIND one of {', '.join(kinds)}"
+        )
+    requests = []
+    for kind in kinds:
+        own = {name: value for name, value in parameters.items() if name.startswith(f"{kind}.")}
+        given = {name.partition(".")[2]: value for name, value in own.items()}
+        if kind == PIPELINE:
+            given = {n: v for n, v in parameters.items() if n.partition(".")[0] not in kinds}
+        requests.append(Request(kind, given, states, pairs))
+    return requests
 
 
 def _parameters(settings: Sequence[str]) -> dict[str, Any]:

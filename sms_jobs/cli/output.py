@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, is_dataclass
@@ -78,6 +79,12 @@ def print_facts(facts: dict[str, Any]) -> None:
 def say(text: str) -> None:
     """Tell the person something that is not the answer."""
     remarks.print(text, markup=False)
+
+
+def log_to_stderr() -> None:
+    """Let a service tell on stderr what it does; libraries speak up only when something is wrong."""
+    logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(levelname)s %(message)s")
+    logging.getLogger("sms_jobs").setLevel(logging.INFO)
 
 
 def shown(value: Any) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import shutil
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
@@ -46,7 +45,7 @@ def up(
     """
     from sms_jobs.workers.supervisor import Supervisor
 
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    output.log_to_stderr()
     with bootstrap.services(home) as services:
         supervisor = Supervisor(services)
         output.say(

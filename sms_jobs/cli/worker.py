@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from datetime import UTC, datetime, timedelta
 from typing import Annotated
 
@@ -35,7 +34,7 @@ def start(
     unknown = [queue for queue in wanted if queue not in QUEUES]
     if unknown:
         raise InvalidInput(f"there is no queue '{unknown[0]}'; choose among {', '.join(QUEUES)}")
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    output.log_to_stderr()
     with bootstrap.services(home) as services:
         Supervisor(services, wanted).run()
 

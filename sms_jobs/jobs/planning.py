@@ -38,11 +38,19 @@ class Request:
 
 
 @dataclass(frozen=True)
+class Existing:
+    """What meets a need already: a file of the archive, or a job on its way to making one."""
+
+    file_id: int | None = None
+    job_id: str | None = None
+
+
+@dataclass(frozen=True)
 class PlannedInput:
-    """An input of a planned job: a file that exists, or the planned job that will make it."""
+    """An input of a planned job: something that exists, or the planned job that will make it."""
 
     need: Need
-    file_id: int | None
+    existing: Existing | None
     producer: int | None
 
 
@@ -60,7 +68,7 @@ _Key = tuple[str, Subject]
 
 
 def plan(
-    campaign: Campaign, requests: Sequence[Request], archived: Callable[[Need], int | None]
+    campaign: Campaign, requests: Sequence[Request], find: Callable[[Need], Existing | None]
 ) -> tuple[PlannedJob, ...]:
     """Expand requests into jobs, each after the jobs whose results it needs.
 
@@ -70,8 +78,8 @@ def plan(
         What the jobs are about.
     requests
         What was asked for.
-    archived
-        Finds the file that meets a need, if there is one already.
+    find
+        Finds what meets a need already, if there is anything.
 
     Raises
     ------
@@ -87,7 +95,7 @@ def plan(
         for subject in _selected(kind, campaign, request):
             jobs[(name, subject)] = None
     producers: dict[_Key, dict[_Key, None]] = {}
-    inputs: dict[_Key, list[tuple[Need, _Key | None, int | None]]] = {}
+    inputs: dict[_Key, list[tuple[Need, _Key | None, Existing | None]]] = {}
     # A wanted kind also makes what the other jobs need of it, e.g. the reference state's shape.
     pending = list(jobs)
     while pending:
@@ -96,13 +104,13 @@ def plan(
         found = inputs.setdefault(key, [])
         producers.setdefault(key, {})
         for need in wanted[name][0].needs(campaign, subject):
-            producer, file_id = _source(need, makers, campaign, archived, f"{name} {subject}")
+            producer, existing = _source(need, makers, campaign, find, f"{name} {subject}")
             if producer is not None:
                 if producer not in jobs:
                     jobs[producer] = None
                     pending.append(producer)
                 producers[key][producer] = None
-            found.append((need, producer, file_id))
+            found.append((need, producer, existing))
     order = _ordered(jobs, producers)
     place = {key: i for i, key in enumerate(order)}
     return tuple(
@@ -111,8 +119,8 @@ def plan(
             key[1],
             _parameters(*wanted[key[0]]),
             tuple(
-                PlannedInput(need, file_id, None if producer is None else place[producer])
-                for need, producer, file_id in inputs[key]
+                PlannedInput(need, existing, None if producer is None else place[producer])
+                for need, producer, existing in inputs[key]
             ),
         )
         for key in order
@@ -169,24 +177,26 @@ def _source(
     need: Need,
     makers: Mapping[str, Kind[Any]],
     campaign: Campaign,
-    archived: Callable[[Need], int | None],
+    find: Callable[[Need], Existing | None],
     who: str,
-) -> tuple[_Key | None, int | None]:
+) -> tuple[_Key | None, Existing | None]:
     maker = makers.get(need.source)
     if maker is not None:
-        covering = {
-            Scope.TUPLE: need.subject,
-            Scope.STATE: replace(need.subject, pair=None),
-            Scope.CAMPAIGN: Subject(campaign.name),
-        }[maker.scope]
-        return (maker.name, covering), None
-    file_id = archived(need)
-    if file_id is None:
+        return (maker.name, covering(maker, need.subject)), None
+    existing = find(need)
+    if existing is None:
         raise NotFound(
             f"{who} needs the {need.source} of {need.subject}, and there is none; "
             "submit the pipeline, or the job that makes it first"
         )
-    return None, file_id
+    return None, existing
+
+
+def covering(kind: Kind[Any], subject: Subject) -> Subject:
+    """Return the subject of the job of a kind whose outputs include one about `subject`."""
+    if kind.scope is Scope.CAMPAIGN:
+        return Subject(subject.campaign)
+    return replace(subject, pair=None) if kind.scope is Scope.STATE else subject
 
 
 def _ordered(jobs: Mapping[_Key, None], producers: Mapping[_Key, Mapping[_Key, None]]) -> list[_Key]:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import insert
+from sqlalchemy import insert, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.models import DependencyRow, EventRow, JobRow, OutboxRow
-from sms_jobs.jobs.planning import PlannedJob, Request, plan
+from sms_jobs.jobs.planning import Existing, PlannedInput, PlannedJob, Request, covering, plan
+from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, Need
-from sms_jobs.records.job import JobState
+from sms_jobs.records.job import ACTIVE, JobState
 
 
 @dataclass(frozen=True)
@@ -57,19 +58,41 @@ def submit(
     row = campaigns.campaign_row(session, campaign_name)
     campaign = campaigns.definition(row)
 
-    def archived(need: Need) -> int | None:
-        if need.source == CALIBRATION:
-            return campaigns.calibration_file(
-                session, row.rig_id, campaigns.time_of(session, need.subject, now)
-            )
-        return campaigns.newest_file(session, need.source, need.subject)
+    coming = _coming(session, row.id)
 
-    jobs = plan(campaign, requests, archived)
+    def find(need: Need) -> Existing | None:
+        if need.source == CALIBRATION:
+            at = campaigns.time_of(session, need.subject, now)
+            file_id = campaigns.calibration_file(session, row.rig_id, at)
+        elif (job_id := coming(need)) is not None:
+            return Existing(job_id=job_id)
+        else:
+            file_id = campaigns.newest_file(session, need.source, need.subject)
+        return None if file_id is None else Existing(file_id=file_id)
+
+    jobs = plan(campaign, requests, find)
     ids = tuple(secrets.token_hex(8) for _ in jobs)
     if not jobs:
         return Submission((), ())
     _insert(session, row.id, jobs, ids, now, priority, use_cache)
     return Submission(ids, tuple(job.kind.name for job in jobs))
+
+
+def _coming(session: Session, campaign_id: int) -> Callable[[Need], str | None]:
+    """Return a function that finds the newest job on its way to making what is needed."""
+    rows = session.execute(
+        select(JobRow.kind, JobRow.subject, JobRow.id)
+        .where(JobRow.campaign_id == campaign_id, JobRow.state.in_(ACTIVE))
+        .order_by(JobRow.position)
+    )
+    jobs = {(kind, subject): job_id for kind, subject, job_id in rows.tuples()}
+    makers = {kind.makes or kind.name: kind for kind in all_kinds().values()}
+
+    def find(need: Need) -> str | None:
+        maker = makers[need.source]
+        return jobs.get((maker.name, str(covering(maker, need.subject))))
+
+    return find
 
 
 def _insert(
@@ -83,8 +106,7 @@ def _insert(
 ) -> None:
     first = int(now.timestamp() * 1e6)
     states = [
-        JobState.WAITING if any(i.producer is not None for i in job.inputs) else JobState.QUEUED
-        for job in jobs
+        JobState.WAITING if any(_producer(i, ids) for i in job.inputs) else JobState.QUEUED for job in jobs
     ]
     session.execute(
         insert(JobRow),
@@ -113,8 +135,8 @@ def _insert(
             "role": given.need.role,
             "source": given.need.source,
             "subject": str(given.need.subject),
-            "producer_id": None if given.producer is None else ids[given.producer],
-            "file_id": given.file_id,
+            "producer_id": _producer(given, ids),
+            "file_id": None if given.existing is None else given.existing.file_id,
         }
         for job_id, job in zip(ids, jobs, strict=True)
         for given in job.inputs
@@ -135,3 +157,9 @@ def _insert(
     ]
     if ready:
         session.execute(insert(OutboxRow), ready)
+
+
+def _producer(given: PlannedInput, ids: Sequence[str]) -> str | None:
+    if given.producer is not None:
+        return ids[given.producer]
+    return None if given.existing is None else given.existing.job_id

@@ -1,0 +1,42 @@
+"""Every test here runs on both deployments: SQLite with files, and PostgreSQL with Redis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.deployments import Deployment
+from support.jobs import NOW
+
+from sms_jobs.catalogue import schema
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.jobs import recovery
+
+
+@pytest.fixture(params=["embedded", "grown"])
+def deployment(request: pytest.FixtureRequest, home: Path) -> Deployment:
+    """A home of its own on either deployment."""
+    if request.param == "embedded":
+        return Deployment("embedded", home, {})
+    urls = {
+        "SMS_DATABASE_URL": request.getfixturevalue("fresh_postgresql_url"),
+        "SMS_BROKER_URL": request.getfixturevalue("redis_url"),
+    }
+    return Deployment("grown", home, urls)
+
+
+@pytest.fixture
+def catalogue(deployment: Deployment) -> Iterator[Catalogue]:
+    """An empty catalogue with the newest schema and one worker, `w1`."""
+    url = (
+        deployment.environment.get("SMS_DATABASE_URL") or f"sqlite:///{deployment.home / 'catalogue.sqlite'}"
+    )
+    opened = Catalogue(url, create=True)
+    schema.upgrade(opened)
+    with opened.writing() as session:
+        recovery.register_worker(session, "w1", "here", 1, ["cpu", "io", "acquisition"], 2, NOW)
+    try:
+        yield opened
+    finally:
+        opened.close()

@@ -1,0 +1,34 @@
+"""The schema that the migrations build is the one that the models describe."""
+
+from __future__ import annotations
+
+import pytest
+from sqlalchemy import text
+
+from sms_jobs.catalogue import schema
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.errors import FormatTooNew
+
+
+def test_the_migrated_schema_equals_the_models(catalogue: Catalogue) -> None:
+    assert schema.differences_from_models(catalogue) == []
+    assert schema.current_revision(catalogue) == schema.newest_revision()
+
+
+def test_a_difference_from_the_models_is_noticed(catalogue: Catalogue) -> None:
+    with catalogue.writing() as session:
+        session.execute(text("ALTER TABLE channel ADD COLUMN unexpected INTEGER"))
+    assert any("unexpected" in difference for difference in schema.differences_from_models(catalogue))
+
+
+def test_upgrading_again_changes_nothing(catalogue: Catalogue) -> None:
+    schema.upgrade(catalogue)
+    schema.require_current(catalogue)
+
+
+def test_a_newer_catalogue_is_refused_with_both_revisions_named(catalogue: Catalogue) -> None:
+    with catalogue.writing() as session:
+        session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    for refuse in (schema.require_current, schema.upgrade):
+        with pytest.raises(FormatTooNew, match=f"9999.*{schema.newest_revision()}"):
+            refuse(catalogue)

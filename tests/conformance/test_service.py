@@ -1,0 +1,125 @@
+"""A whole campaign through the real service on both deployments, and what survives a kill."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import pytest
+from support.command import answer, kill_all, service, sms, wait_until
+from support.deployments import Deployment
+from support.homes import make_home
+from support.jobs import JOBS
+
+
+def submit_all(deployment: Deployment) -> list[str]:
+    found = run(deployment, "job", "submit", "acquire", "pipeline", "-c", "plate")
+    jobs: list[str] = found["jobs"]
+    return jobs
+
+
+def run(deployment: Deployment, *arguments: str) -> Any:
+    return answer(*arguments, "--home", str(deployment.home), environment=deployment.environment)
+
+
+def results(deployment: Deployment) -> Counter[tuple[str, str, str]]:
+    """Count what the archive holds: one file a kind, subject and name, if nothing is there twice."""
+    files = run(deployment, "data", "find", "-c", "plate", "--limit", "1000")
+    return Counter((f["source"], f["subject"], f["media_type"] + f["path"].rpartition("-")[2]) for f in files)
+
+
+def files_on_disk(deployment: Deployment) -> set[str]:
+    root = deployment.home / "archive"
+    return {
+        str(path.relative_to(root))
+        for path in root.rglob("*")
+        if path.is_file() and not path.name.endswith(".provenance.json")
+    }
+
+
+def files_in_catalogue(deployment: Deployment) -> set[str]:
+    return {f["path"] for f in run(deployment, "data", "find", "--limit", "1000")}
+
+
+def test_a_campaign_runs_to_its_report_and_again_by_reuse(deployment: Deployment) -> None:
+    make_home(deployment.home, deployment.environment)
+    with service(deployment.home, deployment.environment):
+        first = submit_all(deployment)
+        assert len(first) == JOBS
+        assert run(deployment, "job", "wait", *first)["jobs"] == {"succeeded": JOBS}
+        again = submit_all(deployment)
+        assert run(deployment, "job", "wait", *again)["jobs"] == {"succeeded": JOBS}
+    jobs = {job["id"]: job for job in run(deployment, "job", "list", "--limit", "1000")}
+    assert all(jobs[i]["reused_from"] is None for i in first)
+    assert all(jobs[i]["reused_from"] in first for i in again)
+    found = results(deployment)
+    assert set(found.values()) == {1}
+    assert {"measurement", "reconstruct", "correlate", "strain", "merge", "export", "report", "assess"} <= {
+        source for source, _, _ in found
+    }
+    assert files_on_disk(deployment) == files_in_catalogue(deployment)
+
+
+def test_a_changed_parameter_computes_again_only_what_depends_on_it(deployment: Deployment) -> None:
+    if deployment.name == "grown":
+        pytest.skip("reuse does not depend on the deployment; the test above compares them")
+    make_home(deployment.home, deployment.environment)
+    with service(deployment.home, deployment.environment):
+        run(deployment, "job", "wait", *submit_all(deployment))
+        changed = run(
+            deployment, "job", "submit", "pipeline", "-c", "plate", "--set", "strain.gauge_length_mm=30"
+        )
+        run(deployment, "job", "wait", *changed["jobs"])
+    jobs = {job["id"]: job for job in run(deployment, "job", "list", "--limit", "1000")}
+    reused = {jobs[i]["kind"] for i in changed["jobs"] if jobs[i]["reused_from"]}
+    computed = {jobs[i]["kind"] for i in changed["jobs"] if not jobs[i]["reused_from"]}
+    assert {"reconstruct", "correlate"} <= reused
+    assert "strain" in computed
+    strain = next(i for i in changed["jobs"] if jobs[i]["kind"] == "strain")
+    why = run(deployment, "job", "explain", strain)["explanation"]
+    assert any("gauge_length_mm was 20.0, now 30.0" in sentence for sentence in why)
+
+
+def test_a_campaign_survives_the_killing_of_its_service(deployment: Deployment) -> None:
+    make_home(deployment.home, deployment.environment)
+    jobs = submit_all(deployment)
+
+    def finished() -> int:
+        counted: dict[str, int] = run(deployment, "status")["jobs"]
+        return counted.get("succeeded", 0)
+
+    # First the worker alone is killed: its supervisor starts another. Then everything at once.
+    with service(deployment.home, deployment.environment) as supervisor:
+        wait_until(lambda: finished() >= 2)
+        (worker,) = wait_until(supervisor.children)
+        kill_all(worker)
+        before = finished()
+        wait_until(lambda: finished() > before)
+        kill_all(supervisor)
+    assert finished() < JOBS
+    with service(deployment.home, deployment.environment):
+        assert run(deployment, "job", "wait", *jobs)["jobs"] == {"succeeded": JOBS}
+    assert set(results(deployment).values()) == {1}
+    assert files_on_disk(deployment) == files_in_catalogue(deployment)
+
+
+def test_a_failed_job_says_why_and_the_rest_goes_on(deployment: Deployment) -> None:
+    if deployment.name == "grown":
+        pytest.skip("how a job fails does not depend on the deployment")
+    make_home(deployment.home, deployment.environment)
+    with service(deployment.home, deployment.environment):
+        run(deployment, "job", "wait", *run(deployment, "job", "submit", "acquire", "-c", "plate")["jobs"])
+        (damaged,) = run(
+            deployment, "data", "find", "--kind", "measurement", "--state", "S01", "--pair", "C1P1"
+        )
+        path = deployment.home / "archive" / damaged["path"]
+        path.write_bytes(path.read_bytes()[:5000])
+        jobs = run(deployment, "job", "submit", "pipeline", "-c", "plate")["jobs"]
+        done = sms("job", "wait", *jobs, "--home", str(deployment.home))
+    assert done.returncode == 5
+    assert "reconstruct plate/S01/C1P1" in done.stderr
+    assert done.stderr.count("\n") <= 2
+    counted = run(deployment, "status")["jobs"]
+    assert counted["failed"] >= 1
+    assert counted["skipped"] >= 1
+    assert counted["succeeded"] > 3  # the reference state and the other pair

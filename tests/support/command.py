@@ -1,0 +1,84 @@
+"""Runs `sms` as a person does: in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+SMS = [sys.executable, "-W", "error::DeprecationWarning:sms_jobs", "-m", "sms_jobs.cli.main"]
+
+
+def sms(
+    *arguments: str, environment: Mapping[str, str] | None = None, timeout: float = 300.0
+) -> subprocess.CompletedProcess[str]:
+    """Run one command to its end."""
+    return subprocess.run(
+        [*SMS, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        env=os.environ | {"COLUMNS": "200"} | dict(environment or {}),
+        stdin=subprocess.DEVNULL,
+        check=False,
+    )
+
+
+def answer(*arguments: str, environment: Mapping[str, str] | None = None, timeout: float = 300.0) -> Any:
+    """Run a command that must succeed, and return the JSON it prints."""
+    done = sms(*arguments, "--json", environment=environment, timeout=timeout)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@contextmanager
+def service(home: Path, environment: Mapping[str, str] | None = None) -> Iterator[psutil.Process]:
+    """Run `sms up` meanwhile; whatever is left of it afterwards is killed."""
+    log = (home / "up.log").open("ab")
+    process = subprocess.Popen(
+        [*SMS, "up", "--home", str(home)],
+        env=os.environ | dict(environment or {}),
+        stdin=subprocess.DEVNULL,
+        stdout=log,
+        stderr=log,
+    )
+    supervisor = psutil.Process(process.pid)
+    try:
+        yield supervisor
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+            process.wait(timeout=120)
+    finally:
+        log.close()
+        if process.poll() is None:
+            kill_all(supervisor)
+            process.wait()
+
+
+def kill_all(process: psutil.Process) -> None:
+    """Kill a process and all below it, with no chance to tidy up."""
+    for one in [*process.children(recursive=True), process]:
+        try:
+            one.kill()
+        except psutil.NoSuchProcess:
+            continue
+
+
+def wait_until(condition: Any, timeout: float = 120.0) -> Any:
+    """Return what `condition()` returns once it is true; fail when it does not become so in time."""
+    deadline = time.monotonic() + timeout
+    while time.monotonic() < deadline:
+        found = condition()
+        if found:
+            return found
+        time.sleep(0.05)
+    raise AssertionError(f"did not become true within {timeout} s")

@@ -1,0 +1,86 @@
+"""Jobs of a small campaign, and how tests claim and look at them."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import DependencyRow, JobRow
+from sms_jobs.jobs import inquiry, lifecycle
+from sms_jobs.jobs.lifecycle import Claim
+from sms_jobs.jobs.planning import Existing, Request, plan
+from sms_jobs.jobs.submission import submit
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.job import JobState
+from sms_jobs.virtual_rig.campaigns import small_plate
+
+NOW = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
+REQUESTS = [Request("acquire"), Request("pipeline")]
+
+
+def _campaign(name: str) -> Campaign:
+    return small_plate(name)[1]
+
+
+JOBS = len(plan(_campaign("any"), REQUESTS, lambda need: Existing(file_id=1)))
+"""Number of jobs of the whole campaign."""
+
+
+def submit_pipeline(
+    catalogue: Catalogue, name: str = "plate", priority: int = 0, fail_with: Exception | None = None
+) -> tuple[str, ...]:
+    """Add a campaign and submit all its jobs; the calibration they need is any file."""
+    with catalogue.writing() as session:
+        campaigns.add_campaign(session, _campaign(name), NOW)
+        add_calibration_file(session, name)
+        done = submit(session, name, REQUESTS, NOW, priority=priority)
+        if fail_with is not None:
+            raise fail_with
+    return done.job_ids
+
+
+def add_calibration_file(session: Session, name: str) -> None:
+    """Index a calibration whose file nobody will open."""
+    from sms_jobs.catalogue.models import FileRow
+
+    file = FileRow(
+        source="calibration",
+        path=f"calibrations/{name}.h5",
+        content_hash=name,
+        size_bytes=1,
+        media_type="application/x-hdf5",
+        created_at=NOW,
+    )
+    session.add(file)
+    session.flush()
+    campaigns.add_calibration(session, small_plate(name)[0], file.id)
+
+
+def claim(catalogue: Catalogue, now: datetime = NOW) -> Claim | None:
+    """Claim the next job as worker `w1`."""
+    with catalogue.writing() as session:
+        return lifecycle.claim(session, ["cpu", "io", "acquisition"], "w1", 4711, now, timedelta(seconds=30))
+
+
+def state(catalogue: Catalogue, job_id: str) -> JobState:
+    """Return the state of a job."""
+    with catalogue.reading() as session:
+        return session.get_one(JobRow, job_id).state
+
+
+def events(catalogue: Catalogue, job_id: str) -> list[inquiry.Event]:
+    """Return what has happened to a job."""
+    with catalogue.reading() as session:
+        return inquiry.events(session, job_id)
+
+
+def ids(session: Session, job_id: str) -> list[str]:
+    """Return the jobs that a job needs."""
+    query = select(DependencyRow.producer_id).where(
+        DependencyRow.job_id == job_id, DependencyRow.producer_id.is_not(None)
+    )
+    return [producer for producer in session.scalars(query) if producer is not None]
