@@ -107,6 +107,24 @@ class ArchivedDataset:
             stored = str(self._group(name).attrs["record"])
         return class_named(stored, self.path)
 
+    def describe(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Return shape, unit and meaning of every array, by record and field, without reading any."""
+        about: dict[str, dict[str, dict[str, Any]]] = {}
+        for name in self.names:
+            arrays = layout_of(self.record_class(name)).arrays
+            with _readable(self.path):
+                group = self._group(name)
+                about[name] = {
+                    field_name: {
+                        "shape": list(group[field_name].shape),
+                        "unit": field.quantity.unit,
+                        "meaning": field.quantity.meaning,
+                    }
+                    for field_name, field in arrays.items()
+                    if field_name in group
+                }
+        return about
+
     def read(self, name: str, record: type[R]) -> R:
         """Read one record; frame stacks stay in the file and are streamed.
 

@@ -128,4 +128,5 @@ KIND = Kind(
     context=recipe,
     queue=Queue.ACQUISITION,
     makes=MEASUREMENT,
+    in_pipeline=False,
 )
