@@ -30,6 +30,9 @@ LIMIT_PERCENTILES = (1.0, 99.0)
 """Colours span the middle 98 % of the values: a few wild pixels must not flatten the rest."""
 
 
+_FLAT = 1e-6  # ten times the rounding of single precision
+
+
 @dataclass(frozen=True)
 class Map:
     """A scalar over an image, ready to be drawn.
@@ -76,13 +79,17 @@ def reduced(values: NDArray[Any], longest: int) -> NDArray[Any]:
 
 
 def robust_limits(values: NDArray[Any]) -> tuple[float, float]:
-    """Return the ends of the colour scale, from the values that are there; (0, 1) if there are none."""
+    """Return the ends of the colour scale, from the values that are there; (0, 1) if there are none.
+
+    A flat field gets some room on both sides, so that its rounding is not made to look like a pattern.
+    """
     known = values[np.isfinite(values)]
     if known.size == 0:
         return 0.0, 1.0
     low, high = (float(p) for p in np.percentile(known, LIMIT_PERCENTILES))
-    if low == high:
-        margin = abs(low) * 1e-6 or 1.0
+    largest = max(abs(low), abs(high))
+    if high - low <= _FLAT * largest:
+        margin = 0.01 * largest or 1.0
         return low - margin, high + margin
     return low, high
 
@@ -91,7 +98,7 @@ def _new_figure(width: float, height: float) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), dpi=DOTS_PER_INCH, layout="constrained", facecolor="white")
+    figure = Figure(figsize=(width, height), dpi=DOTS_PER_INCH, layout="compressed", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
@@ -121,7 +128,8 @@ def draw_map(image: Map, width_px: int = 640) -> bytes:
 
     rows, columns = image.size
     width = width_px / DOTS_PER_INCH
-    height = min(max(0.78 * width * rows / columns + 0.75, 0.4 * width), 1.6 * width)
+    # Labels and colour bar take about 1.45 inches of the width; title and labels 0.85 of the height.
+    height = min(max((width - 1.45) * rows / columns + 0.85, 0.4 * width), 1.6 * width)
     figure = _new_figure(width, height)
     axes = figure.add_subplot()
     colours = matplotlib.colormaps[GREY_LEVELS if image.unit == "count" else COLOUR_MAP]

@@ -42,7 +42,7 @@ _PICTURES_OF_A_STATE = 4
 class ReportParameters(Parameters):
     """How large the page may become."""
 
-    figure_width_px: int = Field(520, ge=240, le=1600, description="width of every picture in pixels")
+    figure_width_px: int = Field(420, ge=240, le=1600, description="width of every picture in pixels")
     most_figures: int = Field(
         100, ge=4, le=1000, description="most pictures; with more states, maps of some are left out"
     )
@@ -204,7 +204,7 @@ def _reference_section(
 ) -> tuple[Section, Mapping[str, datetime]]:
     """Draw the reference state of each camera; also return when it was recorded."""
     label = campaign.reference.label
-    pictures: list[Markup] = []
+    views: list[Markup] = []
     recorded: dict[str, datetime] = {}
     for camera, pair in first_pairs(campaign).items():
         where = f"{camera} ({pair}, {label})"
@@ -214,10 +214,10 @@ def _reference_section(
         if len(campaign.states) > 1:
             found = _role("correlate", campaign.states[1].label, pair)
             regions = inputs.read(found, "regions", Regions)
-        pictures.append(draw.texture(measurement, regions, where))
+        texture = draw.texture(measurement, regions, where)
         cloud = inputs.read(_role("reconstruct", label, pair), "cloud", PointCloud)
-        pictures += [draw.depth(cloud, where), draw.depth_sigma(cloud, where)]
-    return Section(f"Reference state {label}", [html.figures(pictures)]), recorded
+        views.append(html.figures([texture, draw.depth(cloud, where), draw.depth_sigma(cloud, where)]))
+    return Section(f"Reference state {label}", views), recorded
 
 
 def _state_section(
@@ -241,9 +241,9 @@ def _state_section(
         if draw is not None:
             pictures[camera] += draw.strain(strain, f"{camera} ({pair}, {state.label})")
         del strain
-    every = [picture for camera in pictures.values() for picture in camera]
     load = "" if state.load_n is None else f", {html.number(state.load_n)} N"
-    return Section(f"State {state.label}{load}", [html.figures(every)] if every else [], level=3)
+    views = [html.figures(camera) for camera in pictures.values() if camera]
+    return Section(f"State {state.label}{load}", views, level=3)
 
 
 def _results_section(campaign: Campaign, drawn: tuple[LoadState, ...], rows: _Rows) -> Section:

@@ -20,7 +20,7 @@ _STYLE = """
 @media (prefers-color-scheme: dark) { :root { --ink: #e4e6ea; --paper: #16181c; --soft: #22262c;
   --line: #3a4049; --faint: #9aa3ae; } }
 * { box-sizing: border-box; }
-body { margin: 0 auto; padding: 1rem; max-width: 75rem; color: var(--ink); background: var(--paper);
+body { margin: 0 auto; padding: 1rem; max-width: 80rem; color: var(--ink); background: var(--paper);
   font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; }
 h1 { font-size: 1.6rem; margin: .4rem 0; } h2 { font-size: 1.25rem; margin: 2.2rem 0 .6rem;
   border-bottom: 1px solid var(--line); padding-bottom: .2rem; }
@@ -29,8 +29,10 @@ p { margin: .4rem 0; max-width: 50rem; } .faint { color: var(--faint); font-size
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums; margin: .5rem 0; }
 th, td { padding: .3rem .7rem; border-bottom: 1px solid var(--line); text-align: left; vertical-align: top; }
-th { background: var(--soft); } td.number, th.number { text-align: right; white-space: nowrap; }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 21rem), 1fr)); gap: 1rem; }
+th { background: var(--soft); font-weight: 600; }
+td.number, th.number { text-align: right; } td.number { white-space: nowrap; }
+.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 17rem), 1fr)); gap: 1rem;
+  margin: .6rem 0 1.2rem; }
 figure { margin: 0; } figure img { width: 100%; max-width: 40rem; height: auto; border-radius: 4px;
   background: #ffffff; }
 figcaption { font-size: .85rem; color: var(--faint); }
@@ -51,7 +53,7 @@ class Markup:
 
 
 Cell = str | float | int | None | Markup
-"""Of a table: text is escaped, numbers are rounded to four digits, None is a dash."""
+"""Of a table: text is escaped, numbers are rounded to five digits, None is a dash."""
 
 
 def text(plain: str) -> Markup:
@@ -66,12 +68,12 @@ def code(plain: str, title: str = "") -> Markup:
 
 
 def number(value: float | int | None) -> str:
-    """Write a number with four digits; a dash for one that is missing or not finite."""
+    """Write a number with five digits; a dash for one that is missing or not finite."""
     if value is None or not isfinite(value):
         return NOTHING
     if isinstance(value, int):
         return str(value)
-    return f"{value:.4g}"
+    return f"{value:.0f}" if 1e5 <= abs(value) < 1e9 else f"{value:.5g}"
 
 
 def paragraph(plain: str, faint: bool = False) -> Markup:
@@ -79,21 +81,41 @@ def paragraph(plain: str, faint: bool = False) -> Markup:
     return Markup(f"<p{' class=faint' if faint else ''}>{escape(plain)}</p>")
 
 
-def _cell(value: Cell) -> str:
+def _cell(value: Cell, right: bool) -> str:
+    aligned = ' class="number"' if right else ""
     if isinstance(value, Markup):
-        return f"<td>{value.html}</td>"
-    if isinstance(value, str):
-        return f"<td>{escape(value)}</td>"
-    return f'<td class="number">{number(value)}</td>'
+        return f"<td{aligned}>{value.html}</td>"
+    return f"<td{aligned}>{escape(value) if isinstance(value, str) else number(value)}</td>"
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> Markup:
-    """Make a table that scrolls sideways by itself where the screen is narrow."""
-    head = "".join(f"<th>{escape(name)}</th>" for name in header)
-    body = "".join(f"<tr>{''.join(_cell(value) for value in row)}</tr>\n" for row in rows)
+def table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Markup:
+    """Make a table that scrolls sideways where the screen is narrow; columns of numbers lean right."""
+    numeric = [
+        any(isinstance(row[place], int | float) for row in rows)
+        and not any(isinstance(row[place], str | Markup) for row in rows)
+        for place in range(len(header))
+    ]
+    head = "".join(
+        f"<th{' class=number' if right else ''}>{escape(name)}</th>"
+        for name, right in zip(header, numeric, strict=True)
+    )
+    body = "".join(
+        f"<tr>{''.join(_cell(value, right) for value, right in zip(row, numeric, strict=True))}</tr>\n"
+        for row in rows
+    )
     return Markup(
         f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>\n{body}</tbody></table></div>'
     )
+
+
+def facts(pairs: Iterable[tuple[str, str]]) -> Markup:
+    """Make a table of names and what they stand for; those that stand for nothing are left out."""
+    body = "".join(
+        f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>\n'
+        for name, value in pairs
+        if value
+    )
+    return Markup(f'<div class="wide"><table><tbody>\n{body}</tbody></table></div>')
 
 
 def figure(png: bytes, caption: str) -> Markup:

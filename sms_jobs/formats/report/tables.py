@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 
-from sms_jobs.formats.report.html import Cell, Markup, table
+from sms_jobs.formats.report.html import Cell, Markup, facts, table
 from sms_jobs.records.assessment import Assessment, Errors
 from sms_jobs.records.campaign import Campaign, LoadState
 
@@ -21,18 +21,19 @@ def local_time(time: datetime | None) -> str | None:
 def campaign_facts(campaign: Campaign) -> Markup:
     """Say what was tested, with what and how."""
     sequence = campaign.sequence
-    facts: list[tuple[str, Cell]] = [
-        ("specimen", campaign.specimen.name),
-        ("material", campaign.specimen.material or None),
-        ("description", campaign.specimen.description or None),
-        ("rig", campaign.rig + (" (virtual)" if campaign.scene is not None else "")),
-        ("pairs of camera and projector", ", ".join(campaign.pairs)),
-        ("fringe densities", ", ".join(str(density) for density in sequence.densities)),
-        ("phase steps", sequence.steps),
-        ("fringe orientations [rad]", ", ".join(f"{angle:.4g}" for angle in sequence.orientations_rad)),
-        ("states", len(campaign.states)),
-    ]
-    return table(["", ""], [[name, str(value) if isinstance(value, int) else value] for name, value in facts])
+    return facts(
+        [
+            ("specimen", campaign.specimen.name),
+            ("material", campaign.specimen.material),
+            ("description", campaign.specimen.description),
+            ("rig", campaign.rig + (" (virtual)" if campaign.scene is not None else "")),
+            ("pairs of camera and projector", ", ".join(campaign.pairs)),
+            ("fringe densities", ", ".join(str(density) for density in sequence.densities)),
+            ("phase steps", str(sequence.steps)),
+            ("fringe orientations [rad]", ", ".join(f"{angle:.4g}" for angle in sequence.orientations_rad)),
+            ("states", str(len(campaign.states))),
+        ]
+    )
 
 
 def load_states(states: Sequence[LoadState], recorded: Mapping[str, datetime]) -> Markup:

@@ -28,16 +28,19 @@ from sms_jobs.records.scene import HalvesApart, Plane, Scene
 from sms_jobs.records.sensors import Box, Calibration, Role, Sensor
 
 WHEN = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+CAMERAS = ("C1", "C2")
 POSE = Pose(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 500.0))
 
 
-def campaign(states: int = 3, virtual: bool = True, material: str = "") -> Campaign:
+def campaign(
+    states: int = 2, virtual: bool = True, material: str = "", pairs: tuple[str, ...] = ("C1P1",)
+) -> Campaign:
     loads = tuple(
         LoadState(f"S{i:02}", load_n=1234.5 * i, deformation=(HalvesApart(0.1 * i),)) for i in range(states)
     )
     scene = Scene((), Plane(100.0, 100.0)) if virtual else None
     specimen = Specimen("panel", material=material)
-    return Campaign("plate", specimen, "rig", loads, ("C1P1", "C1P2", "C2P1"), scene=scene)
+    return Campaign("plate", specimen, "rig", loads, pairs, scene=scene)
 
 
 def grid(size: tuple[int, int]) -> Any:
@@ -82,7 +85,7 @@ def records_for(need: Need, size: tuple[int, int]) -> Mapping[str, Any]:
         names = np.ones(size, np.uint8)
         fields = {
             c: MergedField(c, ("C1P1", "C1P2"), 0.012, shift, np.stack([x, y, z]), covariance, names, reason)
-            for c in ("C1", "C2")
+            for c in CAMERAS
         }
         return {**fields, "mesh": mesh()}
     assert need.source == "assess", need
@@ -178,7 +181,7 @@ def test_the_kinds_are_found_by_themselves() -> None:
 
 
 def test_a_report_is_one_page_that_needs_nothing_else(run: Run) -> None:
-    ((output, path),) = run(report.KIND, campaign(), Subject("plate"))
+    ((output, path),) = run(report.KIND, campaign(3, pairs=("C1P1", "C1P2", "C2P1")), Subject("plate"))
     assert (output.filename, output.media_type) == ("plate-report.html", "text/html")
     page = Checker.of(path.read_text(encoding="utf-8"))
     words = " ".join(page.words)
@@ -187,7 +190,7 @@ def test_a_report_is_one_page_that_needs_nothing_else(run: Run) -> None:
     assert all(link.startswith(("#", "data:image/png;base64,")) for link in page.links)
     assert "<script" not in path.read_text()
     # A volume of 300 x 400 mm: its diagonal is 500 mm, and 0.02 mm of error the 25,000th part of it.
-    for text in ("panel", "C1P2", "2469", "500 mm", "2.5e+04", "42", "97", "Accuracy", "merge, version 1"):
+    for text in ("panel", "C1P2", "2469", "500 mm", "25000", "42", "97", "Accuracy", "merge, version 1"):
         assert text in words, text
 
 
@@ -210,28 +213,28 @@ def test_a_real_campaign_has_no_table_of_errors(run: Run) -> None:
 def test_a_campaign_with_its_reference_state_alone_has_a_report(run: Run) -> None:
     ((_, path),) = run(report.KIND, campaign(states=1), Subject("plate"))
     page = Checker.of(path.read_text(encoding="utf-8"))
-    assert len(page.images) == 6
+    assert len(page.images) == 3
     assert "Displacement and strain" not in page.words
 
 
 def test_many_states_leave_out_maps_but_no_numbers(run: Run) -> None:
     long = campaign(states=9, virtual=False)
-    shown = [state.label for state in report.shown_states(long, 24)]
+    shown = [state.label for state in report.shown_states(long, 12)]
     assert len(shown) == 3
     assert shown[-1] == "S08"
     assert [s.label for s in report.shown_states(long, 1000)] == [f"S{i:02}" for i in range(1, 9)]
-    ((_, path),) = run(report.KIND, long, Subject("plate"), most_figures=24)
+    ((_, path),) = run(report.KIND, long, Subject("plate"), most_figures=12, figure_width_px=240)
     words = Checker.of(path.read_text(encoding="utf-8")).words
     assert "Maps are shown of 3 of the 8 deformed states." in words
     assert all(words.count(f"S{i:02}") >= 2 for i in range(1, 9))
 
 
 def test_the_report_of_the_same_results_is_the_same(run: Run, tmp_path: Path) -> None:
-    ((_, path),) = run(report.KIND, campaign(), Subject("plate"))
+    ((_, path),) = run(report.KIND, campaign(states=1), Subject("plate"))
     first = path.read_bytes()
     for file in sorted((tmp_path / "archive").rglob("*.h5")):
         file.unlink()
-    ((_, path),) = run(report.KIND, campaign(), Subject("plate"))
+    ((_, path),) = run(report.KIND, campaign(states=1), Subject("plate"))
     assert path.read_bytes() == first
 
 
@@ -245,7 +248,7 @@ def test_export_writes_every_format_once(run: Run) -> None:
 
 
 def test_export_writes_only_what_is_asked_for(run: Run) -> None:
-    documents = run(export.KIND, campaign(), Subject("plate", "S02"), formats=("stl", "stl", "ply"))
+    documents = run(export.KIND, campaign(states=3), Subject("plate", "S02"), formats=("stl", "stl", "ply"))
     assert [output.media_type for output, _ in documents] == ["model/stl", "model/x-ply"]
     with pytest.raises(ValidationError, match=re.escape("there is no format docx; choose among csv, obj")):
         export.ExportParameters(formats=("docx",))
