@@ -1,10 +1,10 @@
-"""Campaigns on the virtual rig: the thesis's top hat under mid-point bending, and a small plate."""
+"""Campaigns on the virtual rig: the thesis's experiments, a tension panel, and a small plate."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,6 +16,8 @@ from sms_jobs.records.scene import (
     CameraResponse,
     MidPointBending,
     Plane,
+    PlateAndMirror,
+    PlateWithHoleAndStep,
     ProjectorResponse,
     Rigid,
     Scene,
@@ -29,6 +31,11 @@ from sms_jobs.records.sensors import Box, Calibration, Role, Sensor
 START = datetime(2026, 1, 5, 9, 0, tzinfo=UTC)
 HOLD = timedelta(minutes=10)
 ORIGIN = "exact parameters of the virtual rig"
+
+
+Made: TypeAlias = tuple[Calibration, Campaign]
+Size: TypeAlias = Literal["small", "full"]
+PIXELS: dict[Size, int] = {"small": 512, "full": 1024}
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,7 @@ def aimed(name: str, columns: int, rows: int, lens: Lens, centre: Vector, roll_r
     return Sensor(name, role, columns, rows, intrinsics, Pose.looking_at(np.array(centre), np.zeros(3), up))
 
 
-def top_hat_bending(name: str, size: Literal["small", "full"]) -> tuple[Calibration, Campaign]:
+def top_hat_bending(name: str, size: Size) -> Made:
     """Return the rig and the campaign of thesis section 5.3: a top hat, pushed out at its middle.
 
     Two scanners, each a camera and a projector 1.2 m apart, stand 2.5 m away on the left (C1, P1) and on
@@ -73,7 +80,7 @@ def top_hat_bending(name: str, size: Literal["small", "full"]) -> tuple[Calibrat
     size
         Cameras of 512 x 512 px or of 1024 x 1024 px; the speckles have about 6 px in both.
     """
-    pixels = {"small": 512, "full": 1024}[size]
+    pixels = PIXELS[size]
     sensors = (
         aimed("C1", pixels, pixels, CAMERA_LENS, (-1500.0, 600.0, 1900.0), 0.02),
         aimed("C2", pixels, pixels, CAMERA_LENS, (1500.0, -600.0, 1900.0), -0.03),
@@ -108,7 +115,7 @@ def top_hat_bending(name: str, size: Literal["small", "full"]) -> tuple[Calibrat
     return calibration, campaign
 
 
-def small_plate(name: str) -> tuple[Calibration, Campaign]:
+def small_plate(name: str) -> Made:
     """Return a rig and a campaign that go through every job kind in seconds.
 
     A flat plate of 150 mm, stretched by 0.5 % and moved by about a millimetre, seen by one camera of
@@ -139,6 +146,117 @@ def small_plate(name: str) -> tuple[Calibration, Campaign]:
     sequence = FringeSequence((16, 15, 14, 12, 8))
     campaign = Campaign(name, specimen, calibration.rig, states, calibration.pairs(), sequence, scene)
     return calibration, campaign
+
+
+def hole_and_step_translation(name: str, size: Size) -> Made:
+    """Return the rig and the campaign of thesis section 4.6: a plate with a hole and a step, translated.
+
+    One scanner, 2.7 m away, sees a plate of 700 mm that is tilted by 10 degrees and moved in its plane.
+    """
+    pixels = PIXELS[size]
+    lens = Lens(3.3, -0.08, 0.12, 2e-4, -3e-4)
+    sensors = _scanner(pixels, lens, Lens(2.4, -0.05, 0.08, -4e-4, 2e-4), 2700.0)
+    surface = PlateWithHoleAndStep(
+        640.0, 640.0, (-140.0, 60.0), 70.0, step_centre_mm=(150.0, -80.0), step_size_mm=(180.0, 220.0),
+        step_height_mm=40.0,
+    )  # fmt: skip
+    scene = Scene(
+        sensors,
+        surface,
+        Speckle(diameter_mm=7.0 * 2700.0 / (lens.focal * pixels)),
+        _placed((0.0, 0.1745, 0.0), (0.0, 0.0, 0.0)),
+        CameraResponse(exposure=0.9),
+        ProjectorResponse(defocus_px=0.8, visibility=0.95),
+    )
+    shifts = (0.0, 0.127, 0.508, 1.016, 5.08, 10.16)
+    states = tuple(
+        LoadState(
+            f"S{number:02d}",
+            displacement_mm=shift,
+            time=START + number * HOLD,
+            deformation=(Rigid(translation_mm=(shift, 0.0, 0.0)),) if number else (),
+        )
+        for number, shift in enumerate(shifts)
+    )
+    specimen = Specimen("plate with hole and step", "plastic", "discontinuous plate on a translation stage")
+    return _made(name, "virtual-scanner", sensors, 360.0, specimen, states, FringeSequence(), scene)
+
+
+def tension_panel(name: str, size: Size) -> Made:
+    """Return the rig and the campaign of a flat panel in tension, 300 mm in the image.
+
+    Strains of 0, 500, 1000 and 2000 microstrain, each with a small rigid motion of the grips.
+    """
+    pixels = PIXELS[size]
+    lens = Lens(6.6, -0.08, 0.12, 2e-4, -3e-4)
+    sensors = _scanner(pixels, lens, Lens(5.0, -0.05, 0.08, -4e-4, 2e-4), 2200.0)
+    scene = Scene(
+        sensors,
+        Plane(290.0, 290.0),
+        Speckle(diameter_mm=6.0 * 2200.0 / (lens.focal * pixels)),
+        _placed((0.03, -0.02, 0.01), (2.0, -1.0, 4.0)),
+        CameraResponse(exposure=0.9),
+        ProjectorResponse(defocus_px=0.8, visibility=0.95),
+    )
+    states = [LoadState("S00", 0.0, 0.0, START)]
+    for number, strain in enumerate((5e-4, 1e-3, 2e-3), start=1):
+        motion = Rigid((1e-4, -2e-4, 1e-4), (100.0 * strain, -50.0 * strain, 80.0 * strain))
+        deformation = (UniaxialStrain(strain, 0.33), motion)
+        load_n, time = 7.0e7 * strain, START + number * HOLD
+        states.append(LoadState(f"S{number:02d}", load_n, 290.0 * strain, time, deformation=deformation))
+    specimen = Specimen("tension panel", "aluminium", "flat panel, 2 mm thick, stretched along x")
+    return _made(name, "virtual-scanner", sensors, 160.0, specimen, tuple(states), FringeSequence(), scene)
+
+
+def plate_and_mirror(name: str, size: Size, fringes: int = 64) -> Made:
+    """Return the rig and the campaign of thesis section 7.3.1: a white plate beside a mirror.
+
+    The plate stands upright and faces the scanner, the mirror lies below it and lights its lower half a
+    second time. The sequence is linear, 1 .. `fringes`.
+    """
+    pixels = PIXELS[size]
+    lens = Lens(3.6, -0.08, 0.12, 2e-4, -3e-4)
+    sensors = _scanner(pixels, lens, Lens(2.8, -0.05, 0.08, -4e-4, 2e-4), 2500.0)
+    opening = 2.0 * np.pi / 3.0
+    lean = (np.pi - opening) / 2.0
+    # The hinge is brought along X, the plate along Y, and the plate's normal along Z.
+    upright = np.array(
+        [[0.0, 1.0, 0.0], [-np.cos(lean), 0.0, np.sin(lean)], [np.sin(lean), 0.0, np.cos(lean)]]
+    )
+    scene = Scene(
+        sensors,
+        PlateAndMirror(400.0, 300.0, opening, 0.5, 200.0),
+        placement=Pose.from_arrays(upright, np.array([0.0, -110.0, -50.0])),
+        camera=CameraResponse(exposure=0.6),
+    )
+    states = (LoadState("S00", time=START),)
+    specimen = Specimen("plate and mirror", "plastic", "diffuse white plate and a mirror in a V")
+    sequence = FringeSequence(tuple(range(1, fringes + 1)))
+    return _made(name, "virtual-scanner", sensors, 330.0, specimen, states, sequence, scene)
+
+
+def _scanner(pixels: int, camera: Lens, projector: Lens, distance: float) -> tuple[Sensor, ...]:
+    """Return one camera and one projector, 1.2 m apart along x, at a distance from the world's origin."""
+    z = float(np.sqrt(distance**2 - 600.0**2))
+    return (
+        aimed("C1", pixels, pixels, camera, (-600.0, 40.0, z), 0.01),
+        aimed("P1", 1024, 768, projector, (600.0, -30.0, z), -0.02),
+    )
+
+
+def _made(
+    name: str,
+    rig: str,
+    sensors: tuple[Sensor, ...],
+    half_mm: float,
+    specimen: Specimen,
+    states: tuple[LoadState, ...],
+    sequence: FringeSequence,
+    scene: Scene,
+) -> Made:
+    volume = Box((-half_mm, -half_mm, -half_mm), (half_mm, half_mm, half_mm))
+    calibration = Calibration(rig, sensors, volume, START, ORIGIN)
+    return calibration, Campaign(name, specimen, rig, states, calibration.pairs(), sequence, scene)
 
 
 def _placed(rotation_rad: Vector, translation_mm: Vector) -> Pose:

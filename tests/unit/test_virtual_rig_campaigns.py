@@ -10,11 +10,25 @@ import pytest
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.scene import Simulation
 from sms_jobs.records.sensors import Calibration, split_pair
-from sms_jobs.virtual_rig.campaigns import small_plate, top_hat_bending
+from sms_jobs.virtual_rig.campaigns import (
+    hole_and_step_translation,
+    plate_and_mirror,
+    small_plate,
+    tension_panel,
+    top_hat_bending,
+)
+from sms_jobs.virtual_rig.light import trace
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import exact_shape
 
-BOTH = [small_plate("plate"), top_hat_bending("hat", "small")]
+HAT = top_hat_bending("hat", "small")[1]
+PRINTED = [
+    small_plate("plate"),
+    top_hat_bending("hat", "small"),
+    hole_and_step_translation("step", "small"),
+    tension_panel("panel", "small"),
+]
+NAMES = ["plate", "hat", "step", "panel"]
 
 
 def simulation(campaign: Campaign, state: int, pair: str) -> Simulation:
@@ -23,12 +37,12 @@ def simulation(campaign: Campaign, state: int, pair: str) -> Simulation:
     return Simulation(campaign.scene, *split_pair(pair), load.deformation, load.label)
 
 
-@pytest.mark.parametrize(("calibration", "campaign"), BOTH, ids=["plate", "hat"])
+@pytest.mark.parametrize(("calibration", "campaign"), PRINTED, ids=NAMES)
 def test_every_state_stays_in_the_volume_and_in_the_image(
     calibration: Calibration, campaign: Campaign
 ) -> None:
     low, high = (np.array(c)[:, None, None] for c in (calibration.volume.low, calibration.volume.high))
-    for state in range(len(campaign.states)):
+    for state in (0, len(campaign.states) - 1):
         for pair in campaign.pairs:
             shape = exact_shape(simulation(campaign, state, pair))
             inside = (shape.xyz > low) & (shape.xyz < high)
@@ -39,7 +53,7 @@ def test_every_state_stays_in_the_volume_and_in_the_image(
             assert shape.seen.mean() > 0.4
 
 
-@pytest.mark.parametrize(("calibration", "campaign"), BOTH, ids=["plate", "hat"])
+@pytest.mark.parametrize(("calibration", "campaign"), PRINTED, ids=NAMES)
 def test_rays_meet_at_a_useful_angle(calibration: Calibration, campaign: Campaign) -> None:
     for pair in campaign.pairs:
         camera, projector = (calibration.sensor(name).pose.centre() for name in split_pair(pair))
@@ -48,7 +62,7 @@ def test_rays_meet_at_a_useful_angle(calibration: Calibration, campaign: Campaig
 
 
 def test_the_calibration_is_the_truth_and_the_states_are_in_order() -> None:
-    for calibration, campaign in BOTH:
+    for calibration, campaign in PRINTED:
         assert campaign.scene is not None
         assert campaign.scene.sensors == calibration.sensors
         assert campaign.pairs == calibration.pairs()
@@ -60,7 +74,7 @@ def test_the_calibration_is_the_truth_and_the_states_are_in_order() -> None:
 
 
 def test_crossed_pairs_miss_the_side_that_straight_pairs_see() -> None:
-    campaign = BOTH[1][1]
+    campaign = HAT
     lit = {}
     for pair in campaign.pairs:
         shape = exact_shape(simulation(campaign, 0, pair))
@@ -76,10 +90,29 @@ def test_crossed_pairs_miss_the_side_that_straight_pairs_see() -> None:
 
 
 def test_light_is_neither_scarce_nor_too_much() -> None:
-    for _, campaign in BOTH:
+    for _, campaign in PRINTED:
         for pair in campaign.pairs:
             sim = simulation(campaign, 0, pair)
             rendering = render(sim, replace(campaign.sequence, densities=(8,)))
             lit = exact_shape(sim).lit
             assert (rendering.texture < rendering.full_scale).all()
             assert np.percentile(rendering.texture[lit], 90) > 0.4 * rendering.full_scale
+
+
+def test_the_lower_half_of_the_plate_is_lit_twice() -> None:
+    calibration, campaign = plate_and_mirror("mirror", "small", fringes=8)
+    assert campaign.sequence.densities == tuple(range(1, 9))
+    sim = simulation(campaign, 0, "C1P1")
+    shape, light = exact_shape(sim), trace(sim)
+    assert shape.lit[shape.seen].all()
+    low, high = (np.array(c)[:, None, None] for c in (calibration.volume.low, calibration.volume.high))
+    assert ((shape.xyz > low) & (shape.xyz < high)).all(axis=0)[shape.seen].all()
+    twice = light.strength[1, ::2, ::2] > 0.0
+    height = shape.material[2]  # along the plate, both ways up the V
+    upper, lower = (shape.seen & part for part in (height > 140.0, height < 100.0))
+    assert not twice[upper].any()
+    assert twice[lower].mean() > 0.75
+    ratio = (light.strength[1] / np.maximum(light.strength[0], 1e-6))[::2, ::2][lower & twice]
+    assert 0.15 < ratio.min() < ratio.max() < 0.6
+    # In the mirror the camera sees the plate again, lit in both ways.
+    assert (light.strength[0, ::2, ::2] > 0.0)[shape.region == 2].mean() > 0.7
