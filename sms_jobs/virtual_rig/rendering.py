@@ -113,7 +113,8 @@ class SimulatedFrames:
         return self._recorded(self._steady[0] + self._steady[1], self._sequence.frames, 0)
 
     def frame(self, index: int) -> Image:
-        """Return one frame, (rows, columns)."""
+        """Return one frame, (rows, columns); raise `IndexError` for a frame that there is not."""
+        index = range(self._sequence.frames)[index]
         return self._recorded(self.expected(index), index, 0)
 
     def rows(self, start: int, stop: int) -> Image:

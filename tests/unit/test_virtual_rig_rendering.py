@@ -288,6 +288,9 @@ def test_a_frame_is_the_same_in_any_order_on_any_threads_and_in_rows() -> None:
     backward = np.stack([two.frames.frame(i) for i in reversed(range(SEQUENCE.frames))])[::-1]
     np.testing.assert_array_equal(forward, backward)
     assert one.frames.shape == forward.shape == (16, SIZE, SIZE)
+    np.testing.assert_array_equal(one.frames.frame(-1), forward[-1])
+    with pytest.raises(IndexError):
+        one.frames.frame(16)
     for start, stop in [(0, SIZE), (3, 17), (60, 70), (64, 80)]:
         np.testing.assert_array_equal(one.frames.rows(start, stop), forward[:, start:stop])
 
