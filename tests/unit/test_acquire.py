@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sms_jobs.archive import Archive
+from sms_jobs.archive.provenance import Provenance
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.acquire import KIND, UNTIMED, AcquireParameters, Recipe
 from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Inputs, default_subjects
@@ -90,3 +93,18 @@ def test_it_makes_measurements_from_nothing() -> None:
     assert not list(KIND.needs(CAMPAIGN, Subject("plate", "S00")))
     assert [str(s) for s in default_subjects(KIND, CAMPAIGN)] == ["plate/S00", "plate/S01"]
     assert KIND.repeatable(AcquireParameters())
+
+
+def test_a_recording_comes_back_from_the_archive_with_what_was_simulated(tmp_path: Path) -> None:
+    output = recorded(CAMPAIGN, "S01")["plate/S01/C1P2"]
+    provenance = Provenance(
+        "acquire", 1, output.subject, "0123456789abcdef", 1, UNTIMED, {}, (), "0", "host", "operator"
+    )
+    archive = Archive(tmp_path)
+    sealed = archive.seal_dataset(output.records, provenance)
+    made = measurement_of(output)
+    with archive.open(sealed.path) as dataset:
+        read = dataset.read("measurement", Measurement)
+        # Equal in value: the truth of two states is looked for in equal scenes.
+        assert read.simulation == made.simulation
+        np.testing.assert_array_equal(read.frames.rows(10, 40), made.frames.rows(10, 40))
