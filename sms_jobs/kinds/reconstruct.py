@@ -33,7 +33,14 @@ from sms_jobs.metrology.images.masks import (
 )
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
-from sms_jobs.metrology.phase.texture_error import Blur, estimate_blur, log_gradient, texture_shift
+from sms_jobs.metrology.phase.texture_error import (
+    TYPICAL,
+    Blur,
+    estimate_blur,
+    log_gradient,
+    texture_shift,
+    textured_interior,
+)
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import PhaseMaps, PointCloud
 from sms_jobs.records.measurement import Measurement
@@ -230,16 +237,17 @@ def _correct_texture(
     A pixel whose light comes from too far off its centre sees past the edge of a surface or a shadow.
     """
     usable = reason == Reason.VALID
-    brightness = np.where(np.isnan(phase.modulation), 0.0, phase.modulation).mean(axis=0)
-    gradient = log_gradient(brightness)
+    gradient = log_gradient(phase.modulation.mean(axis=0))
     shift = texture_shift(phase.omega, usable, gradient, rays.threads)
-    blur = Blur(parameters.blur_px**2, 0.0) if parameters.blur_px is not None else Blur(0.0, 0.0)
-    if parameters.blur_px is None and len(phase.orientations_rad) > 1:
+    blur = TYPICAL
+    if parameters.blur_px is not None:
+        blur = Blur(parameters.blur_px**2, TYPICAL.unexplained)
+    elif len(phase.orientations_rad) > 1:
         every = max(len(usable) // _BLUR_ROWS, 1)
         omega, change = phase.omega[:, ::every].copy(), shift[:, ::every].copy()
         sigma = phase.omega_sigma[:, ::every].copy()
         before, after = rays.meet(omega, sigma, every), rays.meet(omega - change, sigma, every)
-        seen = usable[::every]
+        seen = textured_interior(usable, gradient)[::every]
         blur = estimate_blur(
             before.ray_gap[seen], before.ray_gap_sigma[seen], (after.ray_gap - before.ray_gap)[seen]
         )

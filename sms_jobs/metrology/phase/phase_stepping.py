@@ -90,11 +90,12 @@ def add_frame(
 
 
 @kernel
-def phase_and_power(cosine: Floats, sine: Floats, phase: Floats, power: Floats) -> None:
-    """Turn one row of C and S into the wrapped phase in rad and B^2."""
+def phase_and_power(cosine: Floats, sine: Floats, phase: Floats, power: Floats, total: Floats) -> None:
+    """Turn one row of C and S into the wrapped phase in rad and B^2, and add B^2 to the total."""
     for j in range(cosine.size):
         phase[j] = angle(sine[j], cosine[j])
         power[j] = cosine[j] * cosine[j] + sine[j] * sine[j]
+        total[j] += power[j]
 
 
 @kernel

@@ -76,7 +76,8 @@ class PhaseGradient:
     omega, omega_sigma
         Phase gradient in rad per fringe, in -pi .. pi, and its standard deviation from the noise model.
     modulation
-        Root mean square of B over the fitted densities, in grey levels.
+        Root mean square of B over all densities, in grey levels; the saturated ones too, so that the map
+        has no edges where densities drop out of the fit.
     phase_error
         Residual of the phase against the fringe density in rad, as an estimate of the standard deviation
         of one phase: expected to be `phase_sigma` of noise and modulation. NaN where one density is fitted.
@@ -242,9 +243,9 @@ def _add_residual(rung: Floats, t: float, power: Floats, omega: Floats, squares:
 def _finish(
     moments: Floats, squares: Floats, omega: Floats, maps: Single, noise_variance: Floats, q: int, least: int
 ) -> None:
-    """Write omega, its standard deviation, modulation and phase error of one row; NaN with too few densities.
+    """Write omega, its standard deviation and the phase error of one row; NaN with too few densities.
 
-    `maps` is (3, columns).
+    `maps` is (3, columns): the standard deviation, the modulation, which is there already, the error.
     """
     for j in range(omega.size):
         n = moments[3, j]
@@ -252,7 +253,6 @@ def _finish(
         weight = moments[2, j] if enough else np.nan
         omega[j] = omega[j] - 2.0 * pi * np.rint(omega[j] * (0.5 / pi)) if enough else np.nan
         maps[0, j] = np.sqrt(2.0 / q * noise_variance[j] / moments[1, j]) if enough else np.nan
-        maps[1, j] = np.sqrt(weight / n)
         maps[2, j] = np.sqrt(squares[j] / weight * n / (n - 1.0)) if n > 1.0 else np.nan
 
 
@@ -280,11 +280,12 @@ def _unwrap_rows(
     phase, power = np.empty((n, columns)), np.empty((n, columns))
     climbed = np.zeros((rung_density.size + 1, columns))  # the last stays 0: no prediction
     quadratures, moments = np.empty((2, columns)), np.empty((4, columns))
-    total, squares = np.empty(columns), np.empty(columns)
+    total, squares, all_power = np.empty(columns), np.empty(columns), np.empty(columns)
     worst = np.empty((2, columns))
     for block_row in range(frames.shape[1]):
         row = start + block_row
         total[:] = 0.0
+        all_power[:] = 0.0
         for i in range(n):
             quadratures[:] = 0.0
             for k in range(q):
@@ -296,7 +297,7 @@ def _unwrap_rows(
                     quadratures[1],
                     total,
                 )
-            phase_and_power(quadratures[0], quadratures[1], phase[i], power[i])
+            phase_and_power(quadratures[0], quadratures[1], phase[i], power[i], all_power)
             for k in range(q):
                 mark_saturated(frames[i * q + k, block_row], full_scale, power[i])
         worst[:] = 0.0
@@ -319,6 +320,7 @@ def _unwrap_rows(
             total[j] /= n * q
         for i in range(n):
             _add_residual(climbed[top[i]], densities[i], power[i], omega[row], squares)
+        maps[1, row] = np.sqrt(all_power / n)
         maps[3, row] = total
         for j in range(columns):
             flags[0, row, j] = np.uint8(moments[3, j])

@@ -22,8 +22,10 @@ Mask = NDArray[np.bool_]
 Floating = NDArray[np.floating]
 
 _LARGEST_BLUR = 2.0  # px^2; a camera so far out of focus is not used for correlation
+_PRECISION = 1.0 / 0.15**2  # of TYPICAL.variance, in 1/px^4
 _TRIM = 4.0  # robust standard deviations
-_FEWEST = 100  # pixels
+_ROUNDS = 4
+_TEXTURED = 0.05  # 1/px: several times the noise of ln B, a twentieth of a speckle's edge
 
 
 @dataclass(frozen=True)
@@ -33,13 +35,17 @@ class Blur:
     Attributes
     ----------
     variance
-        s^2 in px^2, the pixel's own area included; 0 where the data do not tell.
+        s^2 in px^2, the pixel's own area included.
     unexplained
         Part of the correction, 0 .. 1, that is to be taken as its standard deviation.
     """
 
     variance: float
     unexplained: float
+
+
+TYPICAL = Blur(1.0 / 3.0, 0.25)
+"""Of a lens in focus: a spot of 0.5 px and the pixel's own 1/12 px^2."""
 
 
 def log_gradient(brightness: Floating) -> Floats:
@@ -116,33 +122,48 @@ def texture_shift(omega: Floats, valid: Mask, gradient: Floats, threads: int = 1
     return shift
 
 
+def textured_interior(valid: Mask, gradient: Floats, margin: int = 4) -> Mask:
+    """Return the pixels that tell the blur: on texture, all pixels within `margin` px being valid.
+
+    Beside edges the gap has other reasons and the spline still rings; without texture the gradient is noise, which would make the
+    blur seem too small.
+    """
+    inside = ndimage.binary_erosion(valid, np.ones((1, 2 * margin + 1), dtype=bool))
+    inside = ndimage.binary_erosion(inside, np.ones((2 * margin + 1, 1), dtype=bool))
+    return np.asarray(inside & (np.hypot(gradient[0], gradient[1]) > _TEXTURED))
+
+
 def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating) -> Blur:
     """Find s^2 from the ray gaps that the texture opens, by trimmed weighted least squares.
 
     Parameters
     ----------
     gap, gap_sigma
-        (points,), signed ray gap before the correction and its standard deviation from noise, in mm.
+        (points,), signed ray gap before the correction and its standard deviation from noise, in mm; of
+        pixels of a `textured_interior`.
     change
         (points,), how the gap changes with s^2, in mm/px^2.
 
     Notes
     -----
     gap + s^2 change = noise. What remains of the gap's variance beyond the noise is ascribed to the
-    correction, as the part `unexplained` of it.
+    correction, as the part `unexplained` of it. `TYPICAL` enters with its own uncertainty and decides
+    where there is little texture or none.
     """
     known = np.isfinite(gap) & np.isfinite(change) & (gap_sigma > 0.0)
     g, h, w = gap[known].astype(float), change[known].astype(float), gap_sigma[known].astype(float) ** -2
-    if g.size < _FEWEST or not np.any(h):
-        return Blur(0.0, 0.0)
-    variance, kept = 0.0, np.ones(g.size, dtype=bool)
-    for _ in range(4):
-        found = -np.sum((w * g * h)[kept]) / np.sum((w * h * h)[kept])
+    variance, scale, kept = TYPICAL.variance, 1.0, np.ones(g.size, dtype=bool)
+    rest = (g + variance * h) * np.sqrt(w)
+    for _ in range(_ROUNDS):
+        scale = max(1.0, float(np.median(np.abs(rest))) / 0.6745) if rest.size else 1.0
+        kept = np.abs(rest) < _TRIM * scale
+        told = float(np.sum((w * h * h)[kept])) / scale**2
+        pull = -float(np.sum((w * g * h)[kept])) / scale**2
+        found = (pull + TYPICAL.variance * _PRECISION) / (told + _PRECISION)
         variance = float(np.clip(found, 0.0, _LARGEST_BLUR))
         rest = (g + variance * h) * np.sqrt(w)
-        kept = np.abs(rest) < _TRIM * max(1.0, float(np.median(np.abs(rest))) / 0.6745)
     correction = variance * variance * np.sum((w * h * h)[kept])
     excess = np.sum(rest[kept] ** 2) - np.count_nonzero(kept)
-    if correction == 0.0:
-        return Blur(0.0, 0.0)
-    return Blur(variance, float(np.sqrt(np.clip(excess / correction, 0.0, 1.0))))
+    part = float(np.clip(excess / correction, 0.0, 1.0)) if correction > 0.0 else 0.0
+    share = told / (told + _PRECISION)
+    return Blur(variance, float(np.sqrt(share * part + (1.0 - share) * TYPICAL.unexplained**2)))
