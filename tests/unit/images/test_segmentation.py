@@ -1,0 +1,161 @@
+"""Segmentation: regions end at discontinuities, and only there."""
+
+from __future__ import annotations
+
+from math import pi, tan
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.images.segmentation import (
+    ContinuousRegions,
+    find_discontinuities,
+    label_regions,
+    pixel_footprint,
+    surface_gradient,
+)
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ROWS, COLUMNS = 48, 64
+PIXEL = 0.8  # footprint in mm
+NOISE = 0.02  # mm
+Y, X = np.indices((ROWS, COLUMNS)).astype(float)
+ALL = np.ones((ROWS, COLUMNS), dtype=bool)
+
+
+def surface(height: Floats, rng: np.random.Generator | None = None) -> Floats:
+    """Return xyz of a surface seen from far above, height in mm."""
+    xyz = np.stack([X * PIXEL, Y * PIXEL, height])
+    return xyz if rng is None else xyz + rng.normal(scale=NOISE, size=xyz.shape)
+
+
+def segment(xyz: Floats, valid: Mask = ALL, minimum_area: int = 20, threads: int = 1) -> ContinuousRegions:
+    sigma, footprint = np.full(valid.shape, NOISE), np.full(valid.shape, PIXEL)
+    return label_regions(xyz, valid, sigma, footprint, minimum_area=minimum_area, threads=threads)
+
+
+def test_gradients_are_the_least_squares_slopes(rng: np.random.Generator) -> None:
+    xyz = surface(0.3 * X**1.5 - 0.2 * Y, rng)
+    valid = rng.random((ROWS, COLUMNS)) > 0.2
+    found = surface_gradient(xyz, valid, half_width=2)
+    for row, column in [(10, 10), (0, 5), (20, 0), (47, 63), (30, 33)]:
+        lines = ((xyz[:, row], valid[row], column), (xyz[:, :, column], valid[:, column], row))
+        for axis, (points, good, middle) in enumerate(lines):
+            k = np.arange(max(middle - 2, 0), min(middle + 3, good.size))
+            k = k[good[k]]
+            if not good[middle] or k.size < 2:
+                assert np.isnan(found[axis, row, column])
+                continue
+            slope = np.polyfit(k.astype(float), points[:, k].T, 1)[0]
+            # Rounding.
+            assert found[axis, row, column] == pytest.approx(np.linalg.norm(slope), rel=1e-9)
+
+
+def test_an_invalid_pixel_has_no_gradient() -> None:
+    valid = ALL.copy()
+    valid[5, 7] = False
+    gradient = surface_gradient(surface(np.zeros_like(X)), valid)
+    assert np.isnan(gradient[:, 5, 7]).all()
+    assert np.isnan(gradient).sum() == 2
+
+
+@pytest.mark.parametrize("degrees", [0.0, 45.0, 63.4, 75.0])
+def test_a_slope_is_no_discontinuity(degrees: float, rng: np.random.Generator) -> None:
+    xyz = surface(X * PIXEL * tan(degrees * pi / 180.0), rng)
+    found = segment(xyz)
+    assert (found.labels == 1).all()
+
+
+def test_the_sides_of_a_top_hat_belong_to_it(rng: np.random.Generator) -> None:
+    # Four creases of 63 degrees, at odd places between the pixels: the thesis's specimen is one sheet.
+    breaks = np.array([0.0, 13.3, 22.7, 40.1, 49.6, 63.0])
+    height = np.interp(X, breaks, PIXEL * 2.0 * 9.4 * np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0]))
+    for xyz in (surface(height), surface(height, rng)):
+        found = segment(xyz)
+        assert (found.labels == 1).all()
+
+
+@pytest.mark.parametrize("step", [2.0, 5.0, 100.0])
+@pytest.mark.parametrize("angle", [0.0, 0.3, pi / 4, pi / 2])
+def test_a_step_parts_two_planes_at_its_edge(step: float, angle: float, rng: np.random.Generator) -> None:
+    # From two footprints on; along the rows, the diagonal and between.
+    high = (X - 31.3) * np.cos(angle) + (Y - 23.4) * np.sin(angle) > 0.0
+    found = segment(surface(np.where(high, step * PIXEL + 0.1 * X, 0.1 * X), rng))
+    assert len(found.areas) == 2
+    on_high = found.labels[high]
+    on_low = found.labels[~high]
+    # Every pixel is given back to its own side.
+    assert (on_high == on_high[0]).all()
+    assert (on_low == on_low[0]).all()
+    assert on_high[0] != on_low[0]
+
+
+def test_planes_that_touch_at_a_corner_stay_apart() -> None:
+    # Two squares of one label each and two invalid ones: they meet only across a diagonal.
+    left_up = (X < 32) & (Y < 24)
+    right_down = (X >= 32) & (Y >= 24)
+    found = segment(surface(np.where(right_down, 30.0, 0.0)), left_up | right_down)
+    assert len(found.areas) == 2
+    assert len(np.unique(found.labels[left_up])) == 1
+    assert (found.labels[~(left_up | right_down)] == 0).all()
+
+
+def test_one_plane_through_a_diagonal_stays_together() -> None:
+    valid = ((X < 32) & (Y < 24)) | ((X >= 32) & (Y >= 24))
+    assert len(segment(surface(np.zeros_like(X)), valid).areas) == 1
+
+
+def test_mixed_pixels_along_an_edge_do_not_bridge_it(rng: np.random.Generator) -> None:
+    height = np.where(X > 30, 60.0, 0.0)
+    height[:, 31] = rng.uniform(0.0, 60.0, size=ROWS)
+    found = segment(surface(height, rng))
+    assert len(found.areas) == 2
+    assert found.labels[0, 0] != found.labels[0, -1]
+
+
+def test_regions_are_ordered_by_area_then_centroid_and_small_ones_dropped() -> None:
+    valid = np.zeros((ROWS, COLUMNS), dtype=bool)
+    valid[2:12, 40:50] = valid[30:40, 5:15] = True  # equal areas: the left one comes first
+    valid[20:40, 30:60] = True  # the largest
+    valid[2:5, 2:5] = True  # too small
+    found = segment(surface(np.zeros_like(X)), valid)
+    np.testing.assert_array_equal(found.areas, [600, 100, 100])
+    np.testing.assert_allclose(found.centroids, [[44.5, 29.5], [9.5, 34.5], [44.5, 6.5]])
+    assert found.labels[25, 40] == 1
+    assert found.labels[35, 10] == 2
+    assert found.labels[5, 45] == 3
+    assert (found.labels[2:5, 2:5] == 0).all()
+
+
+def test_noise_alone_marks_nothing(rng: np.random.Generator) -> None:
+    # Even where a pixel is as small as the noise: 7.2 sigma of difference, see the module.
+    xyz = np.stack([X * NOISE, Y * NOISE, np.zeros_like(X)]) + rng.normal(
+        scale=NOISE, size=(3, ROWS, COLUMNS)
+    )
+    sigma = np.full(ALL.shape, NOISE * np.sqrt(3.0))
+    marked = find_discontinuities(xyz, ALL, sigma, np.full(ALL.shape, NOISE))
+    assert not marked.any()
+
+
+def test_threads_change_nothing(rng: np.random.Generator) -> None:
+    xyz = np.tile(surface(np.where(X > 30, 9.0, 0.0), rng), (1, 2, 1))
+    valid = np.tile(ALL, (2, 1))
+    np.testing.assert_array_equal(segment(xyz, valid).labels, segment(xyz, valid, threads=2).labels)
+
+
+def test_nothing_valid_gives_no_region() -> None:
+    found = segment(surface(np.full_like(X, np.nan)), ~ALL)
+    assert found.areas.size == 0
+    assert (found.labels == 0).all()
+
+
+def test_the_footprint_is_what_one_pixel_spans() -> None:
+    lens = Intrinsics(1000.0, 1000.0, 10.0, 10.0)
+    pose = Pose.looking_at(np.array([0.0, 0.0, -500.0]), np.zeros(3), np.array([0.0, -1.0, 0.0]))
+    xyz = np.zeros((3, 1, 2))
+    xyz[2, 0] = [0.0, 300.0]
+    np.testing.assert_allclose(pixel_footprint(xyz, lens, pose), [[0.5, 0.8]])
