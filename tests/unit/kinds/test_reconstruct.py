@@ -1,0 +1,260 @@
+"""Reconstruction of a simulated tuple: close to the truth, with the errors that it states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import pi
+from typing import Any, TypeVar, cast
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.fields import PhaseMaps, PointCloud
+from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.scene import CameraResponse, Simulation
+from sms_jobs.records.sensors import Calibration
+from sms_jobs.virtual_rig.campaigns import small_plate
+from sms_jobs.virtual_rig.rendering import render
+from sms_jobs.virtual_rig.truth import Shape, exact_shape
+
+R = TypeVar("R")
+
+SUBJECT = Subject("plate", "S00", "C1P1")
+
+
+@dataclass(frozen=True)
+class InMemory:
+    """A dataset whose records are at hand."""
+
+    subject: Subject
+    records: dict[str, Any]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.records)
+
+    def read(self, name: str, record: type[R]) -> R:
+        assert isinstance(self.records[name], record)
+        return cast(R, self.records[name])
+
+
+@dataclass(frozen=True)
+class Tuple:
+    """A simulated tuple and what is true of it."""
+
+    calibration: Calibration
+    measurement: Measurement
+    shape: Shape
+
+    def reconstruct(
+        self,
+        parameters: ReconstructParameters | None = None,
+        measurement: Measurement | None = None,
+        threads: int = 1,
+        progress: Callable[..., None] = lambda fraction, message="": None,
+    ) -> tuple[PointCloud, PhaseMaps, DatasetOutput]:
+        datasets = {
+            "measurement": InMemory(SUBJECT, {"measurement": measurement or self.measurement}),
+            "calibration": InMemory(Subject("plate"), {"calibration": self.calibration}),
+        }
+        inputs = Inputs(SUBJECT, None, datasets, threads)
+        outputs = list(KIND.run(inputs, parameters or ReconstructParameters(), progress))
+        assert len(outputs) == 1
+        output = outputs[0]
+        assert isinstance(output, DatasetOutput)
+        assert list(output.records) == ["cloud", "phase"]
+        return output.records["cloud"], output.records["phase"], output
+
+
+def simulate(
+    change: Callable[[Campaign], Campaign] = lambda campaign: campaign,
+    sequence: FringeSequence | None = None,
+) -> Tuple:
+    calibration, campaign = small_plate("plate")
+    campaign = change(campaign)
+    assert campaign.scene is not None
+    simulation = Simulation(campaign.scene, "C1", "P1", (), state="S00")
+    sequence = sequence or campaign.sequence
+    seen = render(simulation, sequence)
+    measurement = Measurement(
+        recorded_at=calibration.valid_from,
+        sequence=sequence,
+        full_scale=seen.full_scale,
+        gain=seen.gain,
+        read_noise=seen.read_noise,
+        texture=seen.texture,
+        frames=ArrayStack(seen.frames.rows(0, seen.frames.shape[1])),
+    )
+    return Tuple(calibration, measurement, exact_shape(simulation))
+
+
+def unmarked(campaign: Campaign) -> Campaign:
+    assert campaign.scene is not None
+    return replace(campaign, scene=replace(campaign.scene, speckle=None))
+
+
+def error_in_sigmas(cloud: PointCloud, shape: Shape) -> NDArray[np.float64]:
+    """Return the distance from the truth in units of its predicted standard deviation.
+
+    Of pixels that are valid and at least 3 px inside the plate: those on its border see past an edge.
+    """
+    sigma = np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0))
+    z = np.linalg.norm(cloud.xyz - shape.xyz, axis=0) / sigma
+    return np.asarray(z[(cloud.reason == Reason.VALID) & ndimage.binary_erosion(shape.lit, iterations=3)])
+
+
+@pytest.fixture(scope="module")
+def plain() -> Tuple:
+    return simulate(unmarked)
+
+
+@pytest.fixture(scope="module")
+def speckled() -> Tuple:
+    return simulate()
+
+
+def test_an_unmarked_surface_scatters_as_predicted(plain: Tuple) -> None:
+    cloud, _, output = plain.reconstruct()
+    z = error_in_sigmas(cloud, plain.shape)
+    # The rms of 10,000 pixels scatters by 0.7 %, their median by 1.2 %; four times that.
+    assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.03)
+    assert np.median(z) / 0.6745 == pytest.approx(1.0, abs=0.05)
+    assert output.statistics["valid_fraction"] == pytest.approx(np.mean(cloud.reason == 0))
+
+
+def test_good_pixels_are_kept_and_dark_ones_are_not(plain: Tuple, speckled: Tuple) -> None:
+    for scene in (plain, speckled):
+        cloud, _, _ = scene.reconstruct()
+        valid = cloud.reason == Reason.VALID
+        # 0.1 % of good pixels fail each phase error test, and 1 to 2 % lie on the plate's border.
+        assert valid[scene.shape.lit].mean() > 0.97
+        assert valid[~scene.shape.seen].mean() < 0.02
+
+
+def test_the_textures_error_is_corrected_and_the_rest_is_stated(speckled: Tuple) -> None:
+    corrected, _, output = speckled.reconstruct()
+    raw, _, _ = speckled.reconstruct(ReconstructParameters(blur_px=0.0, maximum_ray_gap_mm=1.0))
+    z = error_in_sigmas(corrected, speckled.shape)
+    # What the correction leaves is not Gaussian: its size is stated to a quarter.
+    assert np.median(z) / 0.6745 == pytest.approx(1.0, abs=0.25)
+    assert np.median(error_in_sigmas(raw, speckled.shape)) > 3.0 * np.median(z)
+    # The rig's lens blurs by 0.5 px, its pixels are squares of variance 1/12.
+    assert output.statistics["blur_px"] == pytest.approx(np.sqrt(0.25 + 1.0 / 12.0), abs=0.03)
+
+
+def test_an_invalid_pixel_is_nan_and_says_why(speckled: Tuple) -> None:
+    cloud, _, _ = speckled.reconstruct()
+    valid = cloud.reason == Reason.VALID
+    assert valid.any()
+    assert not valid.all()
+    for values in (*cloud.xyz, *cloud.covariance, cloud.ray_gap):
+        np.testing.assert_array_equal(np.isfinite(values), valid)
+    dark = ~ndimage.binary_dilation(speckled.shape.seen, iterations=3)  # beyond the blurred border
+    said = (cloud.reason[dark] & (Reason.LOW_MODULATION | Reason.AMBIGUOUS_UNWRAPPING)) != 0
+    assert said.all()
+
+
+def test_points_outside_the_volume_are_marked(plain: Tuple) -> None:
+    low, high = plain.calibration.volume.low, plain.calibration.volume.high
+    box = replace(plain.calibration.volume, high=(0.0, high[1], high[2]), low=low)
+    halved = replace(plain, calibration=replace(plain.calibration, volume=box))
+    cloud, _, _ = halved.reconstruct()
+    right = plain.shape.lit & (plain.shape.xyz[0] > 1.0)
+    assert (cloud.reason[right] & Reason.OUT_OF_VOLUME != 0).all()
+    assert np.nanmax(cloud.xyz[0]) <= 0.0
+
+
+def test_a_wrong_calibration_opens_the_ray_gap(plain: Tuple) -> None:
+    sensors = []
+    for sensor in plain.calibration.sensors:
+        shift = 4.0 if sensor.name == "P1" else 0.0
+        sensors.append(
+            replace(sensor, intrinsics=replace(sensor.intrinsics, cy=sensor.intrinsics.cy + shift))
+        )
+    wrong = replace(plain, calibration=replace(plain.calibration, sensors=tuple(sensors)))
+    cloud, _, output = wrong.reconstruct()
+    lit = plain.shape.lit
+    assert (cloud.reason[lit] & Reason.LARGE_RAY_GAP != 0).mean() > 0.99
+    assert set(output.statistics) >= {"valid_fraction", "valid_fraction_of_lit"}
+
+
+def test_a_dark_measurement_has_no_points_but_reasons(plain: Tuple) -> None:
+    frames = np.full(plain.measurement.frames.shape, 40, np.uint16)
+    cloud, _, output = plain.reconstruct(measurement=replace(plain.measurement, frames=ArrayStack(frames)))
+    assert (cloud.reason != Reason.VALID).all()
+    assert np.isnan(cloud.xyz).all()
+    assert output.statistics["valid_fraction"] == 0.0
+    assert all(np.isfinite(list(output.statistics.values())))
+
+
+def test_saturated_pixels_say_so(plain: Tuple) -> None:
+    frames = np.full(plain.measurement.frames.shape, plain.measurement.full_scale, np.uint16)
+    cloud, phase, _ = plain.reconstruct(measurement=replace(plain.measurement, frames=ArrayStack(frames)))
+    assert (cloud.reason & Reason.SATURATED != 0).all()
+    assert np.isnan(phase.omega).all()
+
+
+def test_glare_costs_densities_and_not_pixels() -> None:
+    def overexposed(campaign: Campaign) -> Campaign:
+        scene = unmarked(campaign).scene
+        assert scene is not None
+        return replace(campaign, scene=replace(scene, camera=CameraResponse(exposure=1.1)))
+
+    bright = simulate(overexposed, FringeSequence((32, 31, 30, 28, 24, 16)))
+    cut = np.any(bright.measurement.frames.rows(0, 128) >= bright.measurement.full_scale, axis=0)
+    cloud, _, _ = bright.reconstruct()
+    touched = cut & bright.shape.lit
+    assert touched.sum() > 1000
+    kept = touched & (cloud.reason == Reason.VALID)
+    assert kept.sum() > 0.3 * touched.sum()
+    cloud.reason[~kept] |= np.uint32(Reason.SATURATED)  # judge the touched pixels alone
+    z = error_in_sigmas(cloud, bright.shape)
+    # 3 % for 3000 pixels; a frame just below full scale is one whose noise was low, which adds a bias.
+    assert np.median(z) / 0.6745 == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    "sequence",
+    [
+        FringeSequence((1, 2, 4, 8, 16), steps=3),
+        FringeSequence((1, 16), steps=5, orientations_rad=(pi / 4, -pi / 4)),
+        FringeSequence((16, 15, 14, 12, 8), orientations_rad=(0.0,)),
+    ],
+    ids=str,
+)
+def test_any_sequence_gives_the_shape(sequence: FringeSequence) -> None:
+    scene = simulate(unmarked, sequence)
+    cloud, _, _ = scene.reconstruct()
+    z = error_in_sigmas(cloud, scene.shape)
+    assert z.size > 0.85 * scene.shape.lit.sum()  # all but the border
+    assert np.median(z) / 0.6745 == pytest.approx(1.0, abs=0.05)  # as above
+
+
+def test_threads_change_nothing(speckled: Tuple) -> None:
+    one, two = speckled.reconstruct(), speckled.reconstruct(threads=2)
+    np.testing.assert_array_equal(one[0].xyz, two[0].xyz)
+    np.testing.assert_array_equal(one[0].covariance, two[0].covariance)
+    np.testing.assert_array_equal(one[0].reason, two[0].reason)
+    assert one[2].statistics == two[2].statistics
+
+
+def test_progress_rises_to_one(speckled: Tuple) -> None:
+    told: list[float] = []
+    speckled.reconstruct(progress=lambda fraction, message="": told.append(fraction))
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    assert len(told) > 3
+
+
+def test_frames_of_another_camera_are_refused(plain: Tuple) -> None:
+    cut = ArrayStack(plain.measurement.frames.rows(0, 100))
+    with pytest.raises(InvalidInput, match="128 x 100 px"):
+        plain.reconstruct(measurement=replace(plain.measurement, frames=cut))
