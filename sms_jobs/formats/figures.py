@@ -219,6 +219,13 @@ def _components(record: Any, name: str, quantity: Quantity, count: int) -> tuple
     return quantity.components or tuple(str(i) for i in range(count))
 
 
+def _default_component(name: str, quantity: Quantity, names: tuple[str, ...]) -> str:
+    """Return Z of a position, the magnitude of any other vector in the world, else the first component."""
+    if quantity.components != XYZ:
+        return names[0]
+    return "Z" if name == "xyz" else MAGNITUDE
+
+
 def _chosen(record: Any, name: str, quantity: Quantity, component: str | None) -> tuple[Any, str, str]:
     """Return one scalar field of an array: its values, the component's name, and the unit."""
     values = getattr(record, name)
@@ -228,9 +235,9 @@ def _chosen(record: Any, name: str, quantity: Quantity, component: str | None) -
             raise InvalidInput(f"{name} has no components, so there is no '{component}'; leave it out")
         return values, "", quantity.unit
     names = _components(record, name, quantity, values.shape[0])
-    if component == MAGNITUDE and quantity.axes[0] == "component":
+    wanted = _default_component(name, quantity, names) if component is None else component
+    if wanted == MAGNITUDE and quantity.axes[0] == "component":
         return np.sqrt(np.sum(np.asarray(values, np.float64) ** 2, axis=0)), MAGNITUDE, quantity.unit
-    wanted = component if component is not None else names[2 if quantity.components == XYZ else 0]
     if wanted not in names:
         known = ", ".join((*names, MAGNITUDE) if quantity.axes[0] == "component" else names)
         raise InvalidInput(f"{name} has no component '{wanted}'; choose one of {known}")
@@ -262,8 +269,8 @@ def plot_record(
     field
         Name of the field; the first that can be drawn if None.
     component
-        Name of the component, number of the frame, or "magnitude"; if None, Z of a vector in the world,
-        else the first.
+        Name of the component, number of the frame, or "magnitude"; if None, Z of a position, the magnitude
+        of any other vector in the world, else the first.
     width_px
         Width of the picture in pixels.
 

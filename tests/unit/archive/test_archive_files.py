@@ -138,6 +138,17 @@ def test_what_is_asked_for_must_be_there(archive: Archive, sealed: Sealed) -> No
             dataset.read("measurement", PointCloud)
 
 
+def test_a_file_describes_its_arrays_without_reading_them(archive: Archive, sealed: Sealed) -> None:
+    with archive.open(sealed.path) as dataset:
+        about = dataset.describe()
+    assert about["measurement"]["frames"] == {
+        "shape": [6, 150, 90],
+        "unit": "count",
+        "meaning": "fringe frames",
+    }
+    assert list(about["measurement"]) == ["texture", "frames"]
+
+
 def test_a_sealed_file_is_never_overwritten(archive: Archive, sealed: Sealed) -> None:
     before = archive.path(sealed.path).read_bytes()
     with pytest.raises(Conflict, match="never overwritten"):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.figures import Map, draw_map, plot_record, plottable, reduced, robust_limits
-from sms_jobs.records.fields import ImageMatches, Mesh, PhaseMaps, PointCloud
+from sms_jobs.records.fields import DisplacementField, ImageMatches, Mesh, PhaseMaps, PointCloud
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.reasons import Reason
 
@@ -44,6 +44,15 @@ def test_a_picture_depends_on_field_and_component(cloud: PointCloud) -> None:
     assert z == plot_record(cloud, "xyz", "Z")
     assert z != plot_record(cloud, "xyz", "X")
     assert plot_record(cloud, "xyz", "magnitude") not in (z, plot_record(cloud, "xyz", "X"))
+
+
+def test_a_displacement_is_drawn_by_its_magnitude(rng: np.random.Generator) -> None:
+    vector = rng.normal(size=(3, 20, 30))
+    covariance = np.ones((6, 20, 30), np.float32)
+    reason = np.zeros((20, 30), np.uint32)
+    field = DisplacementField("C1", "P1", "S00", vector, covariance, vector[:2], reason)
+    assert plot_record(field) == plot_record(field, "displacement", "magnitude")
+    assert plot_record(field) != plot_record(field, "displacement", "Z")
 
 
 def test_missing_values_are_grey(cloud: PointCloud) -> None:
