@@ -6,8 +6,8 @@ import os
 import sys
 from typing import Annotated
 
-import click
 import typer
+from typer.exceptions import TyperException
 
 import sms_jobs
 from sms_jobs.cli import calibration, campaign, data, db, demo, job, service, worker
@@ -61,10 +61,11 @@ def main() -> None:
         code = app(standalone_mode=False)
     except SmsError as error:
         _refuse(error, str(error), error.exit_code)
-    except click.ClickException as error:
-        error.show()
-        sys.exit(error.exit_code)
-    except (click.Abort, KeyboardInterrupt):
+    except TyperException as error:
+        context = getattr(error, "ctx", None)
+        hint = f"; see '{context.command_path} --help'" if context is not None else ""
+        _refuse(error, f"{error.format_message().rstrip('.')}{hint}", error.exit_code)
+    except (typer.Abort, KeyboardInterrupt):
         remarks.print("interrupted")
         sys.exit(_INTERRUPTED)
     except BrokenPipeError:

@@ -89,6 +89,7 @@ def plan(
         A job would need a result that neither exists nor is part of the plan.
     """
     wanted = _expand(campaign, requests)
+    parameters = {name: _parameters(kind, request) for name, (kind, request) in wanted.items()}
     makers = {kind.makes or kind.name: kind for kind, _ in wanted.values()}
     jobs: dict[_Key, None] = {}
     for name, (kind, request) in wanted.items():
@@ -117,7 +118,7 @@ def plan(
         PlannedJob(
             wanted[key[0]][0],
             key[1],
-            _parameters(*wanted[key[0]]),
+            parameters[key[0]],
             tuple(
                 PlannedInput(need, existing, None if producer is None else place[producer])
                 for need, producer, existing in inputs[key]
