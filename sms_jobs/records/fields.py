@@ -90,7 +90,11 @@ class ImageMatches:
 
 @dataclass(frozen=True)
 class DisplacementField:
-    """Displacement of the material point seen by each pixel of the reference image."""
+    """Displacement of the material point seen by each pixel of the reference image.
+
+    Errors of neighbouring pixels go together: those of shape over `averaging_radius_px`, those of the match
+    over `subset_radius_px`; 0 where they are independent.
+    """
 
     camera: str
     projector: str
@@ -99,6 +103,8 @@ class DisplacementField:
     covariance: Single = array("mm^2", "covariance of the displacement", VECTOR_IMAGE, SYMMETRIC)
     image_displacement: Double = array("px", "displacement in the image", VECTOR_IMAGE, ("u", "v"))
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
+    averaging_radius_px: float = 0.0
+    subset_radius_px: int = 0
 
 
 StrainMeasure = Literal["green-lagrange", "small"]

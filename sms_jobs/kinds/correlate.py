@@ -1,0 +1,284 @@
+"""Correlate: from two states of a pair to the displacement of every point seen in the reference image."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy import ndimage
+
+from sms_jobs.kinds.kind import (
+    CALIBRATION,
+    MEASUREMENT,
+    DatasetOutput,
+    Inputs,
+    Kind,
+    Need,
+    Output,
+    Parameters,
+    Progress,
+    Scope,
+    deformed_tuples,
+)
+from sms_jobs.metrology.deformation import correlation, displacement
+from sms_jobs.metrology.deformation.correlation import MatchSettings, Noise, prepare_images
+from sms_jobs.metrology.deformation.displacement import DenseDisplacement, ImagePoints, displacement_field
+from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, match_grid
+from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.images.segmentation import ContinuousRegions, label_regions, pixel_footprint
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.fields import (
+    DisplacementField,
+    ImageMatches,
+    PhaseMaps,
+    PointCloud,
+    Region,
+    Regions,
+)
+from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.sensors import Calibration, Sensor, split_pair
+
+Floats: TypeAlias = NDArray[np.float64]
+
+_MATCH_REASONS = {
+    correlation.CONVERGED: Reason.VALID,
+    correlation.TOO_FEW_PIXELS: Reason.OUTSIDE_REGION,
+    correlation.NO_TEXTURE: Reason.NO_TEXTURE,
+    correlation.LEFT_IMAGE: Reason.LEFT_IMAGE,
+    correlation.NOT_CONVERGED: Reason.NO_MATCH,
+}
+_PIXEL_REASONS = {
+    displacement.OUTSIDE_REGION: Reason.OUTSIDE_REGION,
+    displacement.NO_MATCH_NEAR: Reason.NO_MATCH,
+    displacement.LEFT_IMAGE: Reason.LEFT_IMAGE,
+    displacement.NO_SHAPE_AT_END: Reason.NO_SHAPE_AT_END,
+}
+
+
+class CorrelateParameters(Parameters):
+    """How textures are matched and where."""
+
+    texture: Literal["white", "fringe-average"] = Field(
+        "fringe-average",
+        description="image that is matched: the white frame, or the mean of all fringe frames, in which the "
+        "fringes cancel and the camera's noise is lower by the square root of their number",
+    )
+    subset_radius_px: int = Field(
+        8, ge=3, le=100, description="a subset has (2 radius + 1)^2 pixels, less those of other regions"
+    )
+    spacing_px: int = Field(4, ge=1, le=100, description="distance of the matched points")
+    minimum_score: float = Field(
+        0.8, gt=0.0, lt=1.0, description="least zero-normalised cross-correlation of a match"
+    )
+    minimum_subset_part: float = Field(
+        0.2, gt=0.0, le=1.0, description="least part of a subset that lies on its point's region"
+    )
+    search_range_x_px: int = Field(
+        40, ge=1, le=1000, description="largest displacement along the columns that seeds look for"
+    )
+    search_range_y_px: int = Field(
+        40, ge=1, le=1000, description="largest displacement along the rows that seeds look for"
+    )
+    edge_margin_px: int = Field(
+        2, ge=0, le=20, description="rim of a region that is not matched: it mixes with what lies behind"
+    )
+    averaging_radius_px: float = Field(
+        4.0,
+        ge=1.5,
+        le=50.0,
+        description="radius within which displacement is averaged over a region's pixels",
+    )
+    minimum_region_area_px: int = Field(
+        200, ge=1, description="smaller pieces of continuous surface are left out"
+    )
+
+
+@dataclass(frozen=True)
+class _State:
+    """One state of the pair: its texture, the texture's noise, its shape and its regions."""
+
+    texture: NDArray[np.floating]
+    noise: Noise
+    cloud: PointCloud
+    regions: ContinuousRegions
+
+
+def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+    reference = Subject(subject.campaign, campaign.reference.label, subject.pair)
+    yield Need("calibration", CALIBRATION, Subject(campaign.name))
+    yield Need("reference_measurement", MEASUREMENT, reference)
+    yield Need("measurement", MEASUREMENT, subject)
+    yield Need("reference", "reconstruct", reference)
+    yield Need("deformed", "reconstruct", subject)
+
+
+def _reference_label(campaign: Campaign, subject: Subject) -> str:
+    return campaign.reference.label
+
+
+def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> Iterator[Output]:
+    """Match the textures region by region and look the displacement up in both states' shapes."""
+    camera, _ = split_pair(inputs.subject.pair or "")
+    sensor = inputs.read("calibration", "calibration", Calibration).sensor(camera)
+    before = _state(inputs, "reference", "reference_measurement", sensor, parameters)
+    after = _state(inputs, "deformed", "measurement", sensor, parameters)
+    interior = _interior(before.regions.labels, parameters.edge_margin_px)
+    labels = np.where(interior, before.regions.labels, 0).astype(np.int32)
+    progress(0.2, f"{len(before.regions.areas)} regions in the reference state")
+    grid = match_grid(
+        prepare_images(before.texture, after.texture, labels, (before.noise, after.noise)),
+        after.texture,
+        MatchSettings(parameters.subset_radius_px, parameters.minimum_subset_part),
+        GridSettings(parameters.spacing_px, parameters.minimum_score),
+        SearchSettings(parameters.search_range_x_px, parameters.search_range_y_px),
+        inputs.threads,
+    )
+    matched = grid.matches.ending == correlation.CONVERGED
+    progress(0.7, f"matched {matched.sum()} of {len(grid.x)} points")
+    found = displacement_field(
+        ImagePoints(
+            grid.x[matched],
+            grid.y[matched],
+            labels[grid.y[matched], grid.x[matched]],
+            grid.matches.warp[matched],
+            grid.matches.sigma[matched],
+        ),
+        (before.cloud.xyz, before.cloud.covariance, before.regions.labels),
+        (after.cloud.xyz, after.cloud.covariance, after.regions.labels),
+        interior,
+        subset_radius=parameters.subset_radius_px,
+        averaging_radius=parameters.averaging_radius_px,
+        threads=inputs.threads,
+    )
+    field = _displacement_record(found, before, inputs.context, parameters)
+    matches = _matches_record(grid, before.regions)
+    progress(1.0, "looked up the displacement")
+    yield DatasetOutput(
+        inputs.subject,
+        {"displacement": field, "matches": matches, "regions": _regions_record(before.regions)},
+        _statistics(field, matches, before),
+    )
+
+
+def _interior(labels: NDArray[np.int32], margin: int) -> NDArray[np.bool_]:
+    """Return which pixels have their region all round them, up to `margin` px away."""
+    size = 2 * margin + 1
+    same = ndimage.minimum_filter(labels, size) == ndimage.maximum_filter(labels, size)
+    return np.asarray(same & (labels > 0))
+
+
+def _state(
+    inputs: Inputs, shape_role: str, frames_role: str, sensor: Sensor, parameters: CorrelateParameters
+) -> _State:
+    """Read one state, choose its texture and find its regions."""
+    measurement = inputs.read(frames_role, "measurement", Measurement)
+    cloud = inputs.read(shape_role, "cloud", PointCloud)
+    if parameters.texture == "white":
+        texture: NDArray[np.floating] = measurement.texture.astype(np.float64)
+        averaged = 1
+    else:
+        texture = inputs.read(shape_role, "phase", PhaseMaps).mean_intensity
+        averaged = measurement.sequence.frames
+    regions = label_regions(
+        cloud.xyz,
+        cloud.reason == Reason.VALID,
+        np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64)),
+        pixel_footprint(cloud.xyz, sensor.intrinsics, sensor.pose),
+        minimum_area=parameters.minimum_region_area_px,
+        threads=inputs.threads,
+    )
+    noise = Noise(measurement.read_noise**2 / averaged, measurement.gain / averaged)
+    return _State(texture, noise, cloud, regions)
+
+
+def _displacement_record(
+    found: DenseDisplacement, before: _State, reference: str, parameters: CorrelateParameters
+) -> DisplacementField:
+    reason = before.cloud.reason.copy()
+    for status, why in _PIXEL_REASONS.items():
+        reason[(found.status == status) & (reason == Reason.VALID)] = np.uint32(why)
+    return DisplacementField(
+        before.cloud.camera,
+        before.cloud.projector,
+        reference,
+        found.displacement,
+        found.covariance.astype(np.float32),
+        found.image_displacement,
+        reason,
+        parameters.averaging_radius_px,
+        parameters.subset_radius_px,
+    )
+
+
+def _matches_record(grid: GridMatches, regions: ContinuousRegions) -> ImageMatches:
+    """Return the matches, NaN where there is a reason; the score is kept, since it may be that reason."""
+    found = grid.matches
+    reason = np.zeros(len(grid.x), dtype=np.uint32)
+    for ending, why in _MATCH_REASONS.items():
+        reason[found.ending == ending] = np.uint32(why)
+    warp, sigma = found.warp.T.copy(), found.sigma.T.astype(np.float32)
+    warp[:, reason != 0] = np.nan
+    sigma[:, reason != 0] = np.nan
+    return ImageMatches(
+        x=grid.x.astype(np.float64),
+        y=grid.y.astype(np.float64),
+        region=regions.labels[grid.y, grid.x],
+        u=warp[0],
+        v=warp[3],
+        gradient=warp[[1, 2, 4, 5]],
+        sigma_u=sigma[0],
+        sigma_v=sigma[1],
+        score=found.score.astype(np.float32),
+        iterations=found.iterations,
+        reason=reason,
+    )
+
+
+def _regions_record(regions: ContinuousRegions) -> Regions:
+    each = zip(regions.areas, regions.centroids, strict=True)
+    described = tuple(
+        Region(number, int(area), (float(x), float(y))) for number, (area, (x, y)) in enumerate(each, start=1)
+    )
+    return Regions(described, regions.labels)
+
+
+def _statistics(field: DisplacementField, matches: ImageMatches, before: _State) -> dict[str, float]:
+    """Return what people search by; where nothing is valid, only the fractions."""
+    valid = field.reason == Reason.VALID
+    measured = before.cloud.reason == Reason.VALID
+    matched = matches.reason == Reason.VALID
+    statistics = {
+        "valid_fraction": float(valid.mean()),
+        "valid_fraction_of_shape": float(valid.sum() / max(measured.sum(), 1)),
+        "matched_fraction": float(matched.sum() / max(len(matched), 1)),
+        "regions": float(len(before.regions.areas)),
+    }
+    if valid.any():
+        sigma = np.sqrt(field.covariance[[0, 3, 5]][:, valid].sum(axis=0))
+        length = np.linalg.norm(field.displacement[:, valid], axis=0)
+        statistics |= {
+            "median_sigma_mm": float(np.median(sigma)),
+            "median_displacement_mm": float(np.median(length)),
+            "maximum_displacement_mm": float(length.max()),
+            "mean_score": float(matches.score[matched].mean()),
+            "median_match_sigma_px": float(np.median(np.hypot(matches.sigma_u, matches.sigma_v)[matched])),
+        }
+    return statistics
+
+
+KIND = Kind(
+    name="correlate",
+    summary="displacement from two states: texture matched region by region, looked up in both shapes",
+    version=1,
+    scope=Scope.TUPLE,
+    parameters=CorrelateParameters,
+    needs=_needs,
+    run=run,
+    subjects=deformed_tuples,
+    context=_reference_label,
+)

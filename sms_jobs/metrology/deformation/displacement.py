@@ -1,0 +1,389 @@
+"""Dense displacement: image displacement at every pixel, then the shift of its point in space.
+
+Thesis section 4.4. The end point of a pixel is looked up in the deformed state's cloud inside one region
+only, and the reference state's point is taken from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.images.interpolation import interpolate_in_region
+
+Floats: TypeAlias = NDArray[np.float64]
+
+OUTSIDE_REGION, NO_MATCH_NEAR, LEFT_IMAGE, NO_SHAPE_AT_END = range(1, 5)
+"""Why a pixel has no displacement; 0 where it has one."""
+
+_BLEND = 1.633  # blending distance, in subset radii, at which curvature leaves no bias: see `blend_matches`
+_BLEND_NOISE = 1.39  # variance of blended matches over that of one: their gradients' noise (by quadrature)
+_OUTLIER = 5.0  # standard deviations beyond which a pixel does not count in its neighbours' average
+
+
+@dataclass(frozen=True)
+class ImagePoints:
+    """Matched points: `x`, `y` (n,) in px, `region` (n,), and their displacement.
+
+    Attributes
+    ----------
+    warp
+        (n, 6): u, du/dx, du/dy, v, dv/dx, dv/dy, in px.
+    sigma
+        (n, 2), standard deviations of u and v, in px.
+    """
+
+    x: NDArray[np.int64]
+    y: NDArray[np.int64]
+    region: NDArray[np.int32]
+    warp: Floats
+    sigma: Floats
+
+
+@dataclass(frozen=True)
+class DenseDisplacement:
+    """A displacement at every pixel.
+
+    Attributes
+    ----------
+    displacement
+        (3, rows, columns) in mm.
+    covariance
+        (6, rows, columns) in mm^2, packed XX, XY, XZ, YY, YZ, ZZ.
+    image_displacement
+        (2, rows, columns): u and v in px.
+    status
+        (rows, columns): 0 or why there is no value; then all of the above are NaN.
+    """
+
+    displacement: Floats
+    covariance: Floats
+    image_displacement: Floats
+    status: NDArray[np.int32]
+
+
+@kernel
+def _blend_rows(  # type: ignore[no-untyped-def]
+    start,
+    stop,
+    xyz,
+    labels,
+    footprint,
+    side,
+    first,
+    order,
+    px,
+    py,
+    region,
+    warp,
+    sigma,
+    reach,
+    value,
+    variance,
+):
+    """Do the work of `blend_matches` for rows start .. stop.
+
+    Matches are sorted into square cells of `side`: those of cell (j, i) are `order[first[j, i]: ...]`.
+    """
+    cells = int(np.ceil(reach / side))
+    for r in range(start, stop):
+        for c in range(labels.shape[1]):
+            total = 0.0
+            sums = np.zeros(4)
+            row = r // side
+            column = c // side
+            for j in range(max(row - cells, 0), min(row + cells + 1, first.shape[0])):
+                for i in range(max(column - cells, 0), min(column + cells + 1, first.shape[1] - 1)):
+                    for k in range(first[j, i], first[j, i + 1]):
+                        m = order[k]
+                        dx = c - px[m]
+                        dy = r - py[m]
+                        d2 = dx * dx + dy * dy
+                        if region[m] != labels[r, c] or d2 >= 2.0 * reach * reach:
+                            continue
+                        apart = 0.0
+                        for a in range(3):
+                            apart += (xyz[a, r, c] - xyz[a, py[m], px[m]]) ** 2
+                        d2 = 0.5 * (d2 + apart / footprint**2) / reach**2
+                        if not d2 < 1.0:
+                            continue
+                        w = (1.0 - d2) ** 2 / (sigma[m, 0] ** 2 + sigma[m, 1] ** 2)
+                        total += w
+                        sums[0] += w * (warp[m, 0] + warp[m, 1] * dx + warp[m, 2] * dy)
+                        sums[1] += w * (warp[m, 3] + warp[m, 4] * dx + warp[m, 5] * dy)
+                        sums[2] += w * sigma[m, 0] ** 2
+                        sums[3] += w * sigma[m, 1] ** 2
+            for a in range(2):
+                value[a, r, c] = sums[a] / total if total > 0.0 else np.nan
+                variance[a, r, c] = _BLEND_NOISE * sums[2 + a] / total if total > 0.0 else np.nan
+
+
+def pixel_pitch(xyz: Floats, labels: NDArray[np.int32], quantile: float) -> float:
+    """Return a quantile of the distances in mm between neighbouring points on a region; 1 where there are none."""
+    steps = []
+    for axis in (1, 2):
+        inside = np.minimum(labels, np.roll(labels, 1, axis - 1)) > 0
+        steps.append(np.linalg.norm(xyz - np.roll(xyz, 1, axis), axis=0)[inside])
+    every = np.concatenate(steps)
+    return float(np.quantile(every, quantile)) if len(every) else 1.0
+
+
+def blend_matches(
+    points: ImagePoints, xyz: Floats, labels: NDArray[np.int32], reach: float, threads: int = 1
+) -> tuple[Floats, Floats]:
+    """Spread the image displacement from matched points to every pixel of their regions.
+
+    Parameters
+    ----------
+    points
+        Matches to trust.
+    xyz
+        (3, rows, columns) in mm, positions at the reference state.
+    labels
+        (rows, columns), regions of the reference state.
+    reach
+        Distance within which a match counts, in px.
+    threads
+        How many threads to use.
+
+    Returns
+    -------
+    value, variance
+        (2, rows, columns): u and v in px and their variances in px^2; NaN where no match of the pixel's
+        region is within reach.
+
+    Notes
+    -----
+    Thesis Eq. (3.21) with weights from image and 3D distance (and the matches' own variance), but each
+    match stands for the plane of its own value and gradient instead of a plane through three values: the
+    result is exact for affine displacement up to the region's edge and beyond its outermost match.
+
+    A first-order subset of radius r overestimates a displacement of curvature k by k r^2 / 6; carrying it
+    by its gradient over a distance d underestimates by k d^2 / 2. With the weight (1 - d^2 / reach^2)^2
+    the mean of d^2 along an axis is reach^2 / 8, so that both cancel at reach = r sqrt(8 / 3).
+
+    Neighbouring subsets share most of their pixels, so blending does not average their noise; with that of
+    the gradients it comes to 1.39 times the mean variance.
+    """
+    rows, columns = labels.shape
+    side = max(1, int(reach / 4))
+    shape = (-(-rows // side), -(-columns // side))
+    cell = (points.y // side) * (shape[1] + 1) + points.x // side
+    order = np.argsort(cell, kind="stable")
+    edges = np.arange(shape[0] * (shape[1] + 1))
+    first = np.searchsorted(cell[order], edges).reshape(shape[0], shape[1] + 1)
+    value = np.empty((2, rows, columns))
+    variance = np.empty((2, rows, columns))
+    footprint = pixel_pitch(xyz, labels, 0.5)
+    sigma = np.maximum(points.sigma, 1e-6)
+
+    def work(start: int, stop: int) -> None:
+        _blend_rows(
+            start, stop, xyz, labels, footprint, side, first, order,
+            points.x, points.y, points.region, points.warp, sigma, reach, value, variance,
+        )  # fmt: skip
+
+    in_row_blocks(work, rows, threads)
+    return value, variance
+
+
+@kernel
+def _average_rows(start, stop, labels, raw, covariance, weight, radius, value, spread):  # type: ignore[no-untyped-def]
+    """Do the work of `average_in_region` for rows start .. stop."""
+    rows, columns = labels.shape
+    size = (4 * int(np.ceil(radius)) + 1) ** 2
+    place = np.empty((size, 2), dtype=np.int64)
+    w = np.empty(size)
+    m = np.empty(6)
+    for r in range(start, stop):
+        for c in range(columns):
+            value[:, r, c] = np.nan
+            spread[:, r, c] = np.nan
+            if labels[r, c] == 0:
+                continue
+            n = 0
+            for wide in (radius, 2.0 * radius):
+                # At an edge, where less than half the disc is there, a plane needs a longer lever.
+                if 2 * n > np.pi * radius**2:
+                    break
+                n = 0
+                reach = int(np.ceil(wide)) - 1
+                for j in range(max(r - reach, 0), min(r + reach + 1, rows)):
+                    for i in range(max(c - reach, 0), min(c + reach + 1, columns)):
+                        d2 = ((i - c) ** 2 + (j - r) ** 2) / (wide * wide)
+                        if d2 < 1.0 and labels[j, i] == labels[r, c] and weight[j, i] > 0.0:
+                            place[n, 0] = j
+                            place[n, 1] = i
+                            w[n] = (1.0 - d2) ** 2 * weight[j, i]
+                            n += 1
+            for attempt in range(2):
+                m[:] = 0.0
+                for k in range(n):
+                    dx = place[k, 1] - c
+                    dy = place[k, 0] - r
+                    m[0] += w[k]
+                    m[1] += w[k] * dx
+                    m[2] += w[k] * dy
+                    m[3] += w[k] * dx * dx
+                    m[4] += w[k] * dx * dy
+                    m[5] += w[k] * dy * dy
+                c00 = m[3] * m[5] - m[4] * m[4]
+                c01 = m[2] * m[4] - m[1] * m[5]
+                c02 = m[1] * m[4] - m[2] * m[3]
+                c11 = m[0] * m[5] - m[2] * m[2]
+                c12 = m[1] * m[2] - m[0] * m[4]
+                c22 = m[0] * m[3] - m[1] * m[1]
+                determinant = m[0] * c00 + m[1] * c01 + m[2] * c02
+                if not determinant > 1e-6 * m[0] * (m[3] + m[5]) ** 2:
+                    break
+                plane = np.zeros((3, 3))
+                for k in range(n):
+                    dx = place[k, 1] - c
+                    dy = place[k, 0] - r
+                    for a in range(3):
+                        d = w[k] * raw[a, place[k, 0], place[k, 1]] / determinant
+                        plane[a, 0] += d * (c00 + c01 * dx + c02 * dy)
+                        plane[a, 1] += d * (c01 + c11 * dx + c12 * dy)
+                        plane[a, 2] += d * (c02 + c12 * dx + c22 * dy)
+                if attempt == 0:
+                    for k in range(n):
+                        square = 0.0
+                        for a in range(3):
+                            fit = (
+                                plane[a, 0]
+                                + plane[a, 1] * (place[k, 1] - c)
+                                + plane[a, 2] * (place[k, 0] - r)
+                            )
+                            square += (raw[a, place[k, 0], place[k, 1]] - fit) ** 2
+                        if square * weight[place[k, 0], place[k, 1]] > _OUTLIER**2:
+                            w[k] = 0.0
+                    continue
+                for a in range(3):
+                    value[a, r, c] = plane[a, 0]
+                for a in range(6):
+                    spread[a, r, c] = 0.0
+                for k in range(n):
+                    if w[k] > 0.0:
+                        share = w[k] / determinant * (c00 + c01 * (place[k, 1] - c) + c02 * (place[k, 0] - r))
+                        for a in range(6):
+                            spread[a, r, c] += share * share * covariance[a, place[k, 0], place[k, 1]]
+
+
+def average_in_region(
+    raw: Floats,
+    covariance: Floats,
+    labels: NDArray[np.int32],
+    usable: NDArray[np.bool_],
+    radius: float,
+    threads: int = 1,
+) -> tuple[Floats, Floats]:
+    """Fit a plane to a noisy field about every pixel, over pixels of its region, and take its value there.
+
+    Parameters
+    ----------
+    raw, covariance
+        (3, rows, columns) and (6, rows, columns), independent from pixel to pixel.
+    labels
+        (rows, columns), 0 where there is no region.
+    usable
+        (rows, columns): which pixels may contribute.
+    radius
+        In px; pixels at distance d count by (1 - d^2 / radius^2)^2 over their variance. It is doubled where
+        fewer than half the disc's pixels are there.
+    threads
+        How many threads to use.
+
+    Returns
+    -------
+    The averaged field and its covariance; NaN where fewer than three pixels contribute. Pixels five
+    standard deviations off the first fit do not contribute.
+    """
+    variance = covariance[0] + covariance[3] + covariance[5]
+    known = usable & np.isfinite(raw).all(axis=0) & np.isfinite(variance)
+    weight = np.where(known, 1.0 / np.maximum(np.where(known, variance, 1.0), 1e-18), 0.0)
+    value = np.empty_like(raw)
+    spread = np.empty_like(covariance)
+
+    def work(start: int, stop: int) -> None:
+        _average_rows(start, stop, labels, raw, covariance, weight, radius, value, spread)
+
+    in_row_blocks(work, labels.shape[0], threads)
+    return value, spread
+
+
+def _between_regions(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Return which pixels are within two of another region: they may see either, whichever has got them."""
+    low = ndimage.minimum_filter(np.where(labels > 0, labels, np.iinfo(np.int32).max), 5)
+    return np.asarray((labels > 0) & ((low != labels) | (ndimage.maximum_filter(labels, 5) != labels)))
+
+
+def displacement_field(
+    points: ImagePoints,
+    reference: tuple[Floats, NDArray[np.floating], NDArray[np.int32]],
+    deformed: tuple[Floats, NDArray[np.floating], NDArray[np.int32]],
+    interior: NDArray[np.bool_],
+    *,
+    subset_radius: int,
+    averaging_radius: float,
+    threads: int = 1,
+) -> DenseDisplacement:
+    """Return the displacement of the material point seen by every pixel of the reference image.
+
+    Parameters
+    ----------
+    points
+        Matches to trust.
+    reference, deformed
+        Of each state: positions (3, rows, columns) in mm, their covariances (6, rows, columns) in mm^2 and
+        the labels of its regions (rows, columns).
+    interior
+        (rows, columns): pixels of the reference far enough from their region's edge to see nothing else.
+    subset_radius
+        Of the matches, in px.
+    averaging_radius
+        Within which the displacement is averaged, in px: see `average_in_region`.
+    threads
+        How many threads to use; the result does not depend on it.
+
+    Notes
+    -----
+    Thesis section 4.4.1. The noise of shape is independent from pixel to pixel while the match is already
+    an average over its subset; averaging the displacement over less than a subset therefore costs no
+    resolution. The covariance is that of both positions, averaged, plus that of the match, which is not,
+    carried through the deformed surface's slope along the image.
+    """
+    xyz, covariance, labels = reference
+    end_xyz, end_covariance, end_labels = deformed
+    rows, columns = labels.shape
+    image, variance = blend_matches(points, xyz, labels, _BLEND * subset_radius, threads)
+    y, x = np.mgrid[0:rows, 0:columns]
+    end_x, end_y = x + image[0], y + image[1]
+    end, _, slope = interpolate_in_region(end_xyz, end_covariance[:0], end_labels, end_x, end_y, threads)
+    status = np.zeros(labels.shape, dtype=np.int32)
+    status[np.isnan(end[0])] = NO_SHAPE_AT_END
+    inside = (end_x >= 0) & (end_y >= 0) & (end_x <= columns - 1) & (end_y <= rows - 1)
+    status[~inside] = LEFT_IMAGE
+    status[np.isnan(image[0])] = NO_MATCH_NEAR
+    status[labels == 0] = OUTSIDE_REGION
+    # Interpolated noise is smaller but shared with the neighbours: in an average it counts as the cloud's own.
+    row, column = (np.where(inside, np.rint(np.where(inside, e, 0.0)), 0).astype(int) for e in (end_y, end_x))
+    total = covariance + end_covariance[:, row, column]
+    moved, spread = average_in_region(
+        end - xyz, total, labels, interior & (status == 0), averaging_radius, threads
+    )
+    apart = np.sum((end - xyz - moved) ** 2, axis=0)
+    # Its own end point lies on another surface, or where two mix.
+    stray = apart > _OUTLIER**2 * (total[0] + total[3] + total[5])
+    status[(status == 0) & (stray | np.isnan(moved[0]))] = NO_SHAPE_AT_END
+    status[(status == 0) & _between_regions(labels)] = OUTSIDE_REGION
+    for packed, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
+        for axis in range(2):
+            spread[packed] += slope[i, axis] * slope[j, axis] * variance[axis]
+    for field in (moved, spread, image):
+        field[:, status != 0] = np.nan
+    return DenseDisplacement(moved, spread, image, status)

@@ -1,0 +1,223 @@
+"""Matching of a whole grid of points: seeds first, then from neighbour to neighbour, then outliers.
+
+Every wave matches all points that have a matched neighbour on their region, each from the neighbour with
+the best score (reliability-guided, Pan 2009). A wave depends on the one before as a whole, so that the
+result is the same however many threads share it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from sms_jobs.metrology.deformation.correlation import (
+    CONVERGED,
+    LEFT_IMAGE,
+    NOT_CONVERGED,
+    Matches,
+    MatchSettings,
+    PreparedImages,
+    match_points,
+)
+from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
+
+Floats: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.int64]
+
+_NEIGHBOURS = tuple(
+    sorted(
+        ((j, i) for j in range(-2, 3) for i in range(-2, 3) if (j, i) != (0, 0)),
+        key=lambda step: (max(abs(step[0]), abs(step[1])), abs(step[0]) + abs(step[1])),
+    )
+)
+_ATTEMPTS = 3  # times that a point is tried from ever better neighbours
+_SEED_SCORE = 0.4  # of an integer shift: a poor start, but the refinement judges it
+
+
+@dataclass(frozen=True)
+class GridMatches:
+    """Matches at the nodes of a regular grid that lie on a region: `x`, `y` (n,) in px and the rest."""
+
+    x: Ints
+    y: Ints
+    matches: Matches
+
+
+@dataclass(frozen=True)
+class GridSettings:
+    """How a grid of points is matched.
+
+    Attributes
+    ----------
+    spacing
+        Of the grid, in px.
+    minimum_score
+        Lowest zero-normalised cross-correlation that is accepted.
+    outlier_ratio
+        Largest deviation from the neighbours, in units of their own scatter.
+    """
+
+    spacing: int = 4
+    minimum_score: float = 0.8
+    outlier_ratio: float = 8.0
+
+
+def sample_grid(labels: NDArray[np.int32], spacing: int) -> tuple[Ints, Ints, Ints]:
+    """Return the nodes of a regular grid that lie on a region.
+
+    Parameters
+    ----------
+    labels
+        (rows, columns), 0 where there is no region.
+    spacing
+        In px.
+
+    Returns
+    -------
+    x, y
+        (n,), in px, row by row.
+    node
+        (grid rows, grid columns): the index of each node in `x`, -1 where it is on no region.
+    """
+    offset = spacing // 2
+    on_region = labels[offset::spacing, offset::spacing] > 0
+    node = np.full(on_region.shape, -1, dtype=np.int64)
+    rows, columns = np.nonzero(on_region)
+    node[rows, columns] = np.arange(len(rows))
+    return offset + spacing * columns, offset + spacing * rows, node
+
+
+def choose_seeds(labels: NDArray[np.int32], x: Ints, y: Ints, spacing: int) -> Ints:
+    """Return the indices of one point for every region in every square of `spacing` px.
+
+    It is the one farthest from the region's edge, where its sub-image is the most complete.
+    """
+    reach = 3
+    flat = (ndimage.maximum_filter(labels, reach) == labels) & (
+        ndimage.minimum_filter(labels, reach) == labels
+    )
+    depth = ndimage.distance_transform_edt(np.pad(flat, 1))[1:-1, 1:-1][y, x]
+    order = np.lexsort((np.arange(len(x)), -depth))
+    keys = np.stack([labels[y, x], y // spacing, x // spacing], axis=1)[order]
+    _, first = np.unique(keys, axis=0, return_index=True)
+    return np.sort(order[first])
+
+
+def _extrapolate(warp: Floats, dx: Floats, dy: Floats) -> Floats:
+    """Return affine displacements (n, 6) as seen from points (dx, dy) away, in px."""
+    moved = warp.copy()
+    moved[:, 0] += warp[:, 1] * dx + warp[:, 2] * dy
+    moved[:, 3] += warp[:, 4] * dx + warp[:, 5] * dy
+    return moved
+
+
+def _neighbours(node: Ints, region: NDArray[np.int32]) -> Ints:
+    """Return the indices (n, 24) of each node's neighbours on its region, nearest first, -1 for none."""
+    rows, columns = np.nonzero(node >= 0)
+    padded = np.pad(node, 2, constant_values=-1)
+    around = np.stack([padded[rows + 2 + j, columns + 2 + i] for j, i in _NEIGHBOURS], axis=1)
+    return np.where((around >= 0) & (region[around] == region[:, None]), around, -1)
+
+
+def match_grid(
+    images: PreparedImages,
+    deformed: NDArray[np.generic],
+    settings: MatchSettings,
+    grid: GridSettings,
+    search: SearchSettings,
+    threads: int = 1,
+) -> GridMatches:
+    """Match a regular grid of points of every region.
+
+    Parameters
+    ----------
+    images
+        Reference image, its regions, and the deformed image, prepared.
+    deformed
+        (rows, columns), the deformed image, for the seeds.
+    settings, grid, search
+        Of the subsets, of the grid, and of the seeds.
+    threads
+        How many threads to use; the result does not depend on it.
+    """
+    x, y, node = sample_grid(images.labels, grid.spacing)
+    region = images.labels[y, x]
+    found = Matches(
+        np.full((len(x), 6), np.nan),
+        np.full((len(x), 2), np.nan),
+        np.full(len(x), np.nan),
+        np.zeros(len(x), dtype=np.int32),
+        np.full(len(x), NOT_CONVERGED, dtype=np.int32),
+    )
+    if len(x) == 0:
+        return GridMatches(x, y, found)
+    around = _neighbours(node, region)
+    attempts = np.zeros(len(x), dtype=np.int64)
+    started_from = np.zeros(len(x))
+    done = np.zeros(len(x), dtype=bool)
+
+    def attempt(points: Ints, guess: Floats) -> None:
+        result = match_points(images, x[points], y[points], guess, settings, threads)
+        good = (result.ending == CONVERGED) & (result.score >= grid.minimum_score)
+        result.ending[(result.ending == CONVERGED) & ~good] = NOT_CONVERGED
+        for mine, theirs in zip(vars(found).values(), vars(result).values(), strict=True):
+            mine[points] = theirs
+        done[points] = good
+        attempts[points] += 1
+        # Only a better start can help a point that went astray; nothing helps one without texture.
+        lost = (result.ending != CONVERGED) & (result.ending != NOT_CONVERGED) & (result.ending != LEFT_IMAGE)
+        attempts[points[lost]] = _ATTEMPTS + 1
+
+    seeds = choose_seeds(images.labels, x, y, search.spacing)
+    u, v, score = seed_displacements(
+        images.reference, deformed, images.labels, x[seeds], y[seeds], search, threads
+    )
+    zero = np.zeros_like(u)
+    guess = np.stack([u, zero, zero, v, zero, zero], axis=1)
+    likely = score >= _SEED_SCORE
+    attempt(seeds[likely], guess[likely])
+    while True:
+        pending = np.flatnonzero(~done & (attempts <= _ATTEMPTS))
+        near = around[pending]
+        usable = (near >= 0) & done[near]
+        scores = np.where(usable, found.score[near], -np.inf)
+        scores[:, 8:] -= 1.0  # the second ring only where the first has nothing
+        best = np.argmax(scores, axis=1)
+        source = near[np.arange(len(pending)), best]
+        quality = scores[np.arange(len(pending)), best]
+        better = (quality > -np.inf) & ((attempts[pending] == 0) | (quality > started_from[pending] + 1e-3))
+        pending, source = pending[better], source[better]
+        if len(pending) == 0:
+            break
+        started_from[pending] = quality[better]
+        attempt(pending, _extrapolate(found.warp[source], x[pending] - x[source], y[pending] - y[source]))
+    _reject_outliers(found, x, y, around, grid.outlier_ratio)
+    return GridMatches(x, y, found)
+
+
+def _reject_outliers(found: Matches, x: Ints, y: Ints, around: Ints, ratio: float) -> None:
+    """Mark points as not converged that contradict their neighbours.
+
+    Normalised median test (Westerweel & Scarano 2005) on displacements that the neighbours' gradients
+    carry to the point, with three standard deviations of the match and 0.02 px as least scatter.
+    """
+    good = found.ending == CONVERGED
+    near = around[:, :8]
+    usable = (near >= 0) & good[near]
+    dx, dy = x[:, None] - x[near], y[:, None] - y[near]
+    outside = np.zeros(len(x), dtype=bool)
+    enough = good & (usable.sum(axis=1) >= 3)
+    for first, sigma in ((0, 0), (3, 1)):
+        warp = found.warp[near]
+        carried = warp[..., first] + warp[..., first + 1] * dx + warp[..., first + 2] * dy
+        carried = np.where(usable, carried, np.nan)[enough]
+        middle = np.nanmedian(carried, axis=1)
+        scatter = np.nanmedian(np.abs(carried - middle[:, None]), axis=1)
+        least = np.maximum(0.02, 3.0 * found.sigma[enough, sigma])
+        deviation = np.abs(found.warp[enough, first] - middle)
+        outside[np.flatnonzero(enough)[deviation > ratio * np.maximum(scatter, least)]] = True
+    found.ending[outside] = NOT_CONVERGED

@@ -1,0 +1,158 @@
+"""First guesses of the image displacement, to a pixel, by masked cross-correlation in the Fourier domain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from sms_jobs.metrology.compilation import in_row_blocks
+
+Floats: TypeAlias = NDArray[np.float64]
+Mask: TypeAlias = NDArray[np.bool_]
+
+_LEAST_OVERLAP = 0.5  # part of a template's pixels that must meet the searched image
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """Where seeds are searched.
+
+    Attributes
+    ----------
+    range_x, range_y
+        Largest displacement looked for along the columns and the rows, in px.
+    template_radius
+        Half the side of the sub-images, in px.
+    spacing
+        Between seeds, in px; there is one for every region in every square of this side.
+    """
+
+    range_x: int = 40
+    range_y: int = 40
+    template_radius: int = 20
+    spacing: int = 64
+
+
+def masked_correlation(
+    template: NDArray[np.floating], template_mask: Mask, image: NDArray[np.floating], image_mask: Mask
+) -> NDArray[np.float32]:
+    """Return the zero-normalised cross-correlation of the masked pixels at every lag.
+
+    Parameters
+    ----------
+    template, image
+        (h, w) and (H, W) with H >= h and W >= w, in grey levels.
+    template_mask, image_mask
+        True for the pixels that count.
+
+    Returns
+    -------
+    (H - h + 1, W - w + 1): element (j, i) is the correlation of the template with the part of the image
+    whose first pixel is (j, i), over the pixels that count in both, -1 .. 1; -1 where fewer than half of
+    the template's pixels meet the image's.
+
+    Notes
+    -----
+    Thesis Eq. (3.10)-(3.13), normalised for the mask as in Padfield 2012, Eq. (8)-(20). The transforms
+    are padded with zeros to the image's size, so no lag that is returned wraps round.
+    """
+    lags = (image.shape[0] - template.shape[0] + 1, image.shape[1] - template.shape[1] + 1)
+    size = tuple(fft.next_fast_len(n, real=True) for n in image.shape)
+
+    def transform(values: NDArray[np.float32]) -> NDArray[np.complex64]:
+        spectrum: NDArray[np.complex64] = fft.rfft2(values, size)
+        return spectrum
+
+    def correlate(a: NDArray[np.complex64], b: NDArray[np.complex64]) -> NDArray[np.float32]:
+        lagged: NDArray[np.float32] = fft.irfft2(np.conj(a) * b, size)
+        return lagged[: lags[0], : lags[1]]
+
+    # Means are removed first: in single precision the differences below would lose small contrasts.
+    m1 = template_mask.astype(np.float32)
+    m2 = image_mask.astype(np.float32)
+    count1 = max(float(m1.sum()), 1.0)
+    f = np.where(template_mask, template - np.sum(template * m1) / count1, 0.0).astype(np.float32)
+    g = np.where(image_mask, image - np.sum(image * m2) / max(float(m2.sum()), 1.0), 0.0).astype(np.float32)
+    one, two, f1, g1 = transform(m1), transform(m2), transform(f), transform(g)
+    overlap = np.maximum(correlate(one, two), 1.0)
+    sum_f, sum_g = correlate(f1, two), correlate(one, g1)
+    var_f = correlate(transform(f * f), two) - sum_f**2 / overlap
+    var_g = correlate(one, transform(g * g)) - sum_g**2 / overlap
+    product = var_f * var_g
+    enough = overlap >= _LEAST_OVERLAP * count1
+    # A patch without contrast has a variance of rounding errors alone, which must not be divided by.
+    enough &= product > 1e-8 * float(np.sum(f * f)) * float(np.sum(g * g))
+    correlation = correlate(f1, g1) - sum_f * sum_g / overlap
+    return np.where(enough, correlation / np.sqrt(np.where(enough, product, 1.0)), np.float32(-1.0))
+
+
+def _patch(image: Floats, row: int, column: int, half_rows: int, half_columns: int) -> tuple[Floats, Mask]:
+    """Return the part of an image about a pixel, zero where it runs over the border, and where it does not."""
+    rows, columns = image.shape
+    top, left = row - half_rows, column - half_columns
+    bottom, right = row + half_rows + 1, column + half_columns + 1
+    patch = np.zeros((bottom - top, right - left))
+    inside = np.zeros(patch.shape, dtype=bool)
+    source = np.s_[max(top, 0) : min(bottom, rows), max(left, 0) : min(right, columns)]
+    target = np.s_[
+        max(top, 0) - top : min(bottom, rows) - top, max(left, 0) - left : min(right, columns) - left
+    ]
+    patch[target] = image[source]
+    inside[target] = True
+    return patch, inside
+
+
+def seed_displacements(
+    reference: NDArray[np.generic],
+    deformed: NDArray[np.generic],
+    labels: NDArray[np.int32],
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    settings: SearchSettings,
+    threads: int = 1,
+) -> tuple[Floats, Floats, Floats]:
+    """Find the displacement, to a pixel, of the sub-images about some points.
+
+    Parameters
+    ----------
+    reference, deformed
+        (rows, columns), in grey levels.
+    labels
+        (rows, columns), continuous regions of the reference; a sub-image holds its centre's region only.
+    x, y
+        (n,), pixels of the reference on a region.
+    settings
+        Size of the sub-images and how far they are searched.
+    threads
+        How many threads to use.
+
+    Returns
+    -------
+    u, v
+        (n,), in px.
+    score
+        (n,), correlation there; -1 where there is none.
+    """
+    first = np.asarray(reference, dtype=np.float64)
+    second = np.asarray(deformed, dtype=np.float64)
+    u, v, score = np.zeros(len(x)), np.zeros(len(x)), np.full(len(x), -1.0)
+    regions = labels.astype(np.float64)
+    half = settings.template_radius
+
+    def work(start: int, stop: int) -> None:
+        for k in range(start, stop):
+            template, inside = _patch(first, y[k], x[k], half, half)
+            label, _ = _patch(regions, y[k], x[k], half, half)
+            inside &= label == labels[y[k], x[k]]
+            searched, measured = _patch(second, y[k], x[k], half + settings.range_y, half + settings.range_x)
+            lagged = masked_correlation(template, inside, searched, measured)
+            row, column = np.unravel_index(int(np.argmax(lagged)), lagged.shape)
+            u[k], v[k] = column - settings.range_x, row - settings.range_y
+            score[k] = lagged[row, column]
+
+    in_row_blocks(work, len(x), threads, block=8)
+    return u, v, score

@@ -1,0 +1,393 @@
+"""Strain in the tangent plane of the reference surface, by least squares over a gauge disc in space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.deformation.displacement import pixel_pitch
+
+Floats: TypeAlias = NDArray[np.float64]
+
+_DISC_CELLS = 8  # cells to a gauge radius: about 200 in a disc
+
+
+@dataclass(frozen=True)
+class SurfaceStrain:
+    """Strain at every pixel of the reference image, NaN where the gauge disc holds too few points.
+
+    Attributes
+    ----------
+    strain, sigma
+        (3, rows, columns): xx, yy, xy (tensor component) and their standard deviations.
+    principal
+        (2, rows, columns), larger first.
+    von_mises
+        (rows, columns).
+    """
+
+    strain: Floats
+    sigma: Floats
+    principal: Floats
+    von_mises: Floats
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Means over small squares of pixels: weight (n pixels), place in the image, position, displacement."""
+
+    side: int
+    labels: NDArray[np.int32]
+    weight: Floats
+    place: Floats
+    xyz: Floats
+    displacement: Floats
+    covariance: Floats
+
+
+@kernel
+def _principal_axes(matrix, vectors):  # type: ignore[no-untyped-def]
+    """Turn a symmetric 3 x 3 matrix to diagonal form by Jacobi's rotations; columns of `vectors` are axes."""
+    for i in range(3):
+        for j in range(3):
+            vectors[i, j] = 1.0 if i == j else 0.0
+    for _ in range(12):
+        off = abs(matrix[0, 1]) + abs(matrix[0, 2]) + abs(matrix[1, 2])
+        if off <= 1e-16 * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2]):
+            break
+        for p in range(2):
+            for q in range(p + 1, 3):
+                if matrix[p, q] == 0.0:
+                    continue
+                theta = 0.5 * (matrix[q, q] - matrix[p, p]) / matrix[p, q]
+                t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
+                if theta < 0.0:
+                    t = -t
+                c = 1.0 / np.sqrt(t * t + 1.0)
+                s = t * c
+                for k in range(3):
+                    a = matrix[k, p]
+                    b = matrix[k, q]
+                    matrix[k, p] = c * a - s * b
+                    matrix[k, q] = s * a + c * b
+                for k in range(3):
+                    a = matrix[p, k]
+                    b = matrix[q, k]
+                    matrix[p, k] = c * a - s * b
+                    matrix[q, k] = s * a + c * b
+                    a = vectors[k, p]
+                    b = vectors[k, q]
+                    vectors[k, p] = c * a - s * b
+                    vectors[k, q] = s * a + c * b
+
+
+@kernel
+def _tangent_frame(scatter, along, x_axis, vectors, frame):  # type: ignore[no-untyped-def]
+    """Fill the frame (rows x, y, z) at a point; return False where it has none.
+
+    z is the direction in which the points scatter least, towards the camera; x is `x_axis` projected onto
+    the plane across it. `along` (2, 3) correlates position with the image's x and y, and so tells which
+    side the camera is on: the image's x, y and the viewing direction are right-handed.
+    """
+    _principal_axes(scatter, vectors)
+    order = np.argsort(np.array([scatter[0, 0], scatter[1, 1], scatter[2, 2]]))
+    if not scatter[order[1], order[1]] > 1e-2 * scatter[order[2], order[2]]:
+        return False
+    z = vectors[:, order[0]]
+    facing = (
+        z[0] * (along[0, 1] * along[1, 2] - along[0, 2] * along[1, 1])
+        + z[1] * (along[0, 2] * along[1, 0] - along[0, 0] * along[1, 2])
+        + z[2] * (along[0, 0] * along[1, 1] - along[0, 1] * along[1, 0])
+    )
+    sign = -1.0 if facing > 0.0 else 1.0
+    height = x_axis[0] * z[0] + x_axis[1] * z[1] + x_axis[2] * z[2]
+    length = 0.0
+    for k in range(3):
+        frame[2, k] = sign * z[k]
+        frame[0, k] = x_axis[k] - height * z[k]
+        length += frame[0, k] ** 2
+    if not length > 1e-6:
+        return False
+    for k in range(3):
+        frame[0, k] /= np.sqrt(length)
+    for k in range(3):
+        a = (k + 1) % 3
+        b = (k + 2) % 3
+        frame[1, k] = frame[2, a] * frame[0, b] - frame[2, b] * frame[0, a]
+    return True
+
+
+@kernel
+def _gather(side, labels, weight, place, xyz, displacement, covariance, row, column, label, centre, radius, reach,
+            sums, scatter, mixed, along):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Fill the central moments of the cells within `radius` of a point of the surface; return their weight.
+
+    `sums` is the weighted sum of (place 2, xyz 3, displacement 3, covariance 6), `scatter` that of
+    position with position, `mixed` of position with displacement, `along` of image place with position.
+    """
+    sums[:] = 0.0
+    scatter[:] = 0.0
+    mixed[:] = 0.0
+    along[:] = 0.0
+    total = 0.0
+    x = np.empty(3)
+    for j in range(max(row // side - reach, 0), min(row // side + reach + 1, labels.shape[0])):
+        for i in range(max(column // side - reach, 0), min(column // side + reach + 1, labels.shape[1])):
+            if labels[j, i] != label:
+                continue
+            for k in range(3):
+                x[k] = xyz[k, j, i] - centre[k]
+            if x[0] * x[0] + x[1] * x[1] + x[2] * x[2] > radius * radius:
+                continue
+            w = weight[j, i]
+            total += w
+            for a in range(2):
+                p = place[a, j, i] - (column if a == 0 else row)
+                sums[a] += w * p
+                for k in range(3):
+                    along[a, k] += w * p * x[k]
+            for k in range(3):
+                sums[2 + k] += w * x[k]
+                sums[5 + k] += w * displacement[k, j, i]
+                for m in range(3):
+                    scatter[k, m] += w * x[k] * x[m]
+                    mixed[k, m] += w * x[k] * displacement[m, j, i]
+            for k in range(6):
+                sums[8 + k] += w * covariance[k, j, i]
+    for k in range(3):
+        for a in range(2):
+            along[a, k] -= sums[a] * sums[2 + k] / total
+        for m in range(3):
+            scatter[k, m] -= sums[2 + k] * sums[2 + m] / total
+            mixed[k, m] -= sums[2 + k] * sums[5 + m] / total
+    return total
+
+
+@kernel
+def _quadratic(a, packed, b):  # type: ignore[no-untyped-def]
+    """Return a^T C b for a packed symmetric C."""
+    return (
+        a[0] * (packed[0] * b[0] + packed[1] * b[1] + packed[2] * b[2])
+        + a[1] * (packed[1] * b[0] + packed[3] * b[1] + packed[4] * b[2])
+        + a[2] * (packed[2] * b[0] + packed[4] * b[1] + packed[5] * b[2])
+    )
+
+
+@kernel
+def _strain_rows(start, stop, valid, full_xyz, full_labels, side, labels, weight, place, xyz, displacement,
+                 covariance, x_axis, radius, reach, minimum, green, strain, sigma):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Fill strain and sigma for rows start .. stop."""
+    sums = np.empty(14)
+    scatter = np.empty((3, 3))
+    turned = np.empty((3, 3))
+    mixed = np.empty((3, 3))
+    along = np.empty((2, 3))
+    vectors = np.empty((3, 3))
+    frame = np.empty((3, 3))
+    spread = np.empty((2, 2))
+    gradient = np.empty((2, 3))
+    f = np.empty((2, 3))
+    for r in range(start, stop):
+        for c in range(valid.shape[1]):
+            strain[:, r, c] = np.nan
+            sigma[:, r, c] = np.nan
+            if not valid[r, c]:
+                continue
+            total = _gather(
+                side, labels, weight, place, xyz, displacement, covariance, r, c, full_labels[r, c],
+                full_xyz[:, r, c], radius, reach, sums, scatter, mixed, along,
+            )  # fmt: skip
+            if not total >= minimum:
+                continue
+            turned[:] = scatter
+            if not _tangent_frame(turned, along, x_axis, vectors, frame):
+                continue
+            # The 2 x 2 scatter in the plane, its inverse, and the gradient d,a = A^-1 T^T (mixed).
+            for a in range(2):
+                for b in range(2):
+                    spread[a, b] = 0.0
+                    for k in range(3):
+                        for m in range(3):
+                            spread[a, b] += frame[a, k] * scatter[k, m] * frame[b, m]
+            determinant = spread[0, 0] * spread[1, 1] - spread[0, 1] * spread[1, 0]
+            i00 = spread[1, 1] / determinant
+            i11 = spread[0, 0] / determinant
+            i01 = -spread[0, 1] / determinant
+            for m in range(3):
+                bx = frame[0, 0] * mixed[0, m] + frame[0, 1] * mixed[1, m] + frame[0, 2] * mixed[2, m]
+                by = frame[1, 0] * mixed[0, m] + frame[1, 1] * mixed[1, m] + frame[1, 2] * mixed[2, m]
+                gradient[0, m] = i00 * bx + i01 * by
+                gradient[1, m] = i01 * bx + i11 * by
+            xx = yy = xy = 0.0
+            for m in range(3):
+                xx += frame[0, m] * gradient[0, m]
+                yy += frame[1, m] * gradient[1, m]
+                xy += 0.5 * (frame[0, m] * gradient[1, m] + frame[1, m] * gradient[0, m])
+                if green:
+                    xx += 0.5 * gradient[0, m] ** 2
+                    yy += 0.5 * gradient[1, m] ** 2
+                    xy += 0.5 * gradient[0, m] * gradient[1, m]
+                for a in range(2):
+                    f[a, m] = frame[a, m] + (gradient[a, m] if green else 0.0)
+            strain[0, r, c] = xx
+            strain[1, r, c] = yy
+            strain[2, r, c] = xy
+            noise = sums[8:] / total
+            nxx = _quadratic(f[0], noise, f[0])
+            nyy = _quadratic(f[1], noise, f[1])
+            nxy = _quadratic(f[0], noise, f[1])
+            sigma[0, r, c] = np.sqrt(i00 * nxx)
+            sigma[1, r, c] = np.sqrt(i11 * nyy)
+            sigma[2, r, c] = 0.5 * np.sqrt(i11 * nxx + i00 * nyy + 2.0 * i01 * nxy)
+
+
+def _cell_means(
+    xyz: Floats, displacement: Floats, covariance: Floats, labels: NDArray[np.int32], side: int
+) -> _Cells:
+    """Average fields over squares of `side` x `side` pixels, each over the pixels of one region.
+
+    `labels` is 0 for every pixel that is not to be used. A square with several regions stands for the
+    largest of them, which has the smallest label.
+    """
+    rows, columns = labels.shape
+    padding = ((0, -rows % side), (0, -columns % side))
+
+    def squares(field: NDArray[np.generic]) -> NDArray[np.generic]:
+        padded = np.pad(field, padding)
+        return padded.reshape(padded.shape[0] // side, side, -1, side).swapaxes(1, 2)
+
+    pieces = squares(labels)
+    own = np.where(pieces > 0, pieces, np.iinfo(np.int32).max).min(axis=(2, 3))
+    member = (pieces == own[..., None, None]) & (pieces > 0)
+    weight = member.sum(axis=(2, 3)).astype(np.float64)
+    divisor = np.maximum(weight, 1.0)
+
+    def mean(field: NDArray[np.generic]) -> Floats:
+        inside = np.where(member, squares(field), 0.0)
+        return np.asarray(inside.sum(axis=(2, 3)) / divisor, dtype=np.float64)
+
+    row, column = np.mgrid[0:rows, 0:columns]
+    return _Cells(
+        side,
+        np.where(weight > 0, own, 0).astype(np.int32),
+        weight,
+        np.stack([mean(column), mean(row)]),
+        np.stack([mean(component) for component in xyz]),
+        np.stack([mean(component) for component in displacement]),
+        np.stack([mean(component) for component in covariance]),
+    )
+
+
+def independent_equivalent(
+    covariance: NDArray[np.floating],
+    cloud_covariance: NDArray[np.floating],
+    *,
+    averaging_radius_px: float,
+    subset_radius_px: float,
+    disc_radius_px: float,
+) -> Floats:
+    """Return the covariance that, independent from pixel to pixel, would disturb strain as the true one does.
+
+    Parameters
+    ----------
+    covariance, cloud_covariance
+        (6, rows, columns), of the displacement and of the reference positions, in mm^2.
+    averaging_radius_px, subset_radius_px
+        Distances over which the displacement's errors of shape and of match go together; 0 for none.
+    disc_radius_px
+        Of the gauge disc.
+
+    Notes
+    -----
+    Each part is an independent error, filtered. A disc much wider than the filter sees that error in full;
+    one that is not sees 1 / (1 + a q + b q^2)^2 of it, q being the filter's radius over the disc's. The
+    factors a and b fit the exact quadrature over both filters to 10 % for q below 1.5. The part of shape is
+    twice the cloud's covariance before averaging, which divides it by 5 pi radius^2 / 9; the rest is the
+    match's, of which the median is taken, and blending makes it 1.39 times that of one subset.
+    """
+    if averaging_radius_px == 0.0 and subset_radius_px == 0.0:
+        return np.asarray(covariance, dtype=np.float64)
+    shape = 2.0 * np.asarray(cloud_covariance, dtype=np.float64)
+    averaged = max(5.0 * np.pi / 9.0 * averaging_radius_px**2, 1.0)
+    excess = covariance - shape / averaged
+    known = np.isfinite(excess).all(axis=0)
+    match = np.median(excess[:, known], axis=1) if known.any() else np.zeros(6)
+    match *= (2.0 * subset_radius_px + 1.0) ** 2 / 1.39
+    q_shape, q_match = averaging_radius_px / disc_radius_px, subset_radius_px / disc_radius_px
+    shape_part = shape / (1.0 + 0.40 * q_shape + 0.41 * q_shape**2) ** 2
+    match_part = match / (1.0 + 0.25 * q_match + 1.27 * q_match**2) ** 2
+    total = shape_part + match_part[:, None, None]
+    return np.asarray(np.where(np.isfinite(covariance), total, np.nan))
+
+
+def surface_strain(
+    xyz: Floats,
+    displacement: Floats,
+    covariance: NDArray[np.floating],
+    labels: NDArray[np.int32],
+    *,
+    gauge_length_mm: float,
+    x_axis: tuple[float, float, float] = (1.0, 0.0, 0.0),
+    green_lagrange: bool = True,
+    minimum_pixels: int = 12,
+    threads: int = 1,
+) -> SurfaceStrain:
+    """Return the in-plane strain at every pixel that has a displacement.
+
+    Parameters
+    ----------
+    xyz
+        (3, rows, columns) in mm, positions at the reference state.
+    displacement, covariance
+        (3, rows, columns) in mm and (6, rows, columns) in mm^2; NaN where there is none.
+    labels
+        (rows, columns), continuous regions; a gauge disc holds points of its centre's region only.
+    gauge_length_mm
+        Diameter of the gauge disc, a ball's cut with the surface.
+    x_axis
+        Unit vector in the world whose projection onto the surface is the strain's x.
+    green_lagrange
+        True for Green-Lagrange strain, False for small strain.
+    minimum_pixels
+        A disc with fewer pixels gives no strain.
+    threads
+        How many threads to use; the result does not depend on it.
+
+    Notes
+    -----
+    With d,a the least-squares slopes of the displacement along e_x and e_y of the tangent plane,
+    E_ab = (e_a . d,b + e_b . d,a + d,a . d,b) / 2 (Green-Lagrange), without the last term thesis Eq. (5.1).
+    The plane is that of the points' principal axes, in which height is uncorrelated with place: a rigid
+    motion therefore gives no Green-Lagrange strain at all on any surface, and a lopsided disc at an edge
+    gives the strain at its centroid. The equivalent strain is sqrt(e1^2 - e1 e2 + e2^2) of the principal
+    strains e1 and e2. The standard deviation takes errors as independent from pixel to pixel: see
+    `independent_equivalent` for those that are not.
+    """
+    valid = np.isfinite(displacement).all(axis=0) & (labels > 0)
+    used = np.where(valid, labels, 0).astype(np.int32)
+    radius = 0.5 * gauge_length_mm
+    reach_px = radius / pixel_pitch(xyz, used, 0.01)
+    side = max(1, int(reach_px / _DISC_CELLS))
+    cells = _cell_means(xyz, displacement, np.asarray(covariance, dtype=np.float64), used, side)
+    reach = int(np.ceil(reach_px / side))
+    axis = np.asarray(x_axis, dtype=np.float64)
+    strain = np.empty((3, *labels.shape))
+    sigma = np.empty((3, *labels.shape))
+
+    def work(start: int, stop: int) -> None:
+        _strain_rows(
+            start, stop, valid, xyz, used, cells.side, cells.labels, cells.weight, cells.place, cells.xyz,
+            cells.displacement, cells.covariance, axis, radius, reach, minimum_pixels, green_lagrange,
+            strain, sigma,
+        )  # fmt: skip
+
+    in_row_blocks(work, labels.shape[0], threads)
+    xx, yy, xy = strain
+    middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    first, second = middle + half, middle - half
+    von_mises = np.sqrt(first**2 - first * second + second**2)
+    return SurfaceStrain(strain, sigma, np.stack([first, second]), von_mises)
