@@ -62,6 +62,9 @@ def main() -> None:
     except SmsError as error:
         _refuse(error, str(error), error.exit_code)
     except TyperException as error:
+        if not error.format_message():
+            # `sms` alone: its help has been shown.
+            sys.exit(error.exit_code)
         context = getattr(error, "ctx", None)
         hint = f"; see '{context.command_path} --help'" if context is not None else ""
         _refuse(error, f"{error.format_message().rstrip('.')}{hint}", error.exit_code)
