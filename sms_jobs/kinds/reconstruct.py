@@ -50,6 +50,7 @@ from sms_jobs.records.sensors import Calibration, Role, Sensor, split_pair
 _SLAB = 64  # rows that are unwrapped at a time: bounds the memory, whatever the number of frames
 
 _BLUR_ROWS = 128  # rows that are enough to estimate the blur from
+_TEXTURE_ROUNDS = 2  # the first takes the slope of omega from phases that the texture still disturbs
 
 Reasons = NDArray[np.uint32]
 Floats = NDArray[np.float64]
@@ -218,9 +219,11 @@ class _Rays:
         """Triangulate phase gradients (orientations, rows, columns) that are of `every`-th row."""
         camera, projector = self.camera, self.projector
         rays = camera_rays(camera.intrinsics, camera.pose, camera.rows, camera.columns)
+        rays = np.ascontiguousarray(rays[::every])
+        rays.setflags(write=False)  # as the table is: kernels are compiled for one kind of array
         return triangulate(
             camera.pose.centre(),
-            np.ascontiguousarray(rays[::every]),
+            rays,
             Projector(projector.intrinsics, projector.pose, projector.columns, projector.rows),
             self.orientations,
             omega,
@@ -238,25 +241,38 @@ def _correct_texture(
     """
     usable = reason == Reason.VALID
     gradient = log_gradient(phase.modulation.mean(axis=0))
-    shift = texture_shift(phase.omega, usable, gradient, rays.threads)
-    blur = TYPICAL
-    if parameters.blur_px is not None:
-        blur = Blur(parameters.blur_px**2, TYPICAL.unexplained)
-    elif len(phase.orientations_rad) > 1:
-        every = max(len(usable) // _BLUR_ROWS, 1)
-        omega, change = phase.omega[:, ::every].copy(), shift[:, ::every].copy()
-        sigma = phase.omega_sigma[:, ::every].copy()
-        before, after = rays.meet(omega, sigma, every), rays.meet(omega - change, sigma, every)
-        seen = textured_interior(usable, gradient)[::every]
-        blur = estimate_blur(
-            before.ray_gap[seen], before.ray_gap_sigma[seen], (after.ray_gap - before.ray_gap)[seen]
-        )
+    telling = textured_interior(usable, gradient)
+    corrected = phase.omega
+    for _ in range(_TEXTURE_ROUNDS):
+        shift = texture_shift(corrected, usable, gradient, rays.threads)
+        blur = _blur(rays, parameters, phase, shift, telling)
+        corrected = phase.omega - blur.variance * shift
     beside = usable & (blur.variance * np.hypot(gradient[0], gradient[1]) > parameters.maximum_shift_px)
     _mark(reason, beside, Reason.OUTSIDE_REGION)
-    correction = blur.variance * shift
-    np.subtract(phase.omega, correction, out=phase.omega)
-    np.hypot(phase.omega_sigma, blur.unexplained * correction, out=phase.omega_sigma, casting="same_kind")
+    left = (blur.unexplained * blur.variance * shift).astype(np.float32)
+    np.hypot(phase.omega_sigma, left, out=phase.omega_sigma)
+    phase.omega[...] = corrected
     return blur
+
+
+def _blur(
+    rays: _Rays,
+    parameters: ReconstructParameters,
+    phase: PhaseMaps,
+    shift: Floats,
+    telling: NDArray[np.bool_],
+) -> Blur:
+    """Return the blur that is given, or that the ray gaps of some rows tell, or that is typical."""
+    if parameters.blur_px is not None:
+        return Blur(parameters.blur_px**2, TYPICAL.unexplained)
+    if len(phase.orientations_rad) == 1:
+        return TYPICAL
+    every = max(len(telling) // _BLUR_ROWS, 1)
+    omega, sigma = phase.omega[:, ::every].copy(), phase.omega_sigma[:, ::every].copy()
+    before, after = rays.meet(omega, sigma, every), rays.meet(omega - shift[:, ::every], sigma, every)
+    seen = telling[::every]
+    change = after.ray_gap - before.ray_gap
+    return estimate_blur(before.ray_gap[seen], before.ray_gap_sigma[seen], change[seen])
 
 
 def _mark_points(
