@@ -47,8 +47,8 @@ def find(
         output.print_json_list(files)
         return
     output.print_table(
-        ["file", "kind", "subject", "size", "created", "path"],
-        [(f.id, f.source, f.subject, output.size(f.size_bytes), f.created_at, f.path) for f in files],
+        ["file", "kind", "subject", "type", "size", "created"],
+        [(f.id, f.source, f.subject, f.media_type, output.size(f.size_bytes), f.created_at) for f in files],
         empty="there is no such file",
     )
 

@@ -70,10 +70,10 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, empty:
 
 def print_facts(facts: dict[str, Any]) -> None:
     """Print names and values, one a line."""
-    table = Table.grid(padding=(0, 2))
+    width = max(map(len, facts))
     for name, value in facts.items():
-        table.add_row(f"[bold]{name}[/bold]", shown(value))
-    answer.print(table)
+        # Not folded: paths and hashes are copied from here.
+        answer.print(f"[bold]{name:<{width}}[/bold]  {shown(value)}", soft_wrap=True)
 
 
 def say(text: str) -> None:

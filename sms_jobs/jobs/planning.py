@@ -90,7 +90,10 @@ def plan(
     """
     wanted = _expand(campaign, requests)
     parameters = {name: _parameters(kind, request) for name, (kind, request) in wanted.items()}
-    makers = {kind.makes or kind.name: kind for kind, _ in wanted.values()}
+    # A kind that has nothing to do in this campaign makes nothing that others could wait for.
+    makers = {
+        kind.makes or kind.name: kind for kind, _ in wanted.values() if default_subjects(kind, campaign)
+    }
     jobs: dict[_Key, None] = {}
     for name, (kind, request) in wanted.items():
         for subject in _selected(kind, campaign, request):

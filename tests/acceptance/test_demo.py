@@ -1,0 +1,77 @@
+"""The demo: what it prints, how near it comes to the exact truth, and that it can be run again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.command import answer, sms
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("demo")
+
+
+@pytest.fixture(scope="module")
+def first(folder: Path) -> Any:
+    """What the demo prints in an empty folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("SMS_HOME", raising=False)
+        return answer("demo", "--out", str(folder), timeout=900.0)
+
+
+def test_it_says_what_it_did(first: Any) -> None:
+    assert first["schema"] == 1
+    assert first["campaign"] == "top-hat-small"
+    # 4 acquisitions, 16 shapes, 12 displacement and 12 strain fields, 3 merges and exports, 16 assessments, report.
+    assert first["jobs"] == {"succeeded": 67, "failed": 0, "reused": 0}
+    assert Path(first["report"]).is_file()
+    assert len(first["exports"]) == 18
+    assert all(Path(path).is_file() for path in first["exports"])
+
+
+def test_it_is_as_accurate_as_it_claims(first: Any) -> None:
+    # The product's own promise for the small size: a ten-thousandth of the volume's diagonal, over all valid
+    # pixels, and valid wherever the truth says that a pixel is seen and lit, in nine of ten cases.
+    assert first["shape_rms_mm"] <= first["volume_diagonal_mm"] / 10_000
+    assert first["displacement_rms_mm"] <= first["volume_diagonal_mm"] / 10_000
+    assert first["displacement_relative"] == pytest.approx(
+        first["displacement_rms_mm"] / first["volume_diagonal_mm"]
+    )
+    assert first["valid_fraction"] >= 0.9
+    assert first["strain_rms_microstrain"] > 0
+
+
+def test_again_in_the_same_folder_every_result_is_reused(first: Any, folder: Path) -> None:
+    again = answer("demo", "--out", str(folder), timeout=300.0)
+    assert again["jobs"] == {"succeeded": 67, "failed": 0, "reused": 67}
+    for same in ("report", "exports", "shape_rms_mm", "displacement_rms_mm", "strain_rms_microstrain"):
+        assert again[same] == first[same]
+
+
+def test_the_archive_can_be_asked_afterwards(first: Any, folder: Path, tmp_path: Path) -> None:
+    home = ("--home", str(folder))
+    (strain,) = answer("data", "find", "--kind", "strain", "--state", "S02", "--pair", "C1P1", *home)
+    shown = answer("data", "show", str(strain["id"]), *home)
+    assert shown["records"]["strain"]["strain"]["shape"] == [3, 512, 512]
+    assert shown["statistics"]
+    ancestors = answer("data", "tree", str(strain["id"]), *home)
+    sources = str(ancestors)
+    assert all(source in sources for source in ("correlate", "reconstruct", "measurement", "calibration"))
+    picture = tmp_path / "strain.png"
+    done = sms(
+        "data", "plot", str(strain["id"]), "--field", "strain", "--component", "xx", "-o", str(picture), *home
+    )
+    assert done.returncode == 0, done.stderr
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_report_stands_alone(first: Any) -> None:
+    page = Path(first["report"]).read_text(encoding="utf-8")
+    assert "data:image/png;base64," in page
+    assert 'src="http' not in page
+    assert 'href="http' not in page
+    for word in ("top-hat-small", "S03", "C1", "strain", "mm"):
+        assert word in page

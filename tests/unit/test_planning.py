@@ -1,0 +1,126 @@
+"""From requests to a graph of jobs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+
+from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.jobs.planning import Existing, PlannedJob, Request, plan
+from sms_jobs.kinds import all_kinds
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Need
+from sms_jobs.virtual_rig.campaigns import small_plate, top_hat_bending
+
+CAMPAIGN = top_hat_bending("hat", "small")[1]
+EVERYTHING = [Request("acquire"), Request("pipeline")]
+
+
+def only_calibration(need: Need) -> Existing | None:
+    return Existing(file_id=1) if need.source == CALIBRATION else None
+
+
+def everything_exists(need: Need) -> Existing | None:
+    return Existing(file_id=1)
+
+
+def counted(jobs: tuple[PlannedJob, ...]) -> Counter[str]:
+    return Counter(job.kind.name for job in jobs)
+
+
+def test_a_pipeline_covers_every_tuple_once() -> None:
+    # 4 states, 4 pairs, 3 deformed states.
+    assert counted(plan(CAMPAIGN, EVERYTHING, only_calibration)) == {
+        "acquire": 4,
+        "reconstruct": 16,
+        "correlate": 12,
+        "strain": 12,
+        "merge": 3,
+        "export": 3,
+        "assess": 16,
+        "report": 1,
+    }
+
+
+def test_every_job_comes_after_those_it_needs() -> None:
+    jobs = plan(CAMPAIGN, EVERYTHING, only_calibration)
+    for place, job in enumerate(jobs):
+        producers = [i.producer for i in job.inputs if i.producer is not None]
+        assert all(producer < place for producer in producers)
+        assert len({i.need.role for i in job.inputs}) == len(job.inputs)
+
+
+def test_every_need_is_met_by_a_job_that_makes_it() -> None:
+    jobs = plan(CAMPAIGN, EVERYTHING, only_calibration)
+    for job in jobs:
+        for given in job.inputs:
+            if given.producer is None:
+                assert given.need.source == CALIBRATION
+                continue
+            producer = jobs[given.producer]
+            assert given.need.source == (producer.kind.makes or producer.kind.name)
+            wanted = given.need.subject
+            assert producer.subject.state in (None, wanted.state)
+            assert producer.subject.pair in (None, wanted.pair)
+
+
+def test_one_state_brings_the_reference_that_it_needs_and_no_report() -> None:
+    jobs = plan(CAMPAIGN, [Request("pipeline", states=("S02",))], everything_exists)
+    assert {job.subject.state for job in jobs if job.kind.name == "reconstruct"} == {"S00", "S02"}
+    assert {job.subject.state for job in jobs if job.kind.name == "correlate"} == {"S02"}
+    assert "report" not in counted(jobs)
+
+
+def test_one_kind_uses_what_exists() -> None:
+    jobs = plan(CAMPAIGN, [Request("strain", pairs=("C1P2",))], everything_exists)
+    assert counted(jobs) == {"strain": 3}
+    assert all(i.existing == Existing(file_id=1) for job in jobs for i in job.inputs)
+
+
+def test_what_is_missing_is_named() -> None:
+    with pytest.raises(NotFound, match="measurement of hat/S00/C1P1"):
+        plan(CAMPAIGN, [Request("reconstruct")], only_calibration)
+
+
+def test_a_campaign_on_a_real_rig_is_neither_simulated_nor_assessed() -> None:
+    real = replace(small_plate("plate")[1], scene=None)
+
+    def recorded(need: Need) -> Existing | None:
+        return Existing(file_id=1) if need.source in (CALIBRATION, MEASUREMENT) else None
+
+    kinds = counted(plan(real, EVERYTHING, recorded))
+    assert "acquire" not in kinds
+    assert "assess" not in kinds
+    assert kinds["report"] == 1
+
+
+def test_parameters_reach_their_kind() -> None:
+    request = Request("pipeline", {"strain.gauge_length_mm": "25"})
+    jobs = plan(CAMPAIGN, [request], everything_exists)
+    lengths = {job.parameters.model_dump()["gauge_length_mm"] for job in jobs if job.kind.name == "strain"}
+    assert lengths == {25.0}
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        (Request("paint"), "paint"),
+        (Request("strain", {"gauge_length_mm": "long"}), "gauge_length_mm.*long"),
+        (Request("strain", {"colour": "red"}), "colour"),
+        (Request("pipeline", {"paint.colour": "red"}), "paint.colour"),
+        (Request("strain", states=("S9",)), "S9"),
+        (Request("strain", pairs=("C9P9",)), "C9P9"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(request_: Request, words: str) -> None:
+    with pytest.raises(InvalidInput, match=words):
+        plan(CAMPAIGN, [request_], everything_exists)
+
+
+def test_every_kind_is_found_by_its_file_and_documented() -> None:
+    for name, kind in all_kinds().items():
+        assert kind.name == name
+        assert kind.version >= 1
+        assert kind.summary
+        assert (kind.parameters.__doc__ or "").strip()
