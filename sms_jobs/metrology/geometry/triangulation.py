@@ -198,12 +198,12 @@ def _triangulate_rows(
     `centres` holds the two pin-holes and the centre of the projector's image (x, y, 0).
     """
     base = (centres[1, 0] - centres[0, 0], centres[1, 1] - centres[0, 1], centres[1, 2] - centres[0, 2])
-    pixel, inner, change = np.empty(2), np.empty(6), np.empty((4, omega.shape[0]))
+    pixel, inner, change = np.empty(2), np.empty(6), np.empty(3)
     for row in range(block[0], block[1]):
         for column in range(omega.shape[2]):
-            xyz[:, row, column] = np.nan
-            covariance[:, row, column] = np.nan
-            gap[:, row, column] = np.nan
+            for i in range(6):
+                covariance[i, row, column] = np.nan
+                xyz[i % 3, row, column] = gap[i % 2, row, column] = np.nan
             for i in range(2):
                 pixel[i] = centres[2, i]
                 for k in range(omega.shape[0]):
@@ -216,22 +216,23 @@ def _triangulate_rows(
             if not np.isfinite(distance):
                 continue
             gap[0, row, column] = distance
+            gap_variance = 0.0
             for i in range(3):
                 xyz[i, row, column] = centres[0, i] + point[i]
+                covariance[i, row, column] = covariance[i + 3, row, column] = 0.0
             for k in range(omega.shape[0]):
                 px, py = to_pixel[0, k], to_pixel[1, k]
                 dv = _turned(turn, inner[2] * px + inner[3] * py, inner[4] * px + inner[5] * py, 0.0)
                 moved, opened = _closest_change(u, v, base, towards, dv)
-                sigma = omega_sigma[k, row, column]
+                variance = np.float64(omega_sigma[k, row, column]) ** 2
+                gap_variance += opened * opened * variance
+                change[0], change[1], change[2] = moved
+                packed = 0
                 for i in range(3):
-                    change[i, k] = moved[i] * sigma
-                change[3, k] = opened * sigma
-            packed = 0
-            for i in range(3):
-                for j in range(i, 3):
-                    covariance[packed, row, column] = np.sum(change[i] * change[j])
-                    packed += 1
-            gap[1, row, column] = np.sqrt(np.sum(change[3] * change[3]))
+                    for j in range(i, 3):
+                        covariance[packed, row, column] += change[i] * change[j] * variance
+                        packed += 1
+            gap[1, row, column] = np.sqrt(gap_variance)
 
 
 def triangulate(
