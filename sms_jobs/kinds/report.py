@@ -241,7 +241,7 @@ def _state_section(
         if draw is not None:
             pictures[camera] += draw.strain(strain, f"{camera} ({pair}, {state.label})")
         del strain
-    load = "" if state.load_n is None else f", {html.number(state.load_n)} N"
+    load = "" if state.load_n is None else f", {html.number(html.Given(state.load_n))} N"
     views = [html.figures(camera) for camera in pictures.values() if camera]
     return Section(f"State {state.label}{load}", views, level=3)
 

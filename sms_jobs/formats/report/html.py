@@ -52,8 +52,12 @@ class Markup:
     html: str
 
 
+class Given(float):
+    """A number that a person gave: it is shown as it was given, not rounded."""
+
+
 Cell = str | float | int | None | Markup
-"""Of a table: text is escaped, numbers are rounded to five digits, None is a dash."""
+"""Of a table: text is escaped, numbers are rounded to four digits, None is a dash."""
 
 
 def text(plain: str) -> Markup:
@@ -68,12 +72,14 @@ def code(plain: str, title: str = "") -> Markup:
 
 
 def number(value: float | int | None) -> str:
-    """Write a number with five digits; a dash for one that is missing or not finite."""
+    """Write a number with four digits; a dash for one that is missing or not finite."""
     if value is None or not isfinite(value):
         return NOTHING
     if isinstance(value, int):
         return str(value)
-    return f"{value:.0f}" if 1e5 <= abs(value) < 1e9 else f"{value:.5g}"
+    if isinstance(value, Given):
+        return f"{value:.12g}"
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e9 else f"{value:.4g}"
 
 
 def paragraph(plain: str, faint: bool = False) -> Markup:

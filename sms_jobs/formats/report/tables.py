@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 
-from sms_jobs.formats.report.html import Cell, Markup, facts, table
+from sms_jobs.formats.report.html import Cell, Given, Markup, facts, table
 from sms_jobs.records.assessment import Assessment, Errors
 from sms_jobs.records.campaign import Campaign, LoadState
 
@@ -36,6 +36,10 @@ def campaign_facts(campaign: Campaign) -> Markup:
     )
 
 
+def _given(value: float | None) -> Given | None:
+    return None if value is None else Given(value)
+
+
 def load_states(states: Sequence[LoadState], recorded: Mapping[str, datetime]) -> Markup:
     """List the load states; `recorded` says when those were measured whose definition does not."""
     channels = sorted({name for state in states for name in state.channels})
@@ -45,10 +49,10 @@ def load_states(states: Sequence[LoadState], recorded: Mapping[str, datetime]) -
         rows.append(
             [
                 state.label + (" (reference)" if place == 0 else ""),
-                state.load_n,
-                state.displacement_mm,
+                _given(state.load_n),
+                _given(state.displacement_mm),
                 local_time(state.time or recorded.get(state.label)),
-                *(state.channels.get(name) for name in channels),
+                *(_given(state.channels.get(name)) for name in channels),
             ]
         )
     return table(header, rows)
