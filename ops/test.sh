@@ -10,13 +10,20 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 . ops/setup.sh
 . ops/servers.sh
 
+failed=""
+
+# Runs a check and goes on after a failure, so that one run tells everything that is wrong.
 step() {
     local name="$1" started=$SECONDS status=0
     shift
     say "== $name"
     "$@" || status=$?
-    say "== $name: $([ $status = 0 ] && echo passed || echo "failed with exit code $status"), $((SECONDS - started)) s"
-    return $status
+    if [ $status = 0 ]; then
+        say "== $name: passed, $((SECONDS - started)) s"
+    else
+        say "== $name: failed with exit code $status, $((SECONDS - started)) s"
+        failed="$failed, $name"
+    fi
 }
 
 # A bare Debian has a Python that cannot make virtual environments.
@@ -39,4 +46,7 @@ start_servers
 say "== servers: $SMS_TEST_POSTGRESQL_URL and $SMS_TEST_REDIS_URL"
 export CI="${CI:-true}"
 step "pytest" .venv/bin/python -m pytest "$@"
+if [ -n "$failed" ]; then
+    die "these checks failed: ${failed#, } (after $SECONDS s)"
+fi
 say "== all passed in $SECONDS s"
