@@ -1,0 +1,111 @@
+"""The thesis's top hat: a speckled surface with steep sides, holes, shadows and occlusions."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar, cast
+
+import numpy as np
+import pytest
+
+from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
+from sms_jobs.metrology.images.segmentation import label_regions, pixel_footprint
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.scene import Simulation
+from sms_jobs.records.sensors import Calibration
+from sms_jobs.virtual_rig.campaigns import top_hat_bending
+from sms_jobs.virtual_rig.rendering import render
+from sms_jobs.virtual_rig.truth import Shape, exact_shape
+
+R = TypeVar("R")
+
+
+class InMemory:
+    """A dataset of one record that is at hand."""
+
+    def __init__(self, subject: Subject, record: Any) -> None:
+        self.subject = subject
+        self.names = (type(record).__name__.lower(),)
+        self._record = record
+
+    def read(self, name: str, record: type[R]) -> R:
+        assert name in self.names
+        return cast(R, self._record)
+
+
+@pytest.fixture(scope="module", params=["C1P1", "C2P1"])
+def reconstructed(request: pytest.FixtureRequest) -> tuple[Calibration, PointCloud, Shape]:
+    """A pair that sees a side and one across whose sight the hat stands; cameras of 512 x 512 px."""
+    pair: str = request.param
+    calibration, campaign = top_hat_bending("hat", "small")
+    assert campaign.scene is not None
+    subject = Subject("hat", "S00", pair)
+    simulation = Simulation(campaign.scene, pair[:2], pair[2:], (), state="S00")
+    seen = render(simulation, campaign.sequence)
+    measurement = Measurement(
+        recorded_at=calibration.valid_from,
+        sequence=campaign.sequence,
+        full_scale=seen.full_scale,
+        gain=seen.gain,
+        read_noise=seen.read_noise,
+        texture=seen.texture,
+        frames=seen.frames,
+    )
+    datasets = {
+        "measurement": InMemory(subject, measurement),
+        "calibration": InMemory(Subject("hat"), calibration),
+    }
+    inputs = Inputs(subject, None, datasets)
+    output = next(iter(KIND.run(inputs, ReconstructParameters(), lambda fraction, message="": None)))
+    assert isinstance(output, DatasetOutput)
+    return calibration, output.records["cloud"], exact_shape(simulation)
+
+
+def test_nearly_every_pixel_that_is_seen_and_lit_has_a_good_point(
+    reconstructed: tuple[Calibration, PointCloud, Shape],
+) -> None:
+    calibration, cloud, shape = reconstructed
+    valid = cloud.reason == Reason.VALID
+    assert valid[shape.lit].mean() > 0.97  # all but edges that share a pixel with something else
+    error = np.linalg.norm(cloud.xyz - shape.xyz, axis=0)[valid & shape.lit]
+    # A pixel sees 1.3 mm; the noise alone is 0.03 mm and what the texture leaves another 0.05 mm.
+    assert np.sqrt(np.mean(error**2)) < calibration.volume.diagonal_mm / 10_000.0
+    assert np.quantile(error, 0.99) < 0.3
+
+
+def test_stated_errors_are_those_that_happen(reconstructed: tuple[Calibration, PointCloud, Shape]) -> None:
+    _, cloud, shape = reconstructed
+    good = (cloud.reason == Reason.VALID) & shape.lit
+    sigma = np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0))
+    z = np.linalg.norm(cloud.xyz - shape.xyz, axis=0)[good] / sigma[good]
+    # What the texture leaves is no Gaussian, and its size is one number for a whole image: to a quarter.
+    assert np.median(z) / 0.6745 == pytest.approx(1.0, abs=0.25)
+    assert np.mean(z > 4.0) < 0.015
+
+
+def test_the_hat_falls_into_the_pieces_that_occlusion_and_shadow_leave(
+    reconstructed: tuple[Calibration, PointCloud, Shape],
+) -> None:
+    calibration, cloud, shape = reconstructed
+    camera = calibration.sensor(cloud.camera)
+    valid = cloud.reason == Reason.VALID
+    found = label_regions(
+        cloud.xyz,
+        valid,
+        np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0)).astype(np.float64),
+        pixel_footprint(cloud.xyz, camera.intrinsics, camera.pose),
+        minimum_area=100,
+    )
+    # C1P1 sees base, side and top as one sheet and the far base apart; C2P1's far base, top and near
+    # base are parted by an occlusion and by a shadow.
+    assert len(found.areas) == {"P1C1": 2, "P1C2": 3}[cloud.projector + cloud.camera]
+    assert (found.labels[valid] > 0).mean() > 0.99
+    assert (found.labels[shape.lit] > 0).mean() > 0.97
+    for patch in np.unique(shape.region[shape.lit & valid]):
+        labels = found.labels[(shape.region == patch) & shape.lit & valid]
+        if labels.size > 1000:
+            # A patch lies in one region, but for pixels whose light comes from across an edge.
+            assert np.bincount(labels).max() > 0.999 * labels.size
