@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 import tomllib
 from collections import Counter
 from pathlib import Path
@@ -97,6 +98,22 @@ def test_every_declared_dependency_is_locked() -> None:
 
     assert names(project["dependencies"] + extras["build"]) <= packages("requirements.lock").keys()
     assert names(extras["test"] + extras["postgresql"]) <= packages("requirements-test.lock").keys()
+
+
+def test_every_imported_package_is_declared() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    requirements = project["dependencies"] + project["optional-dependencies"]["postgresql"]
+    declared = {re.split(r"[\[<>=~! ;]", r)[0].lower().replace("-", "_") for r in requirements}
+    # Packages that are imported under another name, or that come with one that is declared.
+    declared |= {"cv2", "serial", "kombu", "pydantic_core", "click"}
+    imported = set()
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                imported.add((node.module or "").split(".")[0])
+    assert imported - sys.stdlib_module_names - declared - {"sms_jobs"} == set()
 
 
 @pytest.mark.parametrize("script", sorted((ROOT / "ops").glob("*.sh")), ids=relative)
