@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC
 from math import prod
 from typing import Any
@@ -91,18 +91,23 @@ def _write_stack(dataset: Any, stack: Any) -> str:
     return sha.hexdigest()
 
 
+def _name(node: Any, attribute: str, names: Sequence[str]) -> None:
+    """Attach a list of names, which may be empty."""
+    node.attrs.create(attribute, np.array(names, object), dtype=h5py.string_dtype())
+
+
 def _describe(dataset: Any, quantity: Quantity) -> None:
     """Attach unit, meaning, axes and the names of components and flags."""
     dataset.attrs["units"] = quantity.unit
     dataset.attrs["long_name"] = f"{quantity.meaning} [{quantity.unit}]"
     dataset.attrs["meaning"] = quantity.meaning
-    dataset.attrs["axes"] = list(quantity.axes)
+    _name(dataset, "axes", quantity.axes)
     if quantity.components:
-        dataset.attrs["components"] = list(quantity.components)
+        _name(dataset, "components", quantity.components)
     if quantity.is_image:
         dataset.attrs["interpretation"] = "image"
     if quantity.unit == "bit":
-        dataset.attrs["flag_names"] = [str(flag.name) for flag in Reason]
+        _name(dataset, "flag_names", [str(flag.name) for flag in Reason])
         dataset.attrs["flag_masks"] = np.array([flag.value for flag in Reason], np.uint32)
 
 
@@ -123,7 +128,9 @@ def _plot_as_nxdata(group: h5py.Group, arrays: Mapping[str, ArrayField]) -> None
             group.create_dataset(axis, data=np.arange(length, dtype=np.int32))
             group[axis].attrs["units"] = "px"
             group[axis].attrs["long_name"] = f"{axis} [px]"
-        group.attrs["auxiliary_signals"] = [n for n in images[1:] if group[n].shape == group[signal].shape]
+        others = [n for n in images[1:] if group[n].shape == group[signal].shape]
+        if others:
+            _name(group, "auxiliary_signals", others)
     elif {"x", "y"} < set(points) and group["x"].size:
         signal, axes = next(n for n in points if n not in ("x", "y", "region")), ["x", "y"]
     else:
@@ -131,7 +138,7 @@ def _plot_as_nxdata(group: h5py.Group, arrays: Mapping[str, ArrayField]) -> None
         return
     group.attrs["NX_class"] = "NXdata"
     group.attrs["signal"] = signal
-    group.attrs["axes"] = axes
+    _name(group, "axes", axes)
 
 
 def _write_record(entry: h5py.Group, name: str, record: Any, manifest: Manifest) -> None:
@@ -157,7 +164,7 @@ def _write_record(entry: h5py.Group, name: str, record: Any, manifest: Manifest)
         dataset.attrs["sha256"] = sha
         digests.append(ArrayDigest(field_name, dataset.dtype.str, dataset.shape, field.quantity.unit, sha))
     group.attrs["record"] = type(record).__name__
-    group.attrs["arrays"] = [d.name for d in digests]
+    _name(group, "arrays", [d.name for d in digests])
     _text(group, FIELDS, plain)
     _plot_as_nxdata(group, layout.arrays)
     manifest.add(name, type(record).__name__, plain, digests)
@@ -187,7 +194,7 @@ def _write_process(entry: h5py.Group, provenance: Provenance) -> None:
 def write(file: h5py.File, records: Mapping[str, Any], provenance: Provenance) -> str:
     """Fill a new file with records and their provenance; return the content hash.
 
-    The first record is what viewers show when they open the file.
+    The first record that can be plotted is what viewers show when they open the file.
     """
     if not records:
         raise InvalidInput(f"there is no record to seal for {provenance.subject}")
@@ -203,13 +210,14 @@ def write(file: h5py.File, records: Mapping[str, Any], provenance: Provenance) -
     )
     entry = file.create_group("entry")
     entry.attrs["NX_class"] = "NXentry"
-    entry.attrs["default"] = next(iter(records))
-    entry.attrs["records"] = list(records)
+    _name(entry, "records", list(records))
     _text(entry, "title", f"{provenance.kind} of {provenance.subject}")
     _text(entry, "start_time", provenance.created_at.astimezone(UTC).isoformat())
     manifest = Manifest()
     for name, record in records.items():
         _write_record(entry, name, record, manifest)
+    plotted = [name for name in records if entry[name].attrs["NX_class"] == "NXdata"]
+    entry.attrs["default"] = next(iter(plotted or records))
     _write_process(entry, provenance)
     file.attrs["content_hash"] = manifest.content_hash()
     return manifest.content_hash()

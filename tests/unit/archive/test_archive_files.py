@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import subprocess
 import sys
@@ -282,6 +283,35 @@ def test_the_hash_changes_with_everything_that_is_said(
     assert before.content_hash != after.content_hash
 
 
+def test_the_hash_can_be_computed_from_the_description_of_the_format(
+    archive: Archive, rng: np.random.Generator
+) -> None:
+    # Only h5py, hashlib and json: what docs/archive_format.md says, and nothing of the program.
+    records = {"cloud": point_cloud(rng), "calibration": calibration(), "regions": regions()}
+    sealed = archive.seal_dataset(records, provenance())
+    manifest = []
+    with h5py.File(archive.path(sealed.path)) as file:
+        for name in file["entry"].attrs["records"]:
+            group = file["entry"][name]
+            arrays = [
+                {
+                    "name": array,
+                    "dtype": group[array].dtype.str,
+                    "shape": list(group[array].shape),
+                    "unit": group[array].attrs["units"],
+                    "sha256": hashlib.sha256(group[array][()].tobytes()).hexdigest(),
+                }
+                for array in group.attrs["arrays"]
+            ]
+            fields = group["record_fields"][()].decode()
+            manifest.append(
+                {"name": name, "record": group.attrs["record"], "fields": fields, "arrays": arrays}
+            )
+        assert file.attrs["content_hash"] == sealed.content_hash
+    text = json.dumps(manifest, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    assert hashlib.sha256(text.encode()).hexdigest() == sealed.content_hash
+
+
 # --- damage ----------------------------------------------------------------------------------------------
 
 
@@ -503,6 +533,14 @@ def test_viewers_open_a_result_with_its_first_image(archive: Archive, rng: np.ra
         assert list(cloud["xyz"].attrs["components"]) == ["X", "Y", "Z"]
         assert cloud["xyz"].attrs["units"] == "mm"
         assert all(cloud[name].fletcher32 for name in cloud.attrs["arrays"])
+
+
+def test_viewers_pass_over_what_cannot_be_plotted(archive: Archive, rng: np.random.Generator) -> None:
+    records = {"calibration": calibration(), "cloud": point_cloud(rng)}
+    result = archive.seal_dataset(records, provenance())
+    assert default_plot(archive.path(result.path))[1] == "xyz"
+    with archive.open(result.path) as dataset:
+        assert dataset.names == ("calibration", "cloud")
 
 
 def test_viewers_open_points_as_a_scatter_plot(archive: Archive, rng: np.random.Generator) -> None:
