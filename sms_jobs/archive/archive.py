@@ -179,14 +179,19 @@ class Archive:
             if layout.is_result(relative):
                 yield relative
 
-    def leftovers(self, job_id: str) -> tuple[str, ...]:
+    def leftovers(self, job_id: str, within: Subject | None = None) -> tuple[str, ...]:
         """Return every file, sealed or still being written, of a job's attempts so far, in order of path.
 
-        The provenance of a document belongs to it and is named only when the document is not there.
+        The provenance of a document belongs to it and is named only when the document is not there. With
+        `within`, only files about that subject and its parts are looked at, which is much faster.
         """
         found = []
-        for relative in self._names():
+        start = "." if within is None else str(layout.folder(within))
+        short = layout.short_job_id(job_id)
+        for relative in self._names(start):
             name = relative.rsplit("/", 1)[-1]
+            if short not in name:
+                continue
             document = layout.without_sidecar(relative)
             if document != relative and self.path(document).is_file():
                 continue
@@ -208,12 +213,12 @@ class Archive:
         file.with_name(layout.sidecar(file.name)).unlink(missing_ok=True)
         sync(file.parent)
 
-    def _names(self) -> Iterator[str]:
-        """Yield the relative path of every file; links to folders are not followed."""
-        for folder, _, names in os.walk(self.root):
-            inner = Path(folder).relative_to(self.root)
+    def _names(self, start: str = ".") -> Iterator[str]:
+        """Yield the relative path of every file below a folder; links to folders are not followed."""
+        for folder, _, names in os.walk(self.path(start)):
+            inner = Path(folder).relative_to(self.root).as_posix()
             for name in names:
-                yield (inner / name).as_posix()
+                yield name if inner == "." else f"{inner}/{name}"
 
     def _job_of(self, relative: str) -> str | None:
         """Return the id of the job that sealed a file; None when the file does not tell."""

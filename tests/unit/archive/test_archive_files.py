@@ -450,6 +450,8 @@ def test_a_job_finds_its_own_files_and_no_others(archive: Archive) -> None:
     found = archive.leftovers(JOB)
     assert set(found) == {mine.path, mine_too.path, page.path}
     assert set(archive.files()) == {mine.path, mine_too.path, page.path, other.path}
+    assert set(archive.leftovers(JOB, Subject("test", "S00"))) == {mine.path, page.path}
+    assert archive.leftovers(JOB, Subject("elsewhere")) == ()
     for path in found:
         archive.discard(path)
     archive.discard(mine.path)  # twice does no harm
