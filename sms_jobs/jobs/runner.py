@@ -101,7 +101,7 @@ class Runner:
         )
         if held.use_cache and held.repeatable and self._reuse(held, key):
             return
-        if held.repeatable:
+        if held.repeatable and held.attempt > 1:
             self._clear_leftovers(held)
         self._require_room()
         started = time.monotonic()
@@ -156,7 +156,7 @@ class Runner:
     def _clear_leftovers(self, held: Claim) -> None:
         with self.catalogue.reading() as session:
             indexed = indexing.paths_of(session, held.job_id)
-        for path in self.archive.leftovers(held.job_id):
+        for path in self.archive.leftovers(held.job_id, held.subject):
             if path not in indexed:
                 logger.warning("job %s: discarding %s of an earlier attempt", held.job_id, path)
                 self.archive.discard(path)
