@@ -13,7 +13,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.compilation import in_row_blocks, kernel, summing_kernel
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.deformation.subsets import collect, deformed_sums, inside, reference_sums
 from sms_jobs.metrology.images.interpolation import (
     PADDING,
     spline_coefficients,
@@ -22,11 +23,14 @@ from sms_jobs.metrology.images.interpolation import (
 )
 
 Floats: TypeAlias = NDArray[np.float64]
+Labels: TypeAlias = NDArray[np.int32]
+Ints: TypeAlias = NDArray[np.int64]
 
 CONVERGED, TOO_FEW_PIXELS, NO_TEXTURE, LEFT_IMAGE, NOT_CONVERGED = range(5)
 """How the matching of a point ended."""
 
 _REACH = PADDING - 3.0  # px that a subset may run over the image's border, on the reflected spline
+_UNSHARED = 8.0  # rate at which steps shrink over the decorrelation, 1 - score; by trial, on the safe side
 _WANDER = 4.0  # px from the guess beyond which an iteration has lost its subset
 
 
@@ -49,14 +53,14 @@ class MatchSettings:
     minimum_part
         Smallest part of a whole subset that must lie on the region.
     tolerance
-        Rms movement of a subset's pixels, in px, below which the iteration ends.
+        Rms movement of a subset's pixels, in px, that may be left when the iteration ends.
     iterations
         At most.
     """
 
     radius: int = 16
     minimum_part: float = 0.2
-    tolerance: float = 1e-3
+    tolerance: float = 5e-4
     iterations: int = 20
 
 
@@ -112,151 +116,10 @@ def prepare_images(
 
 
 @kernel
-def _inside(warp, cx, cy, left, right, top, bottom, rows, columns, reach):  # type: ignore[no-untyped-def]
-    """Return whether a box about (cx, cy) is warped into the image, or at most `reach` px over its border."""
-    for x in (left, right):
-        for y in (top, bottom):
-            px = cx + x + warp[0] + warp[1] * x + warp[2] * y
-            py = cy + y + warp[3] + warp[4] * x + warp[5] * y
-            if not (px >= -reach and py >= -reach and px <= columns - 1 + reach and py <= rows - 1 + reach):
-                return False
-    return True
-
-
-@kernel
-def _collect(reference, gradient_x, gradient_y, labels, cx, cy, radius, warp, dx, dy, f, gx, gy, box):  # type: ignore[no-untyped-def]
-    """Fill a subset's offsets, grey levels and slopes and their bounding box; return its number of pixels.
-
-    A pixel belongs if it lies on the centre's region and its expected counterpart lies in the image.
-    """
-    rows, columns = labels.shape
-    label = labels[cy, cx]
-    left = max(-radius, -cx)
-    right = min(radius, columns - 1 - cx)
-    top = max(-radius, -cy)
-    bottom = min(radius, rows - 1 - cy)
-    whole = _inside(warp, cx, cy, left, right, top, bottom, rows, columns, 0.0)
-    box[:] = (right, left, bottom, top)
-    count = 0
-    for j in range(top, bottom + 1):
-        row = np.uint64(cy + j)
-        first = count
-        for i in range(left, right + 1):
-            column = np.uint64(cx + i)
-            if labels[row, column] != label:
-                continue
-            if not whole and not _inside(warp, cx, cy, i, i, j, j, rows, columns, 0.0):
-                continue
-            dx[count] = i
-            dy[count] = j
-            f[count] = reference[row, column]
-            gx[count] = gradient_x[row, column]
-            gy[count] = gradient_y[row, column]
-            count += 1
-        if count > first:
-            box[0] = min(box[0], int(dx[first]))
-            box[1] = max(box[1], int(dx[count - 1]))
-            box[2] = min(box[2], j)
-            box[3] = j
-    return count
-
-
-@summing_kernel
-def _reference_sums(count, dx, dy, f, gx, gy, hessian, j1, jf, moments):  # type: ignore[no-untyped-def]
-    """Fill the sums of J J^T, J and J f over a subset, and of f, f^2, dx^2, dy^2.
-
-    J = (gx, gx dx, gx dy, gy, gy dx, gy dy).
-    """
-    h = np.zeros(18)
-    s = np.zeros(12)
-    m = np.zeros(4)
-    for k in range(count):
-        x = dx[k]
-        y = dy[k]
-        v = f[k]
-        xx = x * x
-        xy = x * y
-        yy = y * y
-        p = gx[k]
-        q = gy[k]
-        a = p * p
-        b = p * q
-        c = q * q
-        h[0] += a
-        h[1] += a * x
-        h[2] += a * y
-        h[3] += a * xx
-        h[4] += a * xy
-        h[5] += a * yy
-        h[6] += b
-        h[7] += b * x
-        h[8] += b * y
-        h[9] += b * xx
-        h[10] += b * xy
-        h[11] += b * yy
-        h[12] += c
-        h[13] += c * x
-        h[14] += c * y
-        h[15] += c * xx
-        h[16] += c * xy
-        h[17] += c * yy
-        s[0] += p
-        s[1] += p * x
-        s[2] += p * y
-        s[3] += q
-        s[4] += q * x
-        s[5] += q * y
-        p *= v
-        q *= v
-        s[6] += p
-        s[7] += p * x
-        s[8] += p * y
-        s[9] += q
-        s[10] += q * x
-        s[11] += q * y
-        m[0] += v
-        m[1] += v * v
-        m[2] += xx
-        m[3] += yy
-    for block, r, c0 in ((0, 0, 0), (1, 0, 3), (2, 3, 3)):
-        t = h[6 * block : 6 * block + 6]
-        hessian[r, c0] = t[0]
-        hessian[r, c0 + 1] = hessian[r + 1, c0] = t[1]
-        hessian[r, c0 + 2] = hessian[r + 2, c0] = t[2]
-        hessian[r + 1, c0 + 1] = t[3]
-        hessian[r + 1, c0 + 2] = hessian[r + 2, c0 + 1] = t[4]
-        hessian[r + 2, c0 + 2] = t[5]
-    for i in range(3):
-        for j in range(3):
-            hessian[3 + i, j] = hessian[j, 3 + i]
-    j1[:] = s[:6]
-    jf[:] = s[6:]
-    moments[:] = m
-
-
-@summing_kernel
-def _deformed_sums(count, dx, dy, f, gx, gy, g, jg, moments):  # type: ignore[no-untyped-def]
-    """Fill the sums of J g, and of g, g^2 and f g, over a subset."""
-    s = np.zeros(9)
-    for k in range(count):
-        v = g[k]
-        s[0] += v
-        s[1] += v * v
-        s[2] += v * f[k]
-        a = gx[k] * v
-        b = gy[k] * v
-        s[3] += a
-        s[4] += a * dx[k]
-        s[5] += a * dy[k]
-        s[6] += b
-        s[7] += b * dx[k]
-        s[8] += b * dy[k]
-    moments[:] = s[:3]
-    jg[:] = s[3:]
-
-
-@kernel
-def _invert(matrix, inverse):  # type: ignore[no-untyped-def]
+def _invert(
+    matrix: Floats,
+    inverse: Floats,
+) -> bool:
     """Invert a positive definite 6 x 6 matrix by Cholesky's method; return False where it is not one.
 
     It is scaled to a unit diagonal first, so "not one" means singular to a part in 10^9 whatever the units.
@@ -297,7 +160,10 @@ def _invert(matrix, inverse):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _compose_inverse(warp, step):  # type: ignore[no-untyped-def]
+def _compose_inverse(
+    warp: Floats,
+    step: Floats,
+) -> None:
     """Replace the warp W(p) by W(p) o W(step)^-1; both displacements, (u, ux, uy, v, vx, vy)."""
     a = 1.0 + step[1]
     b = step[2]
@@ -324,93 +190,134 @@ def _compose_inverse(warp, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _match_block(  # type: ignore[no-untyped-def]
-    start, stop, reference, gradient_x, gradient_y, coefficients, labels, noise,
-    x, y, radius, minimum, tolerance, limit, warp, sigma, score, iterations, ending,
-):  # fmt: skip
-    """Match points start .. stop; `warp` holds the guesses and is overwritten."""
-    rows, columns = labels.shape
-    size = (2 * radius + 1) ** 2
-    dx, dy, f, gx, gy, g = (
-        np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size),
-    )  # fmt: skip
-    hessian = np.empty((6, 6))
-    inverse = np.empty((6, 6))
-    j1 = np.empty(6)
-    jf = np.empty(6)
+def _eliminate_light(count: int, f_mean: float, ff: float, hessian: Floats, j1: Floats, jf: Floats) -> None:
+    """Take from the slopes their parts along a constant and along the subset: no offset, no gain is left.
+
+    `jf` becomes the sum of J (f - mean), `hessian` the normal matrix of the displacement alone.
+    """
+    for i in range(6):
+        jf[i] -= f_mean * j1[i]
+    for i in range(6):
+        for j in range(6):
+            hessian[i, j] -= j1[i] * j1[j] / count + jf[i] * jf[j] / ff
+
+
+@kernel
+def _refine(
+    subset: tuple[int, int, int, Floats, Floats, Floats, Floats, Floats, Ints],
+    reference: tuple[float, float, Floats, Floats, Floats, Floats],
+    coefficients: Floats,
+    shape: tuple[int, int],
+    tolerance: float,
+    limit: int,
+    p: Floats,
+    g: Floats,
+) -> tuple[int, int, float, float, float]:
+    """Iterate a subset's warp `p`; return how it ended, the iterations, score, and mean and spread of g.
+
+    `subset` is (x, y, count, dx, dy, f, gx, gy, box), `reference` (mean f, sum of (f - mean)^2, the inverse
+    of the normal matrix, sums of J, of J (f - mean), and of f, f^2, dx^2, dy^2).
+    """
+    cx, cy, n, dx, dy, f, gx, gy, box = subset
+    f_mean, ff, inverse, j1, jf, levels = reference
     jg = np.empty(6)
     step = np.empty(6)
+    residual = np.empty(6)
     moments = np.empty(3)
-    levels = np.empty(4)
     affine = np.empty(6)
-    box = np.empty(4, dtype=np.int64)
-    for point in range(start, stop):
-        cx = x[point]
-        cy = y[point]
-        p = warp[point]
-        u0 = p[0]
-        v0 = p[3]
-        n = _collect(reference, gradient_x, gradient_y, labels, cx, cy, radius, p, dx, dy, f, gx, gy, box)
-        if n < minimum:
-            ending[point] = TOO_FEW_PIXELS
-            continue
-        _reference_sums(n, dx, dy, f, gx, gy, hessian, j1, jf, levels)
-        mean = levels[0] / n
-        ff = levels[1] - levels[0] * mean
-        variance = noise[0] + noise[1] * mean
-        # Eliminating gain and offset takes from every slope its share of a constant and of the subset.
+    u0, v0 = p[0], p[3]
+    score, g_mean, gg = np.nan, np.nan, np.nan
+    for iteration in range(1, limit + 1):
+        if not inside(p, cx, cy, box[0], box[1], box[2], box[3], shape[0], shape[1], _REACH):
+            return LEFT_IMAGE, iteration, score, g_mean, gg
+        affine[0], affine[1], affine[2] = cx + p[0], 1.0 + p[1], p[2]
+        affine[3], affine[4], affine[5] = cy + p[3], p[4], 1.0 + p[5]
+        spline_values(coefficients, n, dx, dy, affine, g)
+        deformed_sums(n, dx, dy, f, gx, gy, g, jg, moments)
+        g_mean = moments[0] / n
+        gg = moments[1] - moments[0] * g_mean
+        fg = moments[2] - moments[0] * f_mean
+        if not (fg > 0.0 and gg > 0.0):
+            break
+        # The step takes from the residual what its square in the metric of the normal matrix is worth.
+        gained = 0.0
         for i in range(6):
-            jf[i] -= mean * j1[i]
+            residual[i] = (jg[i] - g_mean * j1[i] - fg / ff * jf[i]) * ff / fg
         for i in range(6):
+            step[i] = 0.0
             for j in range(6):
-                hessian[i, j] -= j1[i] * j1[j] / n + jf[i] * jf[j] / ff
-        if not ff > 4.0 * n * variance or not _invert(hessian, inverse):
-            ending[point] = NO_TEXTURE
+                step[i] += inverse[i, j] * residual[j]
+            gained += step[i] * residual[i]
+        score = min(np.sqrt(fg * fg / (ff * gg) + gained / ff), 1.0)
+        _compose_inverse(p, step)
+        if not abs(p[0] - u0) + abs(p[3] - v0) < _WANDER:
+            break
+        square = step[0] ** 2 + step[3] ** 2
+        square += (step[1] ** 2 + step[4] ** 2) * levels[2] / n
+        square += (step[2] ** 2 + step[5] ** 2) * levels[3] / n
+        movement = np.sqrt(square)
+        # Steps shrink at a rate that grows with the step itself (the spline bends over about a pixel) and
+        # with what the two images do not share: that bounds what is left.
+        rate = min(movement + _UNSHARED * (1.0 - score), 0.95)
+        if movement * rate < tolerance * (1.0 - rate):
+            return CONVERGED, iteration, score, g_mean, gg
+    return NOT_CONVERGED, iteration, score, g_mean, gg
+
+
+@kernel
+def _match_block(
+    start: int,
+    stop: int,
+    reference: Floats,
+    gradient_x: Floats,
+    gradient_y: Floats,
+    coefficients: Floats,
+    labels: Labels,
+    noise: Floats,
+    x: Ints,
+    y: Ints,
+    radius: int,
+    minimum: int,
+    tolerance: float,
+    limit: int,
+    warp: Floats,
+    sigma: Floats,
+    score: Floats,
+    iterations: Labels,
+    ending: Labels,
+) -> None:
+    """Match points start .. stop; `warp` holds the guesses and is overwritten."""
+    size = (2 * radius + 1) ** 2
+    dx, dy, f = np.empty(size), np.empty(size), np.empty(size)
+    gx, gy, g = np.empty(size), np.empty(size), np.empty(size)
+    hessian, inverse = np.empty((6, 6)), np.empty((6, 6))
+    j1, jf, levels = np.empty(6), np.empty(6), np.empty(4)
+    box = np.empty(4, dtype=np.int64)
+    for k in range(start, stop):
+        p = warp[k]
+        n = collect(reference, gradient_x, gradient_y, labels, x[k], y[k], radius, p, dx, dy, f, gx, gy, box)
+        if n < minimum:
+            ending[k] = TOO_FEW_PIXELS
             continue
-        before = np.inf
-        gg = 0.0
-        for iteration in range(limit):
-            if not _inside(p, cx, cy, box[0], box[1], box[2], box[3], rows, columns, _REACH):
-                ending[point] = LEFT_IMAGE
-                break
-            affine[0] = cx + p[0]
-            affine[1] = 1.0 + p[1]
-            affine[2] = p[2]
-            affine[3] = cy + p[3]
-            affine[4] = p[4]
-            affine[5] = 1.0 + p[5]
-            spline_values(coefficients, n, dx, dy, affine, g)
-            _deformed_sums(n, dx, dy, f, gx, gy, g, jg, moments)
-            gg = moments[1] - moments[0] ** 2 / n
-            fg = moments[2] - moments[0] * mean
-            iterations[point] = iteration + 1
-            if not (fg > 0.0 and gg > 0.0):
-                break
-            score[point] = fg / np.sqrt(ff * gg)
-            for i in range(6):
-                step[i] = 0.0
-                for j in range(6):
-                    residual = jg[j] - moments[0] / n * j1[j] - fg / ff * jf[j]
-                    step[i] += inverse[i, j] * residual * ff / fg
-            _compose_inverse(p, step)
-            if not abs(p[0] - u0) + abs(p[3] - v0) < _WANDER:
-                break
-            movement = (
-                step[0] ** 2 + step[3] ** 2
-                + ((step[1] ** 2 + step[4] ** 2) * levels[2] + (step[2] ** 2 + step[5] ** 2) * levels[3]) / n
-            )  # fmt: skip
-            # Steps shrink at least geometrically, so the last two bound all that would follow.
-            ratio = movement / before if iteration > 0 else 1.0
-            if movement < tolerance**2 or (ratio < 0.25 and movement * ratio < 0.25 * tolerance**2):
-                ending[point] = CONVERGED
-                break
-            before = movement
-        if ending[point] == CONVERGED:
+        reference_sums(n, dx, dy, f, gx, gy, hessian, j1, jf, levels)
+        f_mean = levels[0] / n
+        ff = levels[1] - levels[0] * f_mean
+        variance = noise[0] + noise[1] * f_mean
+        _eliminate_light(n, f_mean, ff, hessian, j1, jf)
+        if not ff > 4.0 * n * variance or not _invert(hessian, inverse):
+            ending[k] = NO_TEXTURE
+            continue
+        subset = (x[k], y[k], n, dx, dy, f, gx, gy, box)
+        sums = (f_mean, ff, inverse, j1, jf, levels)
+        ending[k], iterations[k], score[k], g_mean, gg = _refine(
+            subset, sums, coefficients, labels.shape, tolerance, limit, p, g
+        )
+        if ending[k] == CONVERGED:
             # Both images are noisy; what the fit leaves over counts where it is more than their noise.
-            variance += ff / gg * (noise[2] + noise[3] * moments[0] / n)
-            variance = max(variance, 2.0 * ff * (1.0 - score[point]) / max(n - 8, 1))
-            sigma[point, 0] = np.sqrt(variance * inverse[0, 0])
-            sigma[point, 1] = np.sqrt(variance * inverse[3, 3])
+            variance += ff / gg * (noise[2] + noise[3] * g_mean)
+            variance = max(variance, 2.0 * ff * (1.0 - score[k]) / max(n - 8, 1))
+            sigma[k, 0] = np.sqrt(variance * inverse[0, 0])
+            sigma[k, 1] = np.sqrt(variance * inverse[3, 3])
 
 
 def match_points(

@@ -14,16 +14,18 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.deformation.averaging import OUTLIER, average_in_region
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
 
 Floats: TypeAlias = NDArray[np.float64]
+Labels: TypeAlias = NDArray[np.int32]
+Ints: TypeAlias = NDArray[np.int64]
 
 OUTSIDE_REGION, NO_MATCH_NEAR, LEFT_IMAGE, NO_SHAPE_AT_END = range(1, 5)
 """Why a pixel has no displacement; 0 where it has one."""
 
 _BLEND = 1.633  # blending distance, in subset radii, at which curvature leaves no bias: see `blend_matches`
 _BLEND_NOISE = 1.39  # variance of blended matches over that of one: their gradients' noise (by quadrature)
-_OUTLIER = 5.0  # standard deviations beyond which a pixel does not count in its neighbours' average
 
 
 @dataclass(frozen=True)
@@ -68,24 +70,24 @@ class DenseDisplacement:
 
 
 @kernel
-def _blend_rows(  # type: ignore[no-untyped-def]
-    start,
-    stop,
-    xyz,
-    labels,
-    footprint,
-    side,
-    first,
-    order,
-    px,
-    py,
-    region,
-    warp,
-    sigma,
-    reach,
-    value,
-    variance,
-):
+def _blend_rows(
+    start: int,
+    stop: int,
+    xyz: Floats,
+    labels: Labels,
+    footprint: float,
+    side: int,
+    first: Ints,
+    order: Ints,
+    px: Ints,
+    py: Ints,
+    region: Labels,
+    warp: Floats,
+    sigma: Floats,
+    reach: float,
+    value: Floats,
+    variance: Floats,
+) -> None:
     """Do the work of `blend_matches` for rows start .. stop.
 
     Matches are sorted into square cells of `side`: those of cell (j, i) are `order[first[j, i]: ...]`.
@@ -124,11 +126,13 @@ def _blend_rows(  # type: ignore[no-untyped-def]
 
 
 def pixel_pitch(xyz: Floats, labels: NDArray[np.int32], quantile: float) -> float:
-    """Return a quantile of the distances in mm between neighbouring points on a region; 1 where there are none."""
+    """Return a quantile of the distances in mm between neighbouring points of a region; 1 without any."""
     steps = []
-    for axis in (1, 2):
-        inside = np.minimum(labels, np.roll(labels, 1, axis - 1)) > 0
-        steps.append(np.linalg.norm(xyz - np.roll(xyz, 1, axis), axis=0)[inside])
+    for first, second in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])):
+        together = (labels[first] == labels[second]) & (labels[first] > 0)
+        steps.append(
+            np.linalg.norm(xyz[(slice(None), *first)] - xyz[(slice(None), *second)], axis=0)[together]
+        )
     every = np.concatenate(steps)
     return float(np.quantile(every, quantile)) if len(every) else 1.0
 
@@ -192,130 +196,6 @@ def blend_matches(
     return value, variance
 
 
-@kernel
-def _average_rows(start, stop, labels, raw, covariance, weight, radius, value, spread):  # type: ignore[no-untyped-def]
-    """Do the work of `average_in_region` for rows start .. stop."""
-    rows, columns = labels.shape
-    size = (4 * int(np.ceil(radius)) + 1) ** 2
-    place = np.empty((size, 2), dtype=np.int64)
-    w = np.empty(size)
-    m = np.empty(6)
-    for r in range(start, stop):
-        for c in range(columns):
-            value[:, r, c] = np.nan
-            spread[:, r, c] = np.nan
-            if labels[r, c] == 0:
-                continue
-            n = 0
-            for wide in (radius, 2.0 * radius):
-                # At an edge, where less than half the disc is there, a plane needs a longer lever.
-                if 2 * n > np.pi * radius**2:
-                    break
-                n = 0
-                reach = int(np.ceil(wide)) - 1
-                for j in range(max(r - reach, 0), min(r + reach + 1, rows)):
-                    for i in range(max(c - reach, 0), min(c + reach + 1, columns)):
-                        d2 = ((i - c) ** 2 + (j - r) ** 2) / (wide * wide)
-                        if d2 < 1.0 and labels[j, i] == labels[r, c] and weight[j, i] > 0.0:
-                            place[n, 0] = j
-                            place[n, 1] = i
-                            w[n] = (1.0 - d2) ** 2 * weight[j, i]
-                            n += 1
-            for attempt in range(2):
-                m[:] = 0.0
-                for k in range(n):
-                    dx = place[k, 1] - c
-                    dy = place[k, 0] - r
-                    m[0] += w[k]
-                    m[1] += w[k] * dx
-                    m[2] += w[k] * dy
-                    m[3] += w[k] * dx * dx
-                    m[4] += w[k] * dx * dy
-                    m[5] += w[k] * dy * dy
-                c00 = m[3] * m[5] - m[4] * m[4]
-                c01 = m[2] * m[4] - m[1] * m[5]
-                c02 = m[1] * m[4] - m[2] * m[3]
-                c11 = m[0] * m[5] - m[2] * m[2]
-                c12 = m[1] * m[2] - m[0] * m[4]
-                c22 = m[0] * m[3] - m[1] * m[1]
-                determinant = m[0] * c00 + m[1] * c01 + m[2] * c02
-                if not determinant > 1e-6 * m[0] * (m[3] + m[5]) ** 2:
-                    break
-                plane = np.zeros((3, 3))
-                for k in range(n):
-                    dx = place[k, 1] - c
-                    dy = place[k, 0] - r
-                    for a in range(3):
-                        d = w[k] * raw[a, place[k, 0], place[k, 1]] / determinant
-                        plane[a, 0] += d * (c00 + c01 * dx + c02 * dy)
-                        plane[a, 1] += d * (c01 + c11 * dx + c12 * dy)
-                        plane[a, 2] += d * (c02 + c12 * dx + c22 * dy)
-                if attempt == 0:
-                    for k in range(n):
-                        square = 0.0
-                        for a in range(3):
-                            fit = (
-                                plane[a, 0]
-                                + plane[a, 1] * (place[k, 1] - c)
-                                + plane[a, 2] * (place[k, 0] - r)
-                            )
-                            square += (raw[a, place[k, 0], place[k, 1]] - fit) ** 2
-                        if square * weight[place[k, 0], place[k, 1]] > _OUTLIER**2:
-                            w[k] = 0.0
-                    continue
-                for a in range(3):
-                    value[a, r, c] = plane[a, 0]
-                for a in range(6):
-                    spread[a, r, c] = 0.0
-                for k in range(n):
-                    if w[k] > 0.0:
-                        share = w[k] / determinant * (c00 + c01 * (place[k, 1] - c) + c02 * (place[k, 0] - r))
-                        for a in range(6):
-                            spread[a, r, c] += share * share * covariance[a, place[k, 0], place[k, 1]]
-
-
-def average_in_region(
-    raw: Floats,
-    covariance: Floats,
-    labels: NDArray[np.int32],
-    usable: NDArray[np.bool_],
-    radius: float,
-    threads: int = 1,
-) -> tuple[Floats, Floats]:
-    """Fit a plane to a noisy field about every pixel, over pixels of its region, and take its value there.
-
-    Parameters
-    ----------
-    raw, covariance
-        (3, rows, columns) and (6, rows, columns), independent from pixel to pixel.
-    labels
-        (rows, columns), 0 where there is no region.
-    usable
-        (rows, columns): which pixels may contribute.
-    radius
-        In px; pixels at distance d count by (1 - d^2 / radius^2)^2 over their variance. It is doubled where
-        fewer than half the disc's pixels are there.
-    threads
-        How many threads to use.
-
-    Returns
-    -------
-    The averaged field and its covariance; NaN where fewer than three pixels contribute. Pixels five
-    standard deviations off the first fit do not contribute.
-    """
-    variance = covariance[0] + covariance[3] + covariance[5]
-    known = usable & np.isfinite(raw).all(axis=0) & np.isfinite(variance)
-    weight = np.where(known, 1.0 / np.maximum(np.where(known, variance, 1.0), 1e-18), 0.0)
-    value = np.empty_like(raw)
-    spread = np.empty_like(covariance)
-
-    def work(start: int, stop: int) -> None:
-        _average_rows(start, stop, labels, raw, covariance, weight, radius, value, spread)
-
-    in_row_blocks(work, labels.shape[0], threads)
-    return value, spread
-
-
 def _between_regions(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Return which pixels are within two of another region: they may see either, whichever has got them."""
     low = ndimage.minimum_filter(np.where(labels > 0, labels, np.iinfo(np.int32).max), 5)
@@ -370,7 +250,7 @@ def displacement_field(
     status[~inside] = LEFT_IMAGE
     status[np.isnan(image[0])] = NO_MATCH_NEAR
     status[labels == 0] = OUTSIDE_REGION
-    # Interpolated noise is smaller but shared with the neighbours: in an average it counts as the cloud's own.
+    # Interpolated noise is smaller but shared by neighbours: in an average it counts as the cloud's own.
     row, column = (np.where(inside, np.rint(np.where(inside, e, 0.0)), 0).astype(int) for e in (end_y, end_x))
     total = covariance + end_covariance[:, row, column]
     moved, spread = average_in_region(
@@ -378,7 +258,7 @@ def displacement_field(
     )
     apart = np.sum((end - xyz - moved) ** 2, axis=0)
     # Its own end point lies on another surface, or where two mix.
-    stray = apart > _OUTLIER**2 * (total[0] + total[3] + total[5])
+    stray = apart > OUTLIER**2 * (total[0] + total[3] + total[5])
     status[(status == 0) & (stray | np.isnan(moved[0]))] = NO_SHAPE_AT_END
     status[(status == 0) & _between_regions(labels)] = OUTSIDE_REGION
     for packed, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):

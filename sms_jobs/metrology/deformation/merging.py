@@ -83,6 +83,34 @@ def merge_by_variance(
     return Merged(mean, spread, contributors, rms)
 
 
+def combine_labels(maps: Sequence[NDArray[np.int32]]) -> NDArray[np.int32]:
+    """Return one label map for several of the same view.
+
+    Parameters
+    ----------
+    maps
+        Of each pair: (rows, columns), 0 where it sees no region.
+
+    Returns
+    -------
+    (rows, columns): the first map's labels, continued over pixels that only later ones see. A later map's
+    region takes the label that it overlaps most, or a new one.
+    """
+    combined = maps[0].copy()
+    for labels in maps[1:]:
+        both = (labels > 0) & (combined > 0)
+        overlaps = np.zeros((int(labels.max()) + 1, int(combined.max()) + 1), dtype=np.int64)
+        np.add.at(overlaps, (labels[both], combined[both]), 1)
+        translated = np.argmax(overlaps, axis=1)
+        alone = overlaps.sum(axis=1) == 0
+        alone[0] = False
+        unseen = np.flatnonzero(alone)
+        translated[unseen] = combined.max() + 1 + np.arange(len(unseen))
+        translated[0] = 0
+        combined = np.where(combined > 0, combined, translated[labels]).astype(np.int32)
+    return combined
+
+
 def join_meshes(
     meshes: Sequence[tuple[Floats, NDArray[np.int32]]],
 ) -> tuple[Floats, NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:

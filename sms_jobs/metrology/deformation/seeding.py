@@ -91,7 +91,7 @@ def masked_correlation(
 
 
 def _patch(image: Floats, row: int, column: int, half_rows: int, half_columns: int) -> tuple[Floats, Mask]:
-    """Return the part of an image about a pixel, zero where it runs over the border, and where it does not."""
+    """Return the part of an image about a pixel, zero beyond the border, and which of it is inside."""
     rows, columns = image.shape
     top, left = row - half_rows, column - half_columns
     bottom, right = row + half_rows + 1, column + half_columns + 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
 
 Floats: TypeAlias = NDArray[np.float64]
+Labels: TypeAlias = NDArray[np.int32]
 
 _DISC_CELLS = 8  # cells to a gauge radius: about 200 in a disc
 
@@ -50,7 +51,10 @@ class _Cells:
 
 
 @kernel
-def _principal_axes(matrix, vectors):  # type: ignore[no-untyped-def]
+def _principal_axes(
+    matrix: Floats,
+    vectors: Floats,
+) -> None:
     """Turn a symmetric 3 x 3 matrix to diagonal form by Jacobi's rotations; columns of `vectors` are axes."""
     for i in range(3):
         for j in range(3):
@@ -86,7 +90,13 @@ def _principal_axes(matrix, vectors):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _tangent_frame(scatter, along, x_axis, vectors, frame):  # type: ignore[no-untyped-def]
+def _tangent_frame(
+    scatter: Floats,
+    along: Floats,
+    x_axis: Floats,
+    vectors: Floats,
+    frame: Floats,
+) -> bool:
     """Fill the frame (rows x, y, z) at a point; return False where it has none.
 
     z is the direction in which the points scatter least, towards the camera; x is `x_axis` projected onto
@@ -122,8 +132,25 @@ def _tangent_frame(scatter, along, x_axis, vectors, frame):  # type: ignore[no-u
 
 
 @kernel
-def _gather(side, labels, weight, place, xyz, displacement, covariance, row, column, label, centre, radius, reach,
-            sums, scatter, mixed, along):  # type: ignore[no-untyped-def]  # fmt: skip
+def _gather(
+    side: int,
+    labels: Labels,
+    weight: Floats,
+    place: Floats,
+    xyz: Floats,
+    displacement: Floats,
+    covariance: Floats,
+    row: int,
+    column: int,
+    label: int,
+    centre: Floats,
+    radius: float,
+    reach: int,
+    sums: Floats,
+    scatter: Floats,
+    mixed: Floats,
+    along: Floats,
+) -> float:
     """Fill the central moments of the cells within `radius` of a point of the surface; return their weight.
 
     `sums` is the weighted sum of (place 2, xyz 3, displacement 3, covariance 6), `scatter` that of
@@ -168,9 +195,13 @@ def _gather(side, labels, weight, place, xyz, displacement, covariance, row, col
 
 
 @kernel
-def _quadratic(a, packed, b):  # type: ignore[no-untyped-def]
+def _quadratic(
+    a: Floats,
+    packed: Floats,
+    b: Floats,
+) -> float:
     """Return a^T C b for a packed symmetric C."""
-    return (
+    return float(
         a[0] * (packed[0] * b[0] + packed[1] * b[1] + packed[2] * b[2])
         + a[1] * (packed[1] * b[0] + packed[3] * b[1] + packed[4] * b[2])
         + a[2] * (packed[2] * b[0] + packed[4] * b[1] + packed[5] * b[2])
@@ -178,8 +209,27 @@ def _quadratic(a, packed, b):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _strain_rows(start, stop, valid, full_xyz, full_labels, side, labels, weight, place, xyz, displacement,
-                 covariance, x_axis, radius, reach, minimum, green, strain, sigma):  # type: ignore[no-untyped-def]  # fmt: skip
+def _strain_rows(
+    start: int,
+    stop: int,
+    valid: NDArray[np.bool_],
+    full_xyz: Floats,
+    full_labels: Labels,
+    side: int,
+    labels: Labels,
+    weight: Floats,
+    place: Floats,
+    xyz: Floats,
+    displacement: Floats,
+    covariance: Floats,
+    x_axis: Floats,
+    radius: float,
+    reach: int,
+    minimum: int,
+    green: bool,
+    strain: Floats,
+    sigma: Floats,
+) -> None:
     """Fill strain and sigma for rows start .. stop."""
     sums = np.empty(14)
     scatter = np.empty((3, 3))
@@ -256,7 +306,7 @@ def _cell_means(
     rows, columns = labels.shape
     padding = ((0, -rows % side), (0, -columns % side))
 
-    def squares(field: NDArray[np.generic]) -> NDArray[np.generic]:
+    def squares(field: NDArray[Any]) -> NDArray[Any]:
         padded = np.pad(field, padding)
         return padded.reshape(padded.shape[0] // side, side, -1, side).swapaxes(1, 2)
 
@@ -266,7 +316,7 @@ def _cell_means(
     weight = member.sum(axis=(2, 3)).astype(np.float64)
     divisor = np.maximum(weight, 1.0)
 
-    def mean(field: NDArray[np.generic]) -> Floats:
+    def mean(field: NDArray[Any]) -> Floats:
         inside = np.where(member, squares(field), 0.0)
         return np.asarray(inside.sum(axis=(2, 3)) / divisor, dtype=np.float64)
 

@@ -17,6 +17,7 @@ from scipy import ndimage
 from sms_jobs.metrology.compilation import in_row_blocks, kernel, summing_kernel
 
 Floats: TypeAlias = NDArray[np.float64]
+Labels: TypeAlias = NDArray[np.int32]
 
 PADDING = 8
 """Pixels by which spline coefficients are continued on every side, by reflection."""
@@ -61,7 +62,14 @@ def spline_gradient(coefficients: Floats) -> tuple[Floats, Floats]:
 
 
 @summing_kernel
-def spline_values(coefficients, count, x, y, warp, values):  # type: ignore[no-untyped-def]
+def spline_values(
+    coefficients: Floats,
+    count: int,
+    x: Floats,
+    y: Floats,
+    warp: Floats,
+    values: Floats,
+) -> None:
     """Fill `values[:count]` with a quintic B-spline at affinely warped points.
 
     Point k lies at column warp[0] + warp[1] x + warp[2] y and row warp[3] + warp[4] x + warp[5] y of the
@@ -131,7 +139,11 @@ def spline_values(coefficients, count, x, y, warp, values):  # type: ignore[no-u
 
 
 @kernel
-def _cubic_weights(s, weights, slopes):  # type: ignore[no-untyped-def]
+def _cubic_weights(
+    s: float,
+    weights: Floats,
+    slopes: Floats,
+) -> None:
     """Fill the weights and slopes of Lagrange's cubic through -1, 0, 1, 2 at 0 <= s <= 1."""
     weights[0] = -s * (s - 1.0) * (s - 2.0) / 6.0
     weights[1] = (s + 1.0) * (s - 1.0) * (s - 2.0) / 2.0
@@ -144,7 +156,15 @@ def _cubic_weights(s, weights, slopes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _plane_weights(labels, label, left, top, x, y, weights):  # type: ignore[no-untyped-def]
+def _plane_weights(
+    labels: Labels,
+    label: int,
+    left: int,
+    top: int,
+    x: float,
+    y: float,
+    weights: Floats,
+) -> bool:
     """Fill the weights (value, d/dx, d/dy) of a plane through the pixels of one region in a 4 x 4 block.
 
     Pixels count by 1 / (1/4 + squared distance). Returns False where they do not span a plane, or where
@@ -190,7 +210,11 @@ def _plane_weights(labels, label, left, top, x, y, weights):  # type: ignore[no-
 
 
 @kernel
-def _end_label(labels, x, y):  # type: ignore[no-untyped-def]
+def _end_label(
+    labels: Labels,
+    x: float,
+    y: float,
+) -> int:
     """Return the label of the labelled pixel nearest to (x, y) among the four around it, 0 for none."""
     left = int(np.floor(x))
     top = int(np.floor(y))
@@ -206,7 +230,18 @@ def _end_label(labels, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _interpolate_rows(start, stop, field, covariance, labels, x, y, value, value_covariance, slope):  # type: ignore[no-untyped-def]
+def _interpolate_rows(
+    start: int,
+    stop: int,
+    field: Floats,
+    covariance: Floats,
+    labels: Labels,
+    x: Floats,
+    y: Floats,
+    value: Floats,
+    value_covariance: Floats,
+    slope: Floats,
+) -> None:
     """Do the work of `interpolate_in_region` for rows start .. stop of the points."""
     rows, columns = labels.shape
     across = np.empty((2, 4))
@@ -299,9 +334,10 @@ def interpolate_in_region(
     value = np.empty((field.shape[0], *x.shape))
     spread = np.empty((covariance.shape[0], *x.shape))
     slope = np.empty((field.shape[0], 2, *x.shape))
+    noise = np.asarray(covariance, dtype=np.float64)
 
     def work(start: int, stop: int) -> None:
-        _interpolate_rows(start, stop, field, covariance, labels, x, y, value, spread, slope)
+        _interpolate_rows(start, stop, field, noise, labels, x, y, value, spread, slope)
 
     in_row_blocks(work, x.shape[0], threads)
     return value, spread, slope

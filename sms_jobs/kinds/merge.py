@@ -1,0 +1,162 @@
+"""Merge: the pairs of each camera into one field, and all cameras into one surface (thesis section 5.2.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from sms_jobs.kinds.kind import (
+    DatasetOutput,
+    Inputs,
+    Kind,
+    Need,
+    Output,
+    Parameters,
+    Progress,
+    Scope,
+    deformed_states,
+)
+from sms_jobs.metrology.deformation.merging import Merged, combine_labels, join_meshes, merge_by_variance
+from sms_jobs.metrology.surfaces.meshing import triangulate_image
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.fields import DisplacementField, MergedField, Mesh, PointCloud, Regions, StrainField
+from sms_jobs.records.quantity import SYMMETRIC
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.sensors import split_pair
+
+Floats: TypeAlias = NDArray[np.float64]
+
+_DIAGONAL = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
+_VALUES = (
+    *((f"displacement {axis}", "mm") for axis in "XYZ"),
+    ("displacement", "mm"),
+    ("sigma of displacement", "mm"),
+    *((f"strain {component}", "1") for component in ("xx", "yy", "xy")),
+    *((f"sigma of strain {component}", "1") for component in ("xx", "yy", "xy")),
+)
+"""Names and units of the values at the vertices of the mesh."""
+
+
+class MergeParameters(Parameters):
+    """How fine the common surface is."""
+
+    mesh_step_px: int = Field(1, ge=1, le=64, description="distance of the mesh's vertices in the image")
+
+
+def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+    for pair in campaign.pairs:
+        own = Subject(subject.campaign, subject.state, pair)
+        yield Need(f"displacement {pair}", "correlate", own)
+        yield Need(f"strain {pair}", "strain", own)
+        reference = Subject(subject.campaign, campaign.reference.label, pair)
+        yield Need(f"reference {pair}", "reconstruct", reference)
+
+
+def cameras(campaign: Campaign, subject: Subject) -> dict[str, tuple[str, ...]]:
+    """Return the pairs of each camera, in the campaign's order."""
+    found: dict[str, tuple[str, ...]] = {}
+    for pair in campaign.pairs:
+        camera, _ = split_pair(pair)
+        found[camera] = (*found.get(camera, ()), pair)
+    return found
+
+
+def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iterator[Output]:
+    """Merge the pairs of every camera, then join the cameras' surfaces."""
+    records: dict[str, Any] = {}
+    surfaces: list[tuple[Floats, NDArray[np.int32]]] = []
+    values: list[Floats] = []
+    for number, (camera, pairs) in enumerate(inputs.context.items()):
+        field = _merged_camera(inputs, camera, pairs)
+        strain = _merged_strain(inputs, pairs)
+        labels = combine_labels([inputs.read(f"displacement {p}", "regions", Regions).labels for p in pairs])
+        labels[field.reason != Reason.VALID] = 0
+        pixels, faces = triangulate_image(labels, parameters.mesh_step_px)
+        row, column = pixels.T
+        records[camera] = field
+        surfaces.append((field.xyz[:, row, column].T, faces))
+        values.append(_vertex_values(field, strain)[:, row, column])
+        progress(0.8 * (number + 1) / len(inputs.context), f"merged {', '.join(pairs)}")
+    vertices, faces, source, vertex = join_meshes(surfaces)
+    at_vertices = [values[k][:, vertex[source == k]] for k in range(len(values))]
+    names, units = zip(*_VALUES, strict=True)
+    mesh = Mesh(names, units, vertices, faces, np.concatenate(at_vertices, axis=1))
+    progress(1.0, f"joined {len(records)} views")
+    yield DatasetOutput(inputs.subject, {**records, "mesh": mesh}, _statistics(records, mesh))
+
+
+def _merged_camera(inputs: Inputs, camera: str, pairs: tuple[str, ...]) -> MergedField:
+    """Merge displacement, and the shape where there is displacement, over the pairs of one camera."""
+    moved = [inputs.read(f"displacement {p}", "displacement", DisplacementField) for p in pairs]
+    clouds = [inputs.read(f"reference {p}", "cloud", PointCloud) for p in pairs]
+    displacement = merge_by_variance([d.displacement for d in moved], [d.covariance for d in moved])
+    shape = merge_by_variance(
+        [np.where(d.reason == Reason.VALID, c.xyz, np.nan) for d, c in zip(moved, clouds, strict=True)],
+        [c.covariance for c in clouds],
+    )
+    missing = displacement.contributors == 0
+    reason = np.zeros(missing.shape, dtype=np.uint32)
+    reason[missing] = np.bitwise_or.reduce([d.reason for d in moved])[missing]
+    return MergedField(
+        camera,
+        pairs,
+        displacement.discrepancy_rms,
+        displacement.value,
+        shape.value,
+        displacement.covariance.astype(np.float32),
+        displacement.contributors,
+        reason,
+    )
+
+
+def _merged_strain(inputs: Inputs, pairs: tuple[str, ...]) -> Merged:
+    """Merge the strain (xx, yy, xy) of the pairs of one camera; their tangent planes are the same."""
+    fields = [inputs.read(f"strain {p}", "strain", StrainField) for p in pairs]
+    variances = []
+    for field in fields:
+        packed = np.zeros((6, *field.reason.shape))
+        packed[_DIAGONAL] = field.sigma.astype(np.float64) ** 2
+        variances.append(packed)
+    return merge_by_variance([f.strain for f in fields], variances)
+
+
+def _vertex_values(field: MergedField, strain: Merged) -> Floats:
+    """Return the values of `_VALUES` at every pixel of a camera."""
+    return np.concatenate(
+        [
+            field.displacement,
+            np.linalg.norm(field.displacement, axis=0)[None],
+            np.sqrt(field.covariance[_DIAGONAL].sum(axis=0, dtype=np.float64))[None],
+            strain.value,
+            np.sqrt(strain.covariance[_DIAGONAL]),
+        ]
+    )
+
+
+def _statistics(fields: dict[str, MergedField], mesh: Mesh) -> dict[str, float]:
+    """Return what people search by; a discrepancy only where pairs overlap."""
+    statistics = {"vertices": float(len(mesh.vertices)), "faces": float(len(mesh.faces))}
+    for camera, field in fields.items():
+        statistics[f"valid_fraction_{camera}"] = float(np.mean(field.reason == Reason.VALID))
+        if np.isfinite(field.discrepancy_rms_mm):
+            statistics[f"discrepancy_rms_mm_{camera}"] = field.discrepancy_rms_mm
+    if len(mesh.vertices):
+        statistics["maximum_displacement_mm"] = float(mesh.values[3].max())
+    return statistics
+
+
+KIND = Kind(
+    name="merge",
+    summary="pairs of a camera merged by inverse variance, and all cameras joined into one surface",
+    version=1,
+    scope=Scope.STATE,
+    parameters=MergeParameters,
+    needs=_needs,
+    run=run,
+    subjects=deformed_states,
+    context=cameras,
+)

@@ -1,0 +1,172 @@
+"""Averages of noisy fields over pixels of one region."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+
+Floats: TypeAlias = NDArray[np.float64]
+Labels: TypeAlias = NDArray[np.int32]
+Ints: TypeAlias = NDArray[np.int64]
+
+OUTLIER = 5.0
+"""Standard deviations beyond which a pixel is no part of the surface around it."""
+
+
+@kernel
+def _gather_disc(
+    r: int, c: int, labels: Labels, weight: Floats, radius: float, place: Ints, w: Floats
+) -> int:
+    """Fill the rows and columns and the weights of pixels about one; return their number."""
+    rows, columns = labels.shape
+    reach = int(np.ceil(radius)) - 1
+    n = 0
+    for j in range(max(r - reach, 0), min(r + reach + 1, rows)):
+        for i in range(max(c - reach, 0), min(c + reach + 1, columns)):
+            d2 = ((i - c) ** 2 + (j - r) ** 2) / (radius * radius)
+            if d2 < 1.0 and labels[j, i] == labels[r, c] and weight[j, i] > 0.0:
+                place[n, 0] = j
+                place[n, 1] = i
+                w[n] = (1.0 - d2) ** 2 * weight[j, i]
+                n += 1
+    return n
+
+
+@kernel
+def _fit_shares(r: int, c: int, n: int, place: Ints, w: Floats, shares: Floats) -> bool:
+    """Fill each pixel's shares (n, 3) in the value and slopes at (c, r) of a plane fitted with weights w."""
+    m = np.zeros(6)
+    for k in range(n):
+        dx = place[k, 1] - c
+        dy = place[k, 0] - r
+        m[0] += w[k]
+        m[1] += w[k] * dx
+        m[2] += w[k] * dy
+        m[3] += w[k] * dx * dx
+        m[4] += w[k] * dx * dy
+        m[5] += w[k] * dy * dy
+    # The inverse of the normal matrix, by cofactors.
+    c00 = m[3] * m[5] - m[4] * m[4]
+    c01 = m[2] * m[4] - m[1] * m[5]
+    c02 = m[1] * m[4] - m[2] * m[3]
+    c11 = m[0] * m[5] - m[2] * m[2]
+    c12 = m[1] * m[2] - m[0] * m[4]
+    c22 = m[0] * m[3] - m[1] * m[1]
+    determinant = m[0] * c00 + m[1] * c01 + m[2] * c02
+    if not determinant > 1e-6 * m[0] * (m[3] + m[5]) ** 2:
+        return False
+    for k in range(n):
+        dx = place[k, 1] - c
+        dy = place[k, 0] - r
+        share = w[k] / determinant
+        shares[k, 0] = share * (c00 + c01 * dx + c02 * dy)
+        shares[k, 1] = share * (c01 + c11 * dx + c12 * dy)
+        shares[k, 2] = share * (c02 + c12 * dx + c22 * dy)
+    return True
+
+
+@kernel
+def _drop_outliers(
+    r: int, c: int, n: int, place: Ints, w: Floats, shares: Floats, raw: Floats, weight: Floats
+) -> None:
+    """Set the weight of pixels to 0 that lie too far from the plane."""
+    plane = np.zeros((3, 3))
+    for k in range(n):
+        for a in range(3):
+            for b in range(3):
+                plane[a, b] += shares[k, b] * raw[a, place[k, 0], place[k, 1]]
+    for k in range(n):
+        square = 0.0
+        for a in range(3):
+            fit = plane[a, 0] + plane[a, 1] * (place[k, 1] - c) + plane[a, 2] * (place[k, 0] - r)
+            square += (raw[a, place[k, 0], place[k, 1]] - fit) ** 2
+        if square * weight[place[k, 0], place[k, 1]] > OUTLIER**2:
+            w[k] = 0.0
+
+
+@kernel
+def _average_rows(
+    start: int,
+    stop: int,
+    labels: Labels,
+    raw: Floats,
+    covariance: Floats,
+    weight: Floats,
+    radius: float,
+    value: Floats,
+    spread: Floats,
+) -> None:
+    """Do the work of `average_in_region` for rows start .. stop."""
+    size = (4 * int(np.ceil(radius)) + 1) ** 2
+    place = np.empty((size, 2), dtype=np.int64)
+    w = np.empty(size)
+    shares = np.empty((size, 3))
+    for r in range(start, stop):
+        for c in range(labels.shape[1]):
+            value[:, r, c] = np.nan
+            spread[:, r, c] = np.nan
+            if labels[r, c] == 0:
+                continue
+            n = _gather_disc(r, c, labels, weight, radius, place, w)
+            if 2 * n < np.pi * radius**2:
+                # At an edge a plane needs a longer lever.
+                n = _gather_disc(r, c, labels, weight, 2.0 * radius, place, w)
+            if not _fit_shares(r, c, n, place, w, shares):
+                continue
+            _drop_outliers(r, c, n, place, w, shares, raw, weight)
+            if not _fit_shares(r, c, n, place, w, shares):
+                continue
+            value[:, r, c] = 0.0
+            spread[:, r, c] = 0.0
+            for k in range(n):
+                if w[k] > 0.0:
+                    for a in range(3):
+                        value[a, r, c] += shares[k, 0] * raw[a, place[k, 0], place[k, 1]]
+                    for a in range(6):
+                        spread[a, r, c] += shares[k, 0] ** 2 * covariance[a, place[k, 0], place[k, 1]]
+
+
+def average_in_region(
+    raw: Floats,
+    covariance: Floats,
+    labels: NDArray[np.int32],
+    usable: NDArray[np.bool_],
+    radius: float,
+    threads: int = 1,
+) -> tuple[Floats, Floats]:
+    """Fit a plane to a noisy field about every pixel, over pixels of its region, and take its value there.
+
+    Parameters
+    ----------
+    raw, covariance
+        (3, rows, columns) and (6, rows, columns), independent from pixel to pixel.
+    labels
+        (rows, columns), 0 where there is no region.
+    usable
+        (rows, columns): which pixels may contribute.
+    radius
+        In px; pixels at distance d count by (1 - d^2 / radius^2)^2 over their variance. It is doubled where
+        fewer than half the disc's pixels are there.
+    threads
+        How many threads to use.
+
+    Returns
+    -------
+    The averaged field and its covariance; NaN where fewer than three pixels contribute. Pixels five
+    standard deviations off the first fit do not contribute.
+    """
+    variance = covariance[0] + covariance[3] + covariance[5]
+    known = usable & np.isfinite(raw).all(axis=0) & np.isfinite(variance)
+    weight = np.where(known, 1.0 / np.maximum(np.where(known, variance, 1.0), 1e-18), 0.0)
+    value = np.empty_like(raw)
+    spread = np.empty_like(covariance)
+
+    def work(start: int, stop: int) -> None:
+        _average_rows(start, stop, labels, raw, covariance, weight, radius, value, spread)
+
+    in_row_blocks(work, labels.shape[0], threads)
+    return value, spread
