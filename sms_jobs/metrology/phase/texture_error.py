@@ -133,6 +133,19 @@ def textured_interior(valid: Mask, gradient: Floats, margin: int = 4) -> Mask:
     return np.asarray(inside & (np.hypot(gradient[0], gradient[1]) > _TEXTURED))
 
 
+def _unexplained(excess: Floats, correction: Floats) -> float:
+    """Return which part of the squared correction the squared gap exceeds its noise by.
+
+    What it exceeds the noise by where the correction is least, in a fifth of the pixels, is not the
+    texture's but the calibration's.
+    """
+    if correction.size == 0 or np.ptp(correction) == 0.0:
+        return 0.0
+    least = correction <= np.quantile(correction, 0.2)
+    grown = np.mean(excess) - np.mean(excess[least])
+    return float(np.clip(grown / (np.mean(correction) - np.mean(correction[least])), 0.0, 1.0))
+
+
 def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating) -> Blur:
     """Find s^2 from the ray gaps that the texture opens, by trimmed weighted least squares.
 
@@ -146,8 +159,8 @@ def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating) -> Blur:
 
     Notes
     -----
-    gap + s^2 change = noise. What remains of the gap's variance beyond the noise is ascribed to the
-    correction, as the part `unexplained` of it. `TYPICAL` enters with its own uncertainty and decides
+    gap + s^2 change = noise. What remains of the gap's square beyond the noise and grows with that of the
+    correction is the part `unexplained` of it; what does not grow is the calibration's. `TYPICAL` enters with its own uncertainty and decides
     where there is little texture or none.
     """
     known = np.isfinite(gap) & np.isfinite(change) & (gap_sigma > 0.0)
@@ -162,8 +175,6 @@ def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating) -> Blur:
         found = (pull + TYPICAL.variance * _PRECISION) / (told + _PRECISION)
         variance = float(np.clip(found, 0.0, _LARGEST_BLUR))
         rest = (g + variance * h) * np.sqrt(w)
-    correction = variance * variance * np.sum((w * h * h)[kept])
-    excess = np.sum(rest[kept] ** 2) - np.count_nonzero(kept)
-    part = float(np.clip(excess / correction, 0.0, 1.0)) if correction > 0.0 else 0.0
+    part = _unexplained(np.square(g + variance * h)[kept] - 1.0 / w[kept], np.square(variance * h[kept]))
     share = told / (told + _PRECISION)
     return Blur(variance, float(np.sqrt(share * part + (1.0 - share) * TYPICAL.unexplained**2)))
