@@ -125,8 +125,8 @@ def texture_shift(omega: Floats, valid: Mask, gradient: Floats, threads: int = 1
 def textured_interior(valid: Mask, gradient: Floats, margin: int = 4) -> Mask:
     """Return the pixels that tell the blur: on texture, all pixels within `margin` px being valid.
 
-    Beside edges the gap has other reasons and the spline still rings; without texture the gradient is noise, which would make the
-    blur seem too small.
+    Beside edges the gap has other reasons and the spline still rings; without texture the gradient is
+    noise, which would make the blur seem too small.
     """
     inside = ndimage.binary_erosion(valid, np.ones((1, 2 * margin + 1), dtype=bool))
     inside = ndimage.binary_erosion(inside, np.ones((2 * margin + 1, 1), dtype=bool))
@@ -160,8 +160,8 @@ def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating) -> Blur:
     Notes
     -----
     gap + s^2 change = noise. What remains of the gap's square beyond the noise and grows with that of the
-    correction is the part `unexplained` of it; what does not grow is the calibration's. `TYPICAL` enters with its own uncertainty and decides
-    where there is little texture or none.
+    correction is the part `unexplained` of it; what does not grow is the calibration's. `TYPICAL` enters
+    with its own uncertainty and decides where there is little texture or none.
     """
     known = np.isfinite(gap) & np.isfinite(change) & (gap_sigma > 0.0)
     g, h, w = gap[known].astype(float), change[known].astype(float), gap_sigma[known].astype(float) ** -2
