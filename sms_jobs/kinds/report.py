@@ -34,9 +34,16 @@ from sms_jobs.records.assessment import Assessment
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.fields import MergedField, PointCloud, Regions, StrainField
 from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Calibration, split_pair
 
 _PICTURES_OF_A_STATE = 4
+_INTRODUCTION = (
+    "Lengths are in millimetres in the frame of the calibration, strains in microstrain (µε) in the "
+    "plane of the surface. Grey in a map means that nothing could be measured there. Standard deviations "
+    "cover the camera's noise, not the calibration. Where a camera has several projectors and a map is of "
+    "one pair, it is of the pair that sees most of the surface."
+)
 
 
 class ReportParameters(Parameters):
@@ -107,18 +114,19 @@ class Traceable(Protocol):
         ...
 
 
-def first_pairs(campaign: Campaign) -> dict[str, str]:
-    """Return the first pair of every camera, by camera."""
-    pairs: dict[str, str] = {}
+def pairs_by_camera(campaign: Campaign) -> dict[str, tuple[str, ...]]:
+    """Return the pairs of every camera, in the campaign's order."""
+    pairs: dict[str, tuple[str, ...]] = {}
     for pair in campaign.pairs:
-        pairs.setdefault(split_pair(pair)[0], pair)
+        camera = split_pair(pair)[0]
+        pairs[camera] = (*pairs.get(camera, ()), pair)
     return pairs
 
 
 def shown_states(campaign: Campaign, most_figures: int) -> tuple[LoadState, ...]:
     """Return the deformed states whose maps are shown: evenly spread over the test, with the last."""
     deformed = campaign.states[1:]
-    room = max(1, most_figures // (_PICTURES_OF_A_STATE * max(1, len(first_pairs(campaign)))))
+    room = max(1, most_figures // (_PICTURES_OF_A_STATE * max(1, len(pairs_by_camera(campaign)))))
     if len(deformed) <= room:
         return deformed
     places = np.linspace(len(deformed) - 1, 0, room).round().astype(int)
@@ -130,23 +138,22 @@ def _role(source: str, state: str, pair: str = "") -> str:
 
 
 def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    """Return what the page shows: the first pair of each camera, merged views, and errors where known."""
+    """Return everything that the page shows; errors where the truth is known."""
     reference = campaign.reference.label
     yield Need("calibration", CALIBRATION, Subject(campaign.name))
-    for pair in first_pairs(campaign).values():
-        at_rest = Subject(campaign.name, reference, pair)
-        yield Need(_role(MEASUREMENT, reference, pair), MEASUREMENT, at_rest)
-        yield Need(_role("reconstruct", reference, pair), "reconstruct", at_rest)
-        for place, state in enumerate(campaign.states[1:]):
-            loaded = Subject(campaign.name, state.label, pair)
-            if place == 0:
-                yield Need(_role("correlate", state.label, pair), "correlate", loaded)
-            yield Need(_role("strain", state.label, pair), "strain", loaded)
-    for state in campaign.states[1:]:
-        yield Need(_role("merge", state.label), "merge", Subject(campaign.name, state.label))
-    if campaign.scene is not None:
-        for each in tuples(campaign):
-            yield Need(_role("assess", each.state or "", each.pair or ""), "assess", each)
+    for each in tuples(campaign):
+        state, pair = each.state or "", each.pair or ""
+        if state == reference:
+            yield Need(_role(MEASUREMENT, state, pair), MEASUREMENT, each)
+            yield Need(_role("reconstruct", state, pair), "reconstruct", each)
+        else:
+            yield Need(_role("strain", state, pair), "strain", each)
+        if len(campaign.states) > 1 and state == campaign.states[1].label:
+            yield Need(_role("correlate", state, pair), "correlate", each)
+        if campaign.scene is not None:
+            yield Need(_role("assess", state, pair), "assess", each)
+    for loaded in campaign.states[1:]:
+        yield Need(_role("merge", loaded.label), "merge", Subject(campaign.name, loaded.label))
 
 
 def whole_campaign(campaign: Campaign, subject: Subject) -> Campaign:
@@ -166,13 +173,14 @@ def run(inputs: Inputs, parameters: ReportParameters, progress: Progress) -> Ite
     """Make the page: records are read one at a time, and only small pictures and numbers of them are kept."""
     campaign: Campaign = inputs.context
     draw = Draughtsman(parameters.figure_width_px)
-    at_rest, recorded = _reference_section(inputs, campaign, draw)
+    best = _best_pairs(inputs, campaign)
+    at_rest, recorded = _reference_section(inputs, campaign, best, draw)
     progress(0.1, "drew the reference state")
     rows = _Rows()
     states: list[Section] = []
     drawn = shown_states(campaign, parameters.most_figures)
     for place, state in enumerate(campaign.states[1:]):
-        states.append(_state_section(inputs, campaign, state, draw if state in drawn else None, rows))
+        states.append(_state_section(inputs, state, best, draw if state in drawn else None, rows))
         progress(0.1 + 0.7 * (place + 1) / len(campaign.states), f"drew state {state.label}")
     overview = [campaign_facts(campaign), load_states(campaign.states, recorded)]
     sections = [Section("Load states", overview), at_rest]
@@ -181,15 +189,23 @@ def run(inputs: Inputs, parameters: ReportParameters, progress: Progress) -> Ite
     if campaign.scene is not None:
         sections.append(_accuracy_section(inputs, campaign))
     sections.append(Section("Where this comes from", _origins(inputs.datasets)))
-    introduction = html.paragraph(
-        "Lengths are in millimetres in the frame of the calibration, strains in microstrain (µε) in the "
-        "plane of the surface. Grey in a map means that nothing could be measured there. Standard deviations "
-        "cover the camera's noise, not the calibration.",
-        faint=True,
-    )
-    document = html.page(f"Campaign {campaign.name}", [introduction], sections)
+    document = html.page(f"Campaign {campaign.name}", [html.paragraph(_INTRODUCTION, faint=True)], sections)
     progress(1.0, "wrote the page")
     yield DocumentOutput(inputs.subject, f"{campaign.name}-report.html", "text/html", _writer(document))
+
+
+def _best_pairs(inputs: Inputs, campaign: Campaign) -> dict[str, str]:
+    """Return, by camera, the pair that sees most of the surface at the reference state."""
+    label = campaign.reference.label
+    best: dict[str, str] = {}
+    for camera, pairs in pairs_by_camera(campaign).items():
+        seen: dict[str, int] = {}
+        for pair in pairs:
+            cloud = inputs.read(_role("reconstruct", label, pair), "cloud", PointCloud)
+            seen[pair] = int(np.count_nonzero(cloud.reason == Reason.VALID))
+            del cloud
+        best[camera] = max(pairs, key=lambda pair: seen[pair])
+    return best
 
 
 def _writer(document: str) -> Callable[[Path], None]:
@@ -200,13 +216,13 @@ def _writer(document: str) -> Callable[[Path], None]:
 
 
 def _reference_section(
-    inputs: Inputs, campaign: Campaign, draw: Draughtsman
+    inputs: Inputs, campaign: Campaign, best: Mapping[str, str], draw: Draughtsman
 ) -> tuple[Section, Mapping[str, datetime]]:
     """Draw the reference state of each camera; also return when it was recorded."""
     label = campaign.reference.label
     views: list[Markup] = []
     recorded: dict[str, datetime] = {}
-    for camera, pair in first_pairs(campaign).items():
+    for camera, pair in best.items():
         where = f"{camera} ({pair}, {label})"
         measurement = inputs.read(_role(MEASUREMENT, label, pair), "measurement", Measurement)
         recorded.setdefault(label, measurement.recorded_at)
@@ -221,24 +237,22 @@ def _reference_section(
 
 
 def _state_section(
-    inputs: Inputs, campaign: Campaign, state: LoadState, draw: Draughtsman | None, rows: _Rows
+    inputs: Inputs, state: LoadState, best: Mapping[str, str], draw: Draughtsman | None, rows: _Rows
 ) -> Section:
     """Add a state's numbers to the tables and, with someone to draw, return its maps."""
-    pictures: dict[str, list[Markup]] = {camera: [] for camera in first_pairs(campaign)}
+    pictures: dict[str, list[Markup]] = {camera: [] for camera in best}
     merge = _role("merge", state.label)
-    for name in inputs.datasets[merge].names:
-        if name == "mesh":
-            continue
-        merged = inputs.read(merge, name, MergedField)
+    for camera in best:
+        merged = inputs.read(merge, camera, MergedField)
         rows.merged.append(merged_row(merged, state.label))
         if draw is not None:
-            where = f"{merged.camera} ({state.label})"
-            pictures.setdefault(merged.camera, []).extend(draw.displacement(merged, where))
+            pictures[camera] += draw.displacement(merged, f"{camera} ({state.label})")
         del merged
-    for camera, pair in first_pairs(campaign).items():
+    for pair in inputs.context.pairs:
+        camera = split_pair(pair)[0]
         strain = inputs.read(_role("strain", state.label, pair), "strain", StrainField)
         rows.strain.append(strain_row(strain, state.label, pair))
-        if draw is not None:
+        if draw is not None and best[camera] == pair:
             pictures[camera] += draw.strain(strain, f"{camera} ({pair}, {state.label})")
         del strain
     load = "" if state.load_n is None else f", {html.number(html.Given(state.load_n))} N"
@@ -250,7 +264,7 @@ def _results_section(campaign: Campaign, drawn: tuple[LoadState, ...], rows: _Ro
     content = [
         Markup("<h3>Displacement, by camera</h3>"),
         html.table(MERGED_HEADER, rows.merged),
-        Markup("<h3>Strain, by the first pair of each camera</h3>"),
+        Markup("<h3>Strain, by pair</h3>"),
         html.table(STRAIN_HEADER, rows.strain),
     ]
     count = len(campaign.states) - 1

@@ -71,6 +71,8 @@ def records_for(need: Need, size: tuple[int, int]) -> Mapping[str, Any]:
         return {"measurement": Measurement(WHEN, FringeSequence(), 4095, 0.1, 2.0, texture, frames)}
     if need.source == "reconstruct":
         gap = np.zeros(size, np.float32)
+        if need.subject.pair == "C1P1":
+            reason = reason | 1  # sees nothing: its neighbour C1P2 is shown
         return {"cloud": PointCloud("C1", "P1", np.stack([x, y, z]) * full, covariance, gap, reason)}
     if need.source == "correlate":
         labels = np.where(z > 0, 1, 2).astype(np.int32) * (reason == 0)
@@ -189,6 +191,9 @@ def test_a_report_is_one_page_that_needs_nothing_else(run: Run) -> None:
     assert len(page.images) == 2 * 3 + 2 * 2 * 4
     assert all(link.startswith(("#", "data:image/png;base64,")) for link in page.links)
     assert "<script" not in path.read_text()
+    shown = " ".join(word for word in page.words if word.startswith("C1 ("))
+    assert "C1P2, S00" in shown
+    assert "C1P1, S00" not in shown
     # A volume of 300 x 400 mm: its diagonal is 500 mm, and 0.02 mm of error the 25,000th part of it.
     for text in ("panel", "C1P2", "2469", "500 mm", "25000", "42", "97", "Accuracy", "merge, version 1"):
         assert text in words, text
