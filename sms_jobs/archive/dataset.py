@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -67,9 +67,33 @@ class StoredFrames:
         return slab
 
 
+@contextmanager
+def _opened(file: Path, where: str) -> Iterator[h5py.File]:
+    """Open an HDF5 file for reading and check that it is one of ours, of a version that we read."""
+    if not file.is_file():
+        raise ArchiveCorrupt(f"{where} is missing from the archive; restore it from a backup")
+    with _readable(where):
+        opened = h5py.File(file, "r")
+    with opened:
+        with _readable(where):
+            known = opened.attrs.get("format") == hdf5.FORMAT
+            version = int(opened.attrs.get("format_version", 0))
+        if not known:
+            raise ArchiveCorrupt(f"{where} is an HDF5 file, but not one of this archive")
+        if version > hdf5.FORMAT_VERSION:
+            raise FormatTooNew(
+                f"{where} has format version {version}, this program reads up to {hdf5.FORMAT_VERSION}; "
+                "install a newer sms_jobs"
+            )
+        yield opened
+
+
 @dataclass(frozen=True)
 class ArchivedDataset:
-    """A dataset file of the archive, open for reading.
+    """A dataset file of the archive, for reading.
+
+    The file itself is open only while a record is read, and as long as frames are streamed from it: a
+    report reads hundreds of datasets, more than a process may have open.
 
     Attributes
     ----------
@@ -79,32 +103,34 @@ class ArchivedDataset:
         How it came about.
     content_hash
         As recorded in the file.
+    names
+        Of the records it holds, in order.
     """
 
     path: str
     provenance: Provenance
     content_hash: str
-    _records: Mapping[str, Any]
+    names: tuple[str, ...]
+    _file: Path
+    _streams: ExitStack
 
     @property
     def subject(self) -> Subject:
         """What the file is about."""
         return self.provenance.subject
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the records it holds; the first is shown when the file is opened in a viewer."""
-        return tuple(self._records)
-
-    def _group(self, name: str) -> Any:
-        if name not in self._records:
-            raise NotFound(f"{self.path} has no record '{name}'; it has {', '.join(self._records)}")
-        return self._records[name]
+    def _group(self, name: str, until: ExitStack) -> Any:
+        """Open the file and return the group of a record, valid until the stack is closed."""
+        if name not in self.names:
+            raise NotFound(f"{self.path} has no record '{name}'; it has {', '.join(self.names)}")
+        opened = until.enter_context(_opened(self._file, self.path))
+        with _readable(self.path):
+            return opened["entry"][name]
 
     def record_class(self, name: str) -> type:
         """Return the class of a record."""
-        with _readable(self.path):
-            stored = str(self._group(name).attrs["record"])
+        with ExitStack() as briefly, _readable(self.path):
+            stored = str(self._group(name, briefly).attrs["record"])
         return class_named(stored, self.path)
 
     def describe(self) -> dict[str, dict[str, dict[str, Any]]]:
@@ -112,8 +138,8 @@ class ArchivedDataset:
         about: dict[str, dict[str, dict[str, Any]]] = {}
         for name in self.names:
             arrays = layout_of(self.record_class(name)).arrays
-            with _readable(self.path):
-                group = self._group(name)
+            with ExitStack() as briefly, _readable(self.path):
+                group = self._group(name, briefly)
                 about[name] = {
                     field_name: {
                         "shape": list(group[field_name].shape),
@@ -137,15 +163,18 @@ class ArchivedDataset:
         ArchiveCorrupt
             When it cannot be read, or does not fit its class.
         """
-        group, where = self._group(name), f"{self.path}:{name}"
+        where = f"{self.path}:{name}"
+        declared = layout_of(record).arrays
+        streamed = any(field.streamed for field in declared.values())
         arrays: dict[str, Any] = {}
-        with _readable(where):
+        with ExitStack() as briefly, _readable(where):
+            group = self._group(name, self._streams if streamed else briefly)
             stored = group.attrs["record"]
             if stored != record.__name__:
                 raise InvalidInput(f"{where} is a {stored}, not a {record.__name__}")
             plain = hdf5.read_text(group[hdf5.FIELDS])
             present = set(group.attrs["arrays"])
-            for field_name, field in layout_of(record).arrays.items():
+            for field_name, field in declared.items():
                 if field_name not in present and field.optional:
                     continue
                 if field_name not in present:
@@ -155,27 +184,6 @@ class ArchivedDataset:
                     raise ArchiveCorrupt(f"{where}.{field_name} is {dataset.dtype}, not {field.dtype}")
                 arrays[field_name] = StoredFrames(dataset, where) if field.streamed else dataset[...]
         return record_from_parts(record, plain, arrays, where)
-
-
-@contextmanager
-def _opened(file: Path, where: str) -> Iterator[h5py.File]:
-    """Open an HDF5 file for reading and check that it is one of ours, of a version that we read."""
-    if not file.is_file():
-        raise ArchiveCorrupt(f"{where} is missing from the archive; restore it from a backup")
-    with _readable(where):
-        opened = h5py.File(file, "r")
-    with opened:
-        with _readable(where):
-            known = opened.attrs.get("format") == hdf5.FORMAT
-            version = int(opened.attrs.get("format_version", 0))
-        if not known:
-            raise ArchiveCorrupt(f"{where} is an HDF5 file, but not one of this archive")
-        if version > hdf5.FORMAT_VERSION:
-            raise FormatTooNew(
-                f"{where} has format version {version}, this program reads up to {hdf5.FORMAT_VERSION}; "
-                "install a newer sms_jobs"
-            )
-        yield opened
 
 
 @contextmanager
@@ -189,13 +197,13 @@ def open_dataset(file: Path, where: str) -> Iterator[ArchivedDataset]:
     FormatTooNew
         When it was written by a newer version.
     """
-    with _opened(file, where) as opened:
-        with _readable(where):
-            entry = opened["entry"]
-            text = hdf5.read_text(entry[hdf5.PROCESS]["provenance"])
-            records = {name: entry[name] for name in entry.attrs["records"]}
-            recorded = str(opened.attrs["content_hash"])
-        yield ArchivedDataset(where, provenance_from_json(text, where), recorded, records)
+    with _opened(file, where) as opened, _readable(where):
+        entry = opened["entry"]
+        text = hdf5.read_text(entry[hdf5.PROCESS]["provenance"])
+        names = tuple(str(name) for name in entry.attrs["records"])
+        recorded = str(opened.attrs["content_hash"])
+    with ExitStack() as streams:
+        yield ArchivedDataset(where, provenance_from_json(text, where), recorded, names, file, streams)
 
 
 def check_dataset(file: Path, where: str, content_hash: str) -> None:

@@ -8,6 +8,7 @@ import json
 import subprocess
 import sys
 import tracemalloc
+from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -129,6 +130,17 @@ def test_frames_are_read_from_the_open_file(archive: Archive, sealed: Sealed) ->
         np.testing.assert_array_equal(frames.rows(60, 130), expected.rows(60, 130))
     with pytest.raises(ArchiveCorrupt):
         frames.frame(0)
+
+
+def test_more_datasets_than_open_files_can_be_used_at_once(
+    archive: Archive, rng: np.random.Generator
+) -> None:
+    sealed = archive.seal_dataset({"cloud": point_cloud(rng)}, provenance())
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    with ExitStack() as stack:
+        datasets = [stack.enter_context(archive.open(sealed.path)) for _ in range(20)]
+        assert [dataset.read("cloud", PointCloud).camera for dataset in datasets] == ["C1"] * 20
+        assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
 def test_what_is_asked_for_must_be_there(archive: Archive, sealed: Sealed) -> None:
