@@ -1,0 +1,52 @@
+"""Seeds are the peaks of a correlation that sees one region only."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sms_jobs.metrology.deformation.seeding import SearchSettings, masked_correlation, seed_displacements
+
+
+def test_masked_correlation_is_the_slow_reference(rng: np.random.Generator) -> None:
+    template, image = rng.uniform(0.0, 4095.0, (9, 11)), rng.uniform(0.0, 4095.0, (20, 24))
+    own, searched = rng.random((9, 11)) > 0.3, rng.random((20, 24)) > 0.1
+    found = masked_correlation(template, own, image, searched)
+    assert found.shape == (12, 14)
+    for j in range(12):
+        for i in range(14):
+            both = own & searched[j : j + 9, i : i + 11]
+            expected = np.corrcoef(template[both], image[j : j + 9, i : i + 11][both])[0, 1]
+            # Single precision: sums of 100 products to 10^-7 each, means removed.
+            assert abs(found[j, i] - expected) < 1e-5
+
+
+def test_a_lag_with_little_overlap_is_no_match(rng: np.random.Generator) -> None:
+    template, image = rng.uniform(size=(8, 8)), rng.uniform(size=(20, 20))
+    searched = np.zeros((20, 20), bool)
+    searched[:6] = True
+    found = masked_correlation(template, np.ones((8, 8), bool), image, searched)
+    assert (found[3:] == -1.0).all()
+    assert (found[:3] > -1.0).all()
+
+
+def test_flat_images_give_no_match() -> None:
+    flat = np.full((8, 8), 700.0)
+    found = masked_correlation(flat, np.ones((8, 8), bool), np.full((12, 12), 700.0), np.ones((12, 12), bool))
+    assert (found == -1.0).all()
+
+
+def test_regions_that_part_by_tens_of_pixels_are_followed(rng: np.random.Generator) -> None:
+    wide = rng.uniform(0.0, 1000.0, (200, 260))
+    labels = np.zeros((120, 160), np.int32)
+    labels[:60], labels[60:] = 1, 2
+    reference = wide[40:160, 50:210]
+    deformed = rng.uniform(0.0, 1000.0, (120, 160))
+    # The upper half goes 31 px to the right and 7 px up, the lower one 22 px to the left and 3 px down.
+    deformed[: 60 - 7, 31:] = reference[7:60, : 160 - 31]
+    deformed[63:, : 160 - 22] = reference[60:117, 22:]
+    x, y = np.array([60, 80]), np.array([40, 80])
+    u, v, score = seed_displacements(reference, deformed, labels, x, y, SearchSettings(40, 20), threads=2)
+    np.testing.assert_array_equal(u, [31, -22])
+    np.testing.assert_array_equal(v, [-7, 3])
+    # Exact copies, but for template pixels whose counterpart was overwritten or left the image: none here.
+    assert (score > 0.999).all()
