@@ -69,11 +69,14 @@ class CorrelateParameters(Parameters):
         "fringes cancel and the camera's noise is lower by the square root of their number",
     )
     subset_radius_px: int = Field(
-        8, ge=3, le=100, description="a subset has (2 radius + 1)^2 pixels, less those of other regions"
+        10, ge=3, le=100, description="a subset has (2 radius + 1)^2 pixels, less those of other regions"
     )
     spacing_px: int = Field(4, ge=1, le=100, description="distance of the matched points")
     minimum_score: float = Field(
         0.8, gt=0.0, lt=1.0, description="least zero-normalised cross-correlation of a match"
+    )
+    maximum_sigma_px: float = Field(
+        0.05, gt=0.0, description="largest standard deviation of a match, from noise and from its residual"
     )
     minimum_subset_part: float = Field(
         0.2, gt=0.0, le=1.0, description="least part of a subset that lies on its point's region"
@@ -134,7 +137,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         prepare_images(before.texture, after.texture, labels, (before.noise, after.noise)),
         after.texture,
         MatchSettings(parameters.subset_radius_px, parameters.minimum_subset_part),
-        GridSettings(parameters.spacing_px, parameters.minimum_score),
+        GridSettings(parameters.spacing_px, parameters.minimum_score, parameters.maximum_sigma_px),
         SearchSettings(parameters.search_range_x_px, parameters.search_range_y_px),
         inputs.threads,
     )

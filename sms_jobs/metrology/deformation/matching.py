@@ -35,6 +35,7 @@ _NEIGHBOURS = tuple(
     )
 )
 _ATTEMPTS = 3  # times that a point is tried from ever better neighbours
+_LEAST_SCATTER = 0.01  # px, of neighbours: what first-order subsets may disagree by on a curved field
 _SEED_SCORE = 0.4  # of an integer shift: a poor start, but the refinement judges it
 
 
@@ -57,13 +58,16 @@ class GridSettings:
         Of the grid, in px.
     minimum_score
         Lowest zero-normalised cross-correlation that is accepted.
+    maximum_sigma
+        Largest standard deviation of u or v that is accepted, in px.
     outlier_ratio
         Largest deviation from the neighbours, in units of their own scatter.
     """
 
     spacing: int = 4
     minimum_score: float = 0.8
-    outlier_ratio: float = 8.0
+    maximum_sigma: float = 0.05
+    outlier_ratio: float = 6.0
 
 
 def sample_grid(labels: NDArray[np.int32], spacing: int) -> tuple[Ints, Ints, Ints]:
@@ -91,20 +95,20 @@ def sample_grid(labels: NDArray[np.int32], spacing: int) -> tuple[Ints, Ints, In
     return offset + spacing * columns, offset + spacing * rows, node
 
 
-def choose_seeds(labels: NDArray[np.int32], x: Ints, y: Ints, spacing: int) -> Ints:
-    """Return the indices of one point for every region in every square of `spacing` px.
+def choose_seeds(labels: NDArray[np.int32], x: Ints, y: Ints, search: SearchSettings) -> Ints:
+    """Return the indices of one point for every region in every square of `search.spacing` px.
 
-    It is the one farthest from the region's edge, where its sub-image is the most complete.
+    It is the one nearest to the square's middle whose sub-image lies wholly on its region; where there is
+    none, the one farthest from the region's edge.
     """
-    reach = 3
-    flat = (ndimage.maximum_filter(labels, reach) == labels) & (
-        ndimage.minimum_filter(labels, reach) == labels
-    )
-    depth = ndimage.distance_transform_edt(np.pad(flat, 1))[1:-1, 1:-1][y, x]
-    order = np.lexsort((np.arange(len(x)), -depth))
-    keys = np.stack([labels[y, x], y // spacing, x // spacing], axis=1)[order]
+    same = ndimage.maximum_filter(labels, 3) == ndimage.minimum_filter(labels, 3)
+    depth = ndimage.distance_transform_edt(np.pad(same, 1))[1:-1, 1:-1][y, x]
+    row, column = y // search.spacing, x // search.spacing
+    off_middle = np.hypot(*((v % search.spacing) - 0.5 * search.spacing for v in (x, y)))
+    order = np.lexsort((off_middle, -np.minimum(depth, search.template_radius)))
+    keys = np.stack([labels[y, x], row, column], axis=1)[order]
     _, first = np.unique(keys, axis=0, return_index=True)
-    return np.sort(order[first])
+    return np.asarray(np.sort(order[first]))
 
 
 def _extrapolate(warp: Floats, dx: Floats, dy: Floats) -> Floats:
@@ -162,7 +166,9 @@ def match_grid(
 
     def attempt(points: Ints, guess: Floats) -> None:
         result = match_points(images, x[points], y[points], guess, settings, threads)
-        good = (result.ending == CONVERGED) & (result.score >= grid.minimum_score)
+        with np.errstate(invalid="ignore"):
+            sure = (result.score >= grid.minimum_score) & (result.sigma.max(axis=1) <= grid.maximum_sigma)
+        good = (result.ending == CONVERGED) & sure
         result.ending[(result.ending == CONVERGED) & ~good] = NOT_CONVERGED
         for mine, theirs in zip(vars(found).values(), vars(result).values(), strict=True):
             mine[points] = theirs
@@ -172,7 +178,7 @@ def match_grid(
         lost = (result.ending != CONVERGED) & (result.ending != NOT_CONVERGED) & (result.ending != LEFT_IMAGE)
         attempts[points[lost]] = _ATTEMPTS + 1
 
-    seeds = choose_seeds(images.labels, x, y, search.spacing)
+    seeds = choose_seeds(images.labels, x, y, search)
     u, v, score = seed_displacements(
         images.reference, deformed, images.labels, x[seeds], y[seeds], search, threads
     )
@@ -203,7 +209,7 @@ def _reject_outliers(found: Matches, x: Ints, y: Ints, around: Ints, ratio: floa
     """Mark points as not converged that contradict their neighbours.
 
     Normalised median test (Westerweel & Scarano 2005) on displacements that the neighbours' gradients
-    carry to the point, with three standard deviations of the match and 0.02 px as least scatter.
+    carry to the point; their scatter counts as at least the point's own standard deviation, and 0.01 px.
     """
     good = found.ending == CONVERGED
     near = around[:, :8]
@@ -217,7 +223,7 @@ def _reject_outliers(found: Matches, x: Ints, y: Ints, around: Ints, ratio: floa
         carried = np.where(usable, carried, np.nan)[enough]
         middle = np.nanmedian(carried, axis=1)
         scatter = np.nanmedian(np.abs(carried - middle[:, None]), axis=1)
-        least = np.maximum(0.02, 3.0 * found.sigma[enough, sigma])
+        least = np.maximum(_LEAST_SCATTER, found.sigma[enough, sigma])
         deviation = np.abs(found.warp[enough, first] - middle)
         outside[np.flatnonzero(enough)[deviation > ratio * np.maximum(scatter, least)]] = True
     found.ending[outside] = NOT_CONVERGED
