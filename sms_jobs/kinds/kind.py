@@ -60,7 +60,7 @@ class Need:
     source
         `MEASUREMENT`, `CALIBRATION`, or the name of the kind whose result is wanted.
     subject
-        Of the measurement or result; the campaign for a calibration.
+        Of the measurement or result; of a calibration, what it is for: it is valid at that state's time.
     """
 
     role: str

@@ -6,6 +6,11 @@ reverse exponential sequence by 0.35 rad, far from a half fringe. The phase erro
 chi-square law, of which 99.9 % is kept for each orientation; a pixel that sees two surfaces has phases that
 are not proportional to the density and fails. On the virtual top hat more than 98 % of the pixels that are
 seen and lit pass all tests.
+
+The outermost pixels of what passes are given up besides: their light comes in part from beside the surface,
+and where a camera's centre ray just misses a lit edge they show a point of the wrong surface with all the
+signs of a good one. On the virtual top hat of 512 px this costs 2-4 % of the pixels and takes the largest
+error from 140 mm to 0.6 mm.
 """
 
 from __future__ import annotations
@@ -33,6 +38,7 @@ from sms_jobs.kinds.kind import (
 )
 from sms_jobs.metrology.geometry.triangulation import Projector, Triangulation, camera_rays, triangulate
 from sms_jobs.metrology.images.masks import (
+    at_edge,
     high_phase_error,
     large_ray_gap,
     low_modulation,
@@ -59,6 +65,9 @@ _SLAB = 64  # rows that are unwrapped at a time: bounds the memory, whatever the
 
 _BLUR_ROWS = 128  # rows that are enough to estimate the blur from
 _TEXTURE_ROUNDS = 2  # the first takes the slope of omega from phases that the texture still disturbs
+
+# Of good pixels 0.2 % fail by noise: four that touch each other do so once in many million images.
+_SMALLEST_GAP = 4
 
 Reasons = NDArray[np.uint32]
 Floats = NDArray[np.float64]
@@ -110,7 +119,7 @@ class ReconstructParameters(Parameters):
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     yield Need("measurement", MEASUREMENT, subject)
-    yield Need("calibration", CALIBRATION, Subject(campaign.name))
+    yield Need("calibration", CALIBRATION, subject)
 
 
 def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -> Iterator[Output]:
@@ -297,6 +306,7 @@ def _mark_points(
         parameters.maximum_ray_gap_to_noise,
     )
     _mark(reason, apart, Reason.LARGE_RAY_GAP)
+    _mark(reason, at_edge(reason == Reason.VALID, _SMALLEST_GAP), Reason.OUTSIDE_REGION)
 
 
 def _as_cloud(camera: str, projector: str, points: Triangulation, reason: Reasons) -> PointCloud:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from math import sqrt
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
@@ -38,6 +39,20 @@ def large_ray_gap(ray_gap: Floating, ray_gap_sigma: Floating, limit_mm: float, s
     """
     allowed = np.hypot(sigmas * ray_gap_sigma, limit_mm)
     return np.asarray(np.abs(ray_gap) > allowed)
+
+
+def at_edge(valid: Mask, smallest_gap: int) -> Mask:
+    """Return the valid pixels (rows, columns) that touch a gap in what is measured, or lie diagonally by it.
+
+    The outermost pixels of a surface share their light with what lies beside it, a shadow or another
+    surface, and may show either. A gap of fewer than `smallest_gap` connected pixels is not an edge: noise
+    alone makes single pixels fail.
+    """
+    _, labels, statistics, _ = cv2.connectedComponentsWithStats((~valid).astype(np.uint8), connectivity=8)
+    is_gap = statistics[:, cv2.CC_STAT_AREA] >= smallest_gap
+    is_gap[0] = False  # the valid pixels themselves
+    beside = cv2.dilate(is_gap[labels].astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return np.asarray(valid & beside)
 
 
 def phase_error_factor(fitted: int, kept: float) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sms_jobs.metrology.images.masks import (
+    at_edge,
     high_phase_error,
     large_ray_gap,
     low_modulation,
@@ -55,3 +56,20 @@ def test_the_phase_error_factor_keeps_its_part(fitted: int, rng: np.random.Gener
 
 def test_one_density_has_no_residual_to_judge() -> None:
     assert phase_error_factor(1, 0.999) == float("inf")
+
+
+def test_pixels_beside_a_gap_are_at_the_edge_but_noise_is_no_gap() -> None:
+    valid = np.zeros((20, 30), bool)
+    valid[4:16, 5:25] = True
+    valid[10, 12] = False  # a single pixel, lost to noise
+    inner = np.zeros_like(valid)
+    inner[5:15, 6:24] = True
+    inner[10, 12] = False
+    np.testing.assert_array_equal(valid & ~at_edge(valid, 4), inner)
+    # With a smallest gap of one pixel the lost one is an edge too, and its eight neighbours go.
+    assert (inner & at_edge(valid, 1)).sum() == 8
+
+
+def test_an_image_without_a_gap_has_no_edge_and_one_without_a_surface_neither() -> None:
+    assert not at_edge(np.ones((5, 5), bool), 4).any()
+    assert not at_edge(np.zeros((5, 5), bool), 4).any()

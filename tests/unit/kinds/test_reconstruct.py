@@ -134,9 +134,12 @@ def test_good_pixels_are_kept_and_dark_ones_are_not(plain: Tuple, speckled: Tupl
     for scene in (plain, speckled):
         cloud, _, _ = scene.reconstruct()
         valid = cloud.reason == Reason.VALID
-        # 0.1 % of good pixels fail each phase error test, and 1 to 2 % lie on the plate's border.
-        assert valid[scene.shape.lit].mean() > 0.97
-        assert valid[~scene.shape.seen].mean() < 0.02
+        good = scene.shape.seen & scene.shape.lit
+        # Two pixels of the border are given up: the one that is partly beside the plate, and the one within.
+        inside = ndimage.binary_erosion(good, np.ones((3, 3)), iterations=2)
+        # 0.1 % of good pixels fail each of two phase error tests; the scatter of 10,000 pixels is 0.04 %.
+        assert valid[inside].mean() > 0.997
+        assert not valid[~good].any()
 
 
 def test_the_textures_error_is_corrected_and_the_rest_is_stated(speckled: Tuple) -> None:
