@@ -102,7 +102,7 @@ def state_ids(session: Session, campaign_id: int) -> dict[str, int]:
     rows = session.execute(
         select(LoadStateRow.label, LoadStateRow.id).where(LoadStateRow.campaign_id == campaign_id)
     )
-    return dict(rows.tuples().all())
+    return dict(rows.all())
 
 
 def add_calibration(session: Session, calibration: Calibration, file_id: int) -> None:

@@ -65,7 +65,7 @@ def find_files(
         query = query.where(LoadStateRow.label == state)
     if pair is not None:
         query = query.where(FileRow.pair == pair)
-    return [_view(*row) for row in session.execute(query).tuples()]
+    return [_view(*row) for row in session.execute(query)]
 
 
 def file_view(session: Session, key: str) -> FileView:
@@ -90,7 +90,7 @@ def statistics(session: Session, file_id: int) -> dict[str, float]:
         .where(StatisticRow.file_id == file_id)
         .order_by(StatisticRow.name)
     )
-    return dict(rows.tuples().all())
+    return dict(rows.all())
 
 
 def ancestry(session: Session, file: FileView) -> tuple[Ancestor, ...]:
@@ -99,7 +99,7 @@ def ancestry(session: Session, file: FileView) -> tuple[Ancestor, ...]:
         select(ProvenanceRow.role, ProvenanceRow.input_id)
         .where(ProvenanceRow.output_id == file.id)
         .order_by(ProvenanceRow.role)
-    ).tuples()
+    )
     parents = [(role, file_view(session, str(key))) for role, key in rows.all()]
     return tuple(Ancestor(role, parent, ancestry(session, parent)) for role, parent in parents)
 
@@ -107,7 +107,7 @@ def ancestry(session: Session, file: FileView) -> tuple[Ancestor, ...]:
 def files_of_job(session: Session, job_id: str) -> list[FileView]:
     """Return the files that a job has made."""
     query = _views().where(FileRow.job_id == job_id).order_by(FileRow.id)
-    return [_view(*row) for row in session.execute(query).tuples()]
+    return [_view(*row) for row in session.execute(query)]
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def list_calibrations(session: Session, rig: str | None = None) -> list[Calibrat
     if rig is not None:
         query = query.where(RigRow.name == rig)
     views = []
-    for row, name, path in session.execute(query).tuples():
+    for row, name, path in session.execute(query):
         sensors = session.scalars(
             select(SensorRow.name).where(SensorRow.rig_id == row.rig_id).order_by(SensorRow.id)
         )
@@ -147,9 +147,6 @@ def calibration_view(session: Session, number: int) -> CalibrationView:
         if view.id == number:
             return view
     raise NotFound(f"there is no calibration {number}; 'sms calibration list' shows them")
-
-
-
 
 
 def _views() -> Select[FileRow, str, str]:

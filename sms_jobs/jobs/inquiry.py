@@ -119,7 +119,7 @@ def counts(
         query = query.where(JobRow.id.in_(job_ids))
     if campaign is not None:
         query = query.where(JobRow.campaign_id == campaigns.campaign_row(session, campaign).id)
-    return {state.value: count for state, count in session.execute(query).tuples()}
+    return {state.value: count for state, count in session.execute(query)}
 
 
 def still_active(counted: dict[str, int]) -> int:
@@ -235,7 +235,7 @@ def _input_hashes(session: Session, job_id: str) -> dict[str, str]:
         .join(FileRow, FileRow.id == DependencyRow.file_id)
         .where(DependencyRow.job_id == job_id)
     )
-    return dict(rows.tuples().all())
+    return dict(rows.all())
 
 
 def _staleness(session: Session, job: JobRow, now: datetime) -> list[str]:
@@ -284,7 +284,7 @@ def workers(session: Session, since: datetime) -> list[WorkerView]:
     )
     return [
         WorkerView(w.id, w.host, w.pid, w.queues, w.concurrency, w.beat_at, w.draining, count)
-        for w, count in rows.tuples()
+        for w, count in rows
     ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
@@ -101,9 +102,9 @@ def plan(
     producers: dict[_Key, dict[_Key, None]] = {}
     inputs: dict[_Key, list[tuple[Need, _Key | None, Existing | None]]] = {}
     # A wanted kind also makes what the other jobs need of it, e.g. the reference state's shape.
-    pending = list(jobs)
+    pending = deque(jobs)
     while pending:
-        key = pending.pop()
+        key = pending.popleft()
         name, subject = key
         found = inputs.setdefault(key, [])
         producers.setdefault(key, {})

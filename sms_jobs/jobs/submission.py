@@ -85,7 +85,7 @@ def _coming(session: Session, campaign_id: int) -> Callable[[Need], str | None]:
         .where(JobRow.campaign_id == campaign_id, JobRow.state.in_(ACTIVE))
         .order_by(JobRow.position)
     )
-    jobs = {(kind, subject): job_id for kind, subject, job_id in rows.tuples()}
+    jobs = {(kind, subject): job_id for kind, subject, job_id in rows}
     makers = {kind.makes or kind.name: kind for kind in all_kinds().values()}
 
     def find(need: Need) -> str | None:
