@@ -113,7 +113,7 @@ class _State:
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     reference = Subject(subject.campaign, campaign.reference.label, subject.pair)
-    yield Need("calibration", CALIBRATION, Subject(campaign.name))
+    yield Need("calibration", CALIBRATION, subject)
     yield Need("reference_measurement", MEASUREMENT, reference)
     yield Need("measurement", MEASUREMENT, subject)
     yield Need("reference", "reconstruct", reference)

@@ -1,0 +1,116 @@
+"""A small plate, recorded by two pairs in two states and reconstructed, all in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, TypeVar, cast
+
+import pytest
+
+from sms_jobs.kinds import correlate, merge, reconstruct, strain
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Need, Parameters
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.measurement import ArrayStack, Measurement
+from sms_jobs.records.scene import Simulation
+from sms_jobs.records.sensors import Calibration, split_pair
+from sms_jobs.virtual_rig.campaigns import small_plate
+from sms_jobs.virtual_rig.rendering import render
+from sms_jobs.virtual_rig.truth import Truth, exact_truth
+
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class InMemory:
+    """A dataset whose records are at hand."""
+
+    subject: Subject
+    records: dict[str, Any]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.records)
+
+    def read(self, name: str, record: type[R]) -> R:
+        assert isinstance(self.records[name], record)
+        return cast(R, self.records[name])
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A campaign and what has been measured and computed of it, by kind and subject."""
+
+    calibration: Calibration
+    campaign: Campaign
+    results: dict[tuple[str, Subject], dict[str, Any]] = field(default_factory=dict)
+
+    def run(
+        self, kind: Kind[Any], subject: Subject, parameters: Parameters | None = None, threads: int = 1
+    ) -> DatasetOutput:
+        """Run a kind on what its needs name."""
+        datasets = {need.role: self.find(need) for need in kind.needs(self.campaign, subject)}
+        inputs = Inputs(subject, kind.context(self.campaign, subject), datasets, threads)
+        done: list[float] = []
+
+        def progress(fraction: float, message: str = "") -> None:
+            done.append(fraction)
+
+        outputs = list(kind.run(inputs, parameters or kind.parameters(), progress))
+        assert done == sorted(done)
+        assert done[-1] == 1.0
+        assert len(outputs) == 1
+        output = outputs[0]
+        assert isinstance(output, DatasetOutput)
+        assert output.subject == subject
+        return output
+
+    def find(self, need: Need) -> InMemory:
+        if need.source == CALIBRATION:
+            return InMemory(need.subject, {"calibration": self.calibration})
+        return InMemory(need.subject, self.results[need.source, need.subject])
+
+    def keep(self, kind: Kind[Any], subject: Subject, parameters: Parameters | None = None) -> DatasetOutput:
+        """Run a kind and keep its result for those that need it."""
+        output = self.run(kind, subject, parameters)
+        self.results[kind.name, subject] = dict(output.records)
+        return output
+
+    def subject(self, state: str, pair: str | None = None) -> Subject:
+        return Subject(self.campaign.name, state, pair)
+
+    def truth(self, pair: str) -> Truth:
+        states = (self.results[MEASUREMENT, self.subject(s, pair)]["measurement"] for s in ("S00", "S01"))
+        return exact_truth(*(m.simulation for m in states))
+
+
+def _record(campaign: Campaign, state: str, pair: str) -> Measurement:
+    assert campaign.scene is not None
+    load = campaign.state(state)
+    simulation = Simulation(campaign.scene, *split_pair(pair), load.deformation, state=state)
+    seen = render(simulation, campaign.sequence)
+    assert load.time is not None
+    return Measurement(
+        recorded_at=load.time,
+        sequence=campaign.sequence,
+        full_scale=seen.full_scale,
+        gain=seen.gain,
+        read_noise=seen.read_noise,
+        texture=seen.texture,
+        frames=ArrayStack(seen.frames.rows(0, seen.frames.shape[1])),
+        simulation=simulation,
+    )
+
+
+@pytest.fixture(scope="session")
+def plate() -> Plate:
+    """Return the plate, correlated, strained and merged with the defaults."""
+    found = Plate(*small_plate("plate"))
+    for pair in found.campaign.pairs:
+        for state in ("S00", "S01"):
+            subject = found.subject(state, pair)
+            found.results[MEASUREMENT, subject] = {"measurement": _record(found.campaign, state, pair)}
+            found.keep(reconstruct.KIND, subject)
+        found.keep(correlate.KIND, found.subject("S01", pair))
+        found.keep(strain.KIND, found.subject("S01", pair))
+    found.keep(merge.KIND, found.subject("S01"))
+    return found

@@ -1,0 +1,100 @@
+"""Correlating a simulated pair of states finds the true displacement, with the errors that it states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sms_jobs.kinds import correlate
+from sms_jobs.kinds.correlate import CorrelateParameters
+from sms_jobs.records.fields import DisplacementField, ImageMatches, PointCloud, Regions
+from sms_jobs.records.reasons import Reason
+
+PAIR = "C1P1"
+
+
+def errors(plate: Any, field: DisplacementField) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the length of the error, its standard deviation, and where displacement can be had."""
+    truth = plate.truth(PAIR)
+    length = np.linalg.norm(field.displacement - truth.displacement, axis=0)
+    sigma = np.sqrt(field.covariance[[0, 3, 5]].sum(axis=0))
+    return length, sigma, truth.shape.seen & truth.shape.lit & truth.lit_and_seen_at_end
+
+
+def test_displacement_is_the_true_one(plate: Any) -> None:
+    records = plate.results["correlate", plate.subject("S01", PAIR)]
+    field = records["displacement"]
+    length, sigma, expected = errors(plate, field)
+    valid = (field.reason == Reason.VALID) & expected
+    assert valid.sum() > 0.9 * expected.sum()
+    # A hundredth of a pixel, which is 1.4 mm here; the required 1/25,000 of the diagonal is for 512 px.
+    assert np.sqrt(np.mean(length[valid] ** 2)) < 0.014
+    # The required 20 %, and what is left of a plate's few thousand pixels whose errors go together: 10 %.
+    assert 0.7 < np.sqrt(np.mean((length[valid] / sigma[valid]) ** 2)) < 1.3
+    assert field.reference_state == "S00"
+
+
+def test_every_value_is_known_or_has_a_reason(plate: Any) -> None:
+    records = plate.results["correlate", plate.subject("S01", PAIR)]
+    assert list(records) == ["displacement", "matches", "regions"]
+    field, matches, regions = records["displacement"], records["matches"], records["regions"]
+    assert isinstance(matches, ImageMatches)
+    assert isinstance(regions, Regions)
+    for values in (field.displacement, field.covariance, field.image_displacement):
+        np.testing.assert_array_equal(np.isfinite(values).all(axis=0), field.reason == Reason.VALID)
+    for values in (matches.u, matches.v, matches.sigma_u, matches.sigma_v, *matches.gradient):
+        np.testing.assert_array_equal(np.isfinite(values), matches.reason == Reason.VALID)
+    assert field.displacement.dtype == np.float64
+    assert field.covariance.dtype == np.float32
+    assert field.reason.dtype == np.uint32
+    assert len(regions.regions) == regions.labels.max()
+    assert regions.regions[0].area == np.count_nonzero(regions.labels == 1)
+
+
+@pytest.mark.parametrize("texture", ["white", "fringe-average"])
+def test_either_texture_will_do(plate: Any, texture: Any) -> None:
+    parameters = CorrelateParameters(texture=texture, spacing_px=6)
+    output = plate.run(correlate.KIND, plate.subject("S01", PAIR), parameters)
+    length, _, expected = errors(plate, output.records["displacement"])
+    valid = (output.records["displacement"].reason == Reason.VALID) & expected
+    assert valid.sum() > 0.9 * expected.sum()
+    assert np.sqrt(np.mean(length[valid] ** 2)) < plate.calibration.volume.diagonal_mm / 10_000
+
+
+def test_threads_do_not_matter(plate: Any) -> None:
+    subject = plate.subject("S01", PAIR)
+    one, two = (plate.run(correlate.KIND, subject, threads=n) for n in (1, 2))
+    np.testing.assert_array_equal(
+        one.records["displacement"].displacement, two.records["displacement"].displacement
+    )
+    assert one.statistics == two.statistics
+
+
+@pytest.mark.parametrize("spoilt", ["no shape before", "no shape after", "no texture"])
+def test_poor_data_give_reasons_and_no_error(plate: Any, spoilt: str) -> None:
+    subject = plate.subject("S01", PAIR)
+    results = dict(plate.results)
+    if spoilt == "no texture":
+        key = ("reconstruct", subject)
+        phase = results[key]["phase"]
+        blank = replace(phase, mean_intensity=np.full_like(phase.mean_intensity, 700.0))
+        results[key] = {**results[key], "phase": blank}
+    else:
+        key = ("reconstruct", subject if spoilt.endswith("after") else plate.subject("S00", PAIR))
+        cloud: PointCloud = results[key]["cloud"]
+        lost = replace(
+            cloud,
+            xyz=np.full_like(cloud.xyz, np.nan),
+            covariance=np.full_like(cloud.covariance, np.nan),
+            reason=np.full_like(cloud.reason, Reason.LOW_MODULATION),
+        )
+        results[key] = {**results[key], "cloud": lost}
+    output = replace(plate, results=results).run(correlate.KIND, subject)
+    field = output.records["displacement"]
+    assert (field.reason != Reason.VALID).all()
+    assert np.isnan(field.displacement).all()
+    assert output.statistics["valid_fraction"] == 0.0
+    assert all(np.isfinite(v) for v in output.statistics.values())

@@ -1,0 +1,70 @@
+"""Strain of the stretched plate, in the plate's own frame, from stored fields alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sms_jobs.kinds import strain
+from sms_jobs.kinds.strain import StrainParameters
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.reasons import Reason
+
+PAIR = "C1P1"
+
+
+def test_strain_is_the_true_one_within_its_sigma(plate: Any) -> None:
+    field = plate.results["strain", plate.subject("S01", PAIR)]["strain"]
+    truth = plate.truth(PAIR).strain(field.measure)
+    known = (field.reason == Reason.VALID) & np.isfinite(truth[0])
+    error = (field.strain - truth)[:, known]
+    assert known.mean() > 0.3
+    # 0.5 % along the plate's own axis, -0.15 % across, told apart from each other and from the shear.
+    assert np.abs(error.mean(axis=1)).max() < 5e-4
+    ratio = np.sqrt(np.mean((error / field.sigma[:, known]) ** 2, axis=1))
+    # A plate of eight gauge lengths has some 40 independent values: 11 %, besides the required 20 %.
+    assert ratio.min() > 0.6
+    assert ratio.max() < 1.45
+
+
+def test_every_value_is_known_or_has_a_reason(plate: Any) -> None:
+    field = plate.results["strain", plate.subject("S01", PAIR)]["strain"]
+    for values in (field.strain, field.sigma, field.principal, field.von_mises[None]):
+        np.testing.assert_array_equal(np.isfinite(values).all(axis=0), field.reason == Reason.VALID)
+
+
+def test_a_longer_gauge_is_less_noisy(plate: Any) -> None:
+    sigma = [
+        plate.run(strain.KIND, plate.subject("S01", PAIR), StrainParameters(gauge_length_mm=g)).statistics[
+            "median_sigma_strain"
+        ]
+        for g in (10.0, 20.0, 40.0)
+    ]
+    # It falls with the square of the length once that is longer than the subsets, here 29 mm, and always falls.
+    assert sigma[0] > 1.3 * sigma[1]
+    assert sigma[1] > 1.3 * sigma[2]
+
+
+def test_a_gauge_shorter_than_a_pixel_finds_no_neighbours(plate: Any) -> None:
+    output = plate.run(strain.KIND, plate.subject("S01", PAIR), StrainParameters(gauge_length_mm=0.5))
+    field = output.records["strain"]
+    moved = plate.results["correlate", plate.subject("S01", PAIR)]["displacement"]
+    assert (field.reason[moved.reason == Reason.VALID] == Reason.TOO_FEW_NEIGHBOURS).all()
+    assert output.statistics == {"valid_fraction": 0.0}
+
+
+def test_the_axis_is_the_specimens(plate: Any) -> None:
+    subject = plate.subject("S01", PAIR)
+    placement = plate.campaign.scene.placement.matrix()
+    assert strain.specimen_axis(plate.campaign, subject) == pytest.approx(tuple(placement[:, 0]))
+    assert strain.specimen_axis(replace(plate.campaign, scene=None), subject) == (1.0, 0.0, 0.0)
+
+
+def test_the_reference_state_has_no_strain(plate: Any) -> None:
+    assert strain.KIND.subjects is not None
+    assert tuple(strain.KIND.subjects(plate.campaign)) == tuple(
+        Subject("plate", "S01", pair) for pair in plate.campaign.pairs
+    )
