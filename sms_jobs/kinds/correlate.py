@@ -88,7 +88,7 @@ class CorrelateParameters(Parameters):
         40, ge=1, le=1000, description="largest displacement along the rows that seeds look for"
     )
     edge_margin_px: int = Field(
-        2, ge=0, le=20, description="rim of a region that is not matched: it mixes with what lies behind"
+        1, ge=0, le=20, description="rim of a region that is not matched: it mixes with what lies behind"
     )
     averaging_radius_px: float = Field(
         4.0,

@@ -43,7 +43,7 @@ def test_a_longer_gauge_is_less_noisy(plate: Any) -> None:
         ]
         for g in (10.0, 20.0, 40.0)
     ]
-    # It falls with the square of the length once that is longer than the subsets, here 29 mm, and always falls.
+    # It falls with the square of the length once that exceeds the subsets, here 29 mm, and always falls.
     assert sigma[0] > 1.3 * sigma[1]
     assert sigma[1] > 1.3 * sigma[2]
 
