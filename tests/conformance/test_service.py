@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-import pytest
-from support.command import answer, kill_all, service, sms, wait_until
+from support.command import answer, kill_all, service, wait_until
 from support.deployments import Deployment
 from support.homes import make_home
 from support.jobs import JOBS
@@ -60,26 +59,6 @@ def test_a_campaign_runs_to_its_report_and_again_by_reuse(deployment: Deployment
     assert files_on_disk(deployment) == files_in_catalogue(deployment)
 
 
-def test_a_changed_parameter_computes_again_only_what_depends_on_it(deployment: Deployment) -> None:
-    if deployment.name == "grown":
-        pytest.skip("reuse does not depend on the deployment; the test above compares them")
-    make_home(deployment.home, deployment.environment)
-    with service(deployment.home, deployment.environment):
-        run(deployment, "job", "wait", *submit_all(deployment))
-        changed = run(
-            deployment, "job", "submit", "pipeline", "-c", "plate", "--set", "strain.gauge_length_mm=30"
-        )
-        run(deployment, "job", "wait", *changed["jobs"])
-    jobs = {job["id"]: job for job in run(deployment, "job", "list", "--limit", "1000")}
-    reused = {jobs[i]["kind"] for i in changed["jobs"] if jobs[i]["reused_from"]}
-    computed = {jobs[i]["kind"] for i in changed["jobs"] if not jobs[i]["reused_from"]}
-    assert {"reconstruct", "correlate"} <= reused
-    assert "strain" in computed
-    strain = next(i for i in changed["jobs"] if jobs[i]["kind"] == "strain")
-    why = run(deployment, "job", "explain", strain)["explanation"]
-    assert any("gauge_length_mm was 20.0, now 30.0" in sentence for sentence in why)
-
-
 def test_a_campaign_survives_the_killing_of_its_service(deployment: Deployment) -> None:
     make_home(deployment.home, deployment.environment)
     jobs = submit_all(deployment)
@@ -101,25 +80,3 @@ def test_a_campaign_survives_the_killing_of_its_service(deployment: Deployment) 
         assert run(deployment, "job", "wait", *jobs)["jobs"] == {"succeeded": JOBS}
     assert set(results(deployment).values()) == {1}
     assert files_on_disk(deployment) == files_in_catalogue(deployment)
-
-
-def test_a_failed_job_says_why_and_the_rest_goes_on(deployment: Deployment) -> None:
-    if deployment.name == "grown":
-        pytest.skip("how a job fails does not depend on the deployment")
-    make_home(deployment.home, deployment.environment)
-    with service(deployment.home, deployment.environment):
-        run(deployment, "job", "wait", *run(deployment, "job", "submit", "acquire", "-c", "plate")["jobs"])
-        (damaged,) = run(
-            deployment, "data", "find", "--kind", "measurement", "--state", "S01", "--pair", "C1P1"
-        )
-        path = deployment.home / "archive" / damaged["path"]
-        path.write_bytes(path.read_bytes()[:5000])
-        jobs = run(deployment, "job", "submit", "pipeline", "-c", "plate")["jobs"]
-        done = sms("job", "wait", *jobs, "--home", str(deployment.home))
-    assert done.returncode == 5
-    assert "reconstruct plate/S01/C1P1" in done.stderr
-    assert done.stderr.count("\n") <= 2
-    counted = run(deployment, "status")["jobs"]
-    assert counted["failed"] >= 1
-    assert counted["skipped"] >= 1
-    assert counted["succeeded"] > 3  # the reference state and the other pair

@@ -1,0 +1,53 @@
+"""What a person sees of reuse and of failure; the same on every deployment, so tried on one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.command import answer, service, sms
+from support.homes import make_home
+
+
+@pytest.fixture
+def plate(home: Path) -> Path:
+    """A home with the small plate in it."""
+    make_home(home, {})
+    return home
+
+
+def run(home: Path, *arguments: str) -> Any:
+    return answer(*arguments, "--home", str(home))
+
+
+def test_a_changed_parameter_computes_again_only_what_depends_on_it(plate: Path) -> None:
+    with service(plate):
+        run(plate, "job", "wait", *run(plate, "job", "submit", "acquire", "pipeline", "-c", "plate")["jobs"])
+        changed = run(plate, "job", "submit", "pipeline", "-c", "plate", "--set", "strain.gauge_length_mm=30")
+        run(plate, "job", "wait", *changed["jobs"])
+    jobs = {job["id"]: job for job in run(plate, "job", "list", "--limit", "1000")}
+    reused = {jobs[i]["kind"] for i in changed["jobs"] if jobs[i]["reused_from"]}
+    computed = {jobs[i]["kind"] for i in changed["jobs"] if not jobs[i]["reused_from"]}
+    assert {"reconstruct", "correlate"} <= reused
+    assert "strain" in computed
+    strain = next(i for i in changed["jobs"] if jobs[i]["kind"] == "strain")
+    why = run(plate, "job", "explain", strain)["explanation"]
+    assert any("gauge_length_mm was 20.0, now 30.0" in sentence for sentence in why)
+
+
+def test_a_failed_job_says_why_and_the_rest_goes_on(plate: Path) -> None:
+    with service(plate):
+        run(plate, "job", "wait", *run(plate, "job", "submit", "acquire", "-c", "plate")["jobs"])
+        (damaged,) = run(plate, "data", "find", "--kind", "measurement", "--state", "S01", "--pair", "C1P1")
+        path = plate / "archive" / damaged["path"]
+        path.write_bytes(path.read_bytes()[:5000])
+        jobs = run(plate, "job", "submit", "pipeline", "-c", "plate")["jobs"]
+        done = sms("job", "wait", *jobs, "--home", str(plate))
+    assert done.returncode == 5
+    assert "reconstruct plate/S01/C1P1" in done.stderr
+    assert done.stderr.count("\n") <= 2
+    counted = run(plate, "status")["jobs"]
+    assert counted["failed"] >= 1
+    assert counted["skipped"] >= 1
+    assert counted["succeeded"] > 3  # the reference state and the other pair
