@@ -25,7 +25,8 @@ def first(folder: Path) -> Any:
 def test_it_says_what_it_did(first: Any) -> None:
     assert first["schema"] == 1
     assert first["campaign"] == "top-hat-small"
-    # 4 acquisitions, 16 shapes, 12 displacement and 12 strain fields, 3 merges and exports, 16 assessments, report.
+    # 4 acquisitions, 16 shapes, 12 displacement and 12 strain fields, 3 merges, 3 exports of 6 files each,
+    # 16 assessments and the report.
     assert first["jobs"] == {"succeeded": 67, "failed": 0, "reused": 0}
     assert Path(first["report"]).is_file()
     assert len(first["exports"]) == 18

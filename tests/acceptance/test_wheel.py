@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -85,3 +86,20 @@ def test_a_folder_of_the_checkout_has_one_import_name(name: str) -> None:
     done = run("-c", f"import {name}", folder=ROOT)
     assert done.returncode == 1
     assert f"import sms_jobs.{name} instead" in done.stderr
+
+
+def test_the_service_runs_from_the_wheel(installed: Path, tmp_path: Path) -> None:
+    home = tmp_path / "home"
+
+    def sms(*arguments: str | Path) -> str:
+        command = ("-m", "sms_jobs.cli.main", *arguments)
+        done = run(*command, folder=tmp_path, path=str(installed))
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    (tmp_path / "plan.toml").write_text(sms("campaign", "create", "--example"))
+    sms("init", "--home", home)
+    sms("campaign", "create", "plan.toml", "--home", home)
+    sms("job", "submit", "acquire", "-c", "plate-tension", "--state", "S00", "--home", home)
+    sms("up", "--until-idle", "--home", home)
+    assert json.loads(sms("status", "--json", "--home", home))["jobs"] == {"succeeded": 1}
