@@ -14,7 +14,7 @@ from sms_jobs.metrology.deformation.displacement import pixel_pitch
 Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]
 
-_DISC_CELLS = 8  # cells to a gauge radius: about 200 in a disc
+_DISC_CELLS = 8  # cells to a gauge radius, to the nearest whole side: 110 to 350 in a disc
 
 
 @dataclass(frozen=True)
@@ -421,7 +421,7 @@ def surface_strain(
     used = np.where(valid, labels, 0).astype(np.int32)
     radius = 0.5 * gauge_length_mm
     reach_px = radius / pixel_pitch(xyz, used, 0.01)
-    side = max(1, int(reach_px / _DISC_CELLS))
+    side = max(1, round(reach_px / _DISC_CELLS))
     cells = _cell_means(xyz, displacement, np.asarray(covariance, dtype=np.float64), used, side)
     reach = int(np.ceil(reach_px / side))
     axis = np.asarray(x_axis, dtype=np.float64)
