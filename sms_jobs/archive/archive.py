@@ -122,7 +122,7 @@ class Archive:
         provenance = Provenance(
             kind="calibration",
             kind_version=1,
-            subject=Subject(layout.CALIBRATIONS, calibration.rig),
+            subject=Subject(layout.CALIBRATIONS, calibration.rig.name),
             job_id=job_id,
             attempt=1,
             created_at=created_at,

@@ -107,12 +107,12 @@ def state_ids(session: Session, campaign_id: int) -> dict[str, int]:
 
 def add_calibration(session: Session, calibration: Calibration, file_id: int) -> None:
     """Index a calibration file, and the sensors that it names."""
-    rig = _rig(session, calibration.rig)
+    rig = _rig(session, calibration.rig.name)
     session.flush()
     known = set(session.scalars(select(SensorRow.name).where(SensorRow.rig_id == rig.id)))
     session.add_all(
         SensorRow(rig_id=rig.id, name=s.name, role=s.role.value, columns=s.columns, rows=s.rows)
-        for s in calibration.sensors
+        for s in calibration.rig.sensors
         if s.name not in known
     )
     session.add(

@@ -49,7 +49,9 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
         with services.archive.open(view.path) as dataset:
             calibration = dataset.read("calibration", Calibration)
     if as_json:
-        output.print_json({"calibration": view, "sensors": calibration.sensors, "volume": calibration.volume})
+        output.print_json(
+            {"calibration": view, "sensors": calibration.rig.sensors, "volume": calibration.volume}
+        )
         return
     output.print_facts(
         {
@@ -72,7 +74,7 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
                 ", ".join(f"{k:g}" for k in s.intrinsics.distortion()),
                 ", ".join(f"{x:.2f}" for x in s.pose.centre()),
             )
-            for s in calibration.sensors
+            for s in calibration.rig.sensors
         ],
         empty="",
     )

@@ -29,10 +29,10 @@ from scipy.spatial.transform import Rotation
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
 from sms_jobs.records import scene as scenes
-from sms_jobs.records.campaign import Campaign, LoadState, Specimen
+from sms_jobs.records.campaign import Campaign, LoadState, ParameterValue, Specimen
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, ProjectorResponse, Scene, Speckle
-from sms_jobs.records.sensors import Box, Calibration, Role, Sensor, split_pair
+from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor, split_pair
 
 LONGEST_SIDE_PX = 20_000
 
@@ -273,13 +273,13 @@ class _Scene(_Table):
     seed: Annotated[int, Field(ge=0)] = 0
     calibration_valid_from: AwareDatetime = ALWAYS
 
-    def record(self) -> Scene:
+    def record(self, rig: str) -> Scene:
         sensors = sorted((s.record() for s in self.sensors), key=lambda s: (s.name[0], int(s.name[1:])))
         names = [s.name for s in sensors]
         if len(set(names)) < len(names):
             raise InvalidInput(f"two sensors of the scene have one name: {', '.join(names)}")
         return Scene(
-            sensors=tuple(sensors),
+            rig=Rig(rig, tuple(sensors)),
             surface=self.surface,
             speckle=self.speckle,
             placement=self.placement.record(),
@@ -328,15 +328,15 @@ class CampaignTable(_Table):
     pairs: tuple[str, ...] | None = None
     sequence: _Sequence = _Sequence()
     scene: _Scene | None = None
+    processing: dict[str, dict[str, ParameterValue]] = Field(default_factory=dict)
 
     def plan(self) -> CampaignPlan:
         """Return the records, checked against each other."""
-        scene = None if self.scene is None else self.scene.record()
+        scene = None if self.scene is None else self.scene.record(self.rig)
         calibration = None
         if self.scene is not None and scene is not None:
             calibration = Calibration(
-                rig=self.rig,
-                sensors=scene.sensors,
+                rig=scene.rig,
                 volume=Box(self.scene.volume.low_mm, self.scene.volume.high_mm),
                 valid_from=self.scene.calibration_valid_from.astimezone(UTC),
                 origin="exact parameters of the virtual rig",
@@ -349,6 +349,7 @@ class CampaignTable(_Table):
             pairs=self._checked_pairs(calibration),
             sequence=self.sequence.record(),
             scene=scene,
+            processing={kind: dict(parameters) for kind, parameters in self.processing.items()},
         )
         for state in campaign.states:
             if scene is None and state.deformation:
@@ -360,19 +361,19 @@ class CampaignTable(_Table):
 
     def _checked_pairs(self, calibration: Calibration | None) -> tuple[str, ...]:
         """Return the pairs that measure, each once and of sensors that exist."""
-        if calibration is not None and not calibration.pairs():
+        if calibration is not None and not calibration.rig.pairs():
             raise InvalidInput(
                 "the scene needs at least one camera and one projector under [[scene.sensors]]"
             )
         if calibration is not None and self.pairs is None:
-            return calibration.pairs()
+            return calibration.rig.pairs()
         if not self.pairs:
             raise InvalidInput("pairs is missing or empty: name those that measure, such as ['C1P1', 'C1P2']")
         for pair in self.pairs:
             names = split_pair(pair)
             if calibration is not None:
                 for name in names:
-                    calibration.sensor(name)
+                    calibration.rig.sensor(name)
         if len(set(self.pairs)) < len(self.pairs):
             raise InvalidInput(f"pairs names one pair twice: {', '.join(self.pairs)}")
         return self.pairs

@@ -90,7 +90,10 @@ def plan(
         A job would need a result that neither exists nor is part of the plan.
     """
     wanted = _expand(campaign, requests)
-    parameters = {name: _parameters(kind, request) for name, (kind, request) in wanted.items()}
+    parameters = {
+        name: checked_parameters(kind, {**campaign.processing.get(name, {}), **request.parameters})
+        for name, (kind, request) in wanted.items()
+    }
     # A kind that has nothing to do in this campaign makes nothing that others could wait for.
     makers = {
         kind.makes or kind.name: kind for kind, _ in wanted.values() if default_subjects(kind, campaign)
@@ -211,9 +214,10 @@ def _ordered(jobs: Mapping[_Key, None], producers: Mapping[_Key, Mapping[_Key, N
         raise InvalidInput("the requested kinds need each other's results in a circle") from error
 
 
-def _parameters(kind: Kind[Any], request: Request) -> Parameters:
+def checked_parameters(kind: Kind[Any], given: Mapping[str, Any]) -> Parameters:
+    """Return the parameters of a kind, defaults filled in; raise `InvalidInput` for what it does not take."""
     try:
-        checked = kind.parameters.model_validate(dict(request.parameters))
+        checked = kind.parameters.model_validate(dict(given))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         name = ".".join(str(part) for part in first["loc"])

@@ -15,6 +15,8 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow
 from sms_jobs.errors import Conflict
+from sms_jobs.jobs.planning import checked_parameters
+from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Calibration
@@ -29,7 +31,11 @@ def register_campaign(
     ------
     Conflict
         There is a campaign of that name; nothing is changed.
+    InvalidInput
+        It sets a parameter that its job kind does not take; nothing is changed.
     """
+    for name, parameters in campaign.processing.items():
+        checked_parameters(kind_named(name), parameters)
     with catalogue.reading() as session:
         campaigns.refuse_taken_name(session, campaign.name)
     sealed = None if calibration is None else _seal(archive, calibration, now)

@@ -127,7 +127,7 @@ def _reference_label(campaign: Campaign, subject: Subject) -> str:
 def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> Iterator[Output]:
     """Match the textures region by region and look the displacement up in both states' shapes."""
     camera, _ = split_pair(inputs.subject.pair or "")
-    sensor = inputs.read("calibration", "calibration", Calibration).sensor(camera)
+    sensor = inputs.read("calibration", "calibration", Calibration).rig.sensor(camera)
     before = _state(inputs, "reference", "reference_measurement", sensor, parameters)
     after = _state(inputs, "deformed", "measurement", sensor, parameters)
     interior = _interior(before.regions.labels, parameters.edge_margin_px)

@@ -127,10 +127,12 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     measurement = inputs.read("measurement", "measurement", Measurement)
     calibration = inputs.read("calibration", "calibration", Calibration)
     camera_name, projector_name = split_pair(inputs.subject.pair or "")
-    camera = calibration.sensor(camera_name)
-    projector = calibration.sensor(projector_name)
+    camera = calibration.rig.sensor(camera_name)
+    projector = calibration.rig.sensor(projector_name)
     if (camera.role, projector.role) != (Role.CAMERA, Role.PROJECTOR):
-        raise InvalidInput(f"{inputs.subject} is not of a camera and a projector of rig {calibration.rig}")
+        raise InvalidInput(
+            f"{inputs.subject} is not of a camera and a projector of rig {calibration.rig.name}"
+        )
     _, rows, columns = measurement.frames.shape
     if (rows, columns) != (camera.rows, camera.columns):
         raise InvalidInput(

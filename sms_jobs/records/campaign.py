@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from datetime import datetime
+from typing import TypeAlias
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import Deformation, Scene
+
+ParameterValue: TypeAlias = bool | int | float | str | tuple[str, ...]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
@@ -100,6 +103,8 @@ class Campaign:
         Camera-projector pairs that measure every state.
     sequence
         Fringe patterns of every measurement.
+    processing
+        Parameters of job kinds, by kind and name, that differ from their defaults in this campaign.
     scene
         For a virtual rig: what stands in front of it.
     """
@@ -111,6 +116,7 @@ class Campaign:
     pairs: tuple[str, ...]
     sequence: FringeSequence = FringeSequence()
     scene: Scene | None = None
+    processing: dict[str, dict[str, ParameterValue]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         checked_name(self.name, "campaign")

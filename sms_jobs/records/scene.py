@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.records.sensors import Sensor
+from sms_jobs.records.sensors import Rig
 
 Vector: TypeAlias = tuple[float, float, float]
 
@@ -217,7 +217,7 @@ class Scene:
 
     Attributes
     ----------
-    sensors
+    rig
         The cameras and projectors as they truly are, whatever a calibration says of them.
     surface, speckle
         The specimen; None for an unmarked surface.
@@ -229,7 +229,7 @@ class Scene:
         Of the noise.
     """
 
-    sensors: tuple[Sensor, ...]
+    rig: Rig
     surface: Surface
     speckle: Speckle | None = None
     placement: Pose = AT_ORIGIN

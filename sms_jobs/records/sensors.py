@@ -47,6 +47,36 @@ class Sensor:
 
 
 @dataclass(frozen=True)
+class Rig:
+    """Cameras and projectors that stand together.
+
+    Attributes
+    ----------
+    name
+        Unique in the catalogue.
+    sensors
+        Cameras first, each group in order of name.
+    """
+
+    name: str
+    sensors: tuple[Sensor, ...]
+
+    def sensor(self, name: str) -> Sensor:
+        """Return the sensor of that name; raise `InvalidInput` where there is none."""
+        for sensor in self.sensors:
+            if sensor.name == name:
+                return sensor
+        known = ", ".join(s.name for s in self.sensors)
+        raise InvalidInput(f"rig {self.name} has no sensor {name}; it has {known}")
+
+    def pairs(self) -> tuple[str, ...]:
+        """Return every camera-projector pair, C1P1, C1P2, ..."""
+        cameras = [s.name for s in self.sensors if s.role is Role.CAMERA]
+        projectors = [s.name for s in self.sensors if s.role is Role.PROJECTOR]
+        return tuple(c + p for c in cameras for p in projectors)
+
+
+@dataclass(frozen=True)
 class Box:
     """The measurement volume: a box along the world's axes, corners in mm."""
 
@@ -66,9 +96,7 @@ class Calibration:
     Attributes
     ----------
     rig
-        Name of the rig.
-    sensors
-        Cameras first, each group in order of name.
+        The sensors as they were found to be.
     volume
         The measurement volume, in the world's frame.
     valid_from
@@ -77,25 +105,10 @@ class Calibration:
         How it came about, in words: "exact parameters of the virtual rig", "bundle adjustment of ...".
     """
 
-    rig: str
-    sensors: tuple[Sensor, ...]
+    rig: Rig
     volume: Box
     valid_from: datetime
     origin: str
-
-    def sensor(self, name: str) -> Sensor:
-        """Return the sensor of that name; raise `InvalidInput` where there is none."""
-        for sensor in self.sensors:
-            if sensor.name == name:
-                return sensor
-        known = ", ".join(s.name for s in self.sensors)
-        raise InvalidInput(f"rig {self.rig} has no sensor {name}; it has {known}")
-
-    def pairs(self) -> tuple[str, ...]:
-        """Return every camera-projector pair, C1P1, C1P2, ..."""
-        cameras = [s.name for s in self.sensors if s.role is Role.CAMERA]
-        projectors = [s.name for s in self.sensors if s.role is Role.PROJECTOR]
-        return tuple(c + p for c in cameras for p in projectors)
 
 
 def split_pair(pair: str) -> tuple[str, str]:

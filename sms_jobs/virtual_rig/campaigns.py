@@ -26,7 +26,7 @@ from sms_jobs.records.scene import (
     UniaxialStrain,
     Vector,
 )
-from sms_jobs.records.sensors import Box, Calibration, Role, Sensor
+from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
 
 START = datetime(2026, 1, 5, 9, 0, tzinfo=UTC)
 HOLD = timedelta(minutes=10)
@@ -89,7 +89,7 @@ def top_hat_bending(name: str, size: Size) -> Made:
     )
     hat = TopHat()
     scene = Scene(
-        sensors,
+        Rig("virtual-rig", sensors),
         hat,
         Speckle(diameter_mm=6.0 * 2500.0 / (CAMERA_LENS.focal * pixels)),
         _placed((0.02, -0.015, 0.01), (3.0, -2.0, 5.0)),
@@ -106,13 +106,8 @@ def top_hat_bending(name: str, size: Size) -> Made:
         load_n, time = 38.0 * deflection, START + number * HOLD
         states.append(LoadState(f"S{number:02d}", load_n, deflection, time, deformation=deformation))
     specimen = Specimen("top hat", "aluminium", "1 mm sheet bent along four lines, two holes in the top")
-    calibration = Calibration(
-        "virtual-rig", sensors, Box((-270.0, -270.0, -250.0), (270.0, 270.0, 250.0)), START, ORIGIN
-    )
-    campaign = Campaign(
-        name, specimen, calibration.rig, tuple(states), calibration.pairs(), FringeSequence(), scene
-    )
-    return calibration, campaign
+    volume = Box((-270.0, -270.0, -250.0), (270.0, 270.0, 250.0))
+    return _made(name, volume, specimen, tuple(states), FringeSequence(), scene)
 
 
 def small_plate(name: str) -> Made:
@@ -128,7 +123,7 @@ def small_plate(name: str) -> Made:
         aimed("P2", 256, 192, Lens(5.0, -0.04, 0.1, -1e-4, 1e-4), (-700.0, 150.0, 1050.0)),
     )
     scene = Scene(
-        sensors,
+        Rig("small-virtual-rig", sensors),
         Plane(150.0, 150.0),
         Speckle(diameter_mm=7.0),
         _placed((0.05, -0.03, 0.04), (1.0, -2.0, 3.0)),
@@ -140,12 +135,8 @@ def small_plate(name: str) -> Made:
         LoadState("S01", 1200.0, 0.75, START + HOLD, deformation=stretched),
     )
     specimen = Specimen("small plate", "polymer", "flat plate of 150 mm in tension")
-    calibration = Calibration(
-        "small-virtual-rig", sensors, Box((-100.0, -100.0, -50.0), (100.0, 100.0, 50.0)), START, ORIGIN
-    )
-    sequence = FringeSequence((16, 15, 14, 12, 8))
-    campaign = Campaign(name, specimen, calibration.rig, states, calibration.pairs(), sequence, scene)
-    return calibration, campaign
+    volume = Box((-100.0, -100.0, -50.0), (100.0, 100.0, 50.0))
+    return _made(name, volume, specimen, states, FringeSequence((16, 15, 14, 12, 8)), scene)
 
 
 def hole_and_step_translation(name: str, size: Size) -> Made:
@@ -161,7 +152,7 @@ def hole_and_step_translation(name: str, size: Size) -> Made:
         step_height_mm=40.0,
     )  # fmt: skip
     scene = Scene(
-        sensors,
+        Rig("virtual-scanner", sensors),
         surface,
         Speckle(diameter_mm=7.0 * 2700.0 / (lens.focal * pixels)),
         _placed((0.0, 0.1745, 0.0), (0.0, 0.0, 0.0)),
@@ -179,7 +170,7 @@ def hole_and_step_translation(name: str, size: Size) -> Made:
         for number, shift in enumerate(shifts)
     )
     specimen = Specimen("plate with hole and step", "plastic", "discontinuous plate on a translation stage")
-    return _made(name, "virtual-scanner", sensors, 360.0, specimen, states, FringeSequence(), scene)
+    return _made(name, _cube(360.0), specimen, states, FringeSequence(), scene)
 
 
 def tension_panel(name: str, size: Size) -> Made:
@@ -191,7 +182,7 @@ def tension_panel(name: str, size: Size) -> Made:
     lens = Lens(6.6, -0.08, 0.12, 2e-4, -3e-4)
     sensors = _scanner(pixels, lens, Lens(5.0, -0.05, 0.08, -4e-4, 2e-4), 2200.0)
     scene = Scene(
-        sensors,
+        Rig("virtual-scanner", sensors),
         Plane(290.0, 290.0),
         Speckle(diameter_mm=6.0 * 2200.0 / (lens.focal * pixels)),
         _placed((0.03, -0.02, 0.01), (2.0, -1.0, 4.0)),
@@ -205,7 +196,7 @@ def tension_panel(name: str, size: Size) -> Made:
         load_n, time = 7.0e7 * strain, START + number * HOLD
         states.append(LoadState(f"S{number:02d}", load_n, 290.0 * strain, time, deformation=deformation))
     specimen = Specimen("tension panel", "aluminium", "flat panel, 2 mm thick, stretched along x")
-    return _made(name, "virtual-scanner", sensors, 160.0, specimen, tuple(states), FringeSequence(), scene)
+    return _made(name, _cube(160.0), specimen, tuple(states), FringeSequence(), scene)
 
 
 def plate_and_mirror(name: str, size: Size, fringes: int = 64) -> Made:
@@ -224,7 +215,7 @@ def plate_and_mirror(name: str, size: Size, fringes: int = 64) -> Made:
         [[0.0, 1.0, 0.0], [-np.cos(lean), 0.0, np.sin(lean)], [np.sin(lean), 0.0, np.cos(lean)]]
     )
     scene = Scene(
-        sensors,
+        Rig("virtual-scanner", sensors),
         PlateAndMirror(400.0, 300.0, opening, 0.5, 200.0),
         placement=Pose.from_arrays(upright, np.array([0.0, -110.0, -50.0])),
         camera=CameraResponse(exposure=0.6),
@@ -232,7 +223,7 @@ def plate_and_mirror(name: str, size: Size, fringes: int = 64) -> Made:
     states = (LoadState("S00", time=START),)
     specimen = Specimen("plate and mirror", "plastic", "diffuse white plate and a mirror in a V")
     sequence = FringeSequence(tuple(range(1, fringes + 1)))
-    return _made(name, "virtual-scanner", sensors, 330.0, specimen, states, sequence, scene)
+    return _made(name, _cube(330.0), specimen, states, sequence, scene)
 
 
 def _scanner(pixels: int, camera: Lens, projector: Lens, distance: float) -> tuple[Sensor, ...]:
@@ -244,19 +235,21 @@ def _scanner(pixels: int, camera: Lens, projector: Lens, distance: float) -> tup
     )
 
 
+def _cube(half_mm: float) -> Box:
+    return Box((-half_mm, -half_mm, -half_mm), (half_mm, half_mm, half_mm))
+
+
 def _made(
     name: str,
-    rig: str,
-    sensors: tuple[Sensor, ...],
-    half_mm: float,
+    volume: Box,
     specimen: Specimen,
     states: tuple[LoadState, ...],
     sequence: FringeSequence,
     scene: Scene,
 ) -> Made:
-    volume = Box((-half_mm, -half_mm, -half_mm), (half_mm, half_mm, half_mm))
-    calibration = Calibration(rig, sensors, volume, START, ORIGIN)
-    return calibration, Campaign(name, specimen, rig, states, calibration.pairs(), sequence, scene)
+    rig = scene.rig
+    calibration = Calibration(rig, volume, START, ORIGIN)
+    return calibration, Campaign(name, specimen, rig.name, states, rig.pairs(), sequence, scene)
 
 
 def _placed(rotation_rad: Vector, translation_mm: Vector) -> Pose:

@@ -61,10 +61,10 @@ class Light:
 
 def sensor_named(simulation: Simulation, name: str) -> Sensor:
     """Return a sensor of the simulated rig; raise `InvalidInput` where there is none."""
-    for sensor in simulation.scene.sensors:
+    for sensor in simulation.scene.rig.sensors:
         if sensor.name == name:
             return sensor
-    known = ", ".join(s.name for s in simulation.scene.sensors)
+    known = ", ".join(s.name for s in simulation.scene.rig.sensors)
     raise InvalidInput(f"the virtual rig has no sensor {name}; it has {known}")
 
 

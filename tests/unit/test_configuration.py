@@ -72,9 +72,9 @@ def test_the_calibration_of_a_virtual_rig_is_its_exact_parameters() -> None:
     calibration = plan.calibration
     assert calibration is not None
     assert plan.campaign.scene is not None
-    assert calibration.sensors == plan.campaign.scene.sensors
-    assert calibration.rig == plan.campaign.rig
-    assert [s.role for s in calibration.sensors] == [Role.CAMERA, Role.CAMERA, Role.PROJECTOR]
+    assert calibration.rig.sensors == plan.campaign.scene.rig.sensors
+    assert calibration.rig.name == plan.campaign.rig
+    assert [s.role for s in calibration.rig.sensors] == [Role.CAMERA, Role.CAMERA, Role.PROJECTOR]
     assert calibration.valid_from <= datetime(2000, 1, 1, tzinfo=UTC)
 
 
@@ -82,7 +82,7 @@ def test_every_sensor_of_the_example_sees_the_whole_plate() -> None:
     plan = parse_campaign(example_campaign(), "example")
     assert plan.calibration is not None
     corners = np.array([(x, y, 0.0) for x in (-150.0, 150.0) for y in (-120.0, 120.0)])
-    for sensor in plan.calibration.sensors:
+    for sensor in plan.calibration.rig.sensors:
         pixels = project(sensor.intrinsics, sensor.pose, corners)
         assert (pixels > 0.0).all(), sensor.name
         assert (pixels < [sensor.columns - 1, sensor.rows - 1]).all(), sensor.name
@@ -93,14 +93,14 @@ def test_every_sensor_of_the_example_sees_the_whole_plate() -> None:
 def test_a_pose_can_be_given_by_what_is_looked_at_or_by_its_matrix() -> None:
     looking = parse_campaign(example_campaign(), "example").calibration
     assert looking is not None
-    pose = looking.sensor("P1").pose
+    pose = looking.rig.sensor("P1").pose
     matrix = [list(row) for row in pose.rotation]
     given = changed(
         "position_mm = [0.0, -40.0, 1000.0]\ntarget_mm = [0.0, 0.0, 0.0]",
         f"rotation = {matrix}\ntranslation_mm = {list(pose.translation)}",
     ).calibration
     assert given is not None
-    assert given.sensor("P1") == looking.sensor("P1")
+    assert given.rig.sensor("P1") == looking.rig.sensor("P1")
 
 
 def test_a_placement_turns_by_degrees() -> None:
@@ -166,7 +166,7 @@ MISTAKES = [
     ("steps = 4", "steps = 2", "at least 3 phase steps, not 2"),
     ("[specimen]", "[[specimen]]", "specimen should be a table"),
     ("[scene.camera]", "[camera]", "the file has no key 'camera'"),
-    ("seed = 7", "seed = ", "is not valid TOML: Invalid value (at line 45"),
+    ("seed = 7", "seed = ", "is not valid TOML: Invalid value (at line 49"),
 ]
 
 

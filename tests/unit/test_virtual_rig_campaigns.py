@@ -56,7 +56,7 @@ def test_every_state_stays_in_the_volume_and_in_the_image(
 @pytest.mark.parametrize(("calibration", "campaign"), PRINTED, ids=NAMES)
 def test_rays_meet_at_a_useful_angle(calibration: Calibration, campaign: Campaign) -> None:
     for pair in campaign.pairs:
-        camera, projector = (calibration.sensor(name).pose.centre() for name in split_pair(pair))
+        camera, projector = (calibration.rig.sensor(name).pose.centre() for name in split_pair(pair))
         cosine = camera @ projector / np.linalg.norm(camera) / np.linalg.norm(projector)
         assert np.degrees(np.arccos(cosine)) > 25.0
 
@@ -64,8 +64,8 @@ def test_rays_meet_at_a_useful_angle(calibration: Calibration, campaign: Campaig
 def test_the_calibration_is_the_truth_and_the_states_are_in_order() -> None:
     for calibration, campaign in PRINTED:
         assert campaign.scene is not None
-        assert campaign.scene.sensors == calibration.sensors
-        assert campaign.pairs == calibration.pairs()
+        assert campaign.scene.rig == calibration.rig
+        assert campaign.pairs == calibration.rig.pairs()
         assert campaign.reference.deformation == ()
         loads = [s.load_n for s in campaign.states]
         times = [s.time for s in campaign.states]

@@ -22,7 +22,7 @@ from sms_jobs.records.scene import (
     Speckle,
     Surface,
 )
-from sms_jobs.records.sensors import Sensor
+from sms_jobs.records.sensors import Rig, Sensor
 from sms_jobs.virtual_rig.campaigns import CAMERA_LENS, PROJECTOR_LENS, Lens, aimed
 from sms_jobs.virtual_rig.light import SUBSAMPLES, trace
 from sms_jobs.virtual_rig.rendering import render
@@ -44,7 +44,9 @@ def simulation(
     sensors: tuple[Sensor, ...] = (CAMERA, PROJECTOR),
     projector: ProjectorResponse = LINEAR,
 ) -> Simulation:
-    return Simulation(Scene(sensors, surface, speckle, camera=camera, projector=projector), "C1", "P1", ())
+    return Simulation(
+        Scene(Rig("rig", sensors), surface, speckle, camera=camera, projector=projector), "C1", "P1", ()
+    )
 
 
 def test_phase_stepping_recovers_the_phase_of_the_truth() -> None:
@@ -52,7 +54,7 @@ def test_phase_stepping_recovers_the_phase_of_the_truth() -> None:
     sim = simulation(Plane(1200.0, 1200.0), sensors=(CAMERA, aimed_wide()))
     frames = render(sim, SEQUENCE).frames
     shape = exact_shape(sim)
-    projector = sim.scene.sensors[1]
+    projector = sim.scene.rig.sensors[1]
     pixels = project(projector.intrinsics, projector.pose, np.moveaxis(shape.xyz, 0, -1))
     inner = (slice(4, -4), slice(4, -4))
     light = np.gradient(np.log(render(sim, SEQUENCE).texture.astype(float)))
@@ -197,7 +199,7 @@ def test_defocus_and_gamma_change_the_fringes_as_the_pattern_says() -> None:
 def test_a_mirror_gives_a_second_return_from_the_projectors_image() -> None:
     surface = PlateAndMirror(260.0, 300.0, 1.5, 0.4, 200.0)
     sim = simulation(surface, sensors=(CAMERA, aimed_wide()))
-    projector = sim.scene.sensors[1]
+    projector = sim.scene.rig.sensors[1]
     light = trace(sim)
     tilt = (pi - 1.5) / 2.0
     normal = np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
@@ -321,7 +323,7 @@ def test_placing_specimen_and_sensors_together_changes_nothing() -> None:
         here,
         scene=replace(
             scene,
-            sensors=tuple(moved(s) for s in scene.sensors),
+            rig=replace(scene.rig, sensors=tuple(moved(s) for s in scene.rig.sensors)),
             placement=Pose.from_arrays(turn, shift),
         ),
     )

@@ -27,6 +27,7 @@ from sms_jobs.records.scene import (
     TopHat,
     UniaxialStrain,
 )
+from sms_jobs.records.sensors import Rig
 from sms_jobs.virtual_rig.campaigns import CAMERA_LENS, PROJECTOR_LENS, aimed
 from sms_jobs.virtual_rig.deformations import carried_points, packed_chain
 from sms_jobs.virtual_rig.truth import Shape, exact_shape, exact_truth
@@ -54,7 +55,7 @@ BENT: tuple[Deformation, ...] = (
 
 
 def simulation(surface: Surface, *deformation: Deformation, placement: Pose = PLACEMENT) -> Simulation:
-    scene = Scene((CAMERA, PROJECTOR), surface, placement=placement)
+    scene = Scene(Rig("rig", (CAMERA, PROJECTOR)), surface, placement=placement)
     return Simulation(scene, "C1", "P1", deformation)
 
 
@@ -189,7 +190,7 @@ def blocked(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
 def test_shadow_and_occlusion_are_those_of_the_profile(side: float) -> None:
     camera = aimed("C1", SIZE, SIZE, CAMERA_LENS, (-side * 1400.0, 30.0, 2000.0))
     projector = aimed("P1", 256, 192, PROJECTOR_LENS, (side * 1500.0, -30.0, 1900.0))
-    shape = exact_shape(Simulation(Scene((camera, projector), TopHat()), "C1", "P1", ()))
+    shape = exact_shape(Simulation(Scene(Rig("rig", (camera, projector)), TopHat()), "C1", "P1", ()))
     # Away from the ends in y, where a shadow could leave the sheet.
     checked = shape.seen & (np.abs(shape.xyz[1]) < 200.0)
     points = shape.xyz[:, checked].T

@@ -26,7 +26,7 @@ from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import ImageMatches, PointCloud, Region, Regions
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
-from sms_jobs.records.sensors import Box, Calibration, Role, Sensor
+from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
 
 JOB = "0123456789abcdef"
 
@@ -81,7 +81,7 @@ def calibration() -> Calibration:
     pose = Pose(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 500.0))
     sensor = Sensor("C1", Role.CAMERA, 90, 150, Intrinsics(100.0, 100.0, 44.5, 74.5), pose)
     return Calibration(
-        "rig", (sensor,), Box((-1.0,) * 3, (1.0,) * 3), datetime(2026, 1, 1, tzinfo=UTC), "exact"
+        Rig("rig", (sensor,)), Box((-1.0,) * 3, (1.0,) * 3), datetime(2026, 1, 1, tzinfo=UTC), "exact"
     )
 
 

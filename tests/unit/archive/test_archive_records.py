@@ -21,6 +21,7 @@ from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
 from sms_jobs.records.measurement import ArrayStack, FrameStack, Measurement
 from sms_jobs.records.quantity import QUANTITY, Quantity
 from sms_jobs.records.scene import Cylinder, HalvesApart, Plane, Rigid, Scene, TopHat
+from sms_jobs.records.sensors import Rig
 
 LENGTHS = {"row": 5, "column": 7, "frame": 6, "point": 4, "vertex": 9, "face": 3, "corner": 3}
 STORED = sorted(
@@ -152,7 +153,7 @@ campaigns = st.builds(
     rig=st.just("rig"),
     states=st.lists(states, min_size=1, max_size=3, unique_by=lambda s: s.label).map(tuple),
     pairs=st.just(("C1P1",)),
-    scene=st.none() | st.builds(Scene, sensors=st.just(()), surface=surfaces),
+    scene=st.none() | st.builds(Scene, rig=st.just(Rig("rig", ())), surface=surfaces),
 )
 
 

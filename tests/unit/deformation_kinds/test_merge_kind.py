@@ -47,7 +47,7 @@ def test_the_mesh_covers_the_plate_and_looks_outwards(plate: Any) -> None:
     # 150 x 150 mm, less up to two pixels of 1.4 mm at each edge.
     area = 0.5 * np.linalg.norm(cross, axis=1).sum()
     assert 142.0**2 < area < 152.0**2
-    to_camera = plate.calibration.sensor("C1").pose.centre() - a
+    to_camera = plate.calibration.rig.sensor("C1").pose.centre() - a
     assert (np.sum(cross * to_camera, axis=1) > 0).all()
     assert len(mesh.value_names) == len(mesh.value_units) == len(mesh.values)
     assert np.isfinite(mesh.values[:5]).all()

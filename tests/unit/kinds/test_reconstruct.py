@@ -177,12 +177,13 @@ def test_points_outside_the_volume_are_marked(plain: Tuple) -> None:
 
 def test_a_wrong_calibration_opens_the_ray_gap(plain: Tuple) -> None:
     sensors = []
-    for sensor in plain.calibration.sensors:
+    for sensor in plain.calibration.rig.sensors:
         shift = 4.0 if sensor.name == "P1" else 0.0
         sensors.append(
             replace(sensor, intrinsics=replace(sensor.intrinsics, cy=sensor.intrinsics.cy + shift))
         )
-    wrong = replace(plain, calibration=replace(plain.calibration, sensors=tuple(sensors)))
+    rig = replace(plain.calibration.rig, sensors=tuple(sensors))
+    wrong = replace(plain, calibration=replace(plain.calibration, rig=rig))
     cloud, _, output = wrong.reconstruct()
     lit = plain.shape.lit
     assert (cloud.reason[lit] & Reason.LARGE_RAY_GAP != 0).mean() > 0.99

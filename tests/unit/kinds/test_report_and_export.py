@@ -25,7 +25,7 @@ from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
 from sms_jobs.records.fields import MergedField, Mesh, PointCloud, Region, Regions, StrainField
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.scene import HalvesApart, Plane, Scene
-from sms_jobs.records.sensors import Box, Calibration, Role, Sensor
+from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
 
 WHEN = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 CAMERAS = ("C1", "C2")
@@ -38,7 +38,7 @@ def campaign(
     loads = tuple(
         LoadState(f"S{i:02}", load_n=1234.5 * i, deformation=(HalvesApart(0.1 * i),)) for i in range(states)
     )
-    scene = Scene((), Plane(100.0, 100.0)) if virtual else None
+    scene = Scene(Rig("rig", ()), Plane(100.0, 100.0)) if virtual else None
     specimen = Specimen("panel", material=material)
     return Campaign("plate", specimen, "rig", loads, pairs, scene=scene)
 
@@ -64,7 +64,7 @@ def records_for(need: Need, size: tuple[int, int]) -> Mapping[str, Any]:
     if need.source == CALIBRATION:
         sensor = Sensor("C1", Role.CAMERA, size[1], size[0], Intrinsics(1e3, 1e3, 40.0, 30.0), POSE)
         box = Box((0.0, 0.0, 0.0), (300.0, 400.0, 0.0))
-        return {"calibration": Calibration("rig", (sensor,), box, WHEN, "exact")}
+        return {"calibration": Calibration(Rig("rig", (sensor,)), box, WHEN, "exact")}
     if need.source == MEASUREMENT:
         texture = (1500 + 700 * np.sign(np.sin(x) * np.sin(y)) + rng.normal(0, 40, size)).astype(np.uint16)
         frames = ArrayStack(texture[None])
