@@ -14,9 +14,9 @@ from pathlib import Path, PurePosixPath
 
 from sms_jobs.archive.provenance import Provenance
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.campaign import Subject, checked_name
+from sms_jobs.records.campaign import RESERVED_NAME, Subject, checked_name
 
-CALIBRATIONS = "calibrations"
+CALIBRATIONS = RESERVED_NAME
 JOB_LETTERS = 8
 NO_JOB = "nojob"
 _JOB_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")

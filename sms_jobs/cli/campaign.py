@@ -11,7 +11,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns
-from sms_jobs.cli import output
+from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats import configuration
@@ -105,7 +105,11 @@ def list_(home: Home = None, as_json: Json = False) -> None:
 
 
 @app.command()
-def show(name: str, home: Home = None, as_json: Json = False) -> None:
+def show(
+    name: Annotated[str, typer.Argument(autocompletion=completion.campaign_names)],
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
     """Show a campaign's states and pairs.
 
     Example: sms campaign show wing-fatigue

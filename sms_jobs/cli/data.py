@@ -13,7 +13,7 @@ from sms_jobs import bootstrap
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue import search
 from sms_jobs.catalogue.search import Ancestor
-from sms_jobs.cli import output
+from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.figures import plot_record
@@ -28,7 +28,12 @@ def find(
     kind: Annotated[
         str | None, typer.Option(help="measurement, calibration, or the kind of a result.")
     ] = None,
-    campaign: Annotated[str | None, typer.Option("--campaign", "-c", help="Only of this campaign.")] = None,
+    campaign: Annotated[
+        str | None,
+        typer.Option(
+            "--campaign", "-c", help="Only of this campaign.", autocompletion=completion.campaign_names
+        ),
+    ] = None,
     state: Annotated[str | None, typer.Option(help="Only of this state.")] = None,
     pair: Annotated[str | None, typer.Option(help="Only of this pair.")] = None,
     limit: Annotated[int, typer.Option(help="At most so many, the newest.", min=1, max=100_000)] = 50,

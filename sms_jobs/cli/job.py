@@ -12,7 +12,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
-from sms_jobs.cli import output
+from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import unsuccessful, wait_for
 from sms_jobs.errors import Conflict, InvalidInput, JobFailed
@@ -25,18 +25,43 @@ from sms_jobs.records.job import JobState
 
 app = typer.Typer(help="Jobs: submit, follow and mend them.", no_args_is_help=True)
 
-Campaign = Annotated[str | None, typer.Option("--campaign", "-c", help="Name of the campaign.")]
-JobId = Annotated[str, typer.Argument(help="Job id, or the beginning of one.")]
+Campaign = Annotated[
+    str | None,
+    typer.Option("--campaign", "-c", help="Name of the campaign.", autocompletion=completion.campaign_names),
+]
+JobId = Annotated[
+    str, typer.Argument(help="Job id, or the beginning of one.", autocompletion=completion.job_ids)
+]
+
+JobIds = Annotated[
+    list[str] | None,
+    typer.Argument(help="Job ids, or the beginnings of them.", autocompletion=completion.job_ids),
+]
 
 
 @app.command()
 def submit(
     kind: Annotated[
-        list[str], typer.Argument(help="Job kinds, or 'pipeline' for all but acquire; see 'sms job kinds'.")
+        list[str],
+        typer.Argument(
+            help="Job kinds, or 'pipeline' for all but acquire; see 'sms job kinds'.",
+            autocompletion=completion.kind_names,
+        ),
     ],
-    campaign: Annotated[str, typer.Option("--campaign", "-c", help="Name of the campaign.")],
-    state: Annotated[list[str] | None, typer.Option(help="Only this state; can be repeated.")] = None,
-    pair: Annotated[list[str] | None, typer.Option(help="Only this pair; can be repeated.")] = None,
+    campaign: Annotated[
+        str,
+        typer.Option(
+            "--campaign", "-c", help="Name of the campaign.", autocompletion=completion.campaign_names
+        ),
+    ],
+    state: Annotated[
+        list[str] | None,
+        typer.Option(help="Only this state; can be repeated.", autocompletion=completion.state_labels),
+    ] = None,
+    pair: Annotated[
+        list[str] | None,
+        typer.Option(help="Only this pair; can be repeated.", autocompletion=completion.pair_names),
+    ] = None,
     parameter: Annotated[
         list[str] | None,
         typer.Option(
@@ -197,12 +222,12 @@ def logs(job: JobId, home: Home = None) -> None:
 
 @app.command()
 def watch(
-    jobs: Annotated[list[str] | None, typer.Argument(help="Job ids; all active jobs if none.")] = None,
+    jobs: JobIds = None,
     campaign: Campaign = None,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Follow jobs until they have ended; with --json, one object a change.
+    """Follow jobs, all active ones if none is named, until they have ended; with --json, one object a change.
 
     Example: sms job watch -c wing-fatigue
     """
@@ -220,13 +245,13 @@ def watch(
 
 @app.command()
 def wait(
-    jobs: Annotated[list[str] | None, typer.Argument(help="Job ids; all active jobs if none.")] = None,
+    jobs: JobIds = None,
     campaign: Campaign = None,
     timeout: Annotated[float | None, typer.Option(help="Seconds to wait at most.", min=0.0)] = None,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Return when jobs have ended: 0 if all succeeded, 5 if one did not, 124 if time ran out.
+    """Return when jobs, all active ones if none is named, have ended: 0 if all succeeded, 5 if one did not, 124 if time ran out.
 
     Example: sms job wait -c wing-fatigue --timeout 3600
     """
@@ -236,7 +261,7 @@ def wait(
 
 @app.command()
 def cancel(
-    jobs: Annotated[list[str] | None, typer.Argument(help="Job ids.")] = None,
+    jobs: JobIds = None,
     campaign: Campaign = None,
     home: Home = None,
 ) -> None:
@@ -257,7 +282,7 @@ def cancel(
 
 @app.command()
 def retry(
-    jobs: Annotated[list[str] | None, typer.Argument(help="Job ids.")] = None,
+    jobs: JobIds = None,
     campaign: Campaign = None,
     home: Home = None,
 ) -> None:

@@ -13,6 +13,9 @@ from sms_jobs.records.scene import Deformation, Scene
 
 ParameterValue: TypeAlias = bool | int | float | str | tuple[str, ...]
 
+RESERVED_NAME = "calibrations"
+"""The folder of the archive that holds no campaign."""
+
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
@@ -120,6 +123,10 @@ class Campaign:
 
     def __post_init__(self) -> None:
         checked_name(self.name, "campaign")
+        if self.name == RESERVED_NAME:
+            raise InvalidInput(
+                f"a campaign cannot be called '{RESERVED_NAME}': the archive keeps those there"
+            )
         checked_name(self.rig, "rig")
         if not self.states:
             raise InvalidInput(f"campaign {self.name} has no state")
