@@ -251,7 +251,9 @@ def wait(
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Return when jobs, all active ones if none is named, have ended: 0 if all succeeded, 5 if one did not, 124 if time ran out.
+    """Return when jobs, all active ones if none is named, have ended.
+
+    Exit codes: 0 all succeeded, 5 one did not, 124 time ran out.
 
     Example: sms job wait -c wing-fatigue --timeout 3600
     """
