@@ -17,6 +17,7 @@ from pydantic import (
     AfterValidator,
     AwareDatetime,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     GetPydanticSchema,
@@ -28,6 +29,7 @@ from scipy.spatial.transform import Rotation
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.phase.sequences import named_sequence
 from sms_jobs.records import scene as scenes
 from sms_jobs.records.campaign import Campaign, LoadState, ParameterValue, Specimen
 from sms_jobs.records.measurement import FringeSequence
@@ -309,8 +311,18 @@ class _State(_Table):
         )
 
 
+def _densities(value: Any) -> Any:
+    """Return the list that a name such as "fdr-64" stands for."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return named_sequence(value)
+    except InvalidInput as error:
+        raise PydanticCustomError("unknown_sequence", "{why}", {"why": f"is unknown: {error}"}) from None
+
+
 class _Sequence(_Table):
-    densities: tuple[int, ...] = FringeSequence().densities
+    densities: Annotated[tuple[int, ...], BeforeValidator(_densities)] = FringeSequence().densities
     steps: int = FringeSequence().steps
     orientations_deg: tuple[float, ...] = (0.0, 90.0)
 

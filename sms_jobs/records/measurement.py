@@ -24,7 +24,7 @@ class FringeSequence:
     ----------
     densities
         Number of fringes across the projector, in the order of projection; thesis default
-        (32, 31, 30, 28, 24, 16).
+        (32, 31, 30, 28, 24, 16). The density 0 is a uniform field, see `steps_of`.
     steps
         Phase steps a density, at least 3.
     orientations_rad
@@ -39,21 +39,34 @@ class FringeSequence:
     def __post_init__(self) -> None:
         if self.steps < 3:
             raise InvalidInput(f"a fringe sequence needs at least 3 phase steps, not {self.steps}")
-        if not self.densities or min(self.densities) < 1:
-            raise InvalidInput(f"fringe densities must be at least 1, not {self.densities}")
+        if not self.densities or min(self.densities) < 0 or max(self.densities) == 0:
+            raise InvalidInput(
+                f"fringe densities must be at least 1, or 0 beside others, not {self.densities}"
+            )
+        if self.densities.count(0) > 1:
+            raise InvalidInput("the fringe density 0 is shown once at most: it is the same field every time")
         if not self.orientations_rad:
             raise InvalidInput("a fringe sequence needs at least one orientation")
 
     @property
     def frames(self) -> int:
         """Number of fringe frames of the whole sequence."""
-        return len(self.orientations_rad) * len(self.densities) * self.steps
+        return len(self.orientations_rad) * sum(len(self.steps_of(t)) for t in self.densities)
+
+    def steps_of(self, density: int) -> tuple[int, ...]:
+        """Return the phase steps that are shown of a density, in order.
+
+        Of a uniform field the brightest and the darkest alone, 0 and steps // 2: the others add nothing to
+        its amplitude. The sequence 0 .. s-1 of Fourier domain ranging thus has 4 s - 2 frames for an
+        orientation (thesis section 7.2.2).
+        """
+        return tuple(range(self.steps)) if density else (0, self.steps // 2)
 
     def patterns(self) -> Iterator[tuple[float, int, int]]:
         """Yield (orientation in rad, density, step 0 .. steps-1) of each frame in order."""
         for orientation in self.orientations_rad:
             for density in self.densities:
-                for step in range(self.steps):
+                for step in self.steps_of(density):
                     yield orientation, density, step
 
 

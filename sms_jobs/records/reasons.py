@@ -33,3 +33,5 @@ class Reason(IntFlag):
     """The end point has no measured shape of its own region to interpolate."""
     TOO_FEW_NEIGHBOURS = 1 << 11
     """Too few valid neighbours in the gauge area."""
+    AMBIGUOUS_PAIR = 1 << 12
+    """Two ways of pairing the returns of the fringe orientations are about as likely, at different points."""

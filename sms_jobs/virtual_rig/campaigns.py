@@ -203,7 +203,7 @@ def plate_and_mirror(name: str, size: Size, fringes: int = 64) -> Made:
     """Return the rig and the campaign of thesis section 7.3.1: a white plate beside a mirror.
 
     The plate stands upright and faces the scanner, the mirror lies below it and lights its lower half a
-    second time. The sequence is linear, 1 .. `fringes`.
+    second time. The sequence is that of Fourier domain ranging, 0 .. `fringes` - 1.
     """
     pixels = PIXELS[size]
     lens = Lens(3.6, -0.08, 0.12, 2e-4, -3e-4)
@@ -222,7 +222,7 @@ def plate_and_mirror(name: str, size: Size, fringes: int = 64) -> Made:
     )
     states = (LoadState("S00", time=START),)
     specimen = Specimen("plate and mirror", "plastic", "diffuse white plate and a mirror in a V")
-    sequence = FringeSequence(tuple(range(1, fringes + 1)))
+    sequence = FringeSequence(tuple(range(fringes)))
     return _made(name, _cube(330.0), specimen, states, sequence, scene)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import groupby
 from math import ceil, pi, sqrt
 from threading import Lock
 from typing import Any, TypeAlias
@@ -85,6 +86,7 @@ class SimulatedFrames:
     def __init__(self, simulation: Simulation, sequence: FringeSequence, light: Light, threads: int) -> None:
         self._light = light
         self._sequence = sequence
+        self._patterns = list(sequence.patterns())
         self._threads = threads
         self._projector: Sensor = sensor_named(simulation, simulation.projector)
         self._response = simulation.scene.projector
@@ -94,7 +96,7 @@ class SimulatedFrames:
         self._spread = _pixel_weights(simulation.scene.camera.blur_px)
         self._seed = _noise_seed(simulation)
         self._lock = Lock()
-        self._fringes: tuple[int, Singles] | None = None
+        self._fringes: tuple[tuple[float, int], Singles] | None = None
         self._steady = self._whole(self._steady_rows)
 
     @property
@@ -121,21 +123,21 @@ class SimulatedFrames:
         """Return a slab of every frame, (frames, stop - start, columns)."""
         count, _, columns = self.shape
         slab = np.empty((count, stop - start, columns), np.uint16)
-        for group in range(count // self._sequence.steps):
-            fringes = self._fringe_rows(group, start, stop)
-            for step in range(self._sequence.steps):
-                index = group * self._sequence.steps + step
+        for (orientation, density), frames in groupby(enumerate(self._patterns), key=lambda f: f[1][:2]):
+            fringes = self._fringe_rows(orientation, density, start, stop)
+            for index, (_, _, step) in frames:
                 levels = self._levels(self._steady[:, start:stop], fringes, step)
                 slab[index] = self._recorded(levels, index, start)
         return slab
 
     def expected(self, index: int) -> Singles:
         """Return the grey levels of a frame before noise and rounding, (rows, columns)."""
-        group, step = divmod(range(self._sequence.frames)[index], self._sequence.steps)
+        orientation, density, step = self._patterns[index]
+        shown = (orientation, density)
         with self._lock:
-            if self._fringes is None or self._fringes[0] != group:
-                fringes = self._whole(lambda start, stop: self._fringe_rows(group, start, stop))
-                self._fringes = (group, fringes)
+            if self._fringes is None or self._fringes[0] != shown:
+                fringes = self._whole(lambda start, stop: self._fringe_rows(*shown, start, stop))
+                self._fringes = (shown, fringes)
             fringes = self._fringes[1]
         return self._levels(self._steady, fringes, step)
 
@@ -169,9 +171,8 @@ class SimulatedFrames:
         ambient = np.float32(self._ambient) * self._light.ambient[first:last]
         return self._imaged(np.stack([white, ambient]), start, stop)
 
-    def _fringe_rows(self, group: int, start: int, stop: int) -> Singles:
+    def _fringe_rows(self, orientation: float, density: int, start: int, stop: int) -> Singles:
         """Return rows of the images that every step of one density is made of, see `_levels`."""
-        orientation, density, _ = self._patterns()[group * self._sequence.steps]
         columns, rows = self._projector.columns, self._projector.rows
         span = span_px(columns, rows, orientation)
         harmonics = fringe_harmonics(
@@ -191,9 +192,6 @@ class SimulatedFrames:
         x, y = light.x[:, first:last], light.y[:, first:last]
         _fringe_light(x, y, light.strength[:, first:last], phase, harmonics, images)
         return self._imaged(images, start, stop)
-
-    def _patterns(self) -> list[tuple[float, int, int]]:
-        return list(self._sequence.patterns())
 
     def _subsample_rows(self, start: int, stop: int) -> tuple[int, int]:
         """Return the rows of sub-samples that rows of pixels draw on."""

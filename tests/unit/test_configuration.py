@@ -130,7 +130,23 @@ def test_a_real_rig_has_no_scene_and_is_calibrated_by_measurement() -> None:
         )
 
 
+def test_a_sequence_can_be_named() -> None:
+    text = REAL + '\n[sequence]\ndensities = "fdr-64"\norientations_deg = [45, -45]\n'
+    sequence = parse_campaign(text, "wing.toml").campaign.sequence
+    assert sequence.densities == tuple(range(64))
+    assert sequence.frames == 2 * (4 * 64 - 2)  # thesis section 7.2.2
+    steps = [(t, k) for _, t, k in sequence.patterns()][:7]
+    assert steps == [(0, 0), (0, 2), (1, 0), (1, 1), (1, 2), (1, 3), (2, 0)]
+
+
 MISTAKES = [
+    (
+        "densities = [32, 31, 30, 28, 24, 16]",
+        'densities = "gray-code"',
+        "sequence.densities is unknown: there is no fringe sequence 'gray-code'",
+    ),
+    ("densities = [32, 31, 30, 28, 24, 16]", "densities = [0]", "fringe densities must be at least 1, or 0"),
+    ("densities = [32, 31, 30, 28, 24, 16]", "densities = [0, 0, 1]", "shown once at most"),
     ("width_mm = 300.0", 'width_mm = "wide"', "scene.surface.width_mm should be a number, not 'wide'"),
     ("width_mm = 300.0", "width_mm = -300", "scene.surface.width_mm should be greater than 0, not -300"),
     ("width_mm", "widht_mm", "scene.surface has no key 'widht_mm'; its keys are width_mm, height_mm, shape"),
@@ -166,7 +182,7 @@ MISTAKES = [
     ("steps = 4", "steps = 2", "at least 3 phase steps, not 2"),
     ("[specimen]", "[[specimen]]", "specimen should be a table"),
     ("[scene.camera]", "[camera]", "the file has no key 'camera'"),
-    ("seed = 7", "seed = ", "is not valid TOML: Invalid value (at line 49"),
+    ("seed = 7", "seed = ", "is not valid TOML: Invalid value (at line 50"),
 ]
 
 

@@ -196,6 +196,21 @@ def test_defocus_and_gamma_change_the_fringes_as_the_pattern_says() -> None:
     assert np.mean(total / white) < 0.9
 
 
+def test_the_density_zero_is_a_bright_and_a_dark_field() -> None:
+    sequence = FringeSequence((0, 2), 4, (0.0, pi / 2))
+    rendering = render(simulation(Plane(1200.0, 1200.0), sensors=(CAMERA, aimed_wide())), sequence)
+    frames = rendering.frames.rows(0, SIZE).astype(int)
+    assert len(frames) == sequence.frames == 2 * (2 + 4)
+    for bright, dark, fringes in ((frames[0], frames[1], frames[2:6]), (frames[6], frames[7], frames[8:])):
+        # The brightest field is the texture; rounding is half a grey level of each.
+        assert np.abs(bright - rendering.texture.astype(int)).max() <= 1
+        assert dark.max() <= 1
+        # Its amplitude is that of the fringes: 2 B = bright - dark; four frames are rounded, and thousands of
+        # grey levels are blurred over the fringes by 1e-3.
+        amplitude = np.hypot(fringes[0] - fringes[2], fringes[3] - fringes[1])
+        np.testing.assert_allclose(amplitude[4:-4, 4:-4], (bright - dark)[4:-4, 4:-4], rtol=2e-3, atol=2.0)
+
+
 def test_a_mirror_gives_a_second_return_from_the_projectors_image() -> None:
     surface = PlateAndMirror(260.0, 300.0, 1.5, 0.4, 200.0)
     sim = simulation(surface, sensors=(CAMERA, aimed_wide()))
