@@ -10,7 +10,7 @@ import typer
 from typer.exceptions import TyperException
 
 import sms_jobs
-from sms_jobs.cli import calibration, campaign, data, db, demo, job, service, worker
+from sms_jobs.cli import bench, calibration, campaign, data, db, demo, job, service, worker
 from sms_jobs.cli.output import remarks
 from sms_jobs.errors import SmsError
 
@@ -29,6 +29,8 @@ app.command("init")(service.init)
 app.command("up")(service.up)
 app.command("status")(service.status)
 app.command("doctor")(service.doctor)
+app.command("bench")(bench.bench)
+app.command("study")(bench.study)
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(job.app, name="job")
 app.add_typer(data.app, name="data")

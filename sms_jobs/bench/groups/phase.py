@@ -1,0 +1,57 @@
+"""Phase: the speed of temporal unwrapping."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.bench.figures import Figure, Group, Run, cpu_seconds
+from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
+
+REVERSE_EXPONENTIAL = (32, 31, 30, 28, 24, 16)
+STEPS = 4
+_ROWS, _COLUMNS = 512, 1024
+
+
+def _frames(rows: int, columns: int) -> NDArray[np.uint16]:
+    random = np.random.default_rng(1)
+    omega = random.uniform(-pi, pi, (rows, columns))
+    frames = np.empty((len(REVERSE_EXPONENTIAL) * STEPS, rows, columns), np.uint16)
+    for i, density in enumerate(REVERSE_EXPONENTIAL):
+        for step in range(STEPS):
+            level = 1500.0 + 1000.0 * np.cos(omega * density + 2.0 * pi * step / STEPS)
+            noise = 20.0 * random.standard_normal(level.shape, np.float32)
+            frames[i * STEPS + step] = np.rint(level + noise)
+    return frames
+
+
+def _unwrap(frames: NDArray[np.uint16]) -> PhaseGradient:
+    return unwrap(frames, REVERSE_EXPONENTIAL, STEPS, full_scale=4095, gain=0.1, read_noise=3.0)
+
+
+def warm_up() -> None:
+    """Compile what the rates use."""
+    _unwrap(_frames(2, 16))
+
+
+def figures(run: Run) -> Iterator[Figure]:
+    """Yield the figures."""
+    frames = _frames(_ROWS // (4 if run.quick else 1), _COLUMNS)
+    rate = frames.size / 1e6 / cpu_seconds(lambda: _unwrap(frames))
+    yield Figure("reverse_exponential_mpx_frames_per_cpu_s", rate, "Mpx frames / CPU-s", 400.0)
+
+
+def conditions(run: Run) -> dict[str, str]:
+    """Say under which conditions the figures hold."""
+    rows = _ROWS // (4 if run.quick else 1)
+    densities = ", ".join(map(str, REVERSE_EXPONENTIAL))
+    return {
+        "reverse_exponential": f"fringes {densities}, {STEPS} steps, {_COLUMNS} x {rows} px, uint16 frames "
+        "in memory, phase gradient with residual, modulation, standard deviation and flags; one thread"
+    }
+
+
+GROUP = Group("phase", "speed of temporal unwrapping", warm_up, figures, conditions)

@@ -1,0 +1,87 @@
+"""What a study is: a question, an experiment that answers it, a table and a picture."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Cell = str | float | int | None
+
+
+@dataclass(frozen=True)
+class Table:
+    """The numbers of a study.
+
+    Attributes
+    ----------
+    columns
+        Names, with units.
+    rows
+        One value a column; None where there is none.
+    remarks
+        Conditions, and what the thesis has to compare with.
+    """
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    remarks: Mapping[str, str]
+
+    def as_json(self) -> dict[str, object]:
+        """Return the table as plain values, one object a row."""
+        rows = [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+        return {"rows": rows, "remarks": dict(self.remarks)}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a study found: its numbers, and a picture of them."""
+
+    table: Table
+    picture: Figure
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study that anyone can run again.
+
+    Attributes
+    ----------
+    name, summary
+        As `sms study list` shows them.
+    run
+        Answers the question; takes a function that tells the person how far it is.
+    """
+
+    name: str
+    summary: str
+    run: Callable[[Callable[[str], None]], Outcome]
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a size in inches, without a window and without global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=100, layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def write(outcome: Outcome, study: Study, folder: Path) -> tuple[Path, Path]:
+    """Write the picture and the numbers into a folder; return the two files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    picture, numbers = folder / f"{study.name}.png", folder / f"{study.name}.json"
+    buffer = io.BytesIO()
+    # Without the version of the program: the same picture has the same bytes.
+    outcome.picture.savefig(buffer, format="png", metadata={"Software": None})
+    picture.write_bytes(buffer.getvalue())
+    text = json.dumps({"study": study.name, "summary": study.summary} | outcome.table.as_json(), indent=1)
+    numbers.write_text(text + "\n", encoding="utf-8")
+    return picture, numbers
