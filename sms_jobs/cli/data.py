@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
 import typer
@@ -53,7 +53,10 @@ def find(
         return
     output.print_table(
         ["file", "kind", "subject", "type", "size", "created"],
-        [(f.id, f.source, f.subject, f.media_type, output.size(f.size_bytes), f.created_at) for f in files],
+        [
+            (f.id, f.source, f.subject, PurePosixPath(f.path).suffix, output.size(f.size_bytes), f.created_at)
+            for f in files
+        ],
         empty="there is no such file",
     )
 

@@ -365,6 +365,10 @@ def _wait(services: Services, ids: Sequence[str], timeout: float | None, as_json
     counted = wait_for(services.catalogue, ids, timeout)
     if as_json:
         output.print_json({"jobs": counted})
+    else:
+        output.say(
+            ", ".join(f"{count} {state}" for state, count in counted.items()) or "there is no such job"
+        )
     failures = unsuccessful(counted)
     if failures:
         with services.catalogue.reading() as session:

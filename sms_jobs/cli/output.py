@@ -78,7 +78,7 @@ def print_facts(facts: dict[str, Any]) -> None:
 
 def say(text: str) -> None:
     """Tell the person something that is not the answer."""
-    remarks.print(text, markup=False)
+    remarks.print(text, markup=False, soft_wrap=True)
 
 
 def log_to_stderr() -> None:
