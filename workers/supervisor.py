@@ -23,7 +23,7 @@ from sqlalchemy import exists, select
 
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import JobRow
-from sms_jobs.errors import ServerUnreachable
+from sms_jobs.errors import SmsError
 from sms_jobs.jobs import recovery
 from sms_jobs.records.job import ACTIVE
 from sms_jobs.workers.celery_app import QUEUES, WORKER_ID, WORKER_QUEUES, make_app, message_queue
@@ -97,7 +97,8 @@ class Supervisor:
                     recover_at = moment + _RECOVER_EVERY_S
                     if until_idle and self._is_idle():
                         return
-            except ServerUnreachable as error:
+            except SmsError as error:
+                # The catalogue is away or its disk is full: both pass, and jobs go on meanwhile.
                 logger.warning("%s", error)
             self._restart_if_dead()
             time.sleep(_TICK_S)
@@ -159,7 +160,7 @@ class Supervisor:
         try:
             with self._services.catalogue.writing() as session:
                 recovery.drain(session, self.worker_id)
-        except ServerUnreachable as error:
+        except SmsError as error:
             logger.warning("%s", error)
         self._process.terminate()
         deadline = time.monotonic() + _PATIENCE_WITH_JOBS_S
@@ -176,7 +177,7 @@ class Supervisor:
     def _beat_quietly(self) -> None:
         try:
             self._beat()
-        except ServerUnreachable as error:
+        except SmsError as error:
             logger.warning("%s", error)
 
     def _ask_to_stop(self, number: int, frame: FrameType | None) -> None:

@@ -21,6 +21,7 @@ from celery.signals import worker_init, worker_process_init
 from sms_jobs import settings as settings_file
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.errors import SmsError
 from sms_jobs.jobs.runner import Runner
 from sms_jobs.workers.celery_app import QUEUES, RUN, WORKER_ID, WORKER_QUEUES, make_app
 
@@ -47,8 +48,14 @@ def _runner() -> Runner:
 @app.task(name=RUN, ignore_result=True)  # type: ignore[untyped-decorator]
 def run(job_id: str) -> None:
     """Run queued jobs until there are none; `job_id` only says that there is at least one."""
-    while _runner().run_next(_queues) is not None:
-        pass
+    try:
+        while _runner().run_next(_queues) is not None:
+            pass
+    except SmsError:
+        # The catalogue could not be told how a job ended. A process that lives on would keep the job's
+        # lease for ever; one that is gone tells the supervisor to run the job again.
+        logging.getLogger(__name__).exception("process %d ends: the catalogue is away", os.getpid())
+        os._exit(1)
 
 
 @worker_init.connect  # type: ignore[untyped-decorator]

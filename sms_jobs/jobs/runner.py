@@ -23,7 +23,7 @@ import sms_jobs
 from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.errors import Cancelled, LeaseLost, SmsError, StorageFull
+from sms_jobs.errors import Cancelled, LeaseLost, ServerUnreachable, SmsError, StorageFull
 from sms_jobs.jobs import indexing, lifecycle, reuse
 from sms_jobs.jobs.indexing import SealedOutput
 from sms_jobs.jobs.lifecycle import Claim
@@ -237,8 +237,13 @@ class _ThrottledProgress:
         if time.monotonic() < self._next:
             return
         self._next = time.monotonic() + _PROGRESS_EVERY_S
-        with self._runner.catalogue.writing() as session:
-            stop = lifecycle.report_progress(session, self._held, min(max(fraction, 0.0), 1.0), message)
+        try:
+            with self._runner.catalogue.writing() as session:
+                stop = lifecycle.report_progress(session, self._held, min(max(fraction, 0.0), 1.0), message)
+        except (ServerUnreachable, StorageFull) as error:
+            # Hours of computing are not given up because nobody could be told how far they have come.
+            logger.warning("job %s: %s", self._held.job_id, error)
+            return
         if stop is None:
             raise LeaseLost("a newer attempt has begun")
         if stop:
