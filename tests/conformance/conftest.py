@@ -29,10 +29,7 @@ def deployment(request: pytest.FixtureRequest, home: Path) -> Deployment:
 @pytest.fixture
 def catalogue(deployment: Deployment) -> Iterator[Catalogue]:
     """An empty catalogue with the newest schema and one worker, `w1`."""
-    url = (
-        deployment.environment.get("SMS_DATABASE_URL") or f"sqlite:///{deployment.home / 'catalogue.sqlite'}"
-    )
-    opened = Catalogue(url, create=True)
+    opened = deployment.catalogue(create=True)
     schema.upgrade(opened)
     with opened.writing() as session:
         recovery.register_worker(session, "w1", "here", 1, ["cpu", "io", "acquisition"], 2, NOW)

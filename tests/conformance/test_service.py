@@ -10,6 +10,8 @@ from support.deployments import Deployment
 from support.homes import make_home
 from support.jobs import JOBS
 
+from sms_jobs.jobs import inquiry
+
 
 def submit_all(deployment: Deployment) -> list[str]:
     found = run(deployment, "job", "submit", "acquire", "pipeline", "-c", "plate")
@@ -62,21 +64,25 @@ def test_a_campaign_runs_to_its_report_and_again_by_reuse(deployment: Deployment
 def test_a_campaign_survives_the_killing_of_its_service(deployment: Deployment) -> None:
     make_home(deployment.home, deployment.environment)
     jobs = submit_all(deployment)
+    catalogue = deployment.catalogue()
 
-    def finished() -> int:
-        counted: dict[str, int] = run(deployment, "status")["jobs"]
-        return counted.get("succeeded", 0)
+    def busy_after(succeeded: int) -> dict[str, int] | None:
+        """Return the counts when jobs run and more than some have succeeded."""
+        with catalogue.reading() as session:
+            counted = inquiry.counts(session)
+        return counted if counted.get("running") and counted.get("succeeded", 0) > succeeded else None
 
-    # First the worker alone is killed: its supervisor starts another. Then everything at once.
+    # First the worker alone is killed while it works: its supervisor starts another. Then everything at once.
     with service(deployment.home, deployment.environment) as supervisor:
-        wait_until(lambda: finished() >= 2)
-        (worker,) = wait_until(supervisor.children)
+        before = wait_until(lambda: busy_after(0))
+        (worker,) = supervisor.children()
         kill_all(worker)
-        before = finished()
-        wait_until(lambda: finished() > before)
+        wait_until(lambda: busy_after(before["succeeded"]))
         kill_all(supervisor)
-    assert finished() < JOBS
+    with catalogue.reading() as session:
+        assert inquiry.counts(session)["running"] > 0
     with service(deployment.home, deployment.environment):
         assert run(deployment, "job", "wait", *jobs)["jobs"] == {"succeeded": JOBS}
+    catalogue.close()
     assert set(results(deployment).values()) == {1}
     assert files_on_disk(deployment) == files_in_catalogue(deployment)

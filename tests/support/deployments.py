@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from sms_jobs.catalogue.database import Catalogue
+
 
 @dataclass(frozen=True)
 class Deployment:
@@ -13,3 +15,8 @@ class Deployment:
     name: str
     home: Path
     environment: dict[str, str]
+
+    def catalogue(self, *, create: bool = False) -> Catalogue:
+        """Open the deployment's catalogue."""
+        embedded = f"sqlite:///{self.home / 'catalogue.sqlite'}"
+        return Catalogue(self.environment.get("SMS_DATABASE_URL", embedded), create=create)
