@@ -1,0 +1,202 @@
+"""Exposures that keep every pixel in the camera's range, on surfaces whose brightness spans more than that.
+
+From a few quick white frames either a set of exposures is chosen, whose frames are merged pixel by pixel, or
+the projector's brightness is lowered where it would dazzle (thesis section 8.2). No fringe pattern is
+brighter than white at any pixel, so what keeps white in range keeps the fringes in range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from sms_jobs.errors import InvalidInput
+
+Floats = NDArray[np.float64]
+
+HEADROOM = 0.9
+"""Part of full scale that white is brought to: the rest is for noise and for what the pre-exposure missed."""
+
+
+def white_brightness(whites: NDArray[Any], exposures: Sequence[float], full_scale: int) -> Floats:
+    """Return the grey level of white at exposure 1 from a bracket of white frames.
+
+    Parameters
+    ----------
+    whites
+        (exposures, rows, columns), white frames.
+    exposures
+        Of each frame, in any unit, above 0.
+    full_scale
+        Grey level from which on a frame is saturated.
+
+    Returns
+    -------
+    (rows, columns), the least-squares slope sum e I / sum e^2 over the frames that are not saturated;
+    infinite where all are.
+    """
+    e = np.array(exposures, dtype=np.float64)
+    if len(whites) != len(e) or (e <= 0.0).any():
+        raise InvalidInput(
+            f"{len(whites)} white frames need as many exposures above 0, not {tuple(exposures)}"
+        )
+    weight = np.where(whites < full_scale, e[:, None, None], 0.0)
+    power = np.sum(weight * weight, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(power > 0.0, np.sum(weight * whites, axis=0) / power, np.inf)
+
+
+def exposure_set(
+    brightness: Floats,
+    full_scale: int,
+    *,
+    ratio: float = 4.0,
+    ignored: float = 1e-3,
+    longest: float = np.inf,
+    most: int = 8,
+) -> tuple[float, ...]:
+    """Choose the fewest exposures that give every pixel one between `HEADROOM` / ratio and `HEADROOM`.
+
+    Parameters
+    ----------
+    brightness
+        Grey levels of white at exposure 1, any shape, of the pixels that matter: on the specimen and lit.
+    full_scale
+        Grey level at which the camera saturates.
+    ratio
+        By how much less light than it could have a pixel may get in its best exposure, above 1.
+    ignored
+        Part of the pixels, at the bright end and at the dark end, that need not be served.
+    longest
+        Exposure that is not exceeded, in units of that of `brightness`.
+    most
+        Number of exposures that is not exceeded; the darkest pixels go short first.
+
+    Returns
+    -------
+    Exposures in units of that of `brightness`, shortest first.
+
+    Notes
+    -----
+    A pixel's own best exposure is HEADROOM full_scale / brightness. Sorted, these are covered by intervals
+    [e, ratio e] from the shortest on, which takes the least number.
+    """
+    known = brightness[np.isfinite(brightness) & (brightness > 0.0)]
+    if known.size == 0:
+        raise InvalidInput(
+            "no pixel of the pre-exposure is in range, so no exposure can be chosen: shorten the pre-exposure"
+        )
+    wanted = np.sort(HEADROOM * full_scale / known)
+    skipped = int(ignored * wanted.size)
+    wanted = wanted[skipped : wanted.size - skipped]
+    chosen = [min(float(wanted[0]), longest)]
+    while len(chosen) < most and chosen[-1] < longest:
+        left = wanted[wanted > ratio * chosen[-1]]
+        if left.size == 0:
+            break
+        chosen.append(min(float(left[0]), longest))
+    return tuple(chosen)
+
+
+def best_exposure(peaks: NDArray[Any], exposures: Sequence[float], full_scale: int) -> NDArray[np.uint8]:
+    """Return the index of the longest exposure in which a pixel is not saturated; of the shortest if in none.
+
+    Parameters
+    ----------
+    peaks
+        (exposures, rows, columns), each pixel's highest grey level over the frames of an exposure.
+    exposures
+        Of each, in any unit.
+    full_scale
+        Grey level from which on a frame is saturated.
+    """
+    order = np.argsort(exposures)
+    out = np.full(peaks.shape[1:], order[0], np.uint8)
+    for i in order[1:]:
+        out[peaks[i] < full_scale] = i
+    return out
+
+
+def merge_exposures(
+    frames: NDArray[Any], exposures: Sequence[float], full_scale: int
+) -> tuple[NDArray[Any], NDArray[np.uint8]]:
+    """Merge the frames of several exposures: every pixel takes all its frames from its best one.
+
+    Parameters
+    ----------
+    frames
+        (exposures, frames, rows, columns), uint8 or uint16: the same patterns at each exposure.
+    exposures
+        Of each, in any unit.
+    full_scale
+        Grey level from which on a frame is saturated.
+
+    Returns
+    -------
+    (frames, rows, columns), grey levels as they were recorded, so that the camera's noise model holds; and
+    the index of the exposure, (rows, columns). A modulation found in them is to be divided by its exposure
+    before its slope is taken for a texture's.
+
+    Notes
+    -----
+    A pixel's phases go by B / sigma: with shot noise, the next shorter of exposures a factor 4 apart would
+    add a fifth of the information at best, and is left out for the sake of one noise model.
+    """
+    peaks = frames.max(axis=1)
+    index = best_exposure(peaks, exposures, full_scale)
+    merged = np.take_along_axis(frames, index[None, None].astype(np.intp), axis=0)[0]
+    return merged, index
+
+
+def projector_dimming(
+    brightness: Floats,
+    projector_xy: Floats,
+    columns: int,
+    rows: int,
+    full_scale: int,
+    *,
+    reach: int = 4,
+    darkest: float = 0.02,
+) -> Floats:
+    """Return by which factor to lower the projector's brightness, pixel by pixel, so that none is dazzled.
+
+    Parameters
+    ----------
+    brightness
+        (...), grey level of white at full projector brightness, of camera pixels; infinite where unknown.
+    projector_xy
+        (..., 2), the projector pixel that lights each of them, NaN where unknown: from a measurement with an
+        exposure that saturates nowhere.
+    columns, rows
+        Size of the projector's image.
+    full_scale
+        Grey level at which the camera saturates.
+    reach
+        Projector pixels by which light spreads, and over which the factor is made smooth.
+    darkest
+        Least factor.
+
+    Returns
+    -------
+    (rows, columns), `darkest` .. 1; the fringe patterns are multiplied by it.
+
+    Notes
+    -----
+    Each projector pixel is allowed HEADROOM full_scale over the brightest camera pixel that it lights. The
+    minimum over a window and then the mean over the same window is smooth and nowhere above what is allowed.
+    """
+    known = np.isfinite(projector_xy).all(axis=-1)
+    place = np.rint(projector_xy[known]).astype(np.int64)
+    inside = ((place >= 0) & (place < [columns, rows])).all(axis=-1)
+    place, level = place[inside], brightness[known][inside]
+    with np.errstate(divide="ignore"):
+        wanted = np.clip(HEADROOM * full_scale / level, darkest, 1.0)
+    allowed = np.ones((rows, columns))
+    np.minimum.at(allowed, (place[:, 1], place[:, 0]), wanted)
+    window = 2 * reach + 1
+    lowest = ndimage.minimum_filter(allowed, window, mode="nearest")
+    return np.asarray(ndimage.uniform_filter(lowest, window, mode="nearest"))

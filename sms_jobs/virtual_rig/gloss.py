@@ -1,0 +1,63 @@
+"""Gloss on the virtual rig: a highlight beside the diffuse light, and a projector dimmed in places."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from sms_jobs.records.scene import Simulation
+from sms_jobs.virtual_rig.light import SUBSAMPLES, Light, sensor_named
+from sms_jobs.virtual_rig.truth import exact_shape
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Gloss:
+    """A specular lobe.
+
+    Attributes
+    ----------
+    strength
+        Of the highlight's middle, in units of a perfectly diffuse white surface that faces the projector.
+    exponent
+        The higher, the smaller the highlight.
+    """
+
+    strength: float
+    exponent: float
+
+
+def glossy(light: Light, simulation: Simulation, gloss: Gloss, *, threads: int = 1) -> Light:
+    """Return light with a highlight where the surface mirrors the projector towards the camera.
+
+    strength (n . h)^exponent, h half way between the directions to the camera and to the projector (Blinn
+    1977), times the inverse square of the distance as in `direct_light`. Computed for pixel centres: good as
+    long as a highlight is wider than a pixel.
+    """
+    shape = exact_shape(simulation, threads=threads)
+    points = np.moveaxis(shape.xyz, 0, -1)
+    camera = sensor_named(simulation, simulation.camera).pose.centre()
+    projector = sensor_named(simulation, simulation.projector).pose.centre()
+    to_camera, to_projector = camera - points, projector - points
+    length = np.linalg.norm(to_projector, axis=-1)
+    half = to_camera / np.linalg.norm(to_camera, axis=-1, keepdims=True) + to_projector / length[..., None]
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    cosine = np.clip(np.sum(np.moveaxis(shape.normal, 0, -1) * half, axis=-1), 0.0, 1.0)
+    placed = np.array(simulation.scene.placement.translation)
+    distance = float(np.linalg.norm(projector - placed))
+    lobe = gloss.strength * cosine**gloss.exponent * np.square(distance / length)
+    lobe = np.where(shape.lit, lobe, 0.0)
+    fine = np.repeat(np.repeat(lobe, SUBSAMPLES, axis=0), SUBSAMPLES, axis=1)
+    strength = light.strength.copy()
+    strength[0] += np.where(strength[0] > 0.0, fine, 0.0).astype(np.float32)
+    return replace(light, strength=strength)
+
+
+def dimmed(light: Light, factor: Floats) -> Light:
+    """Return what is left of the light when a projector is dimmed by a factor for each of its pixels."""
+    left = ndimage.map_coordinates(factor, [light.y, light.x], order=1, mode="nearest")
+    return replace(light, strength=(light.strength * left).astype(np.float32))
