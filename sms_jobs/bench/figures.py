@@ -54,6 +54,25 @@ class Figure:
 
 
 @dataclass(frozen=True)
+class Condition:
+    """Under which conditions some figures of a group hold.
+
+    Attributes
+    ----------
+    topic
+        Beginning of their names, or what they have in common.
+    text
+        One or two sentences.
+    """
+
+    topic: str
+    text: str
+
+
+Found = Figure | Condition
+
+
+@dataclass(frozen=True)
 class Run:
     """How a group is to be run.
 
@@ -86,17 +105,14 @@ class Group:
     warm_up
         Calls every kernel that the rates use, on next to no data: what it takes in a process without a
         cache of kernels is the time of compilation.
-    figures
-        Yields the figures as they are measured.
-    conditions
-        Under which they hold, by topic.
+    measure
+        Yields figures, and the conditions under which they hold, as they are measured.
     """
 
     name: str
     summary: str
     warm_up: Callable[[], None]
-    figures: Callable[[Run], Iterator[Figure]]
-    conditions: Callable[[Run], dict[str, str]]
+    measure: Callable[[Run], Iterator[Found]]
 
 
 def cpu_seconds(work: Callable[[], object], repeats: int = REPEATS) -> float:

@@ -66,8 +66,11 @@ def bench(
         run = Run(quick, say, threads, Path(folder))
         for group in chosen:
             say(f"{group.name}: {group.summary}")
-            found |= {f"{group.name}.{figure.name}": figure for figure in group.figures(run)}
-            conditions |= {f"{group.name}.{topic}": text for topic, text in group.conditions(run).items()}
+            for one in group.measure(run):
+                if isinstance(one, Figure):
+                    found[f"{group.name}.{one.name}"] = one
+                else:
+                    conditions[f"{group.name}.{one.topic}"] = one.text
     if as_json:
         output.print_json(
             {

@@ -8,7 +8,7 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.bench.figures import Figure, Group, Run, cpu_seconds
+from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, cpu_seconds
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
 
 REVERSE_EXPONENTIAL = (32, 31, 30, 28, 24, 16)
@@ -37,21 +37,18 @@ def warm_up() -> None:
     _unwrap(_frames(2, 16))
 
 
-def figures(run: Run) -> Iterator[Figure]:
-    """Yield the figures."""
-    frames = _frames(_ROWS // (4 if run.quick else 1), _COLUMNS)
+def measure(run: Run) -> Iterator[Found]:
+    """Yield the figures and their conditions."""
+    rows = _ROWS // (4 if run.quick else 1)
+    frames = _frames(rows, _COLUMNS)
     rate = frames.size / 1e6 / cpu_seconds(lambda: _unwrap(frames))
     yield Figure("reverse_exponential_mpx_frames_per_cpu_s", rate, "Mpx frames / CPU-s", 400.0)
-
-
-def conditions(run: Run) -> dict[str, str]:
-    """Say under which conditions the figures hold."""
-    rows = _ROWS // (4 if run.quick else 1)
     densities = ", ".join(map(str, REVERSE_EXPONENTIAL))
-    return {
-        "reverse_exponential": f"fringes {densities}, {STEPS} steps, {_COLUMNS} x {rows} px, uint16 frames "
-        "in memory, phase gradient with residual, modulation, standard deviation and flags; one thread"
-    }
+    yield Condition(
+        "reverse_exponential",
+        f"fringes {densities}, {STEPS} steps, {_COLUMNS} x {rows} px, uint16 frames in memory, phase "
+        "gradient with residual, modulation, standard deviation and flags; one thread",
+    )
 
 
-GROUP = Group("phase", "speed of temporal unwrapping", warm_up, figures, conditions)
+GROUP = Group("phase", "speed of temporal unwrapping", warm_up, measure)
