@@ -7,7 +7,7 @@ from typing import Protocol
 from sms_jobs.records.measurement import FringeSequence, Measurement
 
 
-class Rig(Protocol):
+class Recorder(Protocol):
     """Cameras and projectors that record together."""
 
     def record(self, pair: str, sequence: FringeSequence) -> Measurement:

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.instruments.protocols import Rig
+from sms_jobs.instruments.protocols import Recorder
 from sms_jobs.instruments.simulated.rig import SimulatedRig
 from sms_jobs.kinds.kind import (
     MEASUREMENT,
@@ -69,8 +69,8 @@ def recipe(campaign: Campaign, subject: Subject) -> Recipe:
     """
     if campaign.scene is None:
         raise InvalidInput(
-            f"campaign {campaign.name} has no scene for the virtual rig to record: "
-            "import its frames with 'sms import frames', or give it a scene"
+            f"campaign {campaign.name} has no scene for the virtual rig to record; "
+            "describe one under [scene] in its test plan"
         )
     state = campaign.state(subject.state or "")
     return Recipe(
@@ -98,7 +98,7 @@ def no_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
 def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> Iterator[Output]:
     """Record every pair of a state, one after the other; frames are made while they are stored."""
     task: Recipe = inputs.context
-    rig: Rig = SimulatedRig(task.scene, task.state, task.deformation, task.recorded_at, inputs.threads)
+    rig: Recorder = SimulatedRig(task.scene, task.state, task.deformation, task.recorded_at, inputs.threads)
     for number, pair in enumerate(task.pairs):
         progress(number / len(task.pairs), f"recording {pair}")
         measurement = rig.record(pair, task.sequence)

@@ -13,7 +13,7 @@ from sms_jobs.virtual_rig.rendering import render
 
 @dataclass(frozen=True)
 class SimulatedRig:
-    """A `Rig` made of light rays.
+    """A `Recorder` made of light rays.
 
     Attributes
     ----------
