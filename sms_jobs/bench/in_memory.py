@@ -1,0 +1,40 @@
+"""Datasets whose records are at hand: what a kind's `run` needs without an archive."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar, cast
+
+from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind
+from sms_jobs.records.campaign import Subject
+
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class InMemory:
+    """Records under the names that a file would have them."""
+
+    subject: Subject
+    records: Mapping[str, Any]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the records it holds."""
+        return tuple(self.records)
+
+    def read(self, name: str, record: type[R]) -> R:
+        """Return one record."""
+        return cast(R, self.records[name])
+
+
+def run_kind(
+    kind: Kind[Any], subject: Subject, records: Mapping[str, Any], threads: int, parameters: Any
+) -> DatasetOutput:
+    """Run a kind that makes one dataset of one record from each of its needs, by role."""
+    datasets = {role: InMemory(subject, {role: record}) for role, record in records.items()}
+    inputs = Inputs(subject, None, datasets, threads)
+    (output,) = kind.run(inputs, parameters, lambda fraction, message="": None)
+    assert isinstance(output, DatasetOutput)
+    return output

@@ -1,0 +1,45 @@
+"""What a measurement tells of the instruments that made it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.records.quantity import XYZ, array
+
+Double = NDArray[np.float64]
+
+POINTS = ("point",)
+ORIENTED = ("orientation",)
+HARMONICS = ("orientation", "harmonic")
+
+
+@dataclass(frozen=True)
+class ResponseDiagnosis:
+    """What a projector makes of the fringes it is sent, and what that does to shape, at sampled pixels.
+
+    `ripple` is by how much temporal unwrapping moves a point because the projector is not linear. The
+    harmonics begin with the fringe itself, which is 1.
+    """
+
+    camera: str
+    projector: str
+    orientations_rad: tuple[float, ...]
+    densities: tuple[int, ...]
+    steps: int
+    visibility: float
+    x: Double = array("px", "column", POINTS)
+    y: Double = array("px", "row", POINTS)
+    ripple: Double = array(
+        "mm", "predicted displacement of a point by the projector's response", ("component", "point"), XYZ
+    )
+    ripple_omega: Double = array("rad", "predicted error of the phase gradient", ("orientation", "point"))
+    gamma: Double = array("1", "exponent of the projector's response", ORIENTED)
+    gamma_sigma: Double = array("1", "standard deviation of the exponent", ORIENTED)
+    harmonics: Double = array("1", "harmonics of the fringes, in units of the first", HARMONICS)
+    harmonics_sigma: Double = array("1", "standard deviation of the harmonics", HARMONICS)
+    damping: Double = array(
+        "1", "d by which blur lowers harmonic n of density t as exp(-d n^2 t^2)", ORIENTED
+    )
