@@ -1,0 +1,390 @@
+"""The returns of every pixel of a row: find a peak, fit it, test it, and look at what is left.
+
+Peaks are searched for in chunks of `LANES` pixels, fitted pixel by pixel.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.compilation import kernel, summing_kernel
+from sms_jobs.metrology.phase.returns_fit import (
+    AMPLITUDE,
+    OMEGA,
+    SEARCH,
+    SPREAD,
+    VARIANCE,
+    N,
+    P,
+    V,
+    copy_state,
+    power,
+)
+from sms_jobs.metrology.phase.returns_of_pixel import (
+    add_jointly,
+    peel,
+    remove,
+    spread,
+    start_of_modulus_peak,
+    start_of_real_peak,
+    wrapped,
+)
+from sms_jobs.metrology.phase.returns_transform import LANES, modulus_peaks, real_peaks
+
+Floats: TypeAlias = NDArray[np.float64]
+Single: TypeAlias = NDArray[np.float32]
+
+JOINT, MODULUS, ORIGINAL = 1, 2, 4  # bits of the mode
+
+_TRIGGER = 0.6  # of the threshold: a peak between two samples is seen at 0.64 of its height
+
+
+class Plan(NamedTuple):
+    """What is the same for all pixels.
+
+    `first` is t of the first density, `least` the number of densities that a pixel needs; `turns`, `order`
+    are of `twiddles` and `bit_reversal`, `weights` and `sums` of `fit_weights` for unsaturated pixels.
+    `variance` is that of z at grey level 0, `slope` its growth a grey level, and `unit` makes the standard
+    deviation of a frame of that of z.
+    """
+
+    first: int
+    least: int
+    mode: int
+    refinements: int
+    threshold: float
+    variance: float
+    slope: float
+    unit: float
+    turns: Single
+    order: NDArray[np.int64]
+    weights: Single
+    sums: Floats
+
+
+class _Chunk(NamedTuple):
+    """Buffers of a chunk of pixels: for the search (densities, LANES), for the fit (LANES, 2, densities)."""
+
+    x: Single
+    y: Single
+    spectrum: Single
+    best: Single
+    where: NDArray[np.int32]
+    pixels: Single
+    left: Single
+    rest: Single
+    weights: Single
+    sums: Floats
+    states: Floats
+    found: NDArray[np.int64]
+    active: NDArray[np.bool_]
+    missing: NDArray[np.int64]
+    squares: Floats
+    variance: Floats
+    work: Floats
+    tables: Single
+    system: Floats
+
+
+@kernel
+def _chunk(plan: Plan, count: int, most: int) -> _Chunk:
+    """Return the buffers of a chunk."""
+    rows, padded = plan.weights.shape
+    weights, sums = np.zeros((2, rows, padded), np.float32), np.zeros((2, rows))
+    weights[0] = plan.weights
+    sums[0] = plan.sums
+    return _Chunk(
+        np.zeros((count, LANES), np.float32),
+        np.zeros((count, LANES), np.float32),
+        np.empty((2, plan.order.size, LANES), np.float32),
+        np.empty(LANES, np.float32),
+        np.empty(LANES, np.int32),
+        np.zeros((LANES, 2, padded), np.float32),
+        np.zeros((LANES, 2, padded), np.float32),
+        np.zeros((LANES, 2, padded), np.float32),
+        weights,
+        sums,
+        np.zeros((LANES, 6, most)),
+        np.zeros(LANES, np.int64),
+        np.zeros(LANES, np.bool_),
+        np.zeros(LANES, np.int64),
+        np.zeros(LANES),
+        np.zeros(LANES),
+        np.zeros((3, 6, most)),
+        np.zeros((most, 2, padded), np.float32),
+        np.zeros((6, max(most, 6), most + 1)),
+    )
+
+
+@summing_kernel
+def _to_lanes(pixels: Single, x: Single, y: Single) -> None:
+    for t in range(x.shape[0]):
+        for j in range(LANES):
+            x[t, j] = pixels[j, 0, t]
+            y[t, j] = pixels[j, 1, t]
+
+
+@summing_kernel
+def _to_pixels(x: Single, y: Single, pixels: Single) -> None:
+    for j in range(LANES):
+        for t in range(x.shape[0]):
+            pixels[j, 0, t] = x[t, j]
+            pixels[j, 1, t] = y[t, j]
+
+
+@kernel
+def _load(plan: Plan, signal: Single, lost: NDArray[np.uint8], levels: Single, chunk: _Chunk) -> None:
+    """Take the pixels of a part of a row into the buffers; those with too few densities are not active."""
+    lanes = signal.shape[2]
+    chunk.x[:, :lanes] = signal[0]
+    chunk.y[:, :lanes] = signal[1]
+    _to_pixels(chunk.x, chunk.y, chunk.pixels)
+    chunk.missing[:] = 0
+    for t in range(lost.shape[0]):
+        for j in range(lanes):
+            chunk.missing[j] += lost[t, j]
+    chunk.found[:] = 0
+    for j in range(LANES):
+        chunk.active[j] = j < lanes and lost.shape[0] - chunk.missing[j] >= plan.least
+    for j in range(lanes):
+        chunk.variance[j] = plan.variance + plan.slope * levels[j]
+
+
+@kernel
+def _weights_of(missing: int, lost: NDArray[np.uint8], j: int, weights: Single, sums: Floats) -> int:
+    """Return which weights hold for a pixel; those without its lost densities are made here."""
+    if missing == 0:
+        return 0
+    for k in range(weights.shape[1]):
+        sums[1, k] = 0.0
+        for t in range(lost.shape[0]):
+            weights[1, k, t] = 0.0 if lost[t, j] else weights[0, k, t]
+            sums[1, k] += weights[1, k, t]
+    return 1
+
+
+@kernel
+def _values(first: int, densities: int) -> float:
+    """Return how many real values there are: two a density, one at t = 0."""
+    return float(2 * densities - (1 if first == 0 else 0))
+
+
+@kernel
+def _is_worth_a_fit(
+    threshold: float, values: float, variance: float, squares: float, scatter: float, height: float
+) -> bool:
+    """Tell whether what is left of a pixel can hold a return: a high sample, or too much of everything."""
+    floor = max(variance, squares / max(values, 1.0))
+    excess = squares - variance * values
+    return bool(
+        height > _TRIGGER * threshold * np.sqrt(scatter * floor)
+        or excess > threshold * np.sqrt(2.0 * values) * variance
+    )
+
+
+@kernel
+def _find_peaks(plan: Plan, chunk: _Chunk) -> None:
+    """Transform what `x` and `y` hold, and find the highest sample of every pixel."""
+    weights, turns, order = plan.weights[SEARCH], plan.turns, plan.order
+    if plan.mode & MODULUS:
+        modulus_peaks(
+            chunk.x, chunk.y, weights, plan.first, turns, order, chunk.spectrum, chunk.best, chunk.where
+        )
+    else:
+        real_peaks(
+            chunk.x, chunk.y, weights, plan.first, turns, order, chunk.spectrum, chunk.best, chunk.where
+        )
+
+
+@kernel
+def _find_jointly(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk) -> None:
+    """Find the returns of a chunk, each new one fitted together with those that are known."""
+    most = chunk.states.shape[2]
+    for i in range(most):
+        if i > 0:
+            _to_lanes(chunk.left, chunk.x, chunk.y)
+        _find_peaks(plan, chunk)
+        remaining = 0
+        for j in range(LANES):
+            if not chunk.active[j]:
+                continue
+            chunk.active[j] = False
+            m = _weights_of(chunk.missing[j], lost, j, chunk.weights, chunk.sums)
+            values = _values(plan.first, lost.shape[0] - chunk.missing[j])
+            variance = chunk.variance[j]
+            if i == 0:
+                chunk.squares[j] = power(chunk.pixels, j, chunk.weights, m, P)
+            elif not _is_worth_a_fit(
+                plan.threshold, values - 2.0 * i, variance, chunk.squares[j], chunk.sums[m, N], chunk.best[j]
+            ):
+                continue
+            squares = add_jointly(
+                i + 1,
+                chunk.pixels,
+                j,
+                chunk.weights,
+                chunk.sums,
+                m,
+                plan.first,
+                (variance, plan.threshold, values),
+                start_of_real_peak(chunk.spectrum, chunk.where[j], j),
+                chunk.squares[j],
+                chunk.states,
+                chunk.work,
+                chunk.tables,
+                chunk.left,
+                chunk.system,
+            )
+            if squares >= 0.0:
+                chunk.squares[j] = squares
+                chunk.found[j] = i + 1
+                chunk.active[j] = True
+                remaining += 1
+        if remaining == 0:
+            break
+
+
+@kernel
+def _peel_pixel(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk, sweep: int, i: int, j: int) -> None:
+    """Fit return i of a pixel to what `left` holds; in the first sweep, count it if it is significant."""
+    m = _weights_of(chunk.missing[j], lost, j, chunk.weights, chunk.sums)
+    known_origin = plan.mode & MODULUS == 0
+    if known_origin:
+        start = start_of_real_peak(chunk.spectrum, chunk.where[j], j)
+    else:
+        start = start_of_modulus_peak(chunk.spectrum, chunk.where[j], j, plan.mode & ORIGINAL == 0)
+    peel(
+        i,
+        chunk.left,
+        j,
+        chunk.weights,
+        chunk.sums,
+        m,
+        plan.first,
+        start,
+        known_origin,
+        chunk.states,
+        chunk.work,
+        chunk.tables,
+        chunk.rest,
+        chunk.system,
+    )
+    if sweep > 0:
+        return
+    squares = _without(plan, chunk, m, j, i + 1, -1)
+    freedom = max(_values(plan.first, lost.shape[0] - chunk.missing[j]) - 2.0 * (i + 1), 1.0)
+    floor = max(chunk.variance[j], squares / freedom)
+    score = chunk.states[j, AMPLITUDE, i] * chunk.sums[m, V]
+    if score > plan.threshold * np.sqrt(chunk.sums[m, N] * floor):
+        chunk.found[j] = i + 1
+    else:
+        chunk.active[j] = False
+
+
+@kernel
+def _without(plan: Plan, chunk: _Chunk, m: int, j: int, found: int, kept: int) -> float:
+    """Put into `left` what a pixel is without its returns but one, and return the sum of its squares."""
+    return remove(
+        chunk.pixels,
+        j,
+        chunk.weights,
+        m,
+        plan.first,
+        chunk.states,
+        found,
+        kept,
+        chunk.tables,
+        chunk.left,
+    )
+
+
+@kernel
+def _find_by_peeling(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk) -> None:
+    """Find the returns of a chunk one by one: thesis section 7.2.3, steps 1 to 4."""
+    most = chunk.states.shape[2]
+    for sweep in range(plan.refinements + 1 if most > 1 else 1):
+        for i in range(most):
+            for j in range(LANES):
+                if chunk.active[j] if sweep == 0 else i < chunk.found[j]:
+                    m = _weights_of(chunk.missing[j], lost, j, chunk.weights, chunk.sums)
+                    _without(plan, chunk, m, j, chunk.found[j], i)
+            _to_lanes(chunk.left, chunk.x, chunk.y)
+            _find_peaks(plan, chunk)
+            for j in range(LANES):
+                if chunk.active[j] if sweep == 0 else i < chunk.found[j]:
+                    _peel_pixel(plan, lost, chunk, sweep, i, j)
+    for j in range(LANES):
+        if chunk.found[j] > 0:
+            m = _weights_of(chunk.missing[j], lost, j, chunk.weights, chunk.sums)
+            chunk.squares[j] = _without(plan, chunk, m, j, chunk.found[j], -1)
+            copy_state(chunk.found[j], chunk.states, j, chunk.work, 0)
+            spread(chunk.found[j], chunk.weights, chunk.sums, m, chunk.work, chunk.tables, chunk.left, j)
+            copy_state(chunk.found[j], chunk.work, 0, chunk.states, j)
+
+
+@kernel
+def _report(
+    found: int, states: Floats, j: int, variance: float, row: int, column: int, omega: Floats, maps: Single
+) -> None:
+    """Write the returns of pixel j, strongest first, NaN beyond."""
+    for i in range(found, omega.shape[0]):
+        omega[i, row, column] = np.nan
+        for k in range(3):
+            maps[k, i, row, column] = np.nan
+    for i in range(found):
+        rank = 0
+        for k in range(found):
+            a, b = states[j, AMPLITUDE, k], states[j, AMPLITUDE, i]
+            rank += 1 if a > b or (a == b and k < i) else 0
+        omega[rank, row, column] = wrapped(states[j, OMEGA, i])
+        maps[0, rank, row, column] = np.sqrt(variance * states[j, VARIANCE, i])
+        maps[1, rank, row, column] = states[j, AMPLITUDE, i]
+        maps[2, rank, row, column] = np.sqrt(max(states[j, SPREAD, i], 0.0))
+
+
+@kernel
+def find_returns(
+    plan: Plan,
+    signal: Single,
+    lost: NDArray[np.uint8],
+    row: int,
+    omega: Floats,
+    maps: Single,
+    planes: Single,
+    flags: NDArray[np.uint8],
+) -> None:
+    """Find the returns of one row.
+
+    Parameters
+    ----------
+    plan
+        What is the same for all pixels.
+    signal, lost
+        z, (2, densities, columns), and 1 where a density is left out, (densities, columns).
+    row, omega, maps, planes, flags
+        Which row of (returns, rows, columns); of (3, returns, rows, columns): standard deviation, amplitude,
+        width; of (3, rows, columns): the mean grey level, which is given, another, residual; and of
+        (2, rows, columns): count, 1 where too few densities are left. They are written.
+    """
+    count, columns = signal.shape[1], signal.shape[2]
+    chunk = _chunk(plan, count, omega.shape[0])
+    for start in range(0, columns, LANES):
+        stop = min(start + LANES, columns)
+        here = lost[:, start:stop]
+        _load(plan, signal[:, :, start:stop], here, planes[0, row, start:stop], chunk)
+        for j in range(stop - start):
+            flags[1, row, start + j] = 0 if chunk.active[j] else 1
+        if plan.mode & JOINT:
+            _find_jointly(plan, here, chunk)
+        else:
+            _find_by_peeling(plan, here, chunk)
+        for j in range(stop - start):
+            found = chunk.found[j]
+            _report(found, chunk.states, j, chunk.variance[j], row, start + j, omega, maps)
+            flags[0, row, start + j] = found
+            freedom = _values(plan.first, count - chunk.missing[j]) - 2.0 * found
+            sound = found > 0 and freedom > 0.0
+            planes[2, row, start + j] = plan.unit * np.sqrt(chunk.squares[j] / freedom) if sound else np.nan

@@ -1,0 +1,190 @@
+"""Where the Fourier transform over the fringe densities is highest, for many pixels at once.
+
+A chunk holds the signals of `LANES` pixels as (densities, LANES), so that every instruction of the
+transform is a vector instruction over pixels.
+"""
+
+from __future__ import annotations
+
+from math import pi
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.compilation import summing_kernel
+
+Single: TypeAlias = NDArray[np.float32]
+
+LANES = 64
+
+
+def transform_length(count: int) -> int:
+    """Return N, the lowest power of two that is no less than the number of densities."""
+    return 1 << (count - 1).bit_length()
+
+
+def twiddles(length: int) -> Single:
+    """Return cos and sin of pi k / N, (2, 2 N)."""
+    angles = pi * np.arange(2 * length) / length
+    return np.stack([np.cos(angles), np.sin(angles)]).astype(np.float32)
+
+
+def bit_reversal(length: int) -> NDArray[np.int64]:
+    """Return where each input of the transform goes, (N,)."""
+    bits = length.bit_length() - 1
+    return np.array([int(f"{i:0{bits}b}"[::-1], 2) if bits else 0 for i in range(length)])
+
+
+@summing_kernel
+def _transform(re: Single, im: Single, turns: Single) -> None:
+    """Transform (N, LANES) in place from bit-reversed order: H_k = sum z_m exp(-2 pi i k m / N).
+
+    Rows are named by their number, not by slices: a slice costs more than a row of butterflies.
+    """
+    n = re.shape[0]
+    half = 1
+    while half < n:
+        stride = n // half  # pi k / N per twiddle
+        for start in range(0, n, 2 * half):
+            for k in range(half):
+                a, b = start + k, start + k + half
+                c, s = turns[0, k * stride], turns[1, k * stride]
+                for j in range(LANES):
+                    xr = c * re[b, j] + s * im[b, j]
+                    xi = c * im[b, j] - s * re[b, j]
+                    yr, yi = re[a, j], im[a, j]
+                    re[a, j] = yr + xr
+                    im[a, j] = yi + xi
+                    re[b, j] = yr - xr
+                    im[b, j] = yi - xi
+        half *= 2
+
+
+@summing_kernel
+def _combine(x: Single, y: Single, m: int, wx: float, wy: float, out: Single, i: int) -> None:
+    """Add wx x_m + wy y_m to a row."""
+    p, q = np.float32(wx), np.float32(wy)
+    for j in range(LANES):
+        out[i, j] += p * x[m, j] + q * y[m, j]
+
+
+@summing_kernel
+def _keep_highest(values: NDArray[np.int32], interleave: int, offset: int, best: NDArray[np.int32]) -> None:
+    """Keep the highest of the rows, the bits of single floats, with its place in the lowest bits.
+
+    Such bits order as the floats do where the highest is positive, and what the place overwrites is a part
+    in 2^15 of the value: one integer maximum finds value and place.
+    """
+    n = values.shape[0]
+    keep = np.int32(-2 * n)
+    step = np.int32(interleave)
+    for k in range(0, n - n % 2, 2):
+        a = np.int32(interleave * k + offset)
+        b = a + step
+        for j in range(LANES):
+            best[j] = max(best[j], max((values[k, j] & keep) | a, (values[k + 1, j] & keep) | b))
+
+
+@summing_kernel
+def _take_places(n: int, best: NDArray[np.int32], values: Single, where: NDArray[np.int32]) -> None:
+    """Split what `_keep_highest` kept into value and place."""
+    bits = values.view(np.int32)
+    for j in range(LANES):
+        where[j] = best[j] & np.int32(2 * n - 1)
+        bits[j] = best[j] & np.int32(-2 * n)
+
+
+@summing_kernel
+def real_peaks(
+    x: Single,
+    y: Single,
+    weights: Single,
+    first: int,
+    turns: Single,
+    order: NDArray[np.int64],
+    spectrum: Single,
+    best: Single,
+    where: NDArray[np.int32],
+) -> None:
+    """Find the highest Re H(k), k = 0 .. 2N-1, of every pixel, H(k) = sum w_t z_t exp(-i pi k t / N).
+
+    Re H is band-limited: these 2 N real samples hold all of it. They are the real and imaginary parts of
+    one complex transform of length N: with X_0 = 2 Re c_0, X_N = 2 Re c_N, X_m = c_m = w_m z_m else,
+    U_m = [(X_m + X*_(N-m)) + i exp(-i pi m / N) (X_m - X*_(N-m))] / 2 becomes y_(2k) + i y_(2k+1).
+
+    Parameters
+    ----------
+    x, y
+        z(t), (densities, LANES).
+    weights
+        (densities,).
+    first
+        t of the first density.
+    turns, order
+        Of `twiddles` and `bit_reversal`.
+    spectrum
+        (2, N, LANES), becomes the samples with even k and those with odd k.
+    best, where
+        (LANES,), become the highest sample and its k.
+    """
+    n = spectrum.shape[1]
+    last = first + x.shape[0] - 1
+    re, im = spectrum[0], spectrum[1]
+    re[:] = 0.0
+    im[:] = 0.0
+    for m in range(first, last + 1):
+        w = 0.5 * weights[m - first]
+        r = m - first
+        if m == 0 or m == n:
+            i, sign = order[0], 1.0 if m == 0 else -1.0
+            _combine(x, y, r, 2.0 * w, 0.0, re, i)
+            _combine(x, y, r, 2.0 * w * sign, 0.0, im, i)
+            continue
+        # The part of U_m, then that of U_(N-m), whose X*_(N-m) is the conjugate of this c.
+        c, s = turns[0, m], turns[1, m]
+        i = order[m]
+        _combine(x, y, r, w * (1.0 + s), -w * c, re, i)
+        _combine(x, y, r, w * c, w * (1.0 + s), im, i)
+        i = order[n - m]
+        _combine(x, y, r, w * (1.0 - s), w * c, re, i)
+        _combine(x, y, r, w * c, -w * (1.0 - s), im, i)
+    _transform(re, im, turns)
+    kept = np.full(LANES, np.iinfo(np.int32).min, np.int32)
+    _keep_highest(re.view(np.int32), 2, 0, kept)
+    _keep_highest(im.view(np.int32), 2, 1, kept)
+    _take_places(n, kept, best, where)
+
+
+@summing_kernel
+def modulus_peaks(
+    x: Single,
+    y: Single,
+    weights: Single,
+    first: int,
+    turns: Single,
+    order: NDArray[np.int64],
+    spectrum: Single,
+    best: Single,
+    where: NDArray[np.int32],
+) -> None:
+    """Find the highest |H(k)|^2, k = 0 .. N-1, H(k) = sum w_t z_t exp(-2 pi i k t / N): thesis Eq. (6.5).
+
+    Parameters as of `real_peaks`; `spectrum` becomes Re H and Im H.
+    """
+    n = spectrum.shape[1]
+    re, im = spectrum[0], spectrum[1]
+    re[:] = 0.0
+    im[:] = 0.0
+    for m in range(first, first + x.shape[0]):
+        i = order[m % n]
+        _combine(x, y, m - first, weights[m - first], 0.0, re, i)
+        _combine(x, y, m - first, 0.0, weights[m - first], im, i)
+    _transform(re, im, turns)
+    power = np.empty((n, LANES), np.float32)
+    for k in range(n):
+        for j in range(LANES):
+            power[k, j] = re[k, j] * re[k, j] + im[k, j] * im[k, j]
+    kept = np.full(LANES, np.iinfo(np.int32).min, np.int32)
+    _keep_highest(power.view(np.int32), 1, 0, kept)
+    _take_places(n, kept, best, where)
