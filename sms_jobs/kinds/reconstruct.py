@@ -17,11 +17,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import (
@@ -36,7 +36,9 @@ from sms_jobs.kinds.kind import (
     Progress,
     Scope,
 )
-from sms_jobs.metrology.geometry.triangulation import Projector, Triangulation, camera_rays, triangulate
+from sms_jobs.kinds.streaming import row_slabs, sampled
+from sms_jobs.metrology.geometry.sensor_pair import SensorPair
+from sms_jobs.metrology.geometry.triangulation import Projector, Triangulation
 from sms_jobs.metrology.images.masks import (
     at_edge,
     high_phase_error,
@@ -45,26 +47,20 @@ from sms_jobs.metrology.images.masks import (
     outside_box,
     phase_error_factor,
 )
+from sms_jobs.metrology.phase.fourier_domain_ranging import range_returns, score_threshold
+from sms_jobs.metrology.phase.fringe_blur import blur_variance, modulation_transfer
+from sms_jobs.metrology.phase.merged_returns import merged_sigma
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
+from sms_jobs.metrology.phase.returns_signal import Window
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
-from sms_jobs.metrology.phase.texture_error import (
-    TYPICAL,
-    Blur,
-    estimate_blur,
-    log_gradient,
-    texture_shift,
-    textured_interior,
-)
+from sms_jobs.metrology.phase.texture_error import Blur, correct_texture
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import PhaseMaps, PointCloud
-from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.fields import PhaseMaps, PointCloud, ReturnMaps
+from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Calibration, Role, Sensor, split_pair
 
-_SLAB = 64  # rows that are unwrapped at a time: bounds the memory, whatever the number of frames
-
-_BLUR_ROWS = 128  # rows that are enough to estimate the blur from
-_TEXTURE_ROUNDS = 2  # the first takes the slope of omega from phases that the texture still disturbs
+_SAMPLED = (4, 512)  # rows, and pixels of each, that tell the modulation transfer
 
 # Of good pixels 0.2 % fail by noise: four that touch each other do so once in many million images.
 _SMALLEST_GAP = 4
@@ -72,14 +68,46 @@ _SMALLEST_GAP = 4
 Reasons = NDArray[np.uint32]
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
+Frames = NDArray[Any]
+
+Method = Literal["temporal-unwrapping", "fdr", "fdr-improved", "fdr-original"]
+UNWRAPPING: Method = "temporal-unwrapping"
+RANGING: dict[str, Any] = {
+    "fdr": "known-origin",
+    "fdr-improved": "improved",
+    "fdr-original": "original",
+}
+"""What the ranging methods are called where they are described."""
 
 
 class ReconstructParameters(Parameters):
     """How phases become points, and which of them are trusted."""
 
-    method: Literal["temporal-unwrapping"] = Field(
+    method: Method = Field(
         "temporal-unwrapping",
-        description="how the phase gradient is found; temporal unwrapping takes any unambiguous densities",
+        description="how the phase gradient is found: temporal unwrapping of any unambiguous densities, or "
+        "Fourier domain ranging over the densities 0, 1, 2 ..: 'fdr' with known origin and several returns, "
+        "'fdr-improved' and 'fdr-original' as in the thesis",
+    )
+    returns: int = Field(1, ge=1, le=4, description="most returns that are looked for in a pixel")
+    refinements: int = Field(
+        1, ge=0, le=20, description="how often each return is found again with the others taken away"
+    )
+    joint: bool = Field(True, description="whether all returns are finally fitted together (method fdr)")
+    window: Window = Field("none", description="weights over the densities against leakage of strong returns")
+    significance: float = Field(
+        1e-4, gt=0.0, lt=1.0, description="probability at which noise alone is taken for one more return"
+    )
+    pair_rule: Literal["likelihood", "least-gap"] = Field(
+        "likelihood",
+        description="how returns of the orientations are paired: by gap, amplitudes and volume, or by the "
+        "least ray gap alone, as in the thesis",
+    )
+    minimum_pair_margin: float = Field(
+        3.0,
+        ge=0.0,
+        description="log-likelihood by which the chosen pair must excel any pair of another place; 3 are "
+        "odds of 20",
     )
     blur_px: float | None = Field(
         None,
@@ -116,6 +144,15 @@ class ReconstructParameters(Parameters):
         description="gap between the rays, from calibration, that is accepted on top of the noise",
     )
 
+    @field_validator("returns")
+    @classmethod
+    def _have_a_method(cls, returns: int, given: ValidationInfo) -> int:
+        if returns > 1 and given.data.get("method") == UNWRAPPING:
+            raise ValueError(
+                "temporal unwrapping knows one return only; set method=fdr to tell several apart"
+            )
+        return returns
+
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     yield Need("measurement", MEASUREMENT, subject)
@@ -139,56 +176,90 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
             f"the frames of {inputs.subject} are {columns} x {rows} px but {camera_name} is calibrated for "
             f"{camera.columns} x {camera.rows} px: choose the calibration of the camera that recorded them"
         )
-    phase = _empty_phase(measurement, rows, columns)
-    reason = np.zeros((rows, columns), np.uint32)
-    for start in range(0, rows, _SLAB):
-        stop = min(start + _SLAB, rows)
-        _unwrap_slab(measurement, parameters, slice(start, stop), inputs.threads, phase, reason)
-        progress(0.8 * stop / rows, f"unwrapped {stop} of {rows} rows")
-    rays = _Rays(camera, projector, phase.orientations_rad, inputs.threads)
-    blur = _correct_texture(rays, parameters, phase, reason)
+    pair = _sensor_pair(camera, projector, measurement.sequence, inputs.threads)
+    task = _Task(measurement, calibration, parameters, pair)
+    phase, returns, reason = _phases(task, progress)
+    blur, beside = correct_texture(
+        phase.omega,
+        phase.omega_sigma,
+        phase.modulation,
+        reason == Reason.VALID,
+        pair.meet,
+        blur_px=parameters.blur_px,
+        maximum_shift_px=parameters.maximum_shift_px,
+        threads=inputs.threads,
+    )
+    _mark(reason, beside, Reason.OUTSIDE_REGION)
     progress(0.9, "corrected for the texture")
-    points = rays.meet(phase.omega, phase.omega_sigma)
+    points = pair.meet(phase.omega, phase.omega_sigma)
     _mark_points(points, calibration, parameters, reason)
     cloud = _as_cloud(camera_name, projector_name, points, reason)
     progress(1.0, "triangulated")
-    yield DatasetOutput(inputs.subject, {"cloud": cloud, "phase": phase}, _statistics(cloud, phase, blur))
+    statistics = _statistics(cloud, phase, blur)
+    records: dict[str, object] = {"cloud": cloud, "phase": phase}
+    if returns is not None:
+        records["returns"] = returns
+        statistics |= _pair_statistics(cloud, returns)
+    yield DatasetOutput(inputs.subject, records, statistics)
 
 
-def _empty_phase(measurement: Measurement, rows: int, columns: int) -> PhaseMaps:
-    orientations = measurement.sequence.orientations_rad
-    shape = (len(orientations), rows, columns)
-    return PhaseMaps(
-        orientations,
-        omega=np.empty(shape),
-        omega_sigma=np.empty(shape, np.float32),
-        modulation=np.empty(shape, np.float32),
-        phase_error=np.empty(shape, np.float32),
-        mean_intensity=np.zeros((rows, columns), np.float32),
+@dataclass(frozen=True)
+class _Task:
+    """What the frames of a slab are turned into phases with."""
+
+    measurement: Measurement
+    calibration: Calibration
+    parameters: ReconstructParameters
+    pair: SensorPair
+
+
+def _sensor_pair(camera: Sensor, projector: Sensor, sequence: FringeSequence, threads: int) -> SensorPair:
+    return SensorPair(
+        camera.intrinsics,
+        camera.pose,
+        camera.rows,
+        camera.columns,
+        Projector(projector.intrinsics, projector.pose, projector.columns, projector.rows),
+        sequence.orientations_rad,
+        threads,
     )
 
 
-def _unwrap_slab(
-    measurement: Measurement,
-    parameters: ReconstructParameters,
-    rows: slice,
-    threads: int,
-    phase: PhaseMaps,
-    reason: Reasons,
-) -> None:
+def _phases(task: _Task, progress: Progress) -> tuple[PhaseMaps, ReturnMaps | None, Reasons]:
+    """Return the phases of a tuple, its returns if there can be several, and the pixels not to be trusted."""
+    measurement, parameters = task.measurement, task.parameters
+    _, rows, columns = measurement.frames.shape
+    phase = PhaseMaps.unset(measurement.sequence.orientations_rad, rows, columns)
+    reason = np.zeros((rows, columns), np.uint32)
+    returns = None
+    if parameters.returns > 1:
+        orientations = measurement.sequence.orientations_rad
+        returns = ReturnMaps.unset(orientations, parameters.returns, rows, columns)
+    transfers = [] if parameters.method == UNWRAPPING else _transfers(task)
+    for slab, frames in row_slabs(measurement.frames, task.pair.threads):
+        if parameters.method == UNWRAPPING:
+            _unwrap_slab(task, slab, frames, phase, reason)
+        else:
+            _range_slab(task, transfers, slab, frames, phase, returns, reason)
+        del frames  # before the next slab is asked for: two of them are in memory, not three
+        progress(0.8 * slab.stop / rows, f"found phases in {slab.stop} of {rows} rows")
+    return phase, returns, reason
+
+
+def _unwrap_slab(task: _Task, rows: slice, frames: Frames, phase: PhaseMaps, reason: Reasons) -> None:
     """Fill the rows of `phase` and mark those pixels in `reason` whose phase cannot be trusted."""
+    measurement, parameters = task.measurement, task.parameters
     sequence = measurement.sequence
-    frames = measurement.frames.rows(rows.start, rows.stop)
-    count = len(sequence.densities) * sequence.steps
+    densities = tuple(t for t in sequence.densities if t)
     for k in range(len(sequence.orientations_rad)):
         found = unwrap(
-            frames[k * count : (k + 1) * count],
-            sequence.densities,
+            frames[sequence.frames_of(k, uniform=False)],
+            densities,
             sequence.steps,
             full_scale=measurement.full_scale,
             gain=measurement.gain,
             read_noise=measurement.read_noise,
-            threads=threads,
+            threads=task.pair.threads,
         )
         phase.omega[k, rows] = found.omega
         phase.omega_sigma[k, rows] = found.omega_sigma
@@ -202,96 +273,140 @@ def _phase_reasons(
     found: PhaseGradient, measurement: Measurement, parameters: ReconstructParameters
 ) -> Reasons:
     """Return the reasons for which the phases of one orientation are not to be trusted."""
-    noise = np.sqrt(measurement.read_noise**2 + measurement.gain * found.mean_intensity)
-    weakest = np.maximum(parameters.minimum_modulation_to_noise * noise, parameters.minimum_modulation_count)
-    factors = np.array(
-        [
-            phase_error_factor(n, parameters.kept_by_phase_error)
-            for n in range(len(measurement.sequence.densities) + 1)
-        ]
+    densities = sum(1 for t in measurement.sequence.densities if t)
+    factors = np.array([phase_error_factor(n, parameters.kept_by_phase_error) for n in range(densities + 1)])
+    reason = _noise_reasons(
+        found.modulation,
+        found.phase_error,
+        factors[found.fitted],
+        measurement.noise(found.mean_intensity),
+        measurement.sequence.steps,
+        parameters,
     )
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = phase_sigma(noise, found.modulation, measurement.sequence.steps)
-        limit = np.hypot(factors[found.fitted] * sigma, parameters.maximum_phase_error_rad)
-    reason = np.zeros(noise.shape, np.uint32)
-    _mark(reason, low_modulation(found.modulation, weakest), Reason.LOW_MODULATION)
-    _mark(reason, high_phase_error(found.phase_error, limit), Reason.HIGH_PHASE_ERROR)
     _mark(reason, found.saturated, Reason.SATURATED)
     _mark(reason, found.ambiguous, Reason.AMBIGUOUS_UNWRAPPING)
     return reason
 
 
+def _noise_reasons(
+    modulation: Singles,
+    phase_error: Singles,
+    factor: Floats | float,
+    noise: Singles,
+    steps: int,
+    parameters: ReconstructParameters,
+) -> Reasons:
+    """Return where the modulation is too low or the phase error above `factor` times that of noise."""
+    weakest = np.maximum(parameters.minimum_modulation_to_noise * noise, parameters.minimum_modulation_count)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma = phase_sigma(noise, modulation, steps)
+        limit = np.hypot(factor * sigma, parameters.maximum_phase_error_rad)
+    reason = np.zeros(noise.shape, np.uint32)
+    _mark(reason, low_modulation(modulation, weakest), Reason.LOW_MODULATION)
+    _mark(reason, high_phase_error(phase_error, limit), Reason.HIGH_PHASE_ERROR)
+    return reason
+
+
+def _transfers(task: _Task) -> list[Floats]:
+    """Return the modulation transfer over the densities of each orientation, from a sample of the rows."""
+    measurement, sequence = task.measurement, task.measurement.sequence
+    frames = sampled(measurement.frames, *_SAMPLED)
+    variances = [
+        blur_variance(
+            frames[sequence.frames_of(k)],
+            sequence.densities,
+            sequence.steps,
+            full_scale=measurement.full_scale,
+            gain=measurement.gain,
+            read_noise=measurement.read_noise,
+            threads=task.pair.threads,
+        )
+        for k in range(len(sequence.orientations_rad))
+    ]
+    return [modulation_transfer(sequence.densities, p) for p in variances]
+
+
+def _range_slab(
+    task: _Task,
+    transfers: list[Floats],
+    rows: slice,
+    frames: Frames,
+    phase: PhaseMaps,
+    returns: ReturnMaps | None,
+    reason: Reasons,
+) -> None:
+    """Fill the rows of `phase` and `returns` by ranging and the choice of a pair; mark bad ones."""
+    measurement, parameters, sequence = task.measurement, task.parameters, task.measurement.sequence
+    found = [
+        range_returns(
+            frames[sequence.frames_of(k)],
+            sequence.densities,
+            sequence.steps,
+            full_scale=measurement.full_scale,
+            gain=measurement.gain,
+            read_noise=measurement.read_noise,
+            returns=parameters.returns,
+            method=RANGING[parameters.method],
+            refinements=parameters.refinements,
+            joint=parameters.joint,
+            window=parameters.window,
+            significance=parameters.significance,
+            mtf=transfers[k],
+            threads=task.pair.threads,
+        )
+        for k in range(len(sequence.orientations_rad))
+    ]
+    volume, densities = task.calibration.volume, np.array(sequence.densities, dtype=np.float64)
+    pairing = task.pair.choose(
+        rows,
+        np.stack([f.omega for f in found]),
+        np.stack([f.omega_sigma for f in found]),
+        np.stack([f.amplitude for f in found]),
+        low=volume.low,
+        high=volume.high,
+        gap_floor_mm=parameters.maximum_ray_gap_mm / parameters.maximum_ray_gap_to_noise,
+        density_rms=float(np.sqrt(np.mean(densities**2))),
+        least_gap=parameters.pair_rule == "least-gap",
+    )
+    phase.omega[:, rows] = pairing.omega
+    merged = merged_sigma(
+        [measurement.noise(f.mean_intensity) for f in found],
+        pairing.amplitude,
+        [f.amplitude for f in found],
+        threshold=score_threshold(parameters.significance, len(densities)),
+        densities=len(densities),
+        steps=sequence.steps,
+    )
+    phase.omega_sigma[:, rows] = np.hypot(pairing.omega_sigma, merged)
+    for k, one in enumerate(found):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = phase_sigma(one.residual, pairing.amplitude[k], sequence.steps)
+        phase.modulation[k, rows] = one.modulation
+        phase.phase_error[k, rows] = error
+        phase.mean_intensity[rows] += one.mean_intensity / len(found)
+        freedom = 2 * len(sequence.densities) - 2 * parameters.returns + 1
+        reason[rows] |= _noise_reasons(
+            pairing.amplitude[k],
+            error,
+            phase_error_factor(freedom, parameters.kept_by_phase_error),
+            measurement.noise(one.mean_intensity),
+            sequence.steps,
+            parameters,
+        )
+        _mark(reason[rows], one.saturated, Reason.SATURATED)
+        _mark(reason[rows], (one.count == 0) & ~one.saturated, Reason.LOW_MODULATION)
+    if parameters.pair_rule == "likelihood":
+        _mark(reason[rows], pairing.margin < parameters.minimum_pair_margin, Reason.AMBIGUOUS_PAIR)
+    if returns is not None:
+        returns.label[rows], returns.margin[rows] = pairing.label, pairing.margin
+        for k, one in enumerate(found):
+            returns.omega[k, :, rows] = one.omega
+            returns.omega_sigma[k, :, rows] = one.omega_sigma
+            returns.amplitude[k, :, rows] = one.amplitude
+
+
 def _mark(reason: Reasons, where: NDArray[np.bool_], why: Reason) -> None:
     reason[where] |= np.uint32(why)
-
-
-@dataclass(frozen=True)
-class _Rays:
-    """The rays of one pair: what triangulation needs besides the phase."""
-
-    camera: Sensor
-    projector: Sensor
-    orientations: tuple[float, ...]
-    threads: int
-
-    def meet(self, omega: Floats, omega_sigma: Singles, every: int = 1) -> Triangulation:
-        """Triangulate phase gradients (orientations, rows, columns) that are of `every`-th row."""
-        camera, projector = self.camera, self.projector
-        rays = camera_rays(camera.intrinsics, camera.pose, camera.rows, camera.columns)
-        rays = np.ascontiguousarray(rays[::every])
-        rays.setflags(write=False)  # as the table is: kernels are compiled for one kind of array
-        return triangulate(
-            camera.pose.centre(),
-            rays,
-            Projector(projector.intrinsics, projector.pose, projector.columns, projector.rows),
-            self.orientations,
-            omega,
-            omega_sigma,
-            threads=self.threads,
-        )
-
-
-def _correct_texture(
-    rays: _Rays, parameters: ReconstructParameters, phase: PhaseMaps, reason: Reasons
-) -> Blur:
-    """Take the texture's error out of `phase.omega`, and put what may be left of it into its sigma.
-
-    A pixel whose light comes from too far off its centre sees past the edge of a surface or a shadow.
-    """
-    usable = reason == Reason.VALID
-    gradient = log_gradient(phase.modulation.mean(axis=0))
-    telling = textured_interior(usable, gradient)
-    corrected = phase.omega
-    for _ in range(_TEXTURE_ROUNDS):
-        shift = texture_shift(corrected, usable, gradient, rays.threads)
-        blur = _blur(rays, parameters, phase, shift, telling)
-        corrected = phase.omega - blur.variance * shift
-    beside = usable & (blur.variance * np.hypot(gradient[0], gradient[1]) > parameters.maximum_shift_px)
-    _mark(reason, beside, Reason.OUTSIDE_REGION)
-    left = (blur.unexplained * blur.variance * shift).astype(np.float32)
-    np.hypot(phase.omega_sigma, left, out=phase.omega_sigma)
-    phase.omega[...] = corrected
-    return blur
-
-
-def _blur(
-    rays: _Rays,
-    parameters: ReconstructParameters,
-    phase: PhaseMaps,
-    shift: Floats,
-    telling: NDArray[np.bool_],
-) -> Blur:
-    """Return the blur that is given, or that the ray gaps of some rows tell, or that is typical."""
-    if parameters.blur_px is not None:
-        return Blur(parameters.blur_px**2, TYPICAL.unexplained)
-    if len(phase.orientations_rad) == 1:
-        return TYPICAL
-    every = max(len(telling) // _BLUR_ROWS, 1)
-    omega, sigma = phase.omega[:, ::every].copy(), phase.omega_sigma[:, ::every].copy()
-    before, after = rays.meet(omega, sigma, every), rays.meet(omega - shift[:, ::every], sigma, every)
-    seen = telling[::every]
-    change = after.ray_gap - before.ray_gap
-    return estimate_blur(before.ray_gap[seen], before.ray_gap_sigma[seen], change[seen])
 
 
 def _mark_points(
@@ -339,10 +454,21 @@ def _statistics(cloud: PointCloud, phase: PhaseMaps, blur: Blur) -> dict[str, fl
     return statistics
 
 
+def _pair_statistics(cloud: PointCloud, returns: ReturnMaps) -> dict[str, float]:
+    """Return how many of the pixels with a return have several, and how many of those are ambiguous."""
+    found = returns.label > 0
+    several = np.isfinite(returns.omega[:, 1]).any(axis=0)
+    ambiguous = several & (cloud.reason & Reason.AMBIGUOUS_PAIR != 0)
+    return {
+        "several_returns_fraction": float(several.sum() / max(found.sum(), 1)),
+        "ambiguous_pair_fraction": float(ambiguous.sum() / max(several.sum(), 1)),
+    }
+
+
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=1,
+    version=2,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     needs=_needs,

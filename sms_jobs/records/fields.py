@@ -20,6 +20,7 @@ Reasons = NDArray[np.uint32]
 
 VECTOR_IMAGE = ("component", *IMAGE)
 ORIENTED_IMAGE = ("orientation", *IMAGE)
+RETURNS_IMAGE = ("orientation", "return", *IMAGE)
 POINTS = ("point",)
 
 
@@ -33,6 +34,38 @@ class PhaseMaps:
     modulation: Single = array("count", "fringe modulation", ORIENTED_IMAGE)
     phase_error: Single = array("rad", "rms residual of the phase against the fringe density", ORIENTED_IMAGE)
     mean_intensity: Single = array("count", "texture averaged over all fringe frames")
+
+    @classmethod
+    def unset(cls, orientations_rad: tuple[float, ...], rows: int, columns: int) -> PhaseMaps:
+        """Return maps to be filled; the mean intensity is 0, to be added to."""
+        shape = (len(orientations_rad), rows, columns)
+        sigma, modulation, error = (np.empty(shape, np.float32) for _ in range(3))
+        mean = np.zeros((rows, columns), np.float32)
+        return cls(orientations_rad, np.empty(shape), sigma, modulation, error, mean)
+
+
+@dataclass(frozen=True)
+class ReturnMaps:
+    """Every return that ranging found in a pixel, strongest first, and which of them were paired.
+
+    NaN behind the last return of a pixel. The label counts the combinations, the last orientation's return
+    fastest: of two orientations with two returns 1 is (1, 1), 2 (1, 2), 3 (2, 1) and 4 (2, 2).
+    """
+
+    orientations_rad: tuple[float, ...]
+    label: NDArray[np.uint16] = array("1", "chosen combination of returns, 0 for none")
+    margin: Single = array("1", "log-likelihood of the chosen combination above that of any other place")
+    omega: Single = array("rad", "phase gradient per fringe, -pi .. pi across the projector", RETURNS_IMAGE)
+    omega_sigma: Single = array("rad", "standard deviation of the phase gradient", RETURNS_IMAGE)
+    amplitude: Single = array("count", "fringe modulation of the return", RETURNS_IMAGE)
+
+    @classmethod
+    def unset(cls, orientations_rad: tuple[float, ...], returns: int, rows: int, columns: int) -> ReturnMaps:
+        """Return maps to be filled."""
+        image, shape = (rows, columns), (len(orientations_rad), returns, rows, columns)
+        omega, sigma, amplitude = (np.empty(shape, np.float32) for _ in range(3))
+        label, margin = np.empty(image, np.uint16), np.empty(image, np.float32)
+        return cls(orientations_rad, label, margin, omega, sigma, amplitude)
 
 
 @dataclass(frozen=True)

@@ -62,6 +62,17 @@ class FringeSequence:
         """
         return tuple(range(self.steps)) if density else (0, self.steps // 2)
 
+    def frames_of(self, orientation: int, uniform: bool = True) -> NDArray[np.intp] | slice:
+        """Return where the frames of an orientation are, by its number, with or without the density 0."""
+        count = self.frames // len(self.orientations_rad)
+        start = orientation * count
+        if uniform or 0 not in self.densities:
+            return slice(start, start + count)
+        if self.densities[0] == 0:
+            return slice(start + 2, start + count)
+        shown = [t > 0 for t in self.densities for _ in self.steps_of(t)]
+        return start + np.flatnonzero(shown)
+
     def patterns(self) -> Iterator[tuple[float, int, int]]:
         """Yield (orientation in rad, density, step 0 .. steps-1) of each frame in order."""
         for orientation in self.orientations_rad:
@@ -155,3 +166,7 @@ class Measurement:
     texture: NDArray[np.uint16] = array("count", "white-light texture")
     frames: FrameStack = array("count", "fringe frames", ("frame", "row", "column"))
     simulation: Simulation | None = None
+
+    def noise(self, level: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the standard deviation of one frame's noise at grey levels."""
+        return np.asarray(np.sqrt(self.read_noise**2 + self.gain * level))

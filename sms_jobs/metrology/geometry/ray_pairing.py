@@ -383,7 +383,7 @@ def _choose_alone(
     second = others.max(axis=0)
     known = np.isfinite(second)
     margin = np.full((rows, columns), np.inf, np.float32)
-    margin[known] = (of_best(likelihood) - second)[known]
+    margin[known] = of_best(likelihood)[known] - second[known]
     label = np.where(np.isfinite(omega[0, 0]), best + 1, 0).astype(np.uint16)
     return Pairing(
         of_best(omega[0])[None].astype(np.float64),

@@ -9,15 +9,19 @@ itself; s^2 follows from the gaps between camera and projector rays, which it op
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.geometry.triangulation import Triangulation
 
 Floats = NDArray[np.float64]
+Single = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Floating = NDArray[np.floating]
 
@@ -25,7 +29,13 @@ _LARGEST_BLUR = 2.0  # px^2; a camera so far out of focus is not used for correl
 _PRECISION = 1.0 / 0.15**2  # of TYPICAL.variance, in 1/px^4
 _TRIM = 4.0  # robust standard deviations
 _ROUNDS = 4
+_BLUR_ROWS = 128  # rows that are enough to estimate the blur from
+_TEXTURE_ROUNDS = 2  # the first takes the slope of omega from phases that the texture still disturbs
 _TEXTURED = 0.05  # 1/px: several times the noise of ln B, a twentieth of a speckle's edge
+
+
+Meet: TypeAlias = Callable[[Floats, Single, int], Triangulation]
+"""Triangulates phase gradients and their standard deviations that are of every n-th row."""
 
 
 @dataclass(frozen=True)
@@ -178,3 +188,65 @@ def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating) -> Blur:
     part = _unexplained(np.square(g + variance * h)[kept] - 1.0 / w[kept], np.square(variance * h[kept]))
     share = told / (told + _PRECISION)
     return Blur(variance, float(np.sqrt(share * part + (1.0 - share) * TYPICAL.unexplained**2)))
+
+
+def correct_texture(
+    omega: Floats,
+    omega_sigma: Single,
+    modulation: Single,
+    usable: Mask,
+    meet: Meet,
+    *,
+    blur_px: float | None = None,
+    maximum_shift_px: float = np.inf,
+    threads: int = 1,
+) -> tuple[Blur, Mask]:
+    """Take the texture's error out of omega, in place, and put what may be left of it into its sigma.
+
+    Parameters
+    ----------
+    omega, omega_sigma
+        (orientations, rows, columns) in rad.
+    modulation
+        (orientations, rows, columns), in grey levels.
+    usable
+        (rows, columns): whose omega can be used.
+    meet
+        Gives the ray gaps that tell the blur; not called for one orientation or with `blur_px`.
+    blur_px
+        Standard deviation of the spot, if it is known.
+    maximum_shift_px
+        How far off its centre a pixel's light may come from.
+
+    Returns
+    -------
+    The blur, and the usable pixels whose light comes from farther off: they see past the edge of a surface
+    or a shadow.
+    """
+    gradient = log_gradient(modulation.mean(axis=0))
+    telling = textured_interior(usable, gradient)
+    corrected = omega
+    for _ in range(_TEXTURE_ROUNDS):
+        shift = texture_shift(corrected, usable, gradient, threads)
+        if blur_px is not None:
+            blur = Blur(blur_px**2, TYPICAL.unexplained)
+        else:
+            blur = _blur_of_gaps(omega, omega_sigma, shift, telling, meet)
+        corrected = omega - blur.variance * shift
+    beside = usable & (blur.variance * np.hypot(gradient[0], gradient[1]) > maximum_shift_px)
+    left = (blur.unexplained * blur.variance * shift).astype(np.float32)
+    np.hypot(omega_sigma, left, out=omega_sigma)
+    omega[...] = corrected
+    return blur, beside
+
+
+def _blur_of_gaps(omega: Floats, omega_sigma: Single, shift: Floats, telling: Mask, meet: Meet) -> Blur:
+    """Return the blur that the ray gaps of some rows tell, or that is typical of a single orientation."""
+    if len(omega) == 1:
+        return TYPICAL
+    every = max(len(telling) // _BLUR_ROWS, 1)
+    part, sigma = omega[:, ::every].copy(), omega_sigma[:, ::every].copy()
+    before, after = meet(part, sigma, every), meet(part - shift[:, ::every], sigma, every)
+    seen = telling[::every]
+    change = after.ray_gap - before.ray_gap
+    return estimate_blur(before.ray_gap[seen], before.ray_gap_sigma[seen], change[seen])

@@ -1,0 +1,50 @@
+"""Frames by slabs of rows, so that memory stays bounded whatever their number."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.records.measurement import FrameStack
+
+_ROWS = 64  # as in the archive's chunks
+_LEAST_ROWS = 16
+_SLAB_BYTES = 192 << 20  # above which a slab is halved, though its chunks are then read twice
+
+
+def row_slabs(stack: FrameStack, threads: int) -> Iterator[tuple[slice, NDArray[Any]]]:
+    """Yield slabs (frames, some rows, columns) of a stack from top to bottom, and which rows they are.
+
+    With more than one thread the next slab is read while one is worked on; then two are in memory, if the
+    caller lets go of each before it asks for the next.
+    """
+    count, rows, columns = stack.shape
+    height = _ROWS
+    while height > _LEAST_ROWS and count * height * columns * stack.dtype.itemsize > _SLAB_BYTES:
+        height //= 2
+    slabs = [slice(start, min(start + height, rows)) for start in range(0, rows, height)]
+    if threads == 1:
+        for slab in slabs:
+            yield slab, stack.rows(slab.start, slab.stop)
+        return
+    with ThreadPoolExecutor(1) as reader:
+        ahead = reader.submit(stack.rows, slabs[0].start, slabs[0].stop)
+        for slab, after in zip(slabs, [*slabs[1:], None], strict=True):
+            frames = ahead.result()
+            if after is None:
+                del ahead  # it holds on to the frames
+            else:
+                ahead = reader.submit(stack.rows, after.start, after.stop)
+            yield slab, frames
+
+
+def sampled(stack: FrameStack, rows: int, columns: int) -> NDArray[Any]:
+    """Return (frames, at most `rows`, about `columns`) of a stack: single pixels, evenly spread."""
+    _, height, width = stack.shape
+    picked = sorted({height * (2 * i + 1) // (2 * rows) for i in range(rows)})
+    step = max(width // columns, 1)
+    return np.concatenate([stack.rows(row, row + 1)[..., ::step] for row in picked], axis=1)

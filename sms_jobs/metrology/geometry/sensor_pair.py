@@ -1,0 +1,89 @@
+"""A camera and a projector that look at one thing, and what their rays make of phase gradients."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.ray_pairing import Pairing, choose_returns
+from sms_jobs.metrology.geometry.triangulation import Projector, Triangulation, camera_rays, triangulate
+
+Floats = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class SensorPair:
+    """One pair: all that triangulation needs besides the phase.
+
+    Attributes
+    ----------
+    intrinsics, pose, rows, columns
+        Of the camera.
+    projector
+        The other one.
+    orientations
+        Directions of the fringes in rad.
+    threads
+        Number of threads; no result depends on it.
+    """
+
+    intrinsics: Intrinsics
+    pose: Pose
+    rows: int
+    columns: int
+    projector: Projector
+    orientations: tuple[float, ...]
+    threads: int
+
+    def rays(self) -> Floats:
+        """Return the ray of every camera pixel, (rows, columns, 3)."""
+        return camera_rays(self.intrinsics, self.pose, self.rows, self.columns, self.threads)
+
+    def meet(self, omega: Floats, omega_sigma: Single, every: int = 1) -> Triangulation:
+        """Triangulate phase gradients (orientations, rows, columns) that are of `every`-th row."""
+        rays = np.ascontiguousarray(self.rays()[::every])
+        rays.setflags(write=False)  # as the table is: kernels are compiled for one kind of array
+        return triangulate(
+            self.pose.centre(),
+            rays,
+            self.projector,
+            self.orientations,
+            omega,
+            omega_sigma,
+            threads=self.threads,
+        )
+
+    def choose(
+        self,
+        rows: slice,
+        omega: Floats,
+        omega_sigma: Single,
+        amplitude: Single,
+        *,
+        low: Sequence[float],
+        high: Sequence[float],
+        gap_floor_mm: float,
+        density_rms: float,
+        least_gap: bool,
+    ) -> Pairing:
+        """Choose among the returns (orientations, returns, rows, columns) of some rows: `choose_returns`."""
+        return choose_returns(
+            self.pose.centre(),
+            self.rays()[rows],
+            self.projector,
+            self.orientations,
+            omega,
+            omega_sigma,
+            amplitude,
+            low=low,
+            high=high,
+            gap_floor_mm=gap_floor_mm,
+            density_rms=density_rms,
+            least_gap=least_gap,
+            threads=self.threads,
+        )

@@ -1,0 +1,84 @@
+"""How the modulation falls with the fringe density, from the frames themselves.
+
+A lens, a projector out of focus and the size of a pixel blur the fringes: the light of a pixel has phase
+gradients that are spread about their mean with a variance p, and the fringes of density t lose the part
+1 - exp(-p t^2 / 2) of their modulation. Ranging that does not know it takes the fall for the beat of two
+returns close to each other.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.phase.fourier_domain_ranging import range_returns
+from sms_jobs.metrology.phase.returns_signal import ranging_sequence
+
+Floats = NDArray[np.float64]
+
+_MISFIT = 1.5  # chi-square a value that a single blurred return may have; of 126 values it scatters by 0.13
+_LEAST_SIGNAL = 10.0  # modulation over noise of the pixels that are asked
+_FEWEST = 30  # pixels: their median is good to a fifth of what one knows
+
+
+def blur_variance(
+    frames: NDArray[Any],
+    densities: tuple[int, ...],
+    steps: int,
+    *,
+    full_scale: int,
+    gain: float,
+    read_noise: float,
+    threads: int = 1,
+) -> float:
+    """Return p, the variance of omega inside a pixel in rad^2, typical of the pixels with a single return.
+
+    Parameters
+    ----------
+    frames
+        (frames, rows, columns) of one orientation; a sample of an image, as from `sampled`, is enough.
+    densities, steps, full_scale, gain, read_noise, threads
+        As of `range_returns`.
+
+    Returns
+    -------
+    The median over the pixels whose signal is a exp(-p t^2 / 2) exp(i omega t) within noise; 0 where there
+    are fewer than 30 of them. Pixels with several returns are no such.
+
+    Notes
+    -----
+    ln Re[z exp(-i omega t)] = ln a - p t^2 / 2 by least squares with the weights (Re ..)^2, which are those
+    of the logarithm's noise.
+    """
+    camera = {"full_scale": full_scale, "gain": gain, "read_noise": read_noise}
+    found = range_returns(frames, densities, steps, **camera, threads=threads)  # type: ignore[arg-type]
+    noise = np.sqrt(read_noise**2 + gain * found.mean_intensity)
+    bright = (found.count > 0) & (found.modulation > _LEAST_SIGNAL * noise)
+    bright &= (frames < full_scale).all(axis=0)
+    if bright.sum() < _FEWEST:
+        return 0.0
+    sequence = ranging_sequence(densities, steps, len(frames))
+    t, table = sequence.densities, sequence.frames
+    levels = frames[:, bright].astype(np.float64)
+    z = np.zeros((sequence.count, levels.shape[1]), complex)
+    np.add.at(z, table[:, 0].astype(int), (table[:, 1] + 1j * table[:, 2])[:, None] * levels)
+    z *= np.exp(-1j * t[:, None] * found.omega[0, bright])
+    strength = np.maximum(z.real, 0.1 * found.modulation[bright])
+    squares = 0.5 * (t * t)[:, None]
+    weight = strength * strength
+    mean = np.sum(weight * squares, axis=0) / weight.sum(axis=0)
+    fall = np.sum(weight * (squares - mean) * np.log(strength), axis=0)
+    p = -fall / np.sum(weight * (squares - mean) ** 2, axis=0)
+    amplitude = np.exp(np.sum(weight * (np.log(strength) + p * squares), axis=0) / weight.sum(axis=0))
+    misfit = np.sum(np.abs(z - amplitude * np.exp(-p * squares)) ** 2 * sequence.precision[:, None], axis=0)
+    misfit /= 2.0 * sequence.count * 2.0 / steps * noise[bright].astype(np.float64) ** 2
+    single = misfit < _MISFIT
+    return max(float(np.median(p[single])), 0.0) if single.sum() >= _FEWEST else 0.0
+
+
+def modulation_transfer(densities: tuple[int, ...], variance: float) -> Floats:
+    """Return the modulation at each density relative to that at t = 0, exp(-p t^2 / 2), (densities,)."""
+    t = np.array(densities, dtype=np.float64)
+    return np.asarray(np.exp(-0.5 * variance * t * t))

@@ -1,0 +1,96 @@
+"""Frames come slab by slab, whole and in order, and few of them are in memory."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sms_jobs.kinds.streaming import row_slabs, sampled
+from sms_jobs.records.measurement import ArrayStack
+
+
+@dataclass
+class Counted:
+    """A stack that knows how many of its slabs are in memory."""
+
+    frames: NDArray[np.uint16]
+    alive: int = 0
+    most: int = 0
+    asked: list[tuple[int, int]] = field(default_factory=list)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return self.frames.shape  # type: ignore[return-value]
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        return self.frames.dtype
+
+    def frame(self, index: int) -> NDArray[Any]:
+        return self.frames[index]
+
+    def rows(self, start: int, stop: int) -> NDArray[Any]:
+        slab = self.frames[:, start:stop].copy()
+        self.asked.append((start, stop))
+        self.alive += 1
+        self.most = max(self.most, self.alive)
+        weakref.finalize(slab, self._gone)
+        return slab
+
+    def _gone(self) -> None:
+        self.alive -= 1
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("rows", [1, 64, 65, 200])
+def test_slabs_are_the_whole_stack_and_two_at_most_are_held(
+    rng: np.random.Generator, rows: int, threads: int
+) -> None:
+    stack = Counted(rng.integers(0, 4096, (5, rows, 7), dtype=np.uint16))
+    seen = []
+    for slab, frames in row_slabs(stack, threads):
+        seen.append(frames.copy())
+        assert frames.shape == (5, slab.stop - slab.start, 7)
+        del frames
+    np.testing.assert_array_equal(np.concatenate(seen, axis=1), stack.frames)
+    gc.collect()
+    assert stack.most <= threads
+    assert stack.alive == 0
+    assert [start for start, _ in stack.asked] == list(range(0, rows, 64))
+
+
+def test_a_failure_to_read_is_not_lost() -> None:
+    class Broken(Counted):
+        def rows(self, start: int, stop: int) -> NDArray[Any]:
+            if start > 0:
+                raise OSError("the disk is gone")
+            return super().rows(start, stop)
+
+    with pytest.raises(OSError, match="the disk is gone"):
+        list(row_slabs(Broken(np.zeros((3, 100, 4), np.uint16)), 2))
+
+
+def test_many_frames_make_lower_slabs() -> None:
+    class Tall(Counted):
+        @property
+        def shape(self) -> tuple[int, int, int]:
+            return 4096, 128, 2048
+
+    heights = {
+        slab.stop - slab.start for slab, _ in row_slabs(Tall(np.zeros((1, 128, 1), np.uint16)), threads=1)
+    }
+    assert heights == {16}
+
+
+def test_a_sample_is_spread_over_the_image() -> None:
+    rows, columns = np.mgrid[0:90, 0:50].astype(np.uint16)
+    picked = sampled(ArrayStack(np.stack([rows, columns])), 3, 10)
+    np.testing.assert_array_equal(picked[0, :, 0], [15, 45, 75])
+    np.testing.assert_array_equal(picked[1, 0], np.arange(0, 50, 5))
+    assert sampled(ArrayStack(np.zeros((2, 2, 3))), 5, 10).shape == (2, 2, 3)
