@@ -13,6 +13,7 @@ from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.cli import completion, output
+from sms_jobs.cli.kind_options import CONTEXT, KindCommand, split_words
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import unsuccessful, wait_for
 from sms_jobs.errors import Conflict, InvalidInput, JobFailed
@@ -39,7 +40,7 @@ JobIds = Annotated[
 ]
 
 
-@app.command()
+@app.command(cls=KindCommand, context_settings=CONTEXT)
 def submit(
     kind: Annotated[
         list[str],
@@ -78,9 +79,15 @@ def submit(
 ) -> None:
     """Submit jobs for the tuples of a campaign.
 
+    Of a single kind, a parameter can be given like an option: `--help` after the kind shows them.
+
     Example: sms job submit pipeline -c wing-fatigue --set strain.gauge_length_mm=30
+
+    Example: sms job submit reconstruct --method fdr --returns 2 -c wing-fatigue
     """
-    requests = _requests(kind, _parameters(parameter or []), tuple(state or ()), tuple(pair or ()))
+    kind, settings = split_words(kind)
+    parameters = _parameters([*settings, *(parameter or [])])
+    requests = _requests(kind, parameters, tuple(state or ()), tuple(pair or ()))
     with bootstrap.services(home) as services:
         with services.catalogue.writing() as session:
             done = submit_requests(

@@ -1,0 +1,74 @@
+"""Parameters of a job kind as options of `sms job submit`: `--method fdr` beside `--set method=fdr`.
+
+The kinds declare their parameters; the command knows none of them by name. What it does not know as an
+option of its own it leaves among the words, from which `split_words` takes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from typer.core import TyperCommand
+
+from sms_jobs.cli import output
+from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds import all_kinds
+from sms_jobs.kinds.kind import Kind
+
+_WORDS = "sms_jobs.cli.kind_options.words"
+
+CONTEXT = {"ignore_unknown_options": True}
+"""Settings of a command whose words are given to `split_words`."""
+
+
+def split_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Part the names of kinds from options, and return these as NAME=VALUE.
+
+    Raises `InvalidInput` for an option without a value and for options of several kinds.
+    """
+    kinds, settings = [], []
+    left: Iterator[str] = iter(words)
+    for word in left:
+        if not word.startswith("--"):
+            kinds.append(word)
+            continue
+        name, equals, value = word[2:].partition("=")
+        if not equals:
+            value = next(left, "--")
+        if not name or value.startswith("--"):
+            raise InvalidInput(f"'{word}' needs a value: write {word} VALUE, or --set NAME=VALUE")
+        settings.append(f"{name.replace('-', '_')}={value}")
+    if settings and len(kinds) != 1:
+        raise InvalidInput(
+            f"'--{settings[0].partition('=')[0]}' is a parameter of one kind, but there are {len(kinds)}: "
+            "write --set KIND.NAME=VALUE"
+        )
+    return kinds, settings
+
+
+def parameter_rows(kind: Kind[Any]) -> list[tuple[str, Any, str]]:
+    """Return option, default and description of each parameter of a kind."""
+    rows = []
+    for name, field in kind.parameters.model_fields.items():
+        default = None if field.is_required() else field.get_default(call_default_factory=True)
+        rows.append((f"--{name.replace('_', '-')}", default, field.description or ""))
+    return rows
+
+
+class KindCommand(TyperCommand):
+    """A command whose help shows the parameters of the kinds that stand before `--help`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Keep the words for the help."""
+        ctx.meta[_WORDS] = tuple(args)
+        return super().parse_args(ctx, args)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the command's help, then that of the kinds."""
+        super().format_help(ctx, formatter)
+        for word in ctx.meta.get(_WORDS, ()):
+            kind = all_kinds().get(word)
+            if kind is not None and kind.parameters.model_fields:
+                output.answer.print(f"Parameters of {kind.name}: {kind.summary}", markup=False)
+                output.print_table(["option", "default", "meaning"], parameter_rows(kind), empty="")

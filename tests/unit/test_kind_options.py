@@ -1,0 +1,50 @@
+"""Parameters of a job kind, given like options."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from support.command import sms
+
+from sms_jobs.cli.kind_options import parameter_rows, split_words
+from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds import all_kinds
+
+
+def test_options_among_the_kinds_become_settings() -> None:
+    words = ["reconstruct", "--method", "fdr", "--pair-rule=least-gap", "--minimum-pair-margin", "-1"]
+    assert split_words(words) == (
+        ["reconstruct"],
+        ["method=fdr", "pair_rule=least-gap", "minimum_pair_margin=-1"],
+    )
+    assert split_words(["correlate", "strain"]) == (["correlate", "strain"], [])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["reconstruct", "--method"], "'--method' needs a value"),
+        (["reconstruct", "--method", "--returns", "2"], "'--method' needs a value"),
+        (["correlate", "strain", "--gauge-length-mm", "3"], "'--gauge_length_mm' is a parameter of one kind"),
+        (["--method", "fdr"], "there are 0"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(words: list[str], message: str) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        split_words(words)
+
+
+@pytest.mark.parametrize("kind", all_kinds().values(), ids=lambda kind: kind.name)
+def test_every_parameter_of_every_kind_says_what_it_means(kind: object) -> None:
+    for option, _, meaning in parameter_rows(kind):  # type: ignore[arg-type]
+        assert re.fullmatch(r"--[a-z][a-z0-9-]*", option)
+        assert meaning
+
+
+def test_help_after_a_kind_shows_its_parameters() -> None:
+    shown = sms("job", "submit", "reconstruct", "--help")
+    assert shown.returncode == 0
+    for option in ("--priority", "--method", "--returns", "temporal-unwrapping"):
+        assert option in shown.stdout
+    assert "--method" not in sms("job", "submit", "--help").stdout.partition("Options")[2]
