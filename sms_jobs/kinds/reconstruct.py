@@ -48,7 +48,7 @@ from sms_jobs.metrology.images.masks import (
     phase_error_factor,
 )
 from sms_jobs.metrology.phase.fourier_domain_ranging import range_returns, score_threshold
-from sms_jobs.metrology.phase.fringe_blur import blur_variance, modulation_transfer
+from sms_jobs.metrology.phase.fringe_blur import transfer_of_sample
 from sms_jobs.metrology.phase.merged_returns import merged_sigma
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.returns_signal import Window
@@ -311,8 +311,8 @@ def _transfers(task: _Task) -> list[Floats]:
     """Return the modulation transfer over the densities of each orientation, from a sample of the rows."""
     measurement, sequence = task.measurement, task.measurement.sequence
     frames = sampled(measurement.frames, *_SAMPLED)
-    variances = [
-        blur_variance(
+    return [
+        transfer_of_sample(
             frames[sequence.frames_of(k)],
             sequence.densities,
             sequence.steps,
@@ -323,7 +323,6 @@ def _transfers(task: _Task) -> list[Floats]:
         )
         for k in range(len(sequence.orientations_rad))
     ]
-    return [modulation_transfer(sequence.densities, p) for p in variances]
 
 
 def _range_slab(

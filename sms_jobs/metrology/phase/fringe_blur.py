@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.errors import MeasurementFailed
 from sms_jobs.metrology.phase.fourier_domain_ranging import range_returns
+from sms_jobs.metrology.phase.returns_modulation import modulation_transfer
 from sms_jobs.metrology.phase.returns_signal import ranging_sequence
 
 Floats = NDArray[np.float64]
@@ -32,7 +34,7 @@ def blur_variance(
     gain: float,
     read_noise: float,
     threads: int = 1,
-) -> float:
+) -> float | None:
     """Return p, the variance of omega inside a pixel in rad^2, typical of the pixels with a single return.
 
     Parameters
@@ -44,7 +46,7 @@ def blur_variance(
 
     Returns
     -------
-    The median over the pixels whose signal is a exp(-p t^2 / 2) exp(i omega t) within noise; 0 where there
+    The median over the pixels whose signal is a exp(-p t^2 / 2) exp(i omega t) within noise; None where there
     are fewer than 30 of them. Pixels with several returns are no such.
 
     Notes
@@ -58,7 +60,7 @@ def blur_variance(
     bright = (found.count > 0) & (found.modulation > _LEAST_SIGNAL * noise)
     bright &= (frames < full_scale).all(axis=0)
     if bright.sum() < _FEWEST:
-        return 0.0
+        return None
     sequence = ranging_sequence(densities, steps, len(frames))
     t, table = sequence.densities, sequence.frames
     levels = frames[:, bright].astype(np.float64)
@@ -75,10 +77,33 @@ def blur_variance(
     misfit = np.sum(np.abs(z - amplitude * np.exp(-p * squares)) ** 2 * sequence.precision[:, None], axis=0)
     misfit /= 2.0 * sequence.count * 2.0 / steps * noise[bright].astype(np.float64) ** 2
     single = misfit < _MISFIT
-    return max(float(np.median(p[single])), 0.0) if single.sum() >= _FEWEST else 0.0
+    return max(float(np.median(p[single])), 0.0) if single.sum() >= _FEWEST else None
 
 
-def modulation_transfer(densities: tuple[int, ...], variance: float) -> Floats:
-    """Return the modulation at each density relative to that at t = 0, exp(-p t^2 / 2), (densities,)."""
+def transfer_of_sample(
+    frames: NDArray[Any],
+    densities: tuple[int, ...],
+    steps: int,
+    *,
+    full_scale: int,
+    gain: float,
+    read_noise: float,
+    threads: int = 1,
+) -> Floats:
+    """Return the modulation at each density relative to that at t = 0, exp(-p t^2 / 2), (densities,).
+
+    From pixels with a single return where there are some, else from the mean power of all pixels, which
+    close returns make too steep; 1 where nothing is lit. Parameters as of `blur_variance`.
+    """
+    p = blur_variance(
+        frames, densities, steps, full_scale=full_scale, gain=gain, read_noise=read_noise, threads=threads
+    )
     t = np.array(densities, dtype=np.float64)
-    return np.asarray(np.exp(-0.5 * variance * t * t))
+    if p is not None:
+        return np.asarray(np.exp(-0.5 * p * t * t))
+    try:
+        return modulation_transfer(
+            frames, densities, steps, full_scale=full_scale, gain=gain, read_noise=read_noise
+        )
+    except MeasurementFailed:
+        return np.ones(t.size)
