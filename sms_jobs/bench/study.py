@@ -6,6 +6,7 @@ import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,9 +34,13 @@ class Table:
     rows: Sequence[Sequence[Cell]]
     remarks: Mapping[str, str]
 
+    def known(self) -> list[list[Cell]]:
+        """Return the rows with None for what is not a number: JSON knows no NaN."""
+        return [[None if isinstance(c, float) and isnan(c) else c for c in row] for row in self.rows]
+
     def as_json(self) -> dict[str, object]:
         """Return the table as plain values, one object a row."""
-        rows = [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+        rows = [dict(zip(self.columns, row, strict=True)) for row in self.known()]
         return {"rows": rows, "remarks": dict(self.remarks)}
 
 

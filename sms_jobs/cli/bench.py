@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Iterable, Sequence
+from math import isnan
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,7 +21,7 @@ from sms_jobs.bench.study import write
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Json
 
-_WIDE = 120
+_WIDE = 240
 
 
 def _group_names(incomplete: str) -> list[str]:
@@ -75,7 +76,7 @@ def bench(
         output.print_json(
             {
                 "machine": about,
-                "results": {name: figure.value for name, figure in found.items()},
+                "results": {name: _known(figure.value) for name, figure in found.items()},
                 "compile_s": compiled,
                 "conditions": conditions,
                 "quick": quick,
@@ -89,10 +90,17 @@ def bench(
 
 def _print_wide(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Print a table whose names are not cut off, however narrow the terminal is."""
-    table = Table(*columns, box=None, pad_edge=False, header_style="bold")
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column in columns:
+        table.add_column(column, no_wrap=True)
     for row in rows:
         table.add_row(*(output.shown(cell) for cell in row))
     Console(width=max(output.answer.width, _WIDE), highlight=False).print(table, soft_wrap=True)
+
+
+def _known(value: float | None) -> float | None:
+    """Return None for what is not a number: JSON knows no NaN."""
+    return None if value is None or isnan(value) else value
 
 
 def _target(figure: Figure) -> str:
@@ -126,6 +134,6 @@ def study(
         about = {"study": name, "machine": machine(), "files": [str(f) for f in files]}
         output.print_json(about | outcome.table.as_json())
         return
-    _print_wide(outcome.table.columns, outcome.table.rows)
+    _print_wide(outcome.table.columns, outcome.table.known())
     output.print_facts(dict(outcome.table.remarks))
     output.say(f"wrote {files[0]} and {files[1]}")
