@@ -148,6 +148,8 @@ def range_returns(
     sequence = ranging_sequence(densities, steps, len(frames))
     if not 1 <= returns <= 8:
         raise InvalidInput(f"a pixel is searched for 1 to 8 returns, not {returns}: ask for fewer")
+    if sequence.count > 255:
+        raise InvalidInput(f"at most 255 fringe densities can be ranged, not {sequence.count}: give fewer")
     if refinements < 0:
         raise InvalidInput(f"the number of refinements is 0 or more, not {refinements}")
     if method not in _METHODS:
@@ -188,7 +190,7 @@ def range_returns(
 
     def work(start: int, stop: int) -> None:
         signal = np.empty((2, sequence.count, columns), np.float32)
-        lost = np.empty((sequence.count, columns), np.uint8)
+        lost = np.empty((sequence.count + 1, columns), np.uint8)
         slab = np.ascontiguousarray(frames[:, start:stop])
         for row in range(start, stop):
             read_signal(

@@ -49,14 +49,14 @@ def modulation_transfer(
     sequence = ranging_sequence(densities, steps, len(frames))
     rows, columns = frames.shape[1:]
     x = np.empty((sequence.count, columns), np.float32)
-    y, lost = np.empty_like(x), np.empty(x.shape, np.uint8)
+    y, lost = np.empty_like(x), np.empty((sequence.count + 1, columns), np.uint8)
     levels = np.empty((2, columns), np.float32)
     power, pixels, noise = np.zeros(sequence.count), 0, 0.0
     frames = np.ascontiguousarray(frames)
     for row in range(rows):
         read_signal(frames, row, sequence.frames, full_scale, x, y, lost, levels)
         variance = 2.0 / steps * (read_noise**2 + gain * levels[0].astype(np.float64))
-        used = ~lost.any(axis=0) & (levels[1] ** 2 > _LEAST_SCORE**2 * variance) & (levels[1] > 0.0)
+        used = (lost[-1] == 0) & (levels[1] ** 2 > _LEAST_SCORE**2 * variance) & (levels[1] > 0.0)
         squares = x[:, used].astype(np.float64) ** 2 + y[:, used].astype(np.float64) ** 2
         power += np.sum(squares, axis=1) - 2.0 * np.sum(variance[used])
         noise += 2.0 * float(np.sum(variance[used]))

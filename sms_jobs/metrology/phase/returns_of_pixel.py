@@ -60,8 +60,8 @@ def wrapped(angle: float) -> float:
 
 
 @kernel
-def start_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
-    """Return omega of a peak of Re H between its samples.
+def _offset_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
+    """Return how far a peak of Re H lies from its highest sample, -0.5 .. 0.5 samples.
 
     The peak is a sin(u) / u sampled at u = pi apart, for which the neighbour's share is the offset.
     """
@@ -71,7 +71,20 @@ def start_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
     left, right = spectrum[before & 1, before >> 1, lane], spectrum[after & 1, after >> 1, lane]
     beside = max(max(left, right), 0.0)
     offset = beside / (beside + here) if here > 0.0 else 0.0
-    return wrapped(pi / n * (k + (offset if right > left else -offset)))
+    return float(offset if right > left else -offset)
+
+
+@kernel
+def start_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
+    """Return omega of a peak of Re H between its samples."""
+    return wrapped(pi / spectrum.shape[1] * (k + _offset_of_real_peak(spectrum, k, lane)))
+
+
+@kernel
+def height_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
+    """Return the height of a peak of Re H between its samples."""
+    u = pi * _offset_of_real_peak(spectrum, k, lane)
+    return float(spectrum[k & 1, k >> 1, lane] / (1.0 - u * u / 6.0 * (1.0 - u * u / 20.0)))
 
 
 @kernel

@@ -5,26 +5,34 @@ Peaks are searched for in chunks of `LANES` pixels, fitted pixel by pixel.
 
 from __future__ import annotations
 
+from math import cos, sin
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel, summing_kernel
+from sms_jobs.metrology.phase import returns_lanes
 from sms_jobs.metrology.phase.returns_fit import (
     AMPLITUDE,
+    COS,
     OMEGA,
     SEARCH,
+    SIN,
     SPREAD,
     VARIANCE,
+    VT4,
+    VTT,
     N,
     P,
     V,
     copy_state,
     power,
 )
+from sms_jobs.metrology.phase.returns_lanes import fit_one_each
 from sms_jobs.metrology.phase.returns_of_pixel import (
     add_jointly,
+    height_of_real_peak,
     peel,
     remove,
     spread,
@@ -39,7 +47,7 @@ Single: TypeAlias = NDArray[np.float32]
 
 JOINT, MODULUS, ORIGINAL = 1, 2, 4  # bits of the mode
 
-_TRIGGER = 0.6  # of the threshold: a peak between two samples is seen at 0.64 of its height
+_TRIGGER = 0.85  # of the threshold, for a peak that is seen between samples
 
 
 class Plan(NamedTuple):
@@ -87,6 +95,7 @@ class _Chunk(NamedTuple):
     work: Floats
     tables: Single
     system: Floats
+    lanes: Floats
 
 
 @kernel
@@ -116,6 +125,7 @@ def _chunk(plan: Plan, count: int, most: int) -> _Chunk:
         np.zeros((3, 6, most)),
         np.zeros((most, 2, padded), np.float32),
         np.zeros((6, max(most, 6), most + 1)),
+        np.zeros(returns_lanes.SIZE),
     )
 
 
@@ -136,21 +146,19 @@ def _to_pixels(x: Single, y: Single, pixels: Single) -> None:
 
 
 @kernel
-def _load(plan: Plan, signal: Single, lost: NDArray[np.uint8], levels: Single, chunk: _Chunk) -> None:
-    """Take the pixels of a part of a row into the buffers; those with too few densities are not active."""
-    lanes = signal.shape[2]
-    chunk.x[:, :lanes] = signal[0]
-    chunk.y[:, :lanes] = signal[1]
-    _to_pixels(chunk.x, chunk.y, chunk.pixels)
-    chunk.missing[:] = 0
-    for t in range(lost.shape[0]):
+def _load(plan: Plan, signal: Single, lost: NDArray[np.uint8], start: int, lanes: int, chunk: _Chunk) -> None:
+    """Take the pixels from column `start` on into the buffers; those with enough densities are active."""
+    count = signal.shape[1]
+    for t in range(count):
         for j in range(lanes):
-            chunk.missing[j] += lost[t, j]
-    chunk.found[:] = 0
+            # An unsigned index needs no look at its sign, which would keep this from being a vector copy.
+            chunk.x[t, j] = signal[0, t, np.uint64(start + j)]
+            chunk.y[t, j] = signal[1, t, np.uint64(start + j)]
+    _to_pixels(chunk.x, chunk.y, chunk.pixels)
     for j in range(LANES):
-        chunk.active[j] = j < lanes and lost.shape[0] - chunk.missing[j] >= plan.least
-    for j in range(lanes):
-        chunk.variance[j] = plan.variance + plan.slope * levels[j]
+        chunk.found[j] = 0
+        chunk.missing[j] = lost[count, start + j] if j < lanes else 0
+        chunk.active[j] = j < lanes and count - chunk.missing[j] >= plan.least
 
 
 @kernel
@@ -200,49 +208,95 @@ def _find_peaks(plan: Plan, chunk: _Chunk) -> None:
 
 
 @kernel
+def _find_one_each(plan: Plan, chunk: _Chunk) -> None:
+    """Fit one return to all pixels of a chunk together; those that are settled are no longer `active`.
+
+    A pixel is settled if no density is lost and the last step was small, or small against its own standard
+    deviation. It is found where its return is significant. `x` and `y` become what is left.
+    """
+    lanes = chunk.lanes
+    for j in range(LANES):
+        omega = start_of_real_peak(chunk.spectrum, chunk.where[j], j)
+        lanes[returns_lanes.OMEGA + j] = omega
+        lanes[returns_lanes.COSINE + j] = cos(omega)
+        lanes[returns_lanes.SINE + j] = sin(omega)
+    fit_one_each(chunk.x, chunk.y, plan.weights, plan.sums, plan.first, lanes)
+    v, vtt = plan.sums[V], plan.sums[VTT]
+    lever = plan.sums[VT4] - vtt * vtt / v
+    values = _values(plan.first, chunk.x.shape[0])
+    for j in range(LANES):
+        a = lanes[returns_lanes.AMPLITUDE + j]
+        squares = lanes[returns_lanes.SQUARES + j]
+        floor = max(chunk.variance[j], squares / (values - 2.0))
+        width = chunk.x.shape[0] * np.sqrt(floor / (a * a * vtt))
+        step = abs(lanes[returns_lanes.STEP_TIMES_S + j])
+        settled = step < max(returns_lanes.SMALL, min(4.0 * width, 4.0 * returns_lanes.SMALL))
+        if not (settled and chunk.active[j] and chunk.missing[j] == 0):
+            continue
+        chunk.active[j] = False
+        if a > 0.0 and a * a * v > plan.threshold * plan.threshold * floor:
+            chunk.found[j] = 1
+            chunk.squares[j] = squares
+            chunk.states[j, OMEGA, 0] = lanes[returns_lanes.OMEGA + j]
+            chunk.states[j, COS, 0] = lanes[returns_lanes.COSINE + j]
+            chunk.states[j, SIN, 0] = lanes[returns_lanes.SINE + j]
+            chunk.states[j, AMPLITUDE, 0] = a
+            chunk.states[j, VARIANCE, 0] = 1.0 / (a * a * vtt)
+            chunk.states[j, SPREAD, 0] = -2.0 * lanes[returns_lanes.FALL + j] / (a * lever)
+
+
+@kernel
+def _fit_pixel(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk, i: int, j: int) -> None:
+    """Add return i to a pixel if that is worth it; what is left then replaces the pixel in `x` and `y`."""
+    m = _weights_of(chunk.missing[j], lost, j, chunk.weights, chunk.sums)
+    values = _values(plan.first, lost.shape[0] - chunk.missing[j])
+    variance = chunk.variance[j]
+    if i == 0:
+        chunk.squares[j] = power(chunk.pixels, j, chunk.weights, m, P)
+    height = height_of_real_peak(chunk.spectrum, chunk.where[j], j)
+    if i > 0 and not _is_worth_a_fit(
+        plan.threshold, values - 2.0 * i, variance, chunk.squares[j], chunk.sums[m, N], height
+    ):
+        return
+    squares = add_jointly(
+        i + 1,
+        chunk.pixels,
+        j,
+        chunk.weights,
+        chunk.sums,
+        m,
+        plan.first,
+        (variance, plan.threshold, values),
+        start_of_real_peak(chunk.spectrum, chunk.where[j], j),
+        chunk.squares[j],
+        chunk.states,
+        chunk.work,
+        chunk.tables,
+        chunk.left,
+        chunk.system,
+    )
+    if squares >= 0.0:
+        chunk.squares[j] = squares
+        chunk.found[j] = i + 1
+        for t in range(chunk.x.shape[0]):
+            chunk.x[t, j] = chunk.left[j, 0, t]
+            chunk.y[t, j] = chunk.left[j, 1, t]
+
+
+@kernel
 def _find_jointly(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk) -> None:
     """Find the returns of a chunk, each new one fitted together with those that are known."""
-    most = chunk.states.shape[2]
-    for i in range(most):
-        if i > 0:
-            _to_lanes(chunk.left, chunk.x, chunk.y)
-        _find_peaks(plan, chunk)
+    _find_peaks(plan, chunk)
+    _find_one_each(plan, chunk)
+    for i in range(chunk.states.shape[2]):
         remaining = 0
+        if i > 0:
+            _find_peaks(plan, chunk)
         for j in range(LANES):
-            if not chunk.active[j]:
-                continue
-            chunk.active[j] = False
-            m = _weights_of(chunk.missing[j], lost, j, chunk.weights, chunk.sums)
-            values = _values(plan.first, lost.shape[0] - chunk.missing[j])
-            variance = chunk.variance[j]
-            if i == 0:
-                chunk.squares[j] = power(chunk.pixels, j, chunk.weights, m, P)
-            elif not _is_worth_a_fit(
-                plan.threshold, values - 2.0 * i, variance, chunk.squares[j], chunk.sums[m, N], chunk.best[j]
-            ):
-                continue
-            squares = add_jointly(
-                i + 1,
-                chunk.pixels,
-                j,
-                chunk.weights,
-                chunk.sums,
-                m,
-                plan.first,
-                (variance, plan.threshold, values),
-                start_of_real_peak(chunk.spectrum, chunk.where[j], j),
-                chunk.squares[j],
-                chunk.states,
-                chunk.work,
-                chunk.tables,
-                chunk.left,
-                chunk.system,
-            )
-            if squares >= 0.0:
-                chunk.squares[j] = squares
-                chunk.found[j] = i + 1
-                chunk.active[j] = True
-                remaining += 1
+            if chunk.active[j]:
+                _fit_pixel(plan, lost, chunk, i, j)
+            chunk.active[j] = chunk.found[j] == i + 1
+            remaining += 1 if chunk.active[j] else 0
         if remaining == 0:
             break
 
@@ -363,7 +417,8 @@ def find_returns(
     plan
         What is the same for all pixels.
     signal, lost
-        z, (2, densities, columns), and 1 where a density is left out, (densities, columns).
+        z, (2, densities, columns), and 1 where a density is left out with the number of these in a last row,
+        (densities + 1, columns).
     row, omega, maps, planes, flags
         Which row of (returns, rows, columns); of (3, returns, rows, columns): standard deviation, amplitude,
         width; of (3, rows, columns): the mean grey level, which is given, another, residual; and of
@@ -373,9 +428,10 @@ def find_returns(
     chunk = _chunk(plan, count, omega.shape[0])
     for start in range(0, columns, LANES):
         stop = min(start + LANES, columns)
-        here = lost[:, start:stop]
-        _load(plan, signal[:, :, start:stop], here, planes[0, row, start:stop], chunk)
+        here = lost[:count, start:stop]
+        _load(plan, signal, lost, start, stop - start, chunk)
         for j in range(stop - start):
+            chunk.variance[j] = plan.variance + plan.slope * planes[0, row, start + j]
             flags[1, row, start + j] = 0 if chunk.active[j] else 1
         if plan.mode & JOINT:
             _find_jointly(plan, here, chunk)

@@ -172,6 +172,7 @@ def _finish_density(
                 x[i, j] = 0.0
                 y[i, j] = 0.0
                 lost[i, j] = 1
+                lost[lost.shape[0] - 1, j] += 1
 
 
 @kernel
@@ -188,7 +189,8 @@ def read_signal(
     """Turn one row of all frames, (frames, rows, columns), into its signal.
 
     `x` and `y`, (count, columns), become z, 0 where a frame of the density is saturated, which `lost`
-    (count, columns) marks; `levels` (2, columns) the mean of all frames and the rms of B over all t.
+    (count + 1, columns) marks and counts in its last row; `levels` (2, columns) the mean of all frames and
+    the rms of B over all t.
     """
     lost[:] = 0
     levels[:] = 0.0
