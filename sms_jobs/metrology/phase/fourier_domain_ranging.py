@@ -182,7 +182,8 @@ def range_returns(
         weights,
         weights.sum(axis=1, dtype=np.float64),
     )
-    rows, columns = frames.shape[1:]
+    stack = np.ascontiguousarray(frames)
+    rows, columns = stack.shape[1:]
     omega = np.empty((returns, rows, columns))
     maps = np.empty((3, returns, rows, columns), np.float32)
     planes = np.empty((3, rows, columns), np.float32)
@@ -191,11 +192,8 @@ def range_returns(
     def work(start: int, stop: int) -> None:
         signal = np.empty((2, sequence.count, columns), np.float32)
         lost = np.empty((sequence.count + 1, columns), np.uint8)
-        slab = np.ascontiguousarray(frames[:, start:stop])
         for row in range(start, stop):
-            read_signal(
-                slab, row - start, sequence.frames, full_scale, signal[0], signal[1], lost, planes[:2, row]
-            )
+            read_signal(stack, row, sequence.frames, full_scale, signal[0], signal[1], lost, planes[:2, row])
             find_returns(plan, signal, lost, row, omega, maps, planes, flags)
 
     in_row_blocks(work, rows, threads, block=4)

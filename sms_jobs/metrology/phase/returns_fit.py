@@ -36,8 +36,8 @@ _ITERATIONS = 14
 _LONGEST = 3.0  # step x s: half a bin
 _RETREATS = 6
 _ONE_DONE = 0.03  # step x s of one return after which no further one is needed: what is left is its cube
-_DONE = 0.003  # the same for several returns, where it is the square
-_NEGLIGIBLE = 1e-4  # gain in chi-square that is not worth another step
+_DONE = 0.01  # the same for several returns, where it is the square
+_NEGLIGIBLE = 1e-2  # gain in chi-square that is not worth another step
 
 
 def fit_weights(
