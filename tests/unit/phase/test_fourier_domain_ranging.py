@@ -123,7 +123,8 @@ def test_the_kernel_is_the_slow_least_squares_fit(
             return np.concatenate([(weight * (z - model)).real, (weight * (z - model)).imag])
 
         fit = least_squares(residual, [one[0, j], two[0, j], STRONG, 600.0], x_scale="jac", xtol=1e-14)
-        # The kernel stops when a step gains less than 0.01 in chi-square, 0.1 deviations, and the rest is its square.
+        # The kernel stops when a step gains less than 0.01 in chi-square, a tenth of a deviation; what is
+        # left is the square of that.
         np.testing.assert_allclose(
             wrapped(found.omega[:, 0, j] - fit.x[:2]), 0.0, atol=0.02 * found.omega_sigma[:, 0, j].max()
         )
