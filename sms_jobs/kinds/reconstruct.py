@@ -11,6 +11,9 @@ The outermost pixels of what passes are given up besides: their light comes in p
 and where a camera's centre ray just misses a lit edge they show a point of the wrong surface with all the
 signs of a good one. On the virtual top hat of 512 px this costs 2-4 % of the pixels and takes the largest
 error from 140 mm to 0.6 mm.
+
+With Fourier domain ranging a pixel may have several returns. The pair of them that is light straight from the
+projector is chosen slab by slab; what cannot be told is marked, see `metrology.geometry.ray_pairing`.
 """
 
 from __future__ import annotations
