@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from functools import cache
 
 from sms_jobs.bench.figures import Group
-from sms_jobs.errors import InvalidInput
+from sms_jobs.discovery import chosen, declared
 
 
 @cache
 def all_groups() -> dict[str, Group]:
     """Return every group by name."""
-    found = {}
-    for module in pkgutil.iter_modules(__path__):
-        group = getattr(importlib.import_module(f"{__name__}.{module.name}"), "GROUP", None)
-        if group is not None:
-            found[group.name] = group
-    return found
+    return declared(__name__, "GROUP")
 
 
 def group_named(name: str) -> Group:
     """Return the group of that name; raise `InvalidInput` where there is none."""
-    groups = all_groups()
-    if name not in groups:
-        raise InvalidInput(f"there is no benchmark '{name}'; choose among {', '.join(sorted(groups))}")
-    return groups[name]
+    return chosen(all_groups(), name, "benchmark")

@@ -14,7 +14,7 @@ from sms_jobs.errors import InvalidInput
 def test_groups_are_found_by_themselves() -> None:
     assert {"phase", "fdr"} <= all_groups().keys()
     assert all(group.name == name for name, group in all_groups().items())
-    with pytest.raises(InvalidInput, match="no benchmark 'speed'; choose among"):
+    with pytest.raises(InvalidInput, match="no benchmark 'speed'; choose one of"):
         group_named("speed")
 
 

@@ -1,0 +1,37 @@
+"""Finds what the modules of a package declare, so that adding one more touches one file."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from sms_jobs.errors import InvalidInput
+
+T = TypeVar("T")
+
+
+def declared(package: str, constant: str) -> dict[str, Any]:
+    """Return the constants of one name in the modules of a package, by their `name`, in order of it.
+
+    Parameters
+    ----------
+    package
+        Its full name.
+    constant
+        What a module calls its declaration, e.g. KIND; modules without one are left out.
+    """
+    found = {}
+    for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
+        declaration = getattr(importlib.import_module(f"{package}.{module.name}"), constant, None)
+        if declaration is not None:
+            found[declaration.name] = declaration
+    return dict(sorted(found.items()))
+
+
+def chosen(found: Mapping[str, T], name: str, what: str) -> T:
+    """Return the declaration of that name; raise `InvalidInput`, naming what there is, if there is none."""
+    if name not in found:
+        raise InvalidInput(f"there is no {what} '{name}'; choose one of {', '.join(found)}")
+    return found[name]
