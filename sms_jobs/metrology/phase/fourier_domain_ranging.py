@@ -19,7 +19,10 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.compilation import in_row_blocks
 from sms_jobs.metrology.phase.returns_fit import fit_weights
-from sms_jobs.metrology.phase.returns_search import JOINT, MODULUS, ORIGINAL, Plan, find_returns
+from sms_jobs.metrology.phase.returns_pairs import overlap_table
+from sms_jobs.metrology.phase.returns_plan import JOINT, MODULUS, ORIGINAL, Plan
+from sms_jobs.metrology.phase.returns_search import find_by_peeling, find_jointly
+from sms_jobs.metrology.phase.returns_settled import settle_row
 from sms_jobs.metrology.phase.returns_signal import (
     PADDING,
     Window,
@@ -89,6 +92,16 @@ def score_threshold(significance: float, count: int) -> float:
     if not 0.0 < significance < 1.0:
         raise InvalidInput(f"the significance is a probability between 0 and 1, not {significance}: use 1e-4")
     return sqrt(max(2.0 * log(count / (sqrt(3.0) * significance)), 1.0))
+
+
+def _row_buffers(count: int, columns: int) -> tuple[Single, Single, NDArray[np.uint8], NDArray[np.int64]]:
+    """Return the signal of a row, its levels, its lost densities, and room for a list of its columns."""
+    return (
+        np.empty((2, count, columns), np.float32),
+        np.empty((2, columns), np.float32),
+        np.empty((count + 1, columns), np.uint8),
+        np.empty(columns, np.int64),
+    )
 
 
 def range_returns(
@@ -181,6 +194,7 @@ def range_returns(
         bit_reversal(length),
         weights,
         weights.sum(axis=1, dtype=np.float64),
+        overlap_table(sequence.densities, sequence.precision * transfer**2),
     )
     stack = np.ascontiguousarray(frames)
     rows, columns = stack.shape[1:]
@@ -189,12 +203,23 @@ def range_returns(
     planes = np.empty((3, rows, columns), np.float32)
     flags = np.empty((2, rows, columns), np.uint8)
 
+    every = np.arange(columns)
+    idle: list[tuple[Single, Single, NDArray[np.uint8], NDArray[np.int64]]] = []
+
     def work(start: int, stop: int) -> None:
-        signal = np.empty((2, sequence.count, columns), np.float32)
-        lost = np.empty((sequence.count + 1, columns), np.uint8)
+        # Fresh memory costs more to touch than a row costs to read: blocks hand on their buffers.
+        buffers = idle.pop() if idle else _row_buffers(sequence.count, columns)
+        signal, levels, lost, opened = buffers
         for row in range(start, stop):
-            read_signal(stack, row, sequence.frames, full_scale, signal[0], signal[1], lost, planes[:2, row])
-            find_returns(plan, signal, lost, row, omega, maps, planes, flags)
+            read_signal(stack, row, sequence.frames, full_scale, signal[0], signal[1], lost, levels)
+            planes[:2, row] = levels
+            if mode & JOINT:
+                still = settle_row(plan, signal, lost, row, omega, maps, planes, flags, opened)
+                if still > 0:
+                    find_jointly(plan, signal, lost, opened[:still], row, omega, maps, planes, flags)
+            else:
+                find_by_peeling(plan, signal, lost, every, row, omega, maps, planes, flags)
+        idle.append(buffers)
 
     in_row_blocks(work, rows, threads, block=4)
     return Returns(

@@ -3,6 +3,9 @@
 Most pixels hold one return, and its fit from an interpolated peak needs a step or two. Done for all pixels
 of a chunk together it costs a tenth of what it costs pixel by pixel. Whatever does not converge so is left
 to the fit of single pixels.
+
+Sums over t are in single precision. Their exp(i omega t) start from double precision every `GROUP`
+densities, so that rounding does not grow with t; omega itself is in double.
 """
 
 from __future__ import annotations
@@ -19,112 +22,180 @@ from sms_jobs.metrology.phase.returns_transform import LANES
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
 
-# Parts of the flat state, LANES numbers each. It is flat, and the parts constants, for the compiler to see
-# that they do not overlap.
+GROUP = 4  # densities between two exp(i omega t) of double precision
+
+# Parts of the flat state of a return, LANES numbers each. It is flat, and the parts constants, for the
+# compiler to see that they do not overlap.
 STEP_TIMES_S = 0
 OMEGA = LANES
-COSINE = 2 * LANES
-SINE = 3 * LANES
+_COSINE = 2 * LANES
+_SINE = 3 * LANES
 AMPLITUDE = 4 * LANES
-SLOPE = 5 * LANES
-SQUARES = 6 * LANES
-FALL = 7 * LANES
-_C = 8 * LANES
-_S = 9 * LANES
-SIZE = 10 * LANES
+SQUARES = 5 * LANES
+FALL = 6 * LANES
+_C = 7 * LANES
+_S = 8 * LANES
+SIZE = 9 * LANES
+
+# Parts of the flat single-precision registers of a return.
+TURN_C = 0
+TURN_S = LANES
+SCALE = 2 * LANES
+IN_PHASE = 3 * LANES
+IN_QUADRATURE = 4 * LANES
+FAST = 5 * LANES
 
 _STEPS = 3
 SMALL = 0.1  # step of omega, times s, after which the cube of it that is left does not matter
 
 
 @summing_kernel
-def _restart(first: int, state: Floats) -> None:
-    """Put the running cos and sin of omega t to those of the first density."""
+def _set_turns(first: int, state: Floats, fast: Single) -> None:
+    """Set the running exp(i omega t) to the first density, and the turns by a density and by a group.
+
+    cos and sin of omega come from their series at omega / 4.
+    """
     for j in range(LANES):
-        state[_C + j] = 1.0 if first == 0 else state[COSINE + j]
-        state[_S + j] = 0.0 if first == 0 else state[SINE + j]
+        x = 0.25 * state[OMEGA + j]
+        q = x * x
+        s = 1.0 - q * (1 / 110) * (1.0 - q * (1 / 156) * (1.0 - q * (1 / 210)))
+        s = x * (1.0 - q * (1 / 6) * (1.0 - q * (1 / 20) * (1.0 - q * (1 / 42) * (1.0 - q * (1 / 72) * s))))
+        c = 1.0 - q * (1 / 90) * (1.0 - q * (1 / 132) * (1.0 - q * (1 / 182) * (1.0 - q * (1 / 240))))
+        c = 1.0 - q * 0.5 * (1.0 - q * (1 / 12) * (1.0 - q * (1 / 30) * (1.0 - q * (1 / 56) * c)))
+        c, s = c * c - s * s, 2.0 * c * s
+        c, s = c * c - s * s, 2.0 * c * s
+        state[_C + j] = 1.0 if first == 0 else c
+        state[_S + j] = 0.0 if first == 0 else s
+        fast[TURN_C + j] = c
+        fast[TURN_S + j] = s
+        fast[SCALE + j] = state[AMPLITUDE + j]
+        fast[IN_PHASE + j] = 0.0
+        fast[IN_QUADRATURE + j] = 0.0
+        c, s = c * c - s * s, 2.0 * c * s
+        state[_COSINE + j] = c * c - s * s
+        state[_SINE + j] = 2.0 * c * s
 
 
 @summing_kernel
-def _advance(x: Single, y: Single, t: int, u: float, ut: float, state: Floats) -> None:
-    """Add one density to Re sum u z exp(-i omega t) and Im sum u t z exp(-i omega t)."""
+def _turn(row: int, state: Floats, rotors: Single) -> None:
+    """Write the running exp(i omega t), and advance it by a group of densities."""
     for j in range(LANES):
         c, s = state[_C + j], state[_S + j]
-        zx, zy = np.float64(x[t, j]), np.float64(y[t, j])
-        state[AMPLITUDE + j] += u * (zx * c + zy * s)
-        state[SLOPE + j] += ut * (zy * c - zx * s)
-        state[_C + j] = c * state[COSINE + j] - s * state[SINE + j]
-        state[_S + j] = s * state[COSINE + j] + c * state[SINE + j]
+        rotors[row, j] = c
+        rotors[row + 1, j] = s
+        state[_C + j] = c * state[_COSINE + j] - s * state[_SINE + j]
+        state[_S + j] = s * state[_COSINE + j] + c * state[_SINE + j]
 
 
 @summing_kernel
-def _move(v: float, vtt: float, s: float, state: Floats) -> None:
-    """Turn the sums into amplitude and Gauss-Newton step of omega, half a bin at most, and go there."""
+def set_rotors(first: int, row: int, state: Floats, rotors: Single, fast: Single) -> None:
+    """Write exp(i omega t) of every `GROUP`-th density to rows `row` (cos) and the next (sin) of each group.
+
+    Sets up the single-precision registers of the return, too.
+    """
+    _set_turns(first, state, fast)
+    for t in range(row, rotors.shape[0], GROUP):
+        _turn(t, state, rotors)
+
+
+@summing_kernel
+def _advance(x: Single, y: Single, t: int, weights: Single, rotors: Single, fast: Single) -> None:
+    """Add a group of densities to Re sum u z exp(-i omega t) and Im sum u t z exp(-i omega t)."""
+    u0, u1, u2, u3 = weights[U, t], weights[U, t + 1], weights[U, t + 2], weights[U, t + 3]
+    w0, w1, w2, w3 = weights[UT, t], weights[UT, t + 1], weights[UT, t + 2], weights[UT, t + 3]
     for j in range(LANES):
-        a = state[AMPLITUDE + j] / v
-        step = s * state[SLOPE + j] / (vtt * max(a, 1e-30))
+        p, q = fast[TURN_C + j], fast[TURN_S + j]
+        c, s = rotors[t, j], rotors[t + 1, j]
+        a = u0 * (x[t, j] * c + y[t, j] * s)
+        b = w0 * (y[t, j] * c - x[t, j] * s)
+        c, s = c * p - s * q, s * p + c * q
+        a += u1 * (x[t + 1, j] * c + y[t + 1, j] * s)
+        b += w1 * (y[t + 1, j] * c - x[t + 1, j] * s)
+        c, s = c * p - s * q, s * p + c * q
+        a += u2 * (x[t + 2, j] * c + y[t + 2, j] * s)
+        b += w2 * (y[t + 2, j] * c - x[t + 2, j] * s)
+        c, s = c * p - s * q, s * p + c * q
+        a += u3 * (x[t + 3, j] * c + y[t + 3, j] * s)
+        b += w3 * (y[t + 3, j] * c - x[t + 3, j] * s)
+        fast[IN_PHASE + j] += a
+        fast[IN_QUADRATURE + j] += b
+
+
+@summing_kernel
+def _move(v: float, vtt: float, s: float, state: Floats, fast: Single) -> None:
+    """Turn the sums into amplitude and Gauss-Newton step of omega, half a bin at most, and go there."""
+    per_v, per_s, lever = 1.0 / v, 1.0 / s, s / vtt
+    for j in range(LANES):
+        slope = np.float64(fast[IN_QUADRATURE + j])
+        a = fast[IN_PHASE + j] * per_v
+        step = lever * slope / max(a, 1e-30)
         step = max(min(step, 3.0), -3.0)
         state[STEP_TIMES_S + j] = step
-        step /= s
-        state[AMPLITUDE + j] = a + 0.5 * state[SLOPE + j] * step / v  # at the end of the step
+        step *= per_s
+        state[AMPLITUDE + j] = a + 0.5 * slope * step * per_v  # at the end of the step
         state[OMEGA + j] += step
-        q = step * step
-        ds = step * (1.0 - q / 6.0 * (1.0 - q / 20.0 * (1.0 - q / 42.0 * (1.0 - q / 72.0))))
-        dc = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0 * (1.0 - q / 56.0)))
-        c, r = state[COSINE + j], state[SINE + j]
-        state[COSINE + j] = c * dc - r * ds
-        state[SINE + j] = r * dc + c * ds
 
 
 @summing_kernel
-def _remove(x: Single, y: Single, t: int, g: float, w: float, utt: float, state: Floats) -> None:
-    """Take one density of the model out of the signal; add what is left to its sums."""
-    for j in range(LANES):
-        c, s = state[_C + j], state[_S + j]
-        a = g * state[AMPLITUDE + j]
-        zx, zy = np.float64(x[t, j]) - a * c, np.float64(y[t, j]) - a * s
-        x[t, j] = np.float32(zx)
-        y[t, j] = np.float32(zy)
-        state[SQUARES + j] += w * (zx * zx + zy * zy)
-        state[FALL + j] += utt * (zx * c + zy * s)
-        state[_C + j] = c * state[COSINE + j] - s * state[SINE + j]
-        state[_S + j] = s * state[COSINE + j] + c * state[SINE + j]
+def _remove(x: Single, y: Single, t: int, weights: Single, rotors: Single, fast: Single) -> None:
+    """Take a group of densities of the model out of the signal; add what is left to its sums."""
+    for k in range(GROUP):
+        g, w, utt = weights[G, t + k], weights[W, t + k], weights[UTT, t + k]
+        for j in range(LANES):
+            c, s = rotors[t, j], rotors[t + 1, j]
+            a = g * fast[SCALE + j]
+            zx, zy = x[t + k, j] - a * c, y[t + k, j] - a * s
+            x[t + k, j] = zx
+            y[t + k, j] = zy
+            fast[IN_PHASE + j] += w * (zx * zx + zy * zy)
+            fast[IN_QUADRATURE + j] += utt * (zx * c + zy * s)
+            p, q = fast[TURN_C + j], fast[TURN_S + j]
+            rotors[t, j] = c * p - s * q
+            rotors[t + 1, j] = s * p + c * q
 
 
 @summing_kernel
-def fit_one_each(x: Single, y: Single, weights: Single, sums: Floats, first: int, state: Floats) -> None:
+def fit_one_each(
+    x: Single,
+    y: Single,
+    count: int,
+    weights: Single,
+    sums: Floats,
+    first: int,
+    state: Floats,
+    rotors: Single,
+    fast: Single,
+) -> None:
     """Fit one return to every pixel of a chunk.
 
     Parameters
     ----------
     x, y
-        z(t), (densities, LANES); become what the return leaves.
+        z(t), (densities, LANES), 0 beyond `count` up to a multiple of `GROUP`; become what the return leaves.
     weights, sums
         (14, densities or more) of `fit_weights`, for unsaturated pixels, and their sums.
     first
         t of the first density.
     state
-        (SIZE,): omega with its cos and sin is the start, and becomes the end; the amplitude, the weighted sum
-        of squares, Re sum u t^2 r exp(-i omega t) of the residual r, and the last step of omega times s (by
-        the cube of which it may be wrong) are written.
+        (SIZE,): omega is the start, and becomes the end; the amplitude, the weighted sum of squares,
+        Re sum u t^2 r exp(-i omega t) of the residual r, and the last step of omega times s (by the cube of
+        which it may be wrong) are written.
+    rotors, fast
+        Scratch, (densities, LANES) and (2 FAST,).
     """
-    count = x.shape[0]
     for _ in range(_STEPS):
-        _restart(first, state)
-        for j in range(LANES):
-            state[AMPLITUDE + j] = 0.0
-            state[SLOPE + j] = 0.0
-        for t in range(count):
-            _advance(x, y, t, weights[U, t], weights[UT, t], state)
-        _move(sums[V], sums[VTT], count, state)
+        set_rotors(first, 0, state, rotors, fast)
+        for t in range(0, x.shape[0], GROUP):
+            _advance(x, y, t, weights, rotors, fast)
+        _move(sums[V], sums[VTT], count, state, fast)
         largest = 0.0
         for j in range(LANES):
             largest = max(largest, abs(state[STEP_TIMES_S + j]))
         if largest < SMALL:
             break
-    _restart(first, state)
+    set_rotors(first, 0, state, rotors, fast)
+    for t in range(0, x.shape[0], GROUP):
+        _remove(x, y, t, weights, rotors, fast)
     for j in range(LANES):
-        state[SQUARES + j] = 0.0
-        state[FALL + j] = 0.0
-    for t in range(count):
-        _remove(x, y, t, weights[G, t], weights[W, t], weights[UTT, t], state)
+        state[SQUARES + j] = fast[IN_PHASE + j]
+        state[FALL + j] = fast[IN_QUADRATURE + j]

@@ -41,7 +41,7 @@ from sms_jobs.metrology.phase.returns_fit import (
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
 
-_CLOSE = 1.6  # bins; returns nearer than this are also started from a split of one
+CLOSE = 1.6  # bins; returns nearer than this are also started from a split of one
 _SPLIT = 0.3  # bins to either side
 
 
@@ -67,7 +67,7 @@ def _offset_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
     """
     n = spectrum.shape[1]
     here = spectrum[k & 1, k >> 1, lane]
-    before, after = (k - 1) % (2 * n), (k + 1) % (2 * n)
+    before, after = (k - 1) & (2 * n - 1), (k + 1) & (2 * n - 1)  # n is a power of two
     left, right = spectrum[before & 1, before >> 1, lane], spectrum[after & 1, after >> 1, lane]
     beside = max(max(left, right), 0.0)
     offset = beside / (beside + here) if here > 0.0 else 0.0
@@ -174,7 +174,7 @@ def add_jointly(
     one_bin = 2.0 * pi / sums[0, G]
     nearest = _nearest(n - 1, omega, states, j) if n > 1 else 0
     centre = states[j, OMEGA, nearest]
-    close = n > 1 and abs(wrapped(centre - omega)) < _CLOSE * one_bin
+    close = n > 1 and abs(wrapped(centre - omega)) < CLOSE * one_bin
     found = np.inf
     for attempt in range(2 if close else 1):
         copy_state(n - 1, states, j, work, 0)

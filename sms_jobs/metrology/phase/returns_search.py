@@ -1,35 +1,28 @@
-"""The returns of every pixel of a row: find a peak, fit it, test it, and look at what is left.
+"""The returns of given pixels of a row: find a peak, fit it, test it, and look at what is left.
 
 Peaks are searched for in chunks of `LANES` pixels, fitted pixel by pixel.
 """
 
 from __future__ import annotations
 
-from math import cos, sin
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel, summing_kernel
-from sms_jobs.metrology.phase import returns_lanes
 from sms_jobs.metrology.phase.returns_fit import (
     AMPLITUDE,
-    COS,
     OMEGA,
     SEARCH,
-    SIN,
     SPREAD,
     VARIANCE,
-    VT4,
-    VTT,
     N,
     P,
     V,
     copy_state,
     power,
 )
-from sms_jobs.metrology.phase.returns_lanes import fit_one_each
 from sms_jobs.metrology.phase.returns_of_pixel import (
     add_jointly,
     height_of_real_peak,
@@ -40,37 +33,11 @@ from sms_jobs.metrology.phase.returns_of_pixel import (
     start_of_real_peak,
     wrapped,
 )
+from sms_jobs.metrology.phase.returns_plan import MODULUS, ORIGINAL, Plan, is_worth_a_fit, real_values
 from sms_jobs.metrology.phase.returns_transform import LANES, modulus_peaks, real_peaks
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
-
-JOINT, MODULUS, ORIGINAL = 1, 2, 4  # bits of the mode
-
-_TRIGGER = 0.85  # of the threshold, for a peak that is seen between samples
-
-
-class Plan(NamedTuple):
-    """What is the same for all pixels.
-
-    `first` is t of the first density, `least` the number of densities that a pixel needs; `turns`, `order`
-    are of `twiddles` and `bit_reversal`, `weights` and `sums` of `fit_weights` for unsaturated pixels.
-    `variance` is that of z at grey level 0, `slope` its growth a grey level, and `unit` makes the standard
-    deviation of a frame of that of z.
-    """
-
-    first: int
-    least: int
-    mode: int
-    refinements: int
-    threshold: float
-    variance: float
-    slope: float
-    unit: float
-    turns: Single
-    order: NDArray[np.int64]
-    weights: Single
-    sums: Floats
 
 
 class _Chunk(NamedTuple):
@@ -81,6 +48,7 @@ class _Chunk(NamedTuple):
     spectrum: Single
     best: Single
     where: NDArray[np.int32]
+    lost: NDArray[np.uint8]
     pixels: Single
     left: Single
     rest: Single
@@ -95,7 +63,6 @@ class _Chunk(NamedTuple):
     work: Floats
     tables: Single
     system: Floats
-    lanes: Floats
 
 
 @kernel
@@ -111,6 +78,7 @@ def _chunk(plan: Plan, count: int, most: int) -> _Chunk:
         np.empty((2, plan.order.size, LANES), np.float32),
         np.empty(LANES, np.float32),
         np.empty(LANES, np.int32),
+        np.zeros((count, LANES), np.uint8),
         np.zeros((LANES, 2, padded), np.float32),
         np.zeros((LANES, 2, padded), np.float32),
         np.zeros((LANES, 2, padded), np.float32),
@@ -125,7 +93,6 @@ def _chunk(plan: Plan, count: int, most: int) -> _Chunk:
         np.zeros((3, 6, most)),
         np.zeros((most, 2, padded), np.float32),
         np.zeros((6, max(most, 6), most + 1)),
-        np.zeros(returns_lanes.SIZE),
     )
 
 
@@ -146,19 +113,21 @@ def _to_pixels(x: Single, y: Single, pixels: Single) -> None:
 
 
 @kernel
-def _load(plan: Plan, signal: Single, lost: NDArray[np.uint8], start: int, lanes: int, chunk: _Chunk) -> None:
-    """Take the pixels from column `start` on into the buffers; those with enough densities are active."""
+def _load(
+    plan: Plan, signal: Single, lost: NDArray[np.uint8], columns: NDArray[np.int64], chunk: _Chunk
+) -> None:
+    """Take the pixels of some columns into the buffers; those with enough densities are active."""
     count = signal.shape[1]
     for t in range(count):
-        for j in range(lanes):
-            # An unsigned index needs no look at its sign, which would keep this from being a vector copy.
-            chunk.x[t, j] = signal[0, t, np.uint64(start + j)]
-            chunk.y[t, j] = signal[1, t, np.uint64(start + j)]
+        for j in range(columns.size):
+            chunk.x[t, j] = signal[0, t, columns[j]]
+            chunk.y[t, j] = signal[1, t, columns[j]]
+            chunk.lost[t, j] = lost[t, columns[j]]
     _to_pixels(chunk.x, chunk.y, chunk.pixels)
     for j in range(LANES):
         chunk.found[j] = 0
-        chunk.missing[j] = lost[count, start + j] if j < lanes else 0
-        chunk.active[j] = j < lanes and count - chunk.missing[j] >= plan.least
+        chunk.missing[j] = lost[count, columns[j]] if j < columns.size else 0
+        chunk.active[j] = j < columns.size and count - chunk.missing[j] >= plan.least
 
 
 @kernel
@@ -172,25 +141,6 @@ def _weights_of(missing: int, lost: NDArray[np.uint8], j: int, weights: Single, 
             weights[1, k, t] = 0.0 if lost[t, j] else weights[0, k, t]
             sums[1, k] += weights[1, k, t]
     return 1
-
-
-@kernel
-def _values(first: int, densities: int) -> float:
-    """Return how many real values there are: two a density, one at t = 0."""
-    return float(2 * densities - (1 if first == 0 else 0))
-
-
-@kernel
-def _is_worth_a_fit(
-    threshold: float, values: float, variance: float, squares: float, scatter: float, height: float
-) -> bool:
-    """Tell whether what is left of a pixel can hold a return: a high sample, or too much of everything."""
-    floor = max(variance, squares / max(values, 1.0))
-    excess = squares - variance * values
-    return bool(
-        height > _TRIGGER * threshold * np.sqrt(scatter * floor)
-        or excess > threshold * np.sqrt(2.0 * values) * variance
-    )
 
 
 @kernel
@@ -208,53 +158,15 @@ def _find_peaks(plan: Plan, chunk: _Chunk) -> None:
 
 
 @kernel
-def _find_one_each(plan: Plan, chunk: _Chunk) -> None:
-    """Fit one return to all pixels of a chunk together; those that are settled are no longer `active`.
-
-    A pixel is settled if no density is lost and the last step was small, or small against its own standard
-    deviation. It is found where its return is significant. `x` and `y` become what is left.
-    """
-    lanes = chunk.lanes
-    for j in range(LANES):
-        omega = start_of_real_peak(chunk.spectrum, chunk.where[j], j)
-        lanes[returns_lanes.OMEGA + j] = omega
-        lanes[returns_lanes.COSINE + j] = cos(omega)
-        lanes[returns_lanes.SINE + j] = sin(omega)
-    fit_one_each(chunk.x, chunk.y, plan.weights, plan.sums, plan.first, lanes)
-    v, vtt = plan.sums[V], plan.sums[VTT]
-    lever = plan.sums[VT4] - vtt * vtt / v
-    values = _values(plan.first, chunk.x.shape[0])
-    for j in range(LANES):
-        a = lanes[returns_lanes.AMPLITUDE + j]
-        squares = lanes[returns_lanes.SQUARES + j]
-        floor = max(chunk.variance[j], squares / (values - 2.0))
-        width = chunk.x.shape[0] * np.sqrt(floor / (a * a * vtt))
-        step = abs(lanes[returns_lanes.STEP_TIMES_S + j])
-        settled = step < max(returns_lanes.SMALL, min(4.0 * width, 4.0 * returns_lanes.SMALL))
-        if not (settled and chunk.active[j] and chunk.missing[j] == 0):
-            continue
-        chunk.active[j] = False
-        if a > 0.0 and a * a * v > plan.threshold * plan.threshold * floor:
-            chunk.found[j] = 1
-            chunk.squares[j] = squares
-            chunk.states[j, OMEGA, 0] = lanes[returns_lanes.OMEGA + j]
-            chunk.states[j, COS, 0] = lanes[returns_lanes.COSINE + j]
-            chunk.states[j, SIN, 0] = lanes[returns_lanes.SINE + j]
-            chunk.states[j, AMPLITUDE, 0] = a
-            chunk.states[j, VARIANCE, 0] = 1.0 / (a * a * vtt)
-            chunk.states[j, SPREAD, 0] = -2.0 * lanes[returns_lanes.FALL + j] / (a * lever)
-
-
-@kernel
 def _fit_pixel(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk, i: int, j: int) -> None:
     """Add return i to a pixel if that is worth it; what is left then replaces the pixel in `x` and `y`."""
     m = _weights_of(chunk.missing[j], lost, j, chunk.weights, chunk.sums)
-    values = _values(plan.first, lost.shape[0] - chunk.missing[j])
+    values = real_values(plan.first, lost.shape[0] - chunk.missing[j])
     variance = chunk.variance[j]
     if i == 0:
         chunk.squares[j] = power(chunk.pixels, j, chunk.weights, m, P)
     height = height_of_real_peak(chunk.spectrum, chunk.where[j], j)
-    if i > 0 and not _is_worth_a_fit(
+    if i > 0 and not is_worth_a_fit(
         plan.threshold, values - 2.0 * i, variance, chunk.squares[j], chunk.sums[m, N], height
     ):
         return
@@ -284,17 +196,14 @@ def _fit_pixel(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk, i: int, j: in
 
 
 @kernel
-def _find_jointly(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk) -> None:
+def _find_jointly(plan: Plan, chunk: _Chunk) -> None:
     """Find the returns of a chunk, each new one fitted together with those that are known."""
-    _find_peaks(plan, chunk)
-    _find_one_each(plan, chunk)
     for i in range(chunk.states.shape[2]):
         remaining = 0
-        if i > 0:
-            _find_peaks(plan, chunk)
+        _find_peaks(plan, chunk)
         for j in range(LANES):
             if chunk.active[j]:
-                _fit_pixel(plan, lost, chunk, i, j)
+                _fit_pixel(plan, chunk.lost, chunk, i, j)
             chunk.active[j] = chunk.found[j] == i + 1
             remaining += 1 if chunk.active[j] else 0
         if remaining == 0:
@@ -329,7 +238,7 @@ def _peel_pixel(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk, sweep: int, 
     if sweep > 0:
         return
     squares = _without(plan, chunk, m, j, i + 1, -1)
-    freedom = max(_values(plan.first, lost.shape[0] - chunk.missing[j]) - 2.0 * (i + 1), 1.0)
+    freedom = max(real_values(plan.first, lost.shape[0] - chunk.missing[j]) - 2.0 * (i + 1), 1.0)
     floor = max(chunk.variance[j], squares / freedom)
     score = chunk.states[j, AMPLITUDE, i] * chunk.sums[m, V]
     if score > plan.threshold * np.sqrt(chunk.sums[m, N] * floor):
@@ -356,23 +265,23 @@ def _without(plan: Plan, chunk: _Chunk, m: int, j: int, found: int, kept: int) -
 
 
 @kernel
-def _find_by_peeling(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk) -> None:
+def _find_by_peeling(plan: Plan, chunk: _Chunk) -> None:
     """Find the returns of a chunk one by one: thesis section 7.2.3, steps 1 to 4."""
     most = chunk.states.shape[2]
     for sweep in range(plan.refinements + 1 if most > 1 else 1):
         for i in range(most):
             for j in range(LANES):
                 if chunk.active[j] if sweep == 0 else i < chunk.found[j]:
-                    m = _weights_of(chunk.missing[j], lost, j, chunk.weights, chunk.sums)
+                    m = _weights_of(chunk.missing[j], chunk.lost, j, chunk.weights, chunk.sums)
                     _without(plan, chunk, m, j, chunk.found[j], i)
             _to_lanes(chunk.left, chunk.x, chunk.y)
             _find_peaks(plan, chunk)
             for j in range(LANES):
                 if chunk.active[j] if sweep == 0 else i < chunk.found[j]:
-                    _peel_pixel(plan, lost, chunk, sweep, i, j)
+                    _peel_pixel(plan, chunk.lost, chunk, sweep, i, j)
     for j in range(LANES):
         if chunk.found[j] > 0:
-            m = _weights_of(chunk.missing[j], lost, j, chunk.weights, chunk.sums)
+            m = _weights_of(chunk.missing[j], chunk.lost, j, chunk.weights, chunk.sums)
             chunk.squares[j] = _without(plan, chunk, m, j, chunk.found[j], -1)
             copy_state(chunk.found[j], chunk.states, j, chunk.work, 0)
             spread(chunk.found[j], chunk.weights, chunk.sums, m, chunk.work, chunk.tables, chunk.left, j)
@@ -400,17 +309,57 @@ def _report(
 
 
 @kernel
-def find_returns(
+def _begin(
     plan: Plan,
     signal: Single,
     lost: NDArray[np.uint8],
+    columns: NDArray[np.int64],
+    row: int,
+    planes: Single,
+    flags: NDArray[np.uint8],
+    chunk: _Chunk,
+) -> None:
+    """Take the pixels of some columns into a chunk, and mark those with too few densities."""
+    _load(plan, signal, lost, columns, chunk)
+    for j in range(columns.size):
+        chunk.variance[j] = plan.variance + plan.slope * planes[0, row, columns[j]]
+        flags[1, row, columns[j]] = 0 if chunk.active[j] else 1
+
+
+@kernel
+def _end(
+    plan: Plan,
+    columns: NDArray[np.int64],
+    row: int,
+    omega: Floats,
+    maps: Single,
+    planes: Single,
+    flags: NDArray[np.uint8],
+    chunk: _Chunk,
+) -> None:
+    """Write what was found in a chunk."""
+    for j in range(columns.size):
+        found, column = chunk.found[j], columns[j]
+        _report(found, chunk.states, j, chunk.variance[j], row, column, omega, maps)
+        flags[0, row, column] = found
+        freedom = real_values(plan.first, chunk.lost.shape[0] - chunk.missing[j]) - 2.0 * found
+        sound = found > 0 and freedom > 0.0
+        planes[2, row, column] = plan.unit * np.sqrt(chunk.squares[j] / freedom) if sound else np.nan
+
+
+@kernel
+def find_jointly(
+    plan: Plan,
+    signal: Single,
+    lost: NDArray[np.uint8],
+    columns: NDArray[np.int64],
     row: int,
     omega: Floats,
     maps: Single,
     planes: Single,
     flags: NDArray[np.uint8],
 ) -> None:
-    """Find the returns of one row.
+    """Find the returns of some pixels of one row, all of a pixel fitted together.
 
     Parameters
     ----------
@@ -419,28 +368,37 @@ def find_returns(
     signal, lost
         z, (2, densities, columns), and 1 where a density is left out with the number of these in a last row,
         (densities + 1, columns).
+    columns
+        Which pixels.
     row, omega, maps, planes, flags
         Which row of (returns, rows, columns); of (3, returns, rows, columns): standard deviation, amplitude,
         width; of (3, rows, columns): the mean grey level, which is given, another, residual; and of
         (2, rows, columns): count, 1 where too few densities are left. They are written.
     """
-    count, columns = signal.shape[1], signal.shape[2]
-    chunk = _chunk(plan, count, omega.shape[0])
-    for start in range(0, columns, LANES):
-        stop = min(start + LANES, columns)
-        here = lost[:count, start:stop]
-        _load(plan, signal, lost, start, stop - start, chunk)
-        for j in range(stop - start):
-            chunk.variance[j] = plan.variance + plan.slope * planes[0, row, start + j]
-            flags[1, row, start + j] = 0 if chunk.active[j] else 1
-        if plan.mode & JOINT:
-            _find_jointly(plan, here, chunk)
-        else:
-            _find_by_peeling(plan, here, chunk)
-        for j in range(stop - start):
-            found = chunk.found[j]
-            _report(found, chunk.states, j, chunk.variance[j], row, start + j, omega, maps)
-            flags[0, row, start + j] = found
-            freedom = _values(plan.first, count - chunk.missing[j]) - 2.0 * found
-            sound = found > 0 and freedom > 0.0
-            planes[2, row, start + j] = plan.unit * np.sqrt(chunk.squares[j] / freedom) if sound else np.nan
+    chunk = _chunk(plan, signal.shape[1], omega.shape[0])
+    for start in range(0, columns.size, LANES):
+        here = columns[start : start + LANES]
+        _begin(plan, signal, lost, here, row, planes, flags, chunk)
+        _find_jointly(plan, chunk)
+        _end(plan, here, row, omega, maps, planes, flags, chunk)
+
+
+@kernel
+def find_by_peeling(
+    plan: Plan,
+    signal: Single,
+    lost: NDArray[np.uint8],
+    columns: NDArray[np.int64],
+    row: int,
+    omega: Floats,
+    maps: Single,
+    planes: Single,
+    flags: NDArray[np.uint8],
+) -> None:
+    """Find the returns of some pixels of one row one by one; the parameters are those of `find_jointly`."""
+    chunk = _chunk(plan, signal.shape[1], omega.shape[0])
+    for start in range(0, columns.size, LANES):
+        here = columns[start : start + LANES]
+        _begin(plan, signal, lost, here, row, planes, flags, chunk)
+        _find_by_peeling(plan, chunk)
+        _end(plan, here, row, omega, maps, planes, flags, chunk)

@@ -138,6 +138,27 @@ def _add_pair(
 
 
 @kernel
+def _add_frames(
+    frames: NDArray[Any], row: int, start: int, stop: int, table: Floats, x: Single, y: Single, i: int
+) -> None:
+    """Make the signal of a density of any number of frames."""
+    x[i] = 0.0
+    y[i] = 0.0
+    half = (stop - start + 1) // 2
+    for a in range(start, start + half):
+        b = a + half if a + half < stop else a
+        share = 1.0 if b != a else 0.0
+        _add_pair(frames, row, a, b, table[a, 1], share * table[b, 1], x, i)
+        _add_pair(frames, row, a, b, table[a, 2], share * table[b, 2], y, i)
+
+
+@kernel
+def _add_power(x: Single, y: Single, i: int, levels: Single) -> None:
+    for j in range(x.shape[1]):
+        levels[1, j] += x[i, j] * x[i, j] + y[i, j] * y[i, j]
+
+
+@kernel
 def _add_levels(
     frames: NDArray[Any], row: int, start: int, stop: int, levels: Single, highest: NDArray[Any]
 ) -> None:
@@ -151,6 +172,35 @@ def _add_levels(
 
 
 @kernel
+def _add_four(
+    frames: NDArray[Any], row: int, a: int, table: Floats, x: Single, y: Single, i: int, levels: Single
+) -> None:
+    """Make the signal of a density of four frames, and add its levels and its power, in one go."""
+    c0, c1 = np.float32(table[a, 1]), np.float32(table[a + 1, 1])
+    c2, c3 = np.float32(table[a + 2, 1]), np.float32(table[a + 3, 1])
+    s0, s1 = np.float32(table[a, 2]), np.float32(table[a + 1, 2])
+    s2, s3 = np.float32(table[a + 2, 2]), np.float32(table[a + 3, 2])
+    for j in range(x.shape[1]):
+        p, q = np.float32(frames[a, row, j]), np.float32(frames[a + 1, row, j])
+        r, s = np.float32(frames[a + 2, row, j]), np.float32(frames[a + 3, row, j])
+        re = c0 * p + c1 * q + c2 * r + c3 * s
+        im = s0 * p + s1 * q + s2 * r + s3 * s
+        x[i, j] = re
+        y[i, j] = im
+        levels[0, j] += (p + q) + (r + s)
+        levels[1, j] += re * re + im * im
+
+
+@kernel
+def _highest_of_four(frames: NDArray[Any], row: int, a: int, highest: NDArray[Any]) -> None:
+    """Write the highest level of four frames."""
+    for j in range(highest.size):
+        highest[j] = max(
+            max(frames[a, row, j], frames[a + 1, row, j]), max(frames[a + 2, row, j], frames[a + 3, row, j])
+        )
+
+
+@kernel
 def _finish_density(
     highest: NDArray[Any],
     full_scale: int,
@@ -158,11 +208,8 @@ def _finish_density(
     y: Single,
     i: int,
     lost: NDArray[np.uint8],
-    levels: Single,
 ) -> None:
-    """Add a density's power, and take it from the pixels that are at full scale in it."""
-    for j in range(highest.size):
-        levels[1, j] += x[i, j] * x[i, j] + y[i, j] * y[i, j]
+    """Take a density from the pixels that are at full scale in it."""
     top = highest[0]
     for j in range(highest.size):
         top = max(top, highest[j])
@@ -194,8 +241,6 @@ def read_signal(
     """
     lost[:] = 0
     levels[:] = 0.0
-    x[:] = 0.0
-    y[:] = 0.0
     n = frames.shape[0]
     highest = np.empty(x.shape[1], frames.dtype)
     start = 0
@@ -204,16 +249,14 @@ def read_signal(
         stop = start
         while stop < n and int(table[stop, 0]) == i:
             stop += 1
-        half = (stop - start + 1) // 2
-        for a in range(start, start + half):
-            b = a + half if a + half < stop else a
-            share = 1.0 if b != a else 0.0
-            if abs(table[a, 1]) + abs(table[b, 1]) > 1e-12:
-                _add_pair(frames, row, a, b, table[a, 1], share * table[b, 1], x, i)
-            if abs(table[a, 2]) + abs(table[b, 2]) > 1e-12:
-                _add_pair(frames, row, a, b, table[a, 2], share * table[b, 2], y, i)
-        _add_levels(frames, row, start, stop, levels, highest)
-        _finish_density(highest, full_scale, x, y, i, lost, levels)
+        if stop - start == 4:
+            _add_four(frames, row, start, table, x, y, i, levels)
+            _highest_of_four(frames, row, start, highest)
+        else:
+            _add_frames(frames, row, start, stop, table, x, y, i)
+            _add_levels(frames, row, start, stop, levels, highest)
+            _add_power(x, y, i, levels)
+        _finish_density(highest, full_scale, x, y, i, lost)
         start = stop
     for j in range(x.shape[1]):
         levels[0, j] /= n
