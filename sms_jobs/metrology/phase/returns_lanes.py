@@ -2,9 +2,10 @@
 
 Most pixels hold one return, and its fit from an interpolated peak needs a step or two. Done for all pixels
 of a chunk together it costs a tenth of what it costs pixel by pixel. Whatever does not converge so is left
-to the fit of single pixels.
+to the fit of single pixels. Where several rows are written, arrays are handed over flat: only then does the
+compiler see that rows do not overlap.
 
-Sums over t are in single precision. Their exp(i omega t) start from double precision every `GROUP`
+Sums over t are in single precision. Their exp(i omega t) start from double precision every four groups of
 densities, so that rounding does not grow with t; omega itself is in double.
 """
 
@@ -22,7 +23,7 @@ from sms_jobs.metrology.phase.returns_transform import LANES
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
 
-GROUP = 4  # densities between two exp(i omega t) of double precision
+GROUP = 4  # densities that are summed together
 
 # Parts of the flat state of a return, LANES numbers each. It is flat, and the parts constants, for the
 # compiler to see that they do not overlap.
@@ -43,7 +44,9 @@ TURN_S = LANES
 SCALE = 2 * LANES
 IN_PHASE = 3 * LANES
 IN_QUADRATURE = 4 * LANES
-FAST = 5 * LANES
+_GROUP_C = 5 * LANES
+_GROUP_S = 6 * LANES
+FAST = 7 * LANES
 
 _STEPS = 3
 SMALL = 0.1  # step of omega, times s, after which the cube of it that is left does not matter
@@ -51,7 +54,7 @@ SMALL = 0.1  # step of omega, times s, after which the cube of it that is left d
 
 @summing_kernel
 def _set_turns(first: int, state: Floats, fast: Single) -> None:
-    """Set the running exp(i omega t) to the first density, and the turns by a density and by a group.
+    """Set the running exp(i omega t) to the first density, and the turns by one, a group and four groups.
 
     cos and sin of omega come from their series at omega / 4.
     """
@@ -72,19 +75,35 @@ def _set_turns(first: int, state: Floats, fast: Single) -> None:
         fast[IN_PHASE + j] = 0.0
         fast[IN_QUADRATURE + j] = 0.0
         c, s = c * c - s * s, 2.0 * c * s
+        c, s = c * c - s * s, 2.0 * c * s
+        fast[_GROUP_C + j] = c
+        fast[_GROUP_S + j] = s
+        c, s = c * c - s * s, 2.0 * c * s
         state[_COSINE + j] = c * c - s * s
         state[_SINE + j] = 2.0 * c * s
 
 
 @summing_kernel
-def _turn(row: int, state: Floats, rotors: Single) -> None:
-    """Write the running exp(i omega t), and advance it by a group of densities."""
+def _turn(row: int, state: Floats, rotors: Single, fast: Single) -> None:
+    """Write exp(i omega t) of four groups, the first in double precision, which is then advanced by four."""
+    o = row * LANES
     for j in range(LANES):
-        c, s = state[_C + j], state[_S + j]
-        rotors[row, j] = c
-        rotors[row + 1, j] = s
-        state[_C + j] = c * state[_COSINE + j] - s * state[_SINE + j]
-        state[_S + j] = s * state[_COSINE + j] + c * state[_SINE + j]
+        p, q = fast[_GROUP_C + j], fast[_GROUP_S + j]
+        a, b = state[_C + j], state[_S + j]
+        c, s = np.float32(a), np.float32(b)
+        rotors[np.uint64(o + j)] = c
+        rotors[np.uint64(o + 1 * LANES + j)] = s
+        c, s = c * p - s * q, s * p + c * q
+        rotors[np.uint64(o + 4 * LANES + j)] = c
+        rotors[np.uint64(o + 5 * LANES + j)] = s
+        c, s = c * p - s * q, s * p + c * q
+        rotors[np.uint64(o + 8 * LANES + j)] = c
+        rotors[np.uint64(o + 9 * LANES + j)] = s
+        c, s = c * p - s * q, s * p + c * q
+        rotors[np.uint64(o + 12 * LANES + j)] = c
+        rotors[np.uint64(o + 13 * LANES + j)] = s
+        state[_C + j] = a * state[_COSINE + j] - b * state[_SINE + j]
+        state[_S + j] = b * state[_COSINE + j] + a * state[_SINE + j]
 
 
 @summing_kernel
@@ -94,8 +113,9 @@ def set_rotors(first: int, row: int, state: Floats, rotors: Single, fast: Single
     Sets up the single-precision registers of the return, too.
     """
     _set_turns(first, state, fast)
-    for t in range(row, rotors.shape[0], GROUP):
-        _turn(t, state, rotors)
+    rows = rotors.reshape(-1)
+    for t in range(row, rotors.shape[0], 4 * GROUP):
+        _turn(t, state, rows, fast)
 
 
 @summing_kernel
@@ -139,19 +159,47 @@ def _move(v: float, vtt: float, s: float, state: Floats, fast: Single) -> None:
 @summing_kernel
 def _remove(x: Single, y: Single, t: int, weights: Single, rotors: Single, fast: Single) -> None:
     """Take a group of densities of the model out of the signal; add what is left to its sums."""
-    for k in range(GROUP):
-        g, w, utt = weights[G, t + k], weights[W, t + k], weights[UTT, t + k]
-        for j in range(LANES):
-            c, s = rotors[t, j], rotors[t + 1, j]
-            a = g * fast[SCALE + j]
-            zx, zy = x[t + k, j] - a * c, y[t + k, j] - a * s
-            x[t + k, j] = zx
-            y[t + k, j] = zy
-            fast[IN_PHASE + j] += w * (zx * zx + zy * zy)
-            fast[IN_QUADRATURE + j] += utt * (zx * c + zy * s)
-            p, q = fast[TURN_C + j], fast[TURN_S + j]
-            rotors[t, j] = c * p - s * q
-            rotors[t + 1, j] = s * p + c * q
+    g = weights[G, t], weights[G, t + 1], weights[G, t + 2], weights[G, t + 3]
+    w = weights[W, t], weights[W, t + 1], weights[W, t + 2], weights[W, t + 3]
+    m = weights[UTT, t], weights[UTT, t + 1], weights[UTT, t + 2], weights[UTT, t + 3]
+    o = t * LANES
+    for j in range(LANES):
+        p, q, a = fast[TURN_C + j], fast[TURN_S + j], fast[SCALE + j]
+        c, s = rotors[np.uint64(o + j)], rotors[np.uint64(o + 1 * LANES + j)]
+        rx, ry = x[np.uint64(o + j)] - g[0] * a * c, y[np.uint64(o + j)] - g[0] * a * s
+        x[np.uint64(o + j)] = rx
+        y[np.uint64(o + j)] = ry
+        left = w[0] * (rx * rx + ry * ry)
+        fall = m[0] * (rx * c + ry * s)
+        c, s = c * p - s * q, s * p + c * q
+        rx, ry = (
+            x[np.uint64(o + 1 * LANES + j)] - g[1] * a * c,
+            y[np.uint64(o + 1 * LANES + j)] - g[1] * a * s,
+        )
+        x[np.uint64(o + 1 * LANES + j)] = rx
+        y[np.uint64(o + 1 * LANES + j)] = ry
+        left += w[1] * (rx * rx + ry * ry)
+        fall += m[1] * (rx * c + ry * s)
+        c, s = c * p - s * q, s * p + c * q
+        rx, ry = (
+            x[np.uint64(o + 2 * LANES + j)] - g[2] * a * c,
+            y[np.uint64(o + 2 * LANES + j)] - g[2] * a * s,
+        )
+        x[np.uint64(o + 2 * LANES + j)] = rx
+        y[np.uint64(o + 2 * LANES + j)] = ry
+        left += w[2] * (rx * rx + ry * ry)
+        fall += m[2] * (rx * c + ry * s)
+        c, s = c * p - s * q, s * p + c * q
+        rx, ry = (
+            x[np.uint64(o + 3 * LANES + j)] - g[3] * a * c,
+            y[np.uint64(o + 3 * LANES + j)] - g[3] * a * s,
+        )
+        x[np.uint64(o + 3 * LANES + j)] = rx
+        y[np.uint64(o + 3 * LANES + j)] = ry
+        left += w[3] * (rx * rx + ry * ry)
+        fall += m[3] * (rx * c + ry * s)
+        fast[IN_PHASE + j] += left
+        fast[IN_QUADRATURE + j] += fall
 
 
 @summing_kernel
@@ -181,7 +229,7 @@ def fit_one_each(
         Re sum u t^2 r exp(-i omega t) of the residual r, and the last step of omega times s (by the cube of
         which it may be wrong) are written.
     rotors, fast
-        Scratch, (densities, LANES) and (2 FAST,).
+        Scratch, (densities up to a multiple of four groups, LANES) and (2 FAST,).
     """
     for _ in range(_STEPS):
         set_rotors(first, 0, state, rotors, fast)
@@ -194,8 +242,9 @@ def fit_one_each(
         if largest < SMALL:
             break
     set_rotors(first, 0, state, rotors, fast)
+    flat_x, flat_y, flat_rotors = x.reshape(-1), y.reshape(-1), rotors.reshape(-1)
     for t in range(0, x.shape[0], GROUP):
-        _remove(x, y, t, weights, rotors, fast)
+        _remove(flat_x, flat_y, t, weights, flat_rotors, fast)
     for j in range(LANES):
         state[SQUARES + j] = fast[IN_PHASE + j]
         state[FALL + j] = fast[IN_QUADRATURE + j]

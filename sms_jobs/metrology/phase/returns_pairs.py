@@ -142,25 +142,52 @@ def _move(v: float, vtt: float, s: float, state: Floats, fast: Single) -> None:
 
 
 @summing_kernel
-def _remove(
-    x: Single, y: Single, t: int, weights: Single, rotors: Single, fast: Single, left: Single
-) -> None:
+def _remove(x: Single, y: Single, t: int, weights: Single, rotors: Single, fast: Single) -> None:
     """Take a group of densities of the model out of the signal; add what is left to its sums."""
-    for k in range(GROUP):
-        g, w, utt = weights[G, t + k], weights[W, t + k], weights[UTT, t + k]
-        for j in range(LANES):
-            p, q, a = fast[TURN_C + j], fast[TURN_S + j], fast[SCALE + j]
-            m, n, b = fast[FAST + TURN_C + j], fast[FAST + TURN_S + j], fast[FAST + SCALE + j]
-            c, s = rotors[t, j], rotors[t + 1, j]
-            d, e = rotors[t + 2, j], rotors[t + 3, j]
-            rx, ry = x[t + k, j] - g * (a * c + b * d), y[t + k, j] - g * (a * s + b * e)
-            x[t + k, j] = rx
-            y[t + k, j] = ry
-            left[j] += w * (rx * rx + ry * ry)
-            fast[IN_PHASE + j] += utt * (rx * c + ry * s)
-            fast[FAST + IN_PHASE + j] += utt * (rx * d + ry * e)
-            rotors[t, j], rotors[t + 1, j] = c * p - s * q, s * p + c * q
-            rotors[t + 2, j], rotors[t + 3, j] = d * m - e * n, e * m + d * n
+    g = weights[G, t], weights[G, t + 1], weights[G, t + 2], weights[G, t + 3]
+    w = weights[W, t], weights[W, t + 1], weights[W, t + 2], weights[W, t + 3]
+    u = weights[UTT, t], weights[UTT, t + 1], weights[UTT, t + 2], weights[UTT, t + 3]
+    o = t * LANES
+    for j in range(LANES):
+        p, q, a = fast[TURN_C + j], fast[TURN_S + j], fast[SCALE + j]
+        m, n, b = fast[FAST + TURN_C + j], fast[FAST + TURN_S + j], fast[FAST + SCALE + j]
+        c, s = rotors[np.uint64(o + j)], rotors[np.uint64(o + 1 * LANES + j)]
+        d, e = rotors[np.uint64(o + 2 * LANES + j)], rotors[np.uint64(o + 3 * LANES + j)]
+        rx, ry = x[np.uint64(o + j)] - g[0] * (a * c + b * d), y[np.uint64(o + j)] - g[0] * (a * s + b * e)
+        x[np.uint64(o + j)], y[np.uint64(o + j)] = rx, ry
+        left = w[0] * (rx * rx + ry * ry)
+        fall = u[0] * (rx * c + ry * s)
+        fell = u[0] * (rx * d + ry * e)
+        c, s, d, e = c * p - s * q, s * p + c * q, d * m - e * n, e * m + d * n
+        rx, ry = (
+            x[np.uint64(o + 1 * LANES + j)] - g[1] * (a * c + b * d),
+            y[np.uint64(o + 1 * LANES + j)] - g[1] * (a * s + b * e),
+        )
+        x[np.uint64(o + 1 * LANES + j)], y[np.uint64(o + 1 * LANES + j)] = rx, ry
+        left += w[1] * (rx * rx + ry * ry)
+        fall += u[1] * (rx * c + ry * s)
+        fell += u[1] * (rx * d + ry * e)
+        c, s, d, e = c * p - s * q, s * p + c * q, d * m - e * n, e * m + d * n
+        rx, ry = (
+            x[np.uint64(o + 2 * LANES + j)] - g[2] * (a * c + b * d),
+            y[np.uint64(o + 2 * LANES + j)] - g[2] * (a * s + b * e),
+        )
+        x[np.uint64(o + 2 * LANES + j)], y[np.uint64(o + 2 * LANES + j)] = rx, ry
+        left += w[2] * (rx * rx + ry * ry)
+        fall += u[2] * (rx * c + ry * s)
+        fell += u[2] * (rx * d + ry * e)
+        c, s, d, e = c * p - s * q, s * p + c * q, d * m - e * n, e * m + d * n
+        rx, ry = (
+            x[np.uint64(o + 3 * LANES + j)] - g[3] * (a * c + b * d),
+            y[np.uint64(o + 3 * LANES + j)] - g[3] * (a * s + b * e),
+        )
+        x[np.uint64(o + 3 * LANES + j)], y[np.uint64(o + 3 * LANES + j)] = rx, ry
+        left += w[3] * (rx * rx + ry * ry)
+        fall += u[3] * (rx * c + ry * s)
+        fell += u[3] * (rx * d + ry * e)
+        fast[IN_QUADRATURE + j] += left
+        fast[IN_PHASE + j] += fall
+        fast[FAST + IN_PHASE + j] += fell
 
 
 @summing_kernel
@@ -215,10 +242,10 @@ def fit_two_each(
             break
     set_rotors(first, 0, state, rotors, fast)
     set_rotors(first, 2, second, rotors, fast_second)
-    left = np.zeros(LANES, np.float32)
+    flat_x, flat_y, flat_rotors = x.reshape(-1), y.reshape(-1), rotors.reshape(-1)
     for t in range(0, x.shape[0], GROUP):
-        _remove(x, y, t, weights, rotors, fast, left)
+        _remove(flat_x, flat_y, t, weights, flat_rotors, fast)
     for j in range(LANES):
-        state[SQUARES + j] = left[j]
+        state[SQUARES + j] = fast[IN_QUADRATURE + j]
         state[FALL + j] = fast[IN_PHASE + j]
         state[SIZE + FALL + j] = fast[FAST + IN_PHASE + j]

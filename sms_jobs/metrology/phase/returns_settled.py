@@ -63,7 +63,7 @@ def _chunk(plan: Plan, count: int) -> _Chunk:
         np.empty(LANES, np.int32),
         np.zeros(returns_lanes.SIZE),
         np.zeros(returns_pairs.PAIR_SIZE),
-        np.zeros((rows, LANES), np.float32),
+        np.zeros((plan.weights.shape[1], LANES), np.float32),
         np.zeros(2 * FAST, np.float32),
         np.zeros(LANES, np.bool_),
         np.zeros(LANES, np.int64),

@@ -70,6 +70,35 @@ def _combine(x: Single, y: Single, m: int, wx: float, wy: float, out: Single, i:
 
 
 @summing_kernel
+def _combine_two(
+    x: Single,
+    y: Single,
+    m: int,
+    k: int,
+    wm: float,
+    wk: float,
+    c: float,
+    s: float,
+    re: Single,
+    im: Single,
+    i: int,
+    o: int,
+) -> None:
+    """Write U_m to row i and U_(N-m) to row o from X_m and X_(N-m): see `real_peaks`.
+
+    m, k are their rows of the signal, wm, wk half their weights, c and s of pi m / N.
+    """
+    a, b, d = np.float32(wm * (1.0 + s)), np.float32(wm * (1.0 - s)), np.float32(wm * c)
+    e, f, g = np.float32(wk * (1.0 + s)), np.float32(wk * (1.0 - s)), np.float32(wk * c)
+    for j in range(LANES):
+        p, q, r, t = x[m, j], y[m, j], x[k, j], y[k, j]
+        re[i, j] = (a * p - d * q) + (f * r - g * t)
+        im[i, j] = (d * p + a * q) - (g * r + f * t)
+        re[o, j] = (b * p + d * q) + (e * r + g * t)
+        im[o, j] = (d * p - b * q) + (e * t - g * r)
+
+
+@summing_kernel
 def _keep_highest(values: NDArray[np.int32], interleave: int, offset: int, best: NDArray[np.int32]) -> None:
     """Keep the highest of the rows, the bits of single floats, with its place in the lowest bits.
 
@@ -131,24 +160,25 @@ def real_peaks(
     n = spectrum.shape[1]
     last = first + x.shape[0] - 1
     re, im = spectrum[0], spectrum[1]
-    re[:] = 0.0
-    im[:] = 0.0
-    for m in range(first, last + 1):
-        w = 0.5 * weights[m - first]
-        r = m - first
-        if m == 0 or m == n:
-            i, sign = order[0], 1.0 if m == 0 else -1.0
-            _combine(x, y, r, 2.0 * w, 0.0, re, i)
-            _combine(x, y, r, 2.0 * w * sign, 0.0, im, i)
-            continue
-        # The part of U_m, then that of U_(N-m), whose X*_(N-m) is the conjugate of this c.
-        c, s = turns[0, m], turns[1, m]
-        i = order[m]
-        _combine(x, y, r, w * (1.0 + s), -w * c, re, i)
-        _combine(x, y, r, w * c, w * (1.0 + s), im, i)
-        i = order[n - m]
-        _combine(x, y, r, w * (1.0 - s), w * c, re, i)
-        _combine(x, y, r, w * c, -w * (1.0 - s), im, i)
+    for m in range(1, n // 2):
+        k = n - m
+        wm = 0.5 * weights[m - first] if first <= m <= last else 0.0
+        wk = 0.5 * weights[k - first] if first <= k <= last else 0.0
+        r, q = min(max(m, first), last) - first, min(max(k, first), last) - first
+        _combine_two(x, y, r, q, wm, wk, turns[0, m], turns[1, m], re, im, order[m], order[k])
+    for m in (0, n // 2):
+        re[order[m]] = 0.0
+        im[order[m]] = 0.0
+    for m in (0, n // 2, n):
+        if first <= m <= last:
+            r, w = m - first, weights[m - first]
+            i = order[m % n]
+            if m == n // 2:
+                _combine(x, y, r, w, 0.0, re, i)
+                _combine(x, y, r, 0.0, w, im, i)
+            else:
+                _combine(x, y, r, w, 0.0, re, i)
+                _combine(x, y, r, w if m == 0 else -w, 0.0, im, i)
     _transform(re, im, turns)
     kept = np.full(LANES, np.iinfo(np.int32).min, np.int32)
     _keep_highest(re.view(np.int32), 2, 0, kept)
