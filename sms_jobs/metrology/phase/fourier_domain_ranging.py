@@ -94,13 +94,16 @@ def score_threshold(significance: float, count: int) -> float:
     return sqrt(max(2.0 * log(count / (sqrt(3.0) * significance)), 1.0))
 
 
-def _row_buffers(count: int, columns: int) -> tuple[Single, Single, NDArray[np.uint8], NDArray[np.int64]]:
-    """Return the signal of a row, its levels, its lost densities, and room for a list of its columns."""
+def _row_buffers(
+    count: int, columns: int
+) -> tuple[Single, Single, NDArray[np.uint8], NDArray[np.int64], Floats]:
+    """Return the signal of a row, its levels and lost densities, room for some of its columns and returns."""
     return (
         np.empty((2, count, columns), np.float32),
         np.empty((2, columns), np.float32),
         np.empty((count + 1, columns), np.uint8),
         np.empty(columns, np.int64),
+        np.empty((7, columns)),
     )
 
 
@@ -204,19 +207,19 @@ def range_returns(
     flags = np.empty((2, rows, columns), np.uint8)
 
     every = np.arange(columns)
-    idle: list[tuple[Single, Single, NDArray[np.uint8], NDArray[np.int64]]] = []
+    idle: list[tuple[Single, Single, NDArray[np.uint8], NDArray[np.int64], Floats]] = []
 
     def work(start: int, stop: int) -> None:
         # Fresh memory costs more to touch than a row costs to read: blocks hand on their buffers.
         buffers = idle.pop() if idle else _row_buffers(sequence.count, columns)
-        signal, levels, lost, opened = buffers
+        signal, levels, lost, opened, known = buffers
         for row in range(start, stop):
             read_signal(stack, row, sequence.frames, full_scale, signal[0], signal[1], lost, levels)
             planes[:2, row] = levels
             if mode & JOINT:
-                still = settle_row(plan, signal, lost, row, omega, maps, planes, flags, opened)
+                still = settle_row(plan, signal, lost, row, omega, maps, planes, flags, opened, known)
                 if still > 0:
-                    find_jointly(plan, signal, lost, opened[:still], row, omega, maps, planes, flags)
+                    find_jointly(plan, signal, lost, opened[:still], known, row, omega, maps, planes, flags)
             else:
                 find_by_peeling(plan, signal, lost, every, row, omega, maps, planes, flags)
         idle.append(buffers)

@@ -202,9 +202,9 @@ def _find_jointly(plan: Plan, chunk: _Chunk) -> None:
         remaining = 0
         _find_peaks(plan, chunk)
         for j in range(LANES):
-            if chunk.active[j]:
+            if chunk.active[j] and chunk.found[j] == i:
                 _fit_pixel(plan, chunk.lost, chunk, i, j)
-            chunk.active[j] = chunk.found[j] == i + 1
+            chunk.active[j] = chunk.found[j] > i
             remaining += 1 if chunk.active[j] else 0
         if remaining == 0:
             break
@@ -327,6 +327,22 @@ def _begin(
 
 
 @kernel
+def _take_known(plan: Plan, columns: NDArray[np.int64], known: Floats, chunk: _Chunk) -> None:
+    """Begin with the first returns that are known, and with what they leave."""
+    for j in range(columns.size):
+        if not known[AMPLITUDE, columns[j]] > 0.0:
+            continue
+        for k in range(chunk.states.shape[1]):
+            chunk.states[j, k, 0] = known[k, columns[j]]
+        _without(plan, chunk, 0, j, 1, -1)
+        chunk.found[j] = 1
+        chunk.squares[j] = known[chunk.states.shape[1], columns[j]]
+        for t in range(chunk.x.shape[0]):
+            chunk.x[t, j] = chunk.left[j, 0, t]
+            chunk.y[t, j] = chunk.left[j, 1, t]
+
+
+@kernel
 def _end(
     plan: Plan,
     columns: NDArray[np.int64],
@@ -353,6 +369,7 @@ def find_jointly(
     signal: Single,
     lost: NDArray[np.uint8],
     columns: NDArray[np.int64],
+    known: Floats,
     row: int,
     omega: Floats,
     maps: Single,
@@ -370,6 +387,8 @@ def find_jointly(
         (densities + 1, columns).
     columns
         Which pixels.
+    known
+        Their first return, of `returns_settled.settle_row`.
     row, omega, maps, planes, flags
         Which row of (returns, rows, columns); of (3, returns, rows, columns): standard deviation, amplitude,
         width; of (3, rows, columns): the mean grey level, which is given, another, residual; and of
@@ -379,6 +398,7 @@ def find_jointly(
     for start in range(0, columns.size, LANES):
         here = columns[start : start + LANES]
         _begin(plan, signal, lost, here, row, planes, flags, chunk)
+        _take_known(plan, here, known, chunk)
         _find_jointly(plan, chunk)
         _end(plan, here, row, omega, maps, planes, flags, chunk)
 

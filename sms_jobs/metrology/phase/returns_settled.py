@@ -14,7 +14,20 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.phase import returns_lanes, returns_pairs
-from sms_jobs.metrology.phase.returns_fit import SEARCH, VT4, VTT, G, N, V
+from sms_jobs.metrology.phase.returns_fit import (
+    AMPLITUDE,
+    COS,
+    OMEGA,
+    SEARCH,
+    SIN,
+    SPREAD,
+    VARIANCE,
+    VT4,
+    VTT,
+    G,
+    N,
+    V,
+)
 from sms_jobs.metrology.phase.returns_lanes import FALL, FAST, GROUP, SQUARES, STEP_TIMES_S, fit_one_each
 from sms_jobs.metrology.phase.returns_of_pixel import (
     CLOSE,
@@ -48,6 +61,7 @@ class _Chunk(NamedTuple):
     fast: Single
     wanted: NDArray[np.bool_]
     settled: NDArray[np.int64]
+    known: NDArray[np.bool_]
     variance: Floats
 
 
@@ -67,6 +81,7 @@ def _chunk(plan: Plan, count: int) -> _Chunk:
         np.zeros(2 * FAST, np.float32),
         np.zeros(LANES, np.bool_),
         np.zeros(LANES, np.int64),
+        np.zeros(LANES, np.bool_),
         np.zeros(LANES),
     )
 
@@ -115,9 +130,9 @@ def _settle_ones(plan: Plan, count: int, chunk: _Chunk) -> None:
         width = count * np.sqrt(floor / (a * a * vtt))
         step = abs(one[STEP_TIMES_S + j])
         small = step < max(returns_lanes.SMALL, min(4.0 * width, 4.0 * returns_lanes.SMALL))
-        if chunk.settled[j] != _OPEN or not small:
-            continue
-        chunk.settled[j] = _ONE if a > 0.0 and a * a * v > square * floor else 0
+        chunk.known[j] = small and a > 0.0 and a * a * v > square * floor
+        if small:
+            chunk.settled[j] = _ONE if chunk.known[j] else 0
 
 
 @kernel
@@ -274,6 +289,21 @@ def _report_pixel(
 
 
 @kernel
+def _hand_over(plan: Plan, chunk: _Chunk, j: int, column: int, known: Floats) -> None:
+    """Write the first return of an open pixel for `returns_search`."""
+    one = chunk.one
+    a, omega = one[returns_lanes.AMPLITUDE + j], one[returns_lanes.OMEGA + j]
+    v, vtt = plan.sums[V], plan.sums[VTT]
+    known[OMEGA, column] = omega
+    known[COS, column] = np.cos(omega)
+    known[SIN, column] = np.sin(omega)
+    known[AMPLITUDE, column] = a
+    known[VARIANCE, column] = 1.0 / (a * a * vtt)
+    known[SPREAD, column] = -2.0 * one[FALL + j] / (a * (plan.sums[VT4] - vtt * vtt / v))
+    known[SPREAD + 1, column] = one[SQUARES + j]
+
+
+@kernel
 def settle_row(
     plan: Plan,
     signal: Single,
@@ -284,6 +314,7 @@ def settle_row(
     planes: Single,
     flags: NDArray[np.uint8],
     opened: NDArray[np.int64],
+    known: Floats,
 ) -> int:
     """Find the returns of the plain pixels of one row.
 
@@ -291,6 +322,9 @@ def settle_row(
     ----------
     opened
         (columns,), the first become the columns of the pixels that are not settled, whose number is returned.
+    known
+        (7, columns), becomes the first return of these pixels: the rows of a state and the weighted sum of
+        squares that it leaves; the amplitude is 0 where it is not known.
 
     The other parameters are those of `returns_search.find_jointly`; those of settled pixels are written.
     """
@@ -307,6 +341,9 @@ def settle_row(
             if lost[count, start + j] > 0 or chunk.settled[j] == _OPEN:
                 opened[still] = start + j
                 still += 1
+                known[AMPLITUDE, start + j] = 0.0
+                if chunk.known[j] and lost[count, start + j] == 0:
+                    _hand_over(plan, chunk, j, start + j, known)
                 continue
             squares = _report_pixel(plan, chunk, j, row, start + j, omega, maps)
             flags[0, row, start + j] = chunk.settled[j]
