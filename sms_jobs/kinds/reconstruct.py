@@ -470,7 +470,7 @@ def _pair_statistics(cloud: PointCloud, returns: ReturnMaps) -> dict[str, float]
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=2,
+    version=3,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     needs=_needs,
