@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -118,7 +119,10 @@ class Archive:
         parameters: Mapping[str, Any] | None = None,
         job_id: str = "",
     ) -> Sealed:
-        """Store a calibration under `calibrations/<rig>`; `job_id` is empty when a person brought it in."""
+        """Store a calibration under `calibrations/<rig>`; `job_id` is empty when a person brought it in.
+
+        Several of one rig may be brought in within a second: the second has attempt 2 in its name.
+        """
         provenance = Provenance(
             kind="calibration",
             kind_version=1,
@@ -132,6 +136,8 @@ class Archive:
             host=host,
             operator=operator,
         )
+        while self.path(layout.dataset_path(provenance)).exists():
+            provenance = replace(provenance, attempt=provenance.attempt + 1)
         return self.seal_dataset({"calibration": calibration}, provenance)
 
     def open(self, path: str) -> AbstractContextManager[ArchivedDataset]:

@@ -580,3 +580,13 @@ def test_viewers_open_points_as_a_scatter_plot(archive: Archive, rng: np.random.
         assert plot.is_valid
         assert plot.is_scatter
         assert plot.signal_dataset_name == "u"
+
+
+def test_two_calibrations_of_a_rig_may_come_in_the_same_second(archive: Archive) -> None:
+    now = datetime(2026, 1, 1, tzinfo=UTC)
+    sealed = [
+        archive.seal_calibration(calibration(), now, program_version="1", host="here", operator="me")
+        for _ in range(3)
+    ]
+    assert len({file.path for file in sealed}) == 3
+    assert len({file.content_hash for file in sealed}) == 1
