@@ -8,8 +8,10 @@ from datetime import datetime
 from typing import TypeAlias
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.records.artefacts import Artefact
 from sms_jobs.records.measurement import FringeSequence
-from sms_jobs.records.scene import Deformation, Scene
+from sms_jobs.records.scene import Deformation, Rigid, Scene
+from sms_jobs.records.sensors import Box, SensorFormat
 
 ParameterValue: TypeAlias = bool | int | float | str | tuple[str, ...]
 
@@ -65,9 +67,11 @@ class LoadState:
     time
         When the state was held; None before it is measured.
     channels
-        Any further scalar readings, by name.
+        Any further scalar readings, by name; of a pan-tilt stage pan_rad and tilt_rad.
     deformation
         For a virtual rig: the exact displacement fields that are applied, one after the other.
+    artefact
+        In a calibration session: the name of the artefact that stands there in place of a specimen.
     """
 
     label: str
@@ -76,6 +80,7 @@ class LoadState:
     time: datetime | None = None
     channels: dict[str, float] = field(default_factory=dict)
     deformation: tuple[Deformation, ...] = ()
+    artefact: str | None = None
 
     def __post_init__(self) -> None:
         checked_name(self.label, "state")
@@ -91,8 +96,32 @@ class Specimen:
 
 
 @dataclass(frozen=True)
+class CalibrationSession:
+    """What makes a campaign a calibration session: its states are poses of artefacts.
+
+    The board of the first state that shows one, as it stands there, is the world's frame.
+
+    Attributes
+    ----------
+    artefacts
+        By name.
+    sensors
+        Sizes of the images of the cameras and projectors that are calibrated.
+    volume
+        Where the calibration is to hold; None for the box around all that is observed.
+    board_in_world
+        Brings the first board's frame into the world; by default the two are one.
+    """
+
+    artefacts: dict[str, Artefact]
+    sensors: tuple[SensorFormat, ...]
+    volume: Box | None = None
+    board_in_world: Rigid = Rigid()
+
+
+@dataclass(frozen=True)
 class Campaign:
-    """A test of one specimen.
+    """A test of one specimen, or a calibration session.
 
     Attributes
     ----------
@@ -110,6 +139,8 @@ class Campaign:
         Parameters of job kinds, by kind and name, that differ from their defaults in this campaign.
     scene
         For a virtual rig: what stands in front of it.
+    session
+        For a calibration session: what is shown to the rig; None for a test.
     """
 
     name: str
@@ -120,6 +151,7 @@ class Campaign:
     sequence: FringeSequence = FringeSequence()
     scene: Scene | None = None
     processing: dict[str, dict[str, ParameterValue]] = field(default_factory=dict)
+    session: CalibrationSession | None = None
 
     def __post_init__(self) -> None:
         checked_name(self.name, "campaign")
@@ -133,6 +165,13 @@ class Campaign:
         labels = [s.label for s in self.states]
         if len(set(labels)) < len(labels):
             raise InvalidInput(f"campaign {self.name} has two states of one label: {', '.join(labels)}")
+        known = {} if self.session is None else self.session.artefacts
+        for state in self.states:
+            if state.artefact is not None and state.artefact not in known:
+                raise InvalidInput(
+                    f"state {state.label} shows the artefact {state.artefact}, which campaign {self.name} "
+                    f"does not describe; it describes {', '.join(known) or 'none'}"
+                )
 
     @property
     def reference(self) -> LoadState:

@@ -23,6 +23,15 @@ class Role(Enum):
 
 
 @dataclass(frozen=True)
+class SensorFormat:
+    """The name of a sensor and the size of its image in pixels: what is known before a calibration."""
+
+    name: str
+    columns: int
+    rows: int
+
+
+@dataclass(frozen=True)
 class Sensor:
     """A camera or a projector.
 

@@ -62,7 +62,9 @@ def example(hint: Any, rng: np.random.Generator, meta: Any = None) -> Any:
         return {f"k{i}": example(arguments[1], rng) for i in range(2)}
     if is_dataclass(hint):
         hints = get_type_hints(hint)
-        return hint(**{f.name: example(hints[f.name], rng, f.metadata.get(QUANTITY)) for f in fields(hint)})
+        made = hint(**{f.name: example(hints[f.name], rng, f.metadata.get(QUANTITY)) for f in fields(hint)})
+        # An artefact must be one of those that its campaign describes, which chance does not know.
+        return replace(made, artefact=None) if isinstance(made, LoadState) else made
     if isinstance(hint, type) and issubclass(hint, Enum):
         return list(hint)[rng.integers(len(hint))]
     if hint is datetime:

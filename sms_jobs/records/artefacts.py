@@ -1,0 +1,112 @@
+"""The things that a rig is calibrated with: boards of dots or squares, and the ball bar."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+Place: TypeAlias = tuple[int, int]
+"""A place on a board: (column, row), counted from 0."""
+
+
+@dataclass(frozen=True)
+class CircleBoard:
+    """A flat board with a regular grid of dots, three of which are markers.
+
+    Columns run to the right and rows downwards as the board is seen from the front. The markers tell the
+    board's frame: its origin is the centre of the first, its x axis runs along the columns towards the
+    second, its y axis along the rows towards the third, and z = x cross y.
+
+    Attributes
+    ----------
+    columns, rows
+        Number of dots along each direction.
+    pitch_mm
+        Distance between the centres of neighbours.
+    dot_diameter_mm
+        Of an ordinary dot.
+    markers
+        Places of the markers: origin, x, y. The second shares the row of the first, the third its column.
+    marker
+        Whether markers are rings or larger dots.
+    marker_diameter_mm
+        Outer diameter of a marker.
+    marker_hole_mm
+        Inner diameter of a ring; 0 for larger dots.
+    ink
+        Whether dots are darker or brighter than the ground.
+    margin_mm
+        From the centres of the outermost dots to the edge of the board.
+    pitch_relative_sigma
+        Relative standard deviation of the pitch: how well the board's scale is known.
+    point_sigma_mm
+        Standard deviation of one dot's place on the board, in each direction.
+    """
+
+    columns: int
+    rows: int
+    pitch_mm: float
+    dot_diameter_mm: float
+    markers: tuple[Place, Place, Place]
+    marker: Literal["ring", "larger-dot"] = "ring"
+    marker_diameter_mm: float = 0.0
+    marker_hole_mm: float = 0.0
+    ink: Literal["dark", "bright"] = "dark"
+    margin_mm: float = 0.0
+    pitch_relative_sigma: float = 1e-3
+    point_sigma_mm: float = 0.002
+    shape: Literal["circle-board"] = "circle-board"
+
+
+@dataclass(frozen=True)
+class Chessboard:
+    """A chessboard, known by its inner corners.
+
+    Its origin is an inner corner at an end of the grid, x runs along its columns, y along its rows.
+
+    Attributes
+    ----------
+    columns, rows
+        Number of inner corners along each direction.
+    pitch_mm
+        Side of a square.
+    pitch_relative_sigma, point_sigma_mm
+        See `CircleBoard`.
+    """
+
+    columns: int
+    rows: int
+    pitch_mm: float
+    pitch_relative_sigma: float = 1e-3
+    point_sigma_mm: float = 0.002
+    shape: Literal["chessboard"] = "chessboard"
+
+
+@dataclass(frozen=True)
+class BallBar:
+    """Two spheres on a bar, held by a pan-tilt stage.
+
+    In the bar's frame, whose origin is where the stage's axes meet, the bar runs along z and the stalk that
+    holds it along x (thesis Eq. (2.2)): sphere 1 is at (stalk, 0, slide - length / 2), sphere 2 at
+    (stalk, 0, slide + length / 2).
+
+    Attributes
+    ----------
+    length_mm, length_sigma_mm
+        Certified distance of the spheres' centres, and its standard deviation: the scale of a calibration.
+    radius_mm, radius_sigma_mm
+        Of each sphere.
+    stalk_mm, slide_mm
+        As mounted, nominal: how far the bar is from the axes, and its middle from the clamp.
+    """
+
+    length_mm: float
+    length_sigma_mm: float
+    radius_mm: float
+    radius_sigma_mm: float
+    stalk_mm: float = 0.0
+    slide_mm: float = 0.0
+    shape: Literal["ball-bar"] = "ball-bar"
+
+
+Artefact: TypeAlias = CircleBoard | Chessboard | BallBar

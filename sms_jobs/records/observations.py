@@ -1,0 +1,87 @@
+"""What was seen of a calibration artefact in one measurement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.records.quantity import array
+
+_PIXEL = ("x", "y")
+_POINTS = ("point", "component")
+
+
+@dataclass(frozen=True)
+class BoardObservation:
+    """The points of a board that a pair found, in both of its images.
+
+    Attributes
+    ----------
+    artefact
+        Name of the board in its session.
+    place
+        Column and row of each point on the board.
+    point
+        Where it is on the board, in the board's frame; z = 0.
+    camera_px, projector_px
+        Its image in the camera and, through the phase, in the projector; for a dot the image of its
+        centre, not the centre of its image.
+    camera_sigma_px, projector_sigma_px
+        Standard deviations, in each direction.
+    camera, projector
+        Names of the sensors.
+    refused
+        Why points that were found are not among them, and how many.
+    """
+
+    camera: str
+    projector: str
+    artefact: str
+    refused: dict[str, int]
+    place: NDArray[np.int32] = array("1", "column and row on the board", _POINTS, ("column", "row"))
+    point: NDArray[np.float64] = array("mm", "place on the board", _POINTS, ("x", "y", "z"))
+    camera_px: NDArray[np.float64] = array("px", "image in the camera", _POINTS, _PIXEL)
+    camera_sigma_px: NDArray[np.float64] = array("px", "standard deviation in the camera", ("point",))
+    projector_px: NDArray[np.float64] = array("px", "image in the projector", _POINTS, _PIXEL)
+    projector_sigma_px: NDArray[np.float64] = array("px", "standard deviation in the projector", ("point",))
+
+
+@dataclass(frozen=True)
+class BarObservation:
+    """Points on the spheres of a ball bar that a pair found.
+
+    Attributes
+    ----------
+    artefact
+        Name of the bar in its session.
+    sphere
+        1 or 2, for each point.
+    camera_px
+        Centre of the camera's pixel.
+    projector_px, projector_sigma_px
+        Its image in the projector, through the phase, and the standard deviation in each direction.
+    centre, centre_sigma
+        Of each sphere, with the calibration that the search started from; NaN where it was not seen.
+    camera, projector
+        Names of the sensors.
+    refused
+        Why points were left out, and how many.
+    searched_fraction
+        Part of the image's pixels that was searched for the spheres.
+    """
+
+    camera: str
+    projector: str
+    artefact: str
+    refused: dict[str, int]
+    searched_fraction: float
+    sphere: NDArray[np.int32] = array("1", "number of the sphere", ("point",))
+    camera_px: NDArray[np.float64] = array("px", "pixel of the camera", _POINTS, _PIXEL)
+    projector_px: NDArray[np.float64] = array("px", "image in the projector", _POINTS, _PIXEL)
+    projector_sigma_px: NDArray[np.float64] = array("px", "standard deviation in the projector", ("point",))
+    centre: NDArray[np.float64] = array("mm", "centre", ("sphere", "component"), ("X", "Y", "Z"))
+    centre_sigma: NDArray[np.float64] = array(
+        "mm", "standard deviation of the centre", ("sphere", "component"), ("X", "Y", "Z")
+    )
