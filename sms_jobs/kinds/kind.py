@@ -14,7 +14,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.sensors import Calibration
 
 R = TypeVar("R")
@@ -200,9 +200,14 @@ class Kind(Generic[P]):
     in_pipeline: bool = True
 
 
+def tested_states(campaign: Campaign) -> tuple[LoadState, ...]:
+    """Return the states that show a specimen; those of a calibration session show an artefact."""
+    return tuple(s for s in campaign.states if s.artefact is None)
+
+
 def tuples(campaign: Campaign) -> tuple[Subject, ...]:
-    """Return every tuple of a campaign: states in order, pairs in order."""
-    return tuple(Subject(campaign.name, s.label, p) for s in campaign.states for p in campaign.pairs)
+    """Return every tuple that shows a specimen: states in order, pairs in order."""
+    return tuple(Subject(campaign.name, s.label, p) for s in tested_states(campaign) for p in campaign.pairs)
 
 
 def deformed_tuples(campaign: Campaign) -> tuple[Subject, ...]:
@@ -212,17 +217,17 @@ def deformed_tuples(campaign: Campaign) -> tuple[Subject, ...]:
 
 def deformed_states(campaign: Campaign) -> tuple[Subject, ...]:
     """Return every state of a campaign but its reference."""
-    return tuple(Subject(campaign.name, s.label) for s in campaign.states[1:])
+    return tuple(Subject(campaign.name, s.label) for s in tested_states(campaign)[1:])
 
 
 def default_subjects(kind: Kind[Any], campaign: Campaign) -> tuple[Subject, ...]:
-    """Return the subjects of a kind in a campaign, in order."""
+    """Return the subjects of a kind in a campaign, in order; by default it is about specimens alone."""
     if kind.subjects is not None:
         return tuple(kind.subjects(campaign))
     if kind.scope is Scope.CAMPAIGN:
-        return (Subject(campaign.name),)
+        return (Subject(campaign.name),) if tested_states(campaign) else ()
     if kind.scope is Scope.STATE:
-        return tuple(Subject(campaign.name, s.label) for s in campaign.states)
+        return tuple(Subject(campaign.name, s.label) for s in tested_states(campaign))
     return tuples(campaign)
 
 
@@ -245,5 +250,6 @@ __all__ = [
     "default_subjects",
     "deformed_states",
     "deformed_tuples",
+    "tested_states",
     "tuples",
 ]
