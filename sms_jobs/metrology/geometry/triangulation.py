@@ -15,7 +15,6 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.geometry.camera import (
     Intrinsics,
@@ -25,6 +24,7 @@ from sms_jobs.metrology.geometry.camera import (
     projection_jacobian,
     ray_directions,
 )
+from sms_jobs.metrology.geometry.projector_pixels import to_pixel
 from sms_jobs.metrology.geometry.transforms import PACKED
 from sms_jobs.metrology.phase.patterns import direction, span_px
 
@@ -87,19 +87,6 @@ def camera_rays(intrinsics: Intrinsics, pose: Pose, rows: int, columns: int, thr
     return rays
 
 
-def _to_pixel(orientations: Sequence[float], columns: int, rows: int) -> Floats:
-    """Return the (2, orientations) matrix from omega to pixels off the centre, in px/rad.
-
-    By least squares where there are more than two orientations; thesis Eq. (1.20) in pixel units.
-    """
-    directions = np.array([direction(a) for a in orientations])
-    if np.linalg.matrix_rank(directions, tol=1e-6) < 2:
-        listed = ", ".join(f"{a:g}" for a in orientations)
-        raise InvalidInput(f"fringe orientations {listed} rad are parallel: a ray needs two that cross")
-    spans = np.array([span_px(columns, rows, a) for a in orientations])
-    return np.asarray(np.linalg.pinv(directions) * (spans / (2.0 * pi)))
-
-
 def packed(
     camera_centre: Floats, projector: Projector, orientations: Sequence[float]
 ) -> tuple[Floats, Floats, Floats, Floats]:
@@ -113,8 +100,8 @@ def packed(
     centres = np.array([camera_centre, projector.pose.centre(), image_centre])
     inner = projector.intrinsics
     lens = np.array([inner.fx, inner.fy, inner.cx, inner.cy, *inner.distortion()])
-    to_pixel = np.ascontiguousarray(_to_pixel(orientations, projector.columns, projector.rows))
-    return centres, lens, to_pixel, projector.pose.matrix()
+    matrix = np.ascontiguousarray(to_pixel(orientations, projector.columns, projector.rows))
+    return centres, lens, matrix, projector.pose.matrix()
 
 
 @kernel
