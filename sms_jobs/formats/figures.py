@@ -94,7 +94,8 @@ def robust_limits(values: NDArray[Any]) -> tuple[float, float]:
     return low, high
 
 
-def _new_figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a size in inches."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -103,7 +104,8 @@ def _new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def _as_png(figure: Figure) -> bytes:
+def as_png(figure: Figure) -> bytes:
+    """Return a figure as PNG."""
     buffer = io.BytesIO()
     # Without the version of the program: the same picture has the same bytes.
     figure.savefig(buffer, format="png", metadata={"Software": None})
@@ -114,7 +116,8 @@ def _label(title: str, unit: str) -> str:
     return title if unit in ("1", "bit", "") else f"{title} [{unit}]"
 
 
-def _in_pixels(axes: Axes, size: tuple[int, int]) -> None:
+def in_pixels(axes: Axes, size: tuple[int, int]) -> None:
+    """Give axes the frame of an image of (rows, columns): y down, square pixels."""
     axes.set_xlim(-0.5, size[1] - 0.5)
     axes.set_ylim(size[0] - 0.5, -0.5)
     axes.set_aspect("equal")
@@ -130,7 +133,7 @@ def draw_map(image: Map, width_px: int = 640) -> bytes:
     width = width_px / DOTS_PER_INCH
     # Labels and colour bar take about 1.45 inches of the width; title and labels 0.85 of the height.
     height = min(max((width - 1.45) * rows / columns + 0.85, 0.4 * width), 1.6 * width)
-    figure = _new_figure(width, height)
+    figure = new_figure(width, height)
     axes = figure.add_subplot()
     colours = matplotlib.colormaps[GREY_LEVELS if image.unit == "count" else COLOUR_MAP]
     colours = colours.with_extremes(bad=MISSING_COLOUR)
@@ -146,10 +149,10 @@ def draw_map(image: Map, width_px: int = 640) -> bytes:
     )
     if image.outlines is not None:
         _draw_borders(axes, image.outlines, image.size)
-    _in_pixels(axes, image.size)
+    in_pixels(axes, image.size)
     axes.set_title(image.title, fontsize="medium")
     figure.colorbar(drawn, ax=axes, label=f"[{image.unit}]" if image.unit != "1" else "[-]", extend="both")
-    return _as_png(figure)
+    return as_png(figure)
 
 
 def _draw_borders(axes: Axes, labels: NDArray[Any], size: tuple[int, int]) -> None:
@@ -172,7 +175,7 @@ def _draw_reasons(reasons: NDArray[Any], title: str, width_px: int) -> bytes:
     names = [Reason(flag).name or str(flag) if flag else "VALID" for flag in present]
     palette = matplotlib.colormaps["tab20"].colors  # type: ignore[attr-defined]
     colours = ["0.92" if not flag else palette[flag.bit_length() % len(palette)] for flag in present]
-    figure = _new_figure(width_px / DOTS_PER_INCH, 0.75 * width_px / DOTS_PER_INCH)
+    figure = new_figure(width_px / DOTS_PER_INCH, 0.75 * width_px / DOTS_PER_INCH)
     axes = figure.add_subplot()
     places = np.searchsorted(present, lowest)
     norm = BoundaryNorm(np.arange(len(present) + 1) - 0.5, len(present))
@@ -184,16 +187,16 @@ def _draw_reasons(reasons: NDArray[Any], title: str, width_px: int) -> bytes:
         extent=(-0.5, columns - 0.5, rows - 0.5, -0.5),
         interpolation="none",
     )
-    _in_pixels(axes, (rows, columns))
+    in_pixels(axes, (rows, columns))
     axes.set_title(title, fontsize="medium")
     bar = figure.colorbar(drawn, ax=axes, ticks=np.arange(len(present)))
     bar.ax.set_yticklabels(names, fontsize="x-small")
-    return _as_png(figure)
+    return as_png(figure)
 
 
 def _draw_points(record: Any, values: NDArray[Any], title: str, unit: str, width_px: int) -> bytes:
     """Draw values at points of an image, or of a mesh seen along Z."""
-    figure = _new_figure(width_px / DOTS_PER_INCH, 0.8 * width_px / DOTS_PER_INCH)
+    figure = new_figure(width_px / DOTS_PER_INCH, 0.8 * width_px / DOTS_PER_INCH)
     axes = figure.add_subplot()
     low, high = robust_limits(values)
     if hasattr(record, "vertices"):
@@ -210,7 +213,7 @@ def _draw_points(record: Any, values: NDArray[Any], title: str, unit: str, width
     axes.set_ylabel(names[1])
     axes.set_title(title, fontsize="medium")
     figure.colorbar(drawn, ax=axes, label=_label("", unit).strip(), extend="both")
-    return _as_png(figure)
+    return as_png(figure)
 
 
 def _components(record: Any, name: str, quantity: Quantity, count: int) -> tuple[str, ...]:

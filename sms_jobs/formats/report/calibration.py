@@ -1,0 +1,160 @@
+"""The page about a calibration: what it is worth, and what a person should look at before it is used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sms_jobs.formats.calibration_figures import draw_expected_sigma, draw_residuals
+from sms_jobs.formats.report.html import Cell, Markup, Section, facts, figure, figures, page, paragraph, table
+from sms_jobs.metrology.geometry.camera import Intrinsics
+from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
+from sms_jobs.records.sensors import Calibration, Rig, Sensor
+
+_INNER = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+_FIRST_INNER = 6
+_PER_SENSOR = 15
+MICROMETRES = 1e3
+
+
+def calibration_page(
+    session: str,
+    before: Rig,
+    calibration: Calibration,
+    uncertainty: CalibrationUncertainty,
+    quality: CalibrationQuality,
+    width_px: int,
+) -> str:
+    """Return the page about the calibration that a session gave; `before` is what it began with."""
+    sections = [
+        Section("In short", [_summary(calibration, quality), *_warnings(quality)]),
+        Section("Expected standard deviation of a point", _expected(quality, width_px)),
+        Section("Poses that took no part", _held_out(quality, calibration.volume.diagonal_mm)),
+        Section(
+            "Residuals",
+            [
+                *_by("what they are", quality.rms_by_type),
+                *_by("sensor, in units of the stated deviation", quality.rms_by_sensor),
+                *_by("pose, in units of the stated deviation", quality.rms_by_pose),
+                _residual_maps(calibration.rig, quality, width_px),
+            ],
+        ),
+        Section("Left out", _refused(quality.refused)),
+        Section("Parameters", [_parameters(before, calibration.rig, uncertainty)]),
+    ]
+    introduction = paragraph(
+        "Deviations are one standard deviation. What is called expected comes from the calibration alone; "
+        "the noise of a measurement comes on top of it.",
+        faint=True,
+    )
+    return page(f"Calibration session {session}", [introduction], sections)
+
+
+def _summary(calibration: Calibration, quality: CalibrationQuality) -> Markup:
+    diagonal = calibration.volume.diagonal_mm
+    held_out = quality.held_out_bar_rms_mm()
+    lengths = ""
+    if np.isfinite(held_out) and held_out > 0.0:
+        lengths = (
+            f"{MICROMETRES * held_out:.1f} um rms, 1/{diagonal / held_out:,.0f} of the volume's diagonal of "
+            f"{diagonal:.1f} mm"
+        )
+    size = f"{quality.residuals:,} residuals, {quality.parameters} parameters"
+    return facts(
+        [
+            ("rig", calibration.rig.name),
+            ("sensors", ", ".join(s.name for s in calibration.rig.sensors)),
+            ("world", quality.gauge),
+            ("began with", quality.started_from),
+            ("adjustment", f"{size}, {quality.iterations} iterations"),
+            ("held-out bar lengths", lengths),
+            *((name, f"{value:.6g}") for name, value in quality.found.items()),
+        ]
+    )
+
+
+def _warnings(quality: CalibrationQuality) -> list[Markup]:
+    if not quality.warnings:
+        return [paragraph("Nothing speaks against using this calibration.")]
+    return [table(["look at this before it is used"], [[warning] for warning in quality.warnings])]
+
+
+def _expected(quality: CalibrationQuality, width_px: int) -> list[Markup]:
+    rows: list[list[Cell]] = []
+    pictures = []
+    for pair, sigma in zip(quality.pairs, quality.expected_sigma, strict=True):
+        known = sigma[np.isfinite(sigma)]
+        if not known.size:
+            continue
+        low, middle, high = MICROMETRES * np.percentile(known, (0.0, 50.0, 100.0))
+        rows.append([pair, float(low), float(middle), float(high)])
+        seen = np.isfinite(sigma)
+        drawn = draw_expected_sigma(quality.place[seen], sigma[seen], pair, width_px)
+        pictures.append(figure(drawn, f"Expected standard deviation of a point of {pair}, three levels of Z"))
+    header = ["pair", "least [um]", "median [um]", "largest [um]"]
+    return [table(header, rows), figures(pictures)]
+
+
+def _held_out(quality: CalibrationQuality, diagonal_mm: float) -> list[Markup]:
+    parts = [
+        paragraph("Each pose is left out once, the rest is adjusted again, and the result measures the pose.")
+    ]
+    if quality.bar_length_error_mm:
+        rows: list[list[Cell]] = [
+            [pose, MICROMETRES * error, diagonal_mm / abs(error) if error else None]
+            for pose, error in quality.bar_length_error_mm.items()
+        ]
+        parts.append(table(["pose of the bar", "length error [um]", "diagonal / error"], rows))
+    if quality.board_rms_px:
+        boards: list[list[Cell]] = [[pose, rms] for pose, rms in quality.board_rms_px.items()]
+        parts.append(table(["pose of the board", "rms [px]"], boards))
+    return parts
+
+
+def _by(what: str, rms: Mapping[str, float]) -> list[Markup]:
+    rows: list[list[Cell]] = [[name, value] for name, value in rms.items()]
+    return [table([f"by {what}", "rms"], rows)] if rows else []
+
+
+def _residual_maps(rig: Rig, quality: CalibrationQuality, width_px: int) -> Markup:
+    pictures = []
+    for number, sensor in enumerate(rig.sensors):
+        mine = quality.residual_sensor == number
+        if mine.any():
+            size = (sensor.rows, sensor.columns)
+            drawn = draw_residuals(
+                quality.residual_px[mine], quality.residual[mine], size, sensor.name, width_px
+            )
+            pictures.append(figure(drawn, f"Residuals of board points in {sensor.name}"))
+    return figures(pictures)
+
+
+def _refused(refused: Mapping[str, int]) -> list[Markup]:
+    if not any(refused.values()):
+        return [paragraph("No observation was left out.")]
+    rows: list[list[Cell]] = [[why, count] for why, count in refused.items() if count]
+    return [table(["reason", "observations"], rows)]
+
+
+def _parameters(before: Rig, after: Rig, uncertainty: CalibrationUncertainty) -> Markup:
+    rows: list[list[Cell]] = []
+    deviation = np.sqrt(np.diag(uncertainty.covariance))
+    for sensor in after.sensors:
+        first = before.sensor(sensor.name)
+        start = _PER_SENSOR * uncertainty.sensors.index(sensor.name)
+        inner = deviation[start + _FIRST_INNER : start + _PER_SENSOR]
+        for name, sigma in zip(_INNER, inner, strict=True):
+            old, new = _value(first.intrinsics, name), _value(sensor.intrinsics, name)
+            rows.append([sensor.name, name, old, new, float(sigma) if sigma else None])
+        for axis, old, new in zip("XYZ", _pin_hole(first), _pin_hole(sensor), strict=True):
+            rows.append([sensor.name, f"pin-hole {axis} [mm]", old, new, None])
+    return table(["sensor", "parameter", "before", "after", "standard deviation"], rows)
+
+
+def _value(intrinsics: Intrinsics, name: str) -> float:
+    return float(getattr(intrinsics, name))
+
+
+def _pin_hole(sensor: Sensor) -> list[float]:
+    return [float(x) for x in sensor.pose.centre()]

@@ -1,0 +1,93 @@
+"""What a calibration is worth: its covariance, and what the adjustment says of itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.records.quantity import array
+
+
+@dataclass(frozen=True)
+class CalibrationUncertainty:
+    """The covariance of all parameters of all sensors of a calibration.
+
+    Of each sensor, in this order: a small rotation of the sensor's frame about its x, y and z (rad), the
+    translation (mm), fx, fy, cx, cy (px), k1, k2, p1, p2, k3. What was held fixed has zeros.
+
+    Attributes
+    ----------
+    sensors
+        Names, in the order of the covariance.
+    """
+
+    sensors: tuple[str, ...]
+    covariance: NDArray[np.float64] = array(
+        "1", "covariance of the parameters, in rad, mm and px", ("parameter", "parameter")
+    )
+
+
+@dataclass(frozen=True)
+class CalibrationQuality:
+    """How an adjustment went, and what it says of its own result.
+
+    Attributes
+    ----------
+    gauge
+        What fixes the world's frame.
+    started_from
+        Where its first values came from.
+    iterations, residuals, parameters
+        Of the adjustment.
+    rms_by_type, rms_by_sensor, rms_by_pose
+        Root mean square of the residuals, by what they are; names carry the unit.
+    refused
+        How many observations were left out, by reason.
+    warnings
+        What a person has to look at before this calibration is used; none for a sound one.
+    bar_length_error_mm
+        Of every pose of a ball bar, its length by a calibration that it took no part in, less the certified.
+    board_rms_px
+        Of every pose of a board, the residuals by a calibration that it took no part in.
+    found
+        What was found of the artefacts themselves; names carry the unit.
+    pairs
+        Camera-projector pairs, in the order of `expected_sigma`.
+    place, expected_sigma
+        Places in the volume, and the standard deviation that the calibration alone gives a point there.
+    residual_sensor, residual_px, residual
+        A sample of residuals of board points: number of the sensor in the rig, where in its image, and what.
+    """
+
+    gauge: str
+    started_from: str
+    iterations: int
+    residuals: int
+    parameters: int
+    rms_by_type: dict[str, float]
+    rms_by_sensor: dict[str, float]
+    rms_by_pose: dict[str, float]
+    refused: dict[str, int]
+    warnings: tuple[str, ...]
+    bar_length_error_mm: dict[str, float]
+    board_rms_px: dict[str, float]
+    found: dict[str, float]
+    pairs: tuple[str, ...]
+    place: NDArray[np.float64] = array("mm", "place in the volume", ("place", "component"), ("X", "Y", "Z"))
+    expected_sigma: NDArray[np.float64] = array(
+        "mm", "standard deviation of a point from the calibration alone", ("pair", "place")
+    )
+    residual_sensor: NDArray[np.int32] = array("1", "number of the sensor", ("residual",))
+    residual_px: NDArray[np.float64] = array(
+        "px", "place in the image", ("residual", "component"), ("x", "y")
+    )
+    residual: NDArray[np.float64] = array(
+        "px", "observed less expected", ("residual", "component"), ("x", "y")
+    )
+
+    def held_out_bar_rms_mm(self) -> float:
+        """Return the rms error of the held-out bar lengths; NaN when there was no bar."""
+        errors = np.array(list(self.bar_length_error_mm.values()))
+        return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
