@@ -87,6 +87,10 @@ class MeasurementFailed(SmsError):
     """The data hold no answer: no texture, no valid pixel, no overlap, no common region."""
 
 
+class CalibrationFailed(SmsError):
+    """A calibration cannot be found from what was observed; the message names what the data leave open."""
+
+
 class Cancelled(SmsError):
     """The job was asked to stop and did."""
 

@@ -1,0 +1,1 @@
+"""Calibration: first guesses, bundle adjustment, and what they are worth."""
