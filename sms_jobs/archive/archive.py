@@ -118,10 +118,11 @@ class Archive:
         inputs: tuple[InputReference, ...] = (),
         parameters: Mapping[str, Any] | None = None,
         job_id: str = "",
+        beside: Mapping[str, Any] | None = None,
     ) -> Sealed:
-        """Store a calibration under `calibrations/<rig>`; `job_id` is empty when a person brought it in.
+        """Store a calibration under `calibrations/<rig>`, and the records `beside` it, such as its covariance.
 
-        Several of one rig may be brought in within a second: the second has attempt 2 in its name.
+        `job_id` is empty when a person brought it in. Several of one rig may be brought in within a second: the second has attempt 2 in its name.
         """
         provenance = Provenance(
             kind="calibration",
@@ -138,7 +139,7 @@ class Archive:
         )
         while self.path(layout.dataset_path(provenance)).exists():
             provenance = replace(provenance, attempt=provenance.attempt + 1)
-        return self.seal_dataset({"calibration": calibration}, provenance)
+        return self.seal_dataset({"calibration": calibration, **(beside or {})}, provenance)
 
     def open(self, path: str) -> AbstractContextManager[ArchivedDataset]:
         """Open a dataset file for reading.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.artefacts import Artefact
@@ -99,7 +99,8 @@ class Specimen:
 class CalibrationSession:
     """What makes a campaign a calibration session: its states are poses of artefacts.
 
-    The board of the first state that shows one, as it stands there, is the world's frame.
+    From nothing, the board of the first state that shows one, as it stands there, is the world's frame. A
+    session on site starts from the last calibration of the rig and stays in its frame.
 
     Attributes
     ----------
@@ -111,12 +112,15 @@ class CalibrationSession:
         Where the calibration is to hold; None for the box around all that is observed.
     board_in_world
         Brings the first board's frame into the world; by default the two are one.
+    starts_from
+        What the adjustment begins with, and whether the last calibration counts as an observation.
     """
 
     artefacts: dict[str, Artefact]
     sensors: tuple[SensorFormat, ...]
     volume: Box | None = None
     board_in_world: Rigid = Rigid()
+    starts_from: Literal["nothing", "last-calibration"] = "nothing"
 
 
 @dataclass(frozen=True)
