@@ -120,9 +120,10 @@ class Archive:
         job_id: str = "",
         beside: Mapping[str, Any] | None = None,
     ) -> Sealed:
-        """Store a calibration under `calibrations/<rig>`, and the records `beside` it, such as its covariance.
+        """Store a calibration under `calibrations/<rig>`, and beside it what belongs to it: its covariance.
 
-        `job_id` is empty when a person brought it in. Several of one rig may be brought in within a second: the second has attempt 2 in its name.
+        `job_id` is empty when a person brought it in. Several of one rig may be brought in within a second:
+        the second has attempt 2 in its name.
         """
         provenance = Provenance(
             kind="calibration",
