@@ -33,7 +33,7 @@ from sms_jobs.metrology.phase.sequences import named_sequence
 from sms_jobs.records import scene as scenes
 from sms_jobs.records.campaign import Campaign, LoadState, ParameterValue, Specimen
 from sms_jobs.records.measurement import FringeSequence
-from sms_jobs.records.scene import CameraResponse, ProjectorResponse, Scene, Speckle
+from sms_jobs.records.scene import CameraResponse, Gloss, ProjectorResponse, Scene, Speckle
 from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor, split_pair
 
 LONGEST_SIDE_PX = 20_000
@@ -45,7 +45,7 @@ Vector: TypeAlias = tuple[float, float, float]
 
 _POSITIVE = (
     *("width_mm", "height_mm", "radius_mm", "size_mm", "depth_mm", "diameter_mm"),
-    *("exposure", "full_well", "gamma"),
+    *("exposure", "full_well", "gamma", "strength", "exponent"),
 )
 """Endings of the names of fields that must be above zero."""
 _NOT_NEGATIVE = frozenset({"read_noise", "blur_px", "defocus_px", "ambient", "hole_offset_mm", "seed"})
@@ -273,6 +273,7 @@ class _Scene(_Table):
     camera: Annotated[CameraResponse, _flat(CameraResponse)] = CameraResponse()
     projector: Annotated[ProjectorResponse, _flat(ProjectorResponse)] = ProjectorResponse()
     seed: Annotated[int, Field(ge=0)] = 0
+    gloss: Annotated[Gloss, _flat(Gloss)] | None = None
     calibration_valid_from: AwareDatetime = ALWAYS
 
     def record(self, rig: str) -> Scene:
@@ -288,6 +289,7 @@ class _Scene(_Table):
             camera=self.camera,
             projector=self.projector,
             seed=self.seed,
+            gloss=self.gloss,
         )
 
 
@@ -325,9 +327,12 @@ class _Sequence(_Table):
     densities: Annotated[tuple[int, ...], BeforeValidator(_densities)] = FringeSequence().densities
     steps: int = FringeSequence().steps
     orientations_deg: tuple[float, ...] = (0.0, 90.0)
+    exposures: tuple[float, ...] = FringeSequence().exposures
 
     def record(self) -> FringeSequence:
-        return FringeSequence(self.densities, self.steps, _map(radians, self.orientations_deg))
+        return FringeSequence(
+            self.densities, self.steps, _map(radians, self.orientations_deg), self.exposures
+        )
 
 
 class CampaignTable(_Table):

@@ -186,7 +186,7 @@ def _state(
         averaged = 1
     else:
         texture = inputs.read(shape_role, "phase", PhaseMaps).mean_intensity
-        averaged = measurement.sequence.frames
+        averaged = measurement.sequence.frames_per_exposure
     regions = label_regions(
         cloud.xyz,
         cloud.reason == Reason.VALID,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
-from math import pi
+from math import inf, pi
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,6 +20,8 @@ from sms_jobs.records.scene import Simulation
 class FringeSequence:
     """The patterns that a projector shows, in order: orientations, then densities, then phase steps.
 
+    All of them are recorded with one exposure after the other, the frames of an exposure together.
+
     Attributes
     ----------
     densities
@@ -30,11 +32,15 @@ class FringeSequence:
     orientations_rad
         Direction in which the phase grows, from the projector's x axis towards its y axis: 0 gives
         vertical fringes, pi/2 horizontal ones.
+    exposures
+        Exposure times in units of the camera's own, in the order of recording: several for a surface whose
+        brightness spans more than the camera's range.
     """
 
     densities: tuple[int, ...] = (32, 31, 30, 28, 24, 16)
     steps: int = 4
     orientations_rad: tuple[float, ...] = (0.0, pi / 2)
+    exposures: tuple[float, ...] = (1.0,)
 
     def __post_init__(self) -> None:
         if self.steps < 3:
@@ -47,10 +53,22 @@ class FringeSequence:
             raise InvalidInput("the fringe density 0 is shown once at most: it is the same field every time")
         if not self.orientations_rad:
             raise InvalidInput("a fringe sequence needs at least one orientation")
+        if not self.exposures or not all(0.0 < e < inf for e in self.exposures):
+            raise InvalidInput(
+                f"a fringe sequence needs one exposure or several, each above 0 times the camera's own, not "
+                f"{self.exposures}"
+            )
+        if len(set(self.exposures)) < len(self.exposures):
+            raise InvalidInput(f"a fringe sequence has each exposure once, not {self.exposures}: omit one")
 
     @property
     def frames(self) -> int:
-        """Number of fringe frames of the whole sequence."""
+        """Number of fringe frames of the whole sequence, all exposures together."""
+        return len(self.exposures) * self.frames_per_exposure
+
+    @property
+    def frames_per_exposure(self) -> int:
+        """Number of fringe frames of one exposure: of the patterns that are shown."""
         return len(self.orientations_rad) * sum(len(self.steps_of(t)) for t in self.densities)
 
     def steps_of(self, density: int) -> tuple[int, ...]:
@@ -63,8 +81,11 @@ class FringeSequence:
         return tuple(range(self.steps)) if density else (0, self.steps // 2)
 
     def frames_of(self, orientation: int, uniform: bool = True) -> NDArray[np.intp] | slice:
-        """Return where the frames of an orientation are, by its number, with or without the density 0."""
-        count = self.frames // len(self.orientations_rad)
+        """Return where the frames of an orientation are, by its number, with or without the density 0.
+
+        They are counted among those of one exposure, in the order of `patterns`.
+        """
+        count = self.frames_per_exposure // len(self.orientations_rad)
         start = orientation * count
         if uniform or 0 not in self.densities:
             return slice(start, start + count)
@@ -74,7 +95,7 @@ class FringeSequence:
         return start + np.flatnonzero(shown)
 
     def patterns(self) -> Iterator[tuple[float, int, int]]:
-        """Yield (orientation in rad, density, step 0 .. steps-1) of each frame in order."""
+        """Yield (orientation in rad, density, step 0 .. steps-1) of each frame of an exposure in order."""
         for orientation in self.orientations_rad:
             for density in self.densities:
                 for step in self.steps_of(density):
@@ -151,9 +172,10 @@ class Measurement:
     gain, read_noise
         Noise model of the camera in grey levels: variance = read_noise^2 + gain * grey level.
     texture
-        White frame: the projector at full brightness and no fringes.
+        White frame: the projector at full brightness and no fringes, at the camera's own exposure, 1,
+        whatever the exposures of the fringes: what is correlated has one noise model.
     frames
-        Fringe frames in the order of `sequence.patterns()`; streamed.
+        Fringe frames in the order of `sequence.patterns()`, exposure by exposure; streamed.
     simulation
         For a virtual rig: what was simulated.
     """

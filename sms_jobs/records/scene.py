@@ -163,6 +163,22 @@ class Speckle:
 
 
 @dataclass(frozen=True)
+class Gloss:
+    """A highlight beside the diffuse light: strength (n . h)^exponent, h half way between both directions.
+
+    Attributes
+    ----------
+    strength
+        Of the highlight's middle, in units of a perfectly diffuse white surface that faces the projector.
+    exponent
+        The higher, the smaller the highlight.
+    """
+
+    strength: float
+    exponent: float
+
+
+@dataclass(frozen=True)
 class CameraResponse:
     """How a camera turns light into grey levels.
 
@@ -221,6 +237,8 @@ class Scene:
         The cameras and projectors as they truly are, whatever a calibration says of them.
     surface, speckle
         The specimen; None for an unmarked surface.
+    gloss
+        How it shines; None for a surface that is diffuse alone.
     placement
         Brings the specimen's frame into the world: X_world = rotation @ x_specimen + translation.
     camera, projector
@@ -236,6 +254,7 @@ class Scene:
     camera: CameraResponse = CameraResponse()
     projector: ProjectorResponse = ProjectorResponse()
     seed: int = 0
+    gloss: Gloss | None = None
 
 
 @dataclass(frozen=True)

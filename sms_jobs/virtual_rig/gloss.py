@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.records.scene import Simulation
-from sms_jobs.virtual_rig.light import SUBSAMPLES, Light, sensor_named
+from sms_jobs.records.scene import Gloss, Simulation
+from sms_jobs.virtual_rig.light import SUBSAMPLES, Light, sensor_named, trace
 from sms_jobs.virtual_rig.truth import exact_shape
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Gloss:
-    """A specular lobe.
-
-    Attributes
-    ----------
-    strength
-        Of the highlight's middle, in units of a perfectly diffuse white surface that faces the projector.
-    exponent
-        The higher, the smaller the highlight.
-    """
-
-    strength: float
-    exponent: float
+def shining(simulation: Simulation, threads: int = 1) -> Light:
+    """Return the light of a simulated state, with the highlight of its scene if that has one."""
+    light, gloss = trace(simulation, threads), simulation.scene.gloss
+    return light if gloss is None else glossy(light, simulation, gloss, threads=threads)
 
 
 def glossy(light: Light, simulation: Simulation, gloss: Gloss, *, threads: int = 1) -> Light:

@@ -23,7 +23,8 @@ from sms_jobs.metrology.phase.patterns import direction, fringe_harmonics, span_
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, Simulation
 from sms_jobs.records.sensors import Sensor
-from sms_jobs.virtual_rig.light import SUBSAMPLES, Floats, Light, Singles, sensor_named, trace
+from sms_jobs.virtual_rig.gloss import shining
+from sms_jobs.virtual_rig.light import SUBSAMPLES, Floats, Light, Singles, sensor_named
 
 Image: TypeAlias = NDArray[np.uint16]
 
@@ -74,7 +75,7 @@ def render(simulation: Simulation, sequence: FringeSequence, *, threads: int = 1
     The texture, and the frames, which are rendered when they are asked for. `read_noise` includes the
     rounding to whole grey levels, 1/12 of a grey level squared.
     """
-    frames = SimulatedFrames(simulation, sequence, trace(simulation, threads), threads)
+    frames = SimulatedFrames(simulation, sequence, shining(simulation, threads), threads)
     noise = Noise.of(simulation.scene.camera)
     read_noise = sqrt(noise.read_noise**2 + 1.0 / 12.0)
     return Rendering(frames.texture(), frames, noise.full_scale, noise.gain, read_noise)
@@ -127,19 +128,22 @@ class SimulatedFrames:
             fringes = self._fringe_rows(orientation, density, start, stop)
             for index, (_, _, step) in frames:
                 levels = self._levels(self._steady[:, start:stop], fringes, step)
-                slab[index] = self._recorded(levels, index, start)
+                for number, exposure in enumerate(self._sequence.exposures):
+                    place = number * len(self._patterns) + index
+                    slab[place] = self._recorded(np.float32(exposure) * levels, place, start)
         return slab
 
     def expected(self, index: int) -> Singles:
         """Return the grey levels of a frame before noise and rounding, (rows, columns)."""
-        orientation, density, step = self._patterns[index]
+        number, pattern = divmod(index, len(self._patterns))
+        orientation, density, step = self._patterns[pattern]
         shown = (orientation, density)
         with self._lock:
             if self._fringes is None or self._fringes[0] != shown:
                 fringes = self._whole(lambda start, stop: self._fringe_rows(*shown, start, stop))
                 self._fringes = (shown, fringes)
             fringes = self._fringes[1]
-        return self._levels(self._steady, fringes, step)
+        return np.float32(self._sequence.exposures[number]) * self._levels(self._steady, fringes, step)
 
     def _levels(self, steady: Singles, fringes: Singles, step: int) -> Singles:
         """Return grey levels from the steady light and the cosine and sine images of each harmonic.

@@ -65,6 +65,30 @@ def test_recording_again_gives_the_same_and_another_state_does_not() -> None:
     assert not np.array_equal(here.texture, there.texture)
 
 
+def test_a_bracket_is_recorded_exposure_by_exposure_and_dazzled_for_real() -> None:
+    exposures = (0.25, 1.0, 4.0)
+    sequence = replace(CAMPAIGN.sequence, exposures=exposures)
+    bracketed = next(iter(recorded(replace(CAMPAIGN, sequence=sequence), "S00").values()))
+    single = measurement_of(next(iter(recorded(CAMPAIGN, "S00").values())))
+    measurement = measurement_of(bracketed)
+    count = sequence.frames_per_exposure
+    assert sequence.frames == measurement.frames.shape[0] == 3 * count == 3 * CAMPAIGN.sequence.frames
+    rows = measurement.frames.rows(40, 60)
+    for index in (0, count - 1, count, 2 * count + 7):
+        np.testing.assert_array_equal(measurement.frames.frame(index)[40:60], rows[index])
+    levels = rows.reshape(3, count, 20, 128).astype(float)
+    assert not (levels[0] >= measurement.full_scale).any()
+    assert (levels[2] >= measurement.full_scale).mean() > 0.05
+    lit = (levels[2] < measurement.full_scale).all(axis=0) & (levels[1].mean(axis=0) > 50.0)
+    for number, exposure in enumerate(exposures):
+        # Thousands of pixels of noise below 30 grey levels: their mean is good to 0.5.
+        off = levels[number][:, lit] - exposure * levels[1][:, lit]
+        assert abs(off.mean()) < 0.5
+    # Each frame has noise of its own, and the white frame is of exposure 1 whatever the bracket.
+    assert not np.array_equal(rows[count], rows[0])
+    assert measurement.texture.mean() == pytest.approx(single.texture.mean(), rel=1e-3)
+
+
 def test_what_is_hashed_is_what_the_recording_depends_on() -> None:
     subject = Subject("plate", "S00")
     renamed = replace(CAMPAIGN, specimen=replace(CAMPAIGN.specimen, description="another"))

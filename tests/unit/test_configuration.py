@@ -130,6 +130,16 @@ def test_a_real_rig_has_no_scene_and_is_calibrated_by_measurement() -> None:
         )
 
 
+def test_a_sequence_has_as_many_exposures_as_are_given() -> None:
+    text = REAL + "\n[sequence]\nexposures = [0.25, 1, 4.0]\n"
+    sequence = parse_campaign(text, "wing.toml").campaign.sequence
+    assert sequence.exposures == (0.25, 1.0, 4.0)
+    assert sequence.frames == 3 * sequence.frames_per_exposure == 3 * len(list(sequence.patterns()))
+    for wrong, said in (("[]", "one exposure or several"), ("[1, -1]", "above 0"), ("[2, 2]", "once")):
+        with pytest.raises(InvalidInput, match=said):
+            parse_campaign(text.replace("[0.25, 1, 4.0]", wrong), "wing.toml")
+
+
 def test_a_sequence_can_be_named() -> None:
     text = REAL + '\n[sequence]\ndensities = "fdr-64"\norientations_deg = [45, -45]\n'
     sequence = parse_campaign(text, "wing.toml").campaign.sequence

@@ -18,7 +18,7 @@ from sms_jobs.archive import Archive, Provenance
 from sms_jobs.archive.codec import layout_of, plain_to_json, record_classes, record_from_parts
 from sms_jobs.errors import ArchiveCorrupt
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
-from sms_jobs.records.measurement import ArrayStack, FrameStack, Measurement
+from sms_jobs.records.measurement import ArrayStack, FrameStack, FringeSequence, Measurement
 from sms_jobs.records.quantity import QUANTITY, Quantity
 from sms_jobs.records.scene import Cylinder, HalvesApart, Plane, Rigid, Scene, TopHat
 from sms_jobs.records.sensors import Rig
@@ -62,7 +62,10 @@ def example(hint: Any, rng: np.random.Generator, meta: Any = None) -> Any:
         return {f"k{i}": example(arguments[1], rng) for i in range(2)}
     if is_dataclass(hint):
         hints = get_type_hints(hint)
-        made = hint(**{f.name: example(hints[f.name], rng, f.metadata.get(QUANTITY)) for f in fields(hint)})
+        values = {f.name: example(hints[f.name], rng, f.metadata.get(QUANTITY)) for f in fields(hint)}
+        if hint is FringeSequence:
+            values["exposures"] = tuple(np.abs(values["exposures"]).tolist())
+        made = hint(**values)
         # An artefact must be one of those that its campaign describes, which chance does not know.
         return replace(made, artefact=None) if isinstance(made, LoadState) else made
     if isinstance(hint, type) and issubclass(hint, Enum):

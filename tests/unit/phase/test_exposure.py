@@ -25,9 +25,9 @@ from sms_jobs.metrology.phase.patterns import phase_gradient
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
 from sms_jobs.metrology.phase.texture_error import TYPICAL, log_gradient, texture_shift
 from sms_jobs.records.measurement import FringeSequence
-from sms_jobs.records.scene import Cylinder, Simulation
+from sms_jobs.records.scene import Cylinder, Gloss, Simulation
 from sms_jobs.virtual_rig.campaigns import small_plate
-from sms_jobs.virtual_rig.gloss import Gloss, dimmed, glossy
+from sms_jobs.virtual_rig.gloss import dimmed, glossy
 from sms_jobs.virtual_rig.light import Light, trace
 from sms_jobs.virtual_rig.rendering import Noise, SimulatedFrames
 from sms_jobs.virtual_rig.truth import exact_shape
