@@ -136,7 +136,7 @@ def test_a_sequence_has_as_many_exposures_as_are_given() -> None:
     assert sequence.exposures == (0.25, 1.0, 4.0)
     assert sequence.frames == 3 * sequence.frames_per_exposure == 3 * len(list(sequence.patterns()))
     for wrong, said in (("[]", "one exposure or several"), ("[1, -1]", "above 0"), ("[2, 2]", "once")):
-        with pytest.raises(InvalidInput, match=said):
+        with pytest.raises(ConfigurationError, match=said):
             parse_campaign(text.replace("[0.25, 1, 4.0]", wrong), "wing.toml")
 
 
