@@ -31,6 +31,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
 from sms_jobs.metrology.phase.sequences import named_sequence
 from sms_jobs.records import scene as scenes
+from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
 from sms_jobs.records.campaign import Campaign, LoadState, ParameterValue, Specimen
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, Gloss, ProjectorResponse, Scene, Speckle
@@ -45,10 +46,13 @@ Vector: TypeAlias = tuple[float, float, float]
 
 _POSITIVE = (
     *("width_mm", "height_mm", "radius_mm", "size_mm", "depth_mm", "diameter_mm"),
+    *("pitch_mm", "length_mm", "sigma_mm", "pitch_relative_sigma"),
     *("exposure", "full_well", "gamma", "strength", "exponent"),
 )
 """Endings of the names of fields that must be above zero."""
-_NOT_NEGATIVE = frozenset({"read_noise", "blur_px", "defocus_px", "ambient", "hole_offset_mm", "seed"})
+_NOT_NEGATIVE = frozenset(
+    {"read_noise", "blur_px", "defocus_px", "ambient", "hole_offset_mm", "seed", "margin_mm"}
+)
 _FRACTIONS = frozenset({"dark", "bright", "visibility", "mirror_reflectance"})
 
 
@@ -154,6 +158,9 @@ _Surface: TypeAlias = Annotated[
         scenes.PlateWithHoleAndStep,
         scenes.TopHat,
         scenes.PlateAndMirror,
+        CircleBoard,
+        Chessboard,
+        BallBar,
         tag="shape",
     ),
 ]
@@ -161,6 +168,7 @@ _Motion: TypeAlias = Annotated[
     scenes.Deformation,
     _flat(
         scenes.Rigid,
+        scenes.PanTilt,
         scenes.UniaxialStrain,
         scenes.MidPointBending,
         scenes.HalvesApart,

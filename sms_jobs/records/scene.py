@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
 from sms_jobs.records.sensors import Rig
 
 Vector: TypeAlias = tuple[float, float, float]
@@ -96,7 +97,18 @@ class PlateAndMirror:
     shape: Literal["plate-and-mirror"] = "plate-and-mirror"
 
 
-Surface: TypeAlias = Plane | Cylinder | Sphere | PlateWithHoleAndStep | TopHat | PlateAndMirror
+Surface: TypeAlias = (
+    Plane
+    | Cylinder
+    | Sphere
+    | PlateWithHoleAndStep
+    | TopHat
+    | PlateAndMirror
+    | CircleBoard
+    | Chessboard
+    | BallBar
+)
+"""A calibration artefact stands in its own frame, see `sms_jobs.records.artefacts`."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +151,19 @@ class HalvesApart:
     motion: Literal["halves-apart"] = "halves-apart"
 
 
-Deformation: TypeAlias = Rigid | UniaxialStrain | MidPointBending | HalvesApart
+@dataclass(frozen=True)
+class PanTilt:
+    """The rotation of a pan-tilt stage about its origin, where its axes meet: R~ of thesis Eq. (2.3).
+
+    The pan axis is x; the tilt axis, which is y at home, turns with it.
+    """
+
+    pan_rad: float = 0.0
+    tilt_rad: float = 0.0
+    motion: Literal["pan-tilt"] = "pan-tilt"
+
+
+Deformation: TypeAlias = Rigid | PanTilt | UniaxialStrain | MidPointBending | HalvesApart
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ projector, and light by way of a mirror.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,8 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.records.scene import PlateAndMirror, Simulation
 from sms_jobs.records.sensors import Sensor
-from sms_jobs.virtual_rig.deformations import carried
+from sms_jobs.virtual_rig.deformations import carried, followed_back
+from sms_jobs.virtual_rig.ink import PLAIN, SPECIMEN, packed_ink, printed_reflectance
 from sms_jobs.virtual_rig.optics import image_point, in_image, packed_sensor, pixel_ray
 from sms_jobs.virtual_rig.rays import (
     TOUCHING_MM,
@@ -30,6 +31,7 @@ from sms_jobs.virtual_rig.rays import (
 )
 from sms_jobs.virtual_rig.speckle import packed_speckle, reflectance
 from sms_jobs.virtual_rig.surfaces import patch_coordinates
+from sms_jobs.virtual_rig.windows import image_windows
 
 Floats: TypeAlias = NDArray[np.float64]
 Singles: TypeAlias = NDArray[np.float32]
@@ -59,6 +61,13 @@ class Light:
     ambient: Singles
 
 
+class Prints(NamedTuple):
+    """What is printed on a specimen, by `packed_speckle`, or on an artefact, by `packed_ink`."""
+
+    speckle: Floats
+    ink: Floats
+
+
 def sensor_named(simulation: Simulation, name: str) -> Sensor:
     """Return a sensor of the simulated rig; raise `InvalidInput` where there is none."""
     for sensor in simulation.scene.rig.sensors:
@@ -74,7 +83,8 @@ def trace(simulation: Simulation, threads: int = 1) -> Light:
     camera = packed_sensor(sensor_named(simulation, simulation.camera))
     projector = packed_sensor(sensor_named(simulation, simulation.projector))
     specimen = specimen_in(scene, simulation.deformation)
-    speckle = packed_speckle(scene.speckle)
+    prints = Prints(packed_speckle(scene.speckle), packed_ink(scene.surface))
+    windows = SUBSAMPLES * image_windows(scene, simulation.deformation, simulation.camera)
     rows, columns = SUBSAMPLES * int(camera[25]), SUBSAMPLES * int(camera[24])
     returns = 2 if isinstance(scene.surface, PlateAndMirror) else 1
     shape = (returns, rows, columns)
@@ -85,44 +95,44 @@ def trace(simulation: Simulation, threads: int = 1) -> Light:
     distance = float(np.linalg.norm(projector[21:24] - np.array(scene.placement.translation)))
 
     def work(start: int, stop: int) -> None:
-        _trace_rows(
-            camera,
-            projector,
-            specimen,
-            speckle,
-            distance,
-            start,
-            stop,
-            light.x,
-            light.y,
-            light.strength,
-            light.ambient,
-        )
+        for top, bottom, left, right in windows:
+            _trace_window(
+                camera,
+                projector,
+                specimen,
+                prints,
+                distance,
+                (max(start, top), min(stop, bottom), left, right),
+                light.x,
+                light.y,
+                light.strength,
+                light.ambient,
+            )
 
     in_row_blocks(work, rows, threads)
     return light
 
 
 @kernel
-def _trace_rows(
+def _trace_window(
     camera: Floats,
     projector: Floats,
     specimen: Specimen,
-    speckle: Floats,
+    prints: Prints,
     distance: float,
-    start: int,
-    stop: int,
+    window: tuple[int, int, int, int],
     x: Floats,
     y: Floats,
     strength: Singles,
     ambient: Singles,
 ) -> None:
     returns = x.shape[0]
-    for i in range(start, stop):
+    top, bottom, left, right = window
+    for i in range(top, bottom):
         py = (i + 0.5) / SUBSAMPLES - 0.5
-        gx = (-0.5 - camera[2]) / camera[0]
+        gx = (left / SUBSAMPLES - 0.5 - camera[2]) / camera[0]
         gy = (py - camera[3]) / camera[1]
-        for j in range(x.shape[2]):
+        for j in range(left, right):
             px = (j + 0.5) / SUBSAMPLES - 0.5
             dx, dy, dz, gx, gy = pixel_ray(camera, px, py, gx, gy)
             ox, oy, oz = camera[21], camera[22], camera[23]
@@ -141,18 +151,66 @@ def _trace_rows(
             wx, wy, wz = ox + s * dx, oy + s * dy, oz + s * dz
             nx, ny, nz = surface_normal(specimen, patch, mx, my, mz)
             towards = -(nx * dx + ny * dy + nz * dz)
+            if prints.ink[0] == SPECIMEN:
+                a, b = patch_coordinates(specimen.patches[patch], mx, my, mz)
+                shift_a, shift_b = specimen.patches[patch, 23], specimen.patches[patch, 24]
+                footprint = travelled / (camera[0] * SUBSAMPLES * np.sqrt(max(abs(towards), 0.01)))
+                white = factor * reflectance(prints.speckle, a + shift_a, b + shift_b, footprint)
+            elif prints.ink[0] == PLAIN or towards <= 0.0:  # nothing is printed on the back of a board
+                white = prints.ink[1]
+            else:
+                sides = footprint_sides(camera, specimen, patch, s, dx, dy, dz, nx, ny, nz)
+                a, b = patch_coordinates(specimen.patches[patch], mx, my, mz)
+                white = printed_reflectance(prints.ink, a, b, *sides)
             if towards < 0.0:  # the side that is seen is the side that is lit
-                nx, ny, nz, towards = -nx, -ny, -nz, -towards
-            a, b = patch_coordinates(specimen.patches[patch], mx, my, mz)
-            shift_a, shift_b = specimen.patches[patch, 23], specimen.patches[patch, 24]
-            footprint = travelled / (camera[0] * SUBSAMPLES * np.sqrt(max(towards, 0.01)))
-            white = factor * reflectance(speckle, a + shift_a, b + shift_b, footprint)
+                nx, ny, nz = -nx, -ny, -nz
             ambient[i, j] = white
             xp, yp, lit = direct_light(projector, specimen, distance, wx, wy, wz, nx, ny, nz)
             x[0, i, j], y[0, i, j], strength[0, i, j] = xp, yp, white * lit
             if returns == 2:
                 xp, yp, lit = mirrored_light(projector, specimen, distance, wx, wy, wz, nx, ny, nz)
                 x[1, i, j], y[1, i, j], strength[1, i, j] = xp, yp, white * lit
+
+
+@kernel
+def footprint_sides(
+    camera: Floats,
+    specimen: Specimen,
+    patch: int,
+    s: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    nx: float,
+    ny: float,
+    nz: float,
+) -> tuple[float, float, float, float]:
+    """Return the sides of a sub-sample's square as seen on a flat patch, s along its ray d, normal n.
+
+    d(a)/dx, d(a)/dy, d(b)/dx and d(b)/dy in mm for a step of one sub-sample; lens distortion, which
+    stretches a sub-sample by less than a hundredth, is left out.
+    """
+    depth = s * (camera[15] * dx + camera[16] * dy + camera[17] * dz)
+    facing = nx * dx + ny * dy + nz * dz
+    sides = (0.0, 0.0, 0.0, 0.0)
+    row = specimen.patches[patch]
+    for axis in range(2):
+        scale = depth / (camera[axis] * SUBSAMPLES)
+        ex, ey, ez = camera[9 + 3 * axis], camera[10 + 3 * axis], camera[11 + 3 * axis]
+        along = (nx * ex + ny * ey + nz * ez) / facing
+        _, _, _, vx, vy, vz, _ = followed_back(
+            specimen.chain,
+            camera[21] + s * dx,
+            camera[22] + s * dy,
+            camera[23] + s * dz,
+            scale * (ex - along * dx),
+            scale * (ey - along * dy),
+            scale * (ez - along * dz),
+        )
+        a = row[4] * vx + row[5] * vy + row[6] * vz
+        b = row[7] * vx + row[8] * vy + row[9] * vz
+        sides = (a, sides[1], b, sides[3]) if axis == 0 else (sides[0], a, sides[2], b)
+    return sides
 
 
 @kernel

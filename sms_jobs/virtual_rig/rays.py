@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.compilation import kernel
-from sms_jobs.records.scene import Deformation, PlateAndMirror, Rigid, Scene
+from sms_jobs.records.scene import Deformation, PanTilt, PlateAndMirror, Rigid, Scene
 from sms_jobs.virtual_rig.deformations import (
     bending_slack,
     carried,
@@ -61,7 +61,7 @@ def specimen_in(scene: Scene, deformation: tuple[Deformation, ...]) -> Specimen:
     InvalidInput
         When a plate and mirror are to do anything but move rigidly.
     """
-    bent = [d.motion for d in deformation if not isinstance(d, Rigid)]
+    bent = [d.motion for d in deformation if not isinstance(d, Rigid | PanTilt)]
     if isinstance(scene.surface, PlateAndMirror) and bent:
         raise InvalidInput(f"a plate and mirror can only move rigidly, not by {bent[0]}; use a rigid motion")
     patches, cutouts = packed(patches_of(scene.surface))

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel
+from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.scene import (
     Cylinder,
     Plane,
@@ -27,6 +28,7 @@ from sms_jobs.records.scene import (
     TopHat,
     Vector,
 )
+from sms_jobs.virtual_rig.artefacts import Board, axes_of, bar_centres, edges_mm
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -122,7 +124,14 @@ def patches_of(surface: Surface) -> tuple[Patch, ...]:
         return _plate_with_hole_and_step(surface)
     if isinstance(surface, TopHat):
         return _top_hat(surface)
-    return _plate_and_mirror(surface)
+    if isinstance(surface, PlateAndMirror):
+        return _plate_and_mirror(surface)
+    if isinstance(surface, BallBar):
+        return tuple(
+            _ball(number, (float(x), float(y), float(z)), surface.radius_mm)
+            for number, (x, y, z) in enumerate(bar_centres(surface), start=1)
+        )
+    return (_board(surface),)
 
 
 def _rectangle(
@@ -151,6 +160,19 @@ def _sphere(surface: Sphere) -> Patch:
     centre = (0.0, 0.0, -surface.radius_mm)
     rim = 2.0 * surface.radius_mm * sin(surface.cap_angle_rad / 2.0)
     return Patch(1, centre, X_AXIS, Y_AXIS, everywhere, everywhere, SPHERE, surface.radius_mm, rim)
+
+
+def _ball(region: int, centre: Vector, radius: float) -> Patch:
+    everywhere = (-inf, inf)
+    return Patch(region, centre, X_AXIS, Y_AXIS, everywhere, everywhere, SPHERE, radius)
+
+
+def _board(board: Board) -> Patch:
+    """Return the plate of a board; (a, b) run to the right and up as it is seen from its front."""
+    axes = axes_of(board)
+    left, right, bottom, top = edges_mm(board)
+    along_a, along_b = (axes.x_right, 0.0, 0.0), (0.0, -axes.y_down, 0.0)
+    return Patch(1, (0.0, 0.0, 0.0), along_a, along_b, (left, right), (bottom, top))
 
 
 def _plate_with_hole_and_step(surface: PlateWithHoleAndStep) -> tuple[Patch, ...]:

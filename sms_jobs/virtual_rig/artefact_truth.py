@@ -1,0 +1,127 @@
+"""What is exactly true of a simulated calibration measurement: a board's points, and a bar's spheres.
+
+Nothing here is rendered or measured: places and images are exact to rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.geometry.camera import project
+from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
+from sms_jobs.records.scene import Deformation, Scene, Simulation
+from sms_jobs.records.sensors import Sensor
+from sms_jobs.virtual_rig.artefacts import bar_centres, board_normal, board_points
+from sms_jobs.virtual_rig.deformations import carried_points, packed_chain
+from sms_jobs.virtual_rig.light import sensor_named
+from sms_jobs.virtual_rig.truth import exact_shape
+
+Floats: TypeAlias = NDArray[np.float64]
+Flags: TypeAlias = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class TrueBoard:
+    """The points of a board as they truly stand before a pair.
+
+    Attributes
+    ----------
+    place
+        (n, 2), column and row of each point on the board.
+    point
+        (n, 3), where it is in the board's frame, mm.
+    world
+        (n, 3), where it is in the world, mm.
+    camera_px, projector_px
+        (n, 2), its image in either sensor: of a dot's centre, not the centre of its image.
+    seen
+        (n,), whether it lies within both images and shows both sensors its front.
+    """
+
+    place: NDArray[np.int32]
+    point: Floats
+    world: Floats
+    camera_px: Floats
+    projector_px: Floats
+    seen: Flags
+
+
+@dataclass(frozen=True)
+class TrueBar:
+    """The spheres of a bar as they truly stand before a pair.
+
+    Attributes
+    ----------
+    centre
+        (2, 3), centres of spheres 1 and 2 in the world, mm.
+    camera_px, projector_px
+        (2, 2), the images of the centres.
+    seen_px
+        (2,), how many pixels of the camera see the sphere lit by the projector.
+    """
+
+    centre: Floats
+    camera_px: Floats
+    projector_px: Floats
+    seen_px: NDArray[np.int64]
+
+
+def placed_points(scene: Scene, deformation: tuple[Deformation, ...], points: Floats) -> Floats:
+    """Return where points of an artefact's frame (n, 3) lie in the world, (n, 3), mm."""
+    return carried_points(packed_chain(deformation, scene.placement), np.asarray(points, dtype=np.float64))
+
+
+def true_board(simulation: Simulation) -> TrueBoard:
+    """Return the exact points of the board in a simulated measurement.
+
+    Raises
+    ------
+    InvalidInput
+        When what stands there is no board.
+    """
+    board = simulation.scene.surface
+    if not isinstance(board, CircleBoard | Chessboard):
+        raise InvalidInput(f"state {simulation.state} shows no board but a {board.shape}; name one that does")
+    place, point = board_points(board)
+    world = placed_points(simulation.scene, simulation.deformation, point)
+    ahead = placed_points(simulation.scene, simulation.deformation, point + board_normal(board))
+    images, seen = [], np.ones(len(place), np.bool_)
+    for name in (simulation.camera, simulation.projector):
+        sensor = sensor_named(simulation, name)
+        images.append(project(sensor.intrinsics, sensor.pose, world))
+        faces = np.sum((ahead - world) * (sensor.pose.centre() - world), axis=1) > 0.0
+        seen &= faces & _in_image(sensor, images[-1])
+    return TrueBoard(place, point, world, images[0], images[1], seen)
+
+
+def true_bar(simulation: Simulation, *, threads: int = 1) -> TrueBar:
+    """Return the exact spheres of the bar in a simulated measurement.
+
+    Raises
+    ------
+    InvalidInput
+        When what stands there is no ball bar.
+    """
+    bar = simulation.scene.surface
+    if not isinstance(bar, BallBar):
+        raise InvalidInput(
+            f"state {simulation.state} shows no ball bar but a {bar.shape}; name one that does"
+        )
+    centres = placed_points(simulation.scene, simulation.deformation, bar_centres(bar))
+    images = [
+        project(sensor.intrinsics, sensor.pose, centres)
+        for sensor in (sensor_named(simulation, n) for n in (simulation.camera, simulation.projector))
+    ]
+    shape = exact_shape(simulation, threads=threads)
+    seen = np.bincount(shape.region[shape.lit], minlength=3)[1:3]
+    return TrueBar(centres, images[0], images[1], seen)
+
+
+def _in_image(sensor: Sensor, pixels: Floats) -> Flags:
+    inside = (pixels >= -0.5) & (pixels <= np.array([sensor.columns, sensor.rows]) - 0.5)
+    return np.asarray(inside.all(axis=1))

@@ -1,0 +1,103 @@
+"""How boards and the ball bar are made: where their points, edges and spheres lie in their own frames.
+
+A board is seen from its front alone, columns running to the right and rows down. Which way the axes of its
+frame run follows from its markers; where y runs down, z points into the board, away from who looks at it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
+
+Floats: TypeAlias = NDArray[np.float64]
+Board: TypeAlias = CircleBoard | Chessboard
+
+BORDER_PITCHES = 2.0
+"""From the outermost inner corners of a chessboard to its edge: one square and a white border as wide."""
+
+
+@dataclass(frozen=True)
+class BoardAxes:
+    """Where a board's frame lies on its grid.
+
+    Attributes
+    ----------
+    column, row
+        Place of the origin.
+    x_right
+        1.0 where x runs to the right as the board is seen from the front, -1.0 where it runs to the left.
+    y_down
+        1.0 where y runs down, -1.0 where it runs up.
+    """
+
+    column: int
+    row: int
+    x_right: float
+    y_down: float
+
+
+def axes_of(board: Board) -> BoardAxes:
+    """Return where a board's frame lies on its grid.
+
+    Raises
+    ------
+    InvalidInput
+        When the markers of a circle board do not define a frame.
+    """
+    if isinstance(board, Chessboard):
+        return BoardAxes(0, 0, 1.0, 1.0)
+    (column, row), (second, second_row), (third_column, third) = board.markers
+    if second_row != row or third_column != column or second == column or third == row:
+        raise InvalidInput(
+            f"the markers {board.markers} of a circle board define no axes: the second must share the row of "
+            "the first, the third its column, given as (column, row)"
+        )
+    return BoardAxes(column, row, float(np.sign(second - column)), float(np.sign(third - row)))
+
+
+def board_points(board: Board) -> tuple[NDArray[np.int32], Floats]:
+    """Return the places (column, row) of a board's points, (n, 2), and the points in its frame, (n, 3), mm.
+
+    Row by row: the centres of dots, or inner corners.
+    """
+    axes = axes_of(board)
+    rows, columns = np.mgrid[: board.rows, : board.columns]
+    places = np.stack([columns.ravel(), rows.ravel()], axis=-1).astype(np.int32)
+    steps = (places - [axes.column, axes.row]) * [axes.x_right, axes.y_down]
+    return places, np.pad(board.pitch_mm * steps, ((0, 0), (0, 1)))
+
+
+def board_normal(board: Board) -> Floats:
+    """Return the unit vector, in the board's frame, that points from its front towards who looks at it."""
+    axes = axes_of(board)
+    return np.array([0.0, 0.0, -axes.x_right * axes.y_down])
+
+
+def edges_mm(board: Board) -> tuple[float, float, float, float]:
+    """Return left, right, bottom and top edge from the origin, in mm to the right and upwards.
+
+    A circle board without a margin gets one of a pitch.
+    """
+    axes = axes_of(board)
+    if isinstance(board, Chessboard):
+        margin = BORDER_PITCHES * board.pitch_mm
+    else:
+        margin = board.margin_mm or board.pitch_mm
+    return (
+        -axes.column * board.pitch_mm - margin,
+        (board.columns - 1 - axes.column) * board.pitch_mm + margin,
+        (axes.row - board.rows + 1) * board.pitch_mm - margin,
+        axes.row * board.pitch_mm + margin,
+    )
+
+
+def bar_centres(bar: BallBar) -> Floats:
+    """Return the centres of spheres 1 and 2 in the bar's frame, (2, 3), mm; see thesis section 3.3."""
+    half = bar.length_mm / 2.0
+    return np.array([[bar.stalk_mm, 0.0, bar.slide_mm - half], [bar.stalk_mm, 0.0, bar.slide_mm + half]])
