@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.records.measurement import FrameStack
+from sms_jobs.metrology.phase.exposure import merge_exposures
+from sms_jobs.records.measurement import FrameStack, Measurement
+
+Singles = NDArray[np.float32]
 
 _ROWS = 64  # as in the archive's chunks
 _LEAST_ROWS = 16
@@ -48,3 +51,38 @@ def sampled(stack: FrameStack, rows: int, columns: int) -> NDArray[Any]:
     picked = sorted({height * (2 * i + 1) // (2 * rows) for i in range(rows)})
     step = max(width // columns, 1)
     return np.concatenate([stack.rows(row, row + 1)[..., ::step] for row in picked], axis=1)
+
+
+def in_best_exposure(measurement: Measurement, frames: NDArray[Any]) -> tuple[NDArray[Any], Singles]:
+    """Return the frames of one exposure, chosen pixel by pixel among those recorded, and which it is.
+
+    Parameters
+    ----------
+    measurement
+        That the frames are of.
+    frames
+        (exposures * patterns, rows, columns), a part of its images.
+
+    Returns
+    -------
+    (patterns, rows, columns), as they are where there is one exposure only; (rows, columns), the exposure in
+    units of the camera's own, by which grey levels are to be divided before pixels are compared.
+    """
+    exposures = measurement.sequence.exposures
+    if len(exposures) == 1:
+        return frames, np.full(frames.shape[1:], exposures[0], np.float32)
+    bracket = frames.reshape(len(exposures), -1, *frames.shape[1:])
+    merged, index = merge_exposures(bracket, exposures, measurement.full_scale)
+    return merged, np.array(exposures, np.float32)[index]
+
+
+def exposed_slabs(measurement: Measurement, threads: int) -> Iterator[tuple[slice, NDArray[Any], Singles]]:
+    """Yield slabs of the frames of each pixel's best exposure, and that exposure: see `in_best_exposure`.
+
+    As from `row_slabs`: a slab holds fewer rows the more exposures there are, so that memory stays bounded.
+    """
+    for slab, frames in row_slabs(measurement.frames, threads):
+        best, exposure = in_best_exposure(measurement, frames)
+        del frames
+        yield slab, best, exposure
+        del best

@@ -26,7 +26,10 @@ POINTS = ("point",)
 
 @dataclass(frozen=True)
 class PhaseMaps:
-    """What temporal unwrapping or ranging says of every pixel, for each fringe orientation."""
+    """What temporal unwrapping or ranging says of every pixel, for each fringe orientation.
+
+    Grey levels are those at exposure 1. Of a single exposure `exposure` is None.
+    """
 
     orientations_rad: tuple[float, ...]
     omega: Double = array("rad", "phase gradient per fringe, -pi .. pi across the projector", ORIENTED_IMAGE)
@@ -34,14 +37,20 @@ class PhaseMaps:
     modulation: Single = array("count", "fringe modulation", ORIENTED_IMAGE)
     phase_error: Single = array("rad", "rms residual of the phase against the fringe density", ORIENTED_IMAGE)
     mean_intensity: Single = array("count", "texture averaged over all fringe frames")
+    exposure: Single | None = array(
+        "1", "exposure that was chosen of several, in units of the camera's own", default=None
+    )
 
     @classmethod
-    def unset(cls, orientations_rad: tuple[float, ...], rows: int, columns: int) -> PhaseMaps:
+    def unset(
+        cls, orientations_rad: tuple[float, ...], rows: int, columns: int, bracketed: bool = False
+    ) -> PhaseMaps:
         """Return maps to be filled; the mean intensity is 0, to be added to."""
         shape = (len(orientations_rad), rows, columns)
         sigma, modulation, error = (np.empty(shape, np.float32) for _ in range(3))
         mean = np.zeros((rows, columns), np.float32)
-        return cls(orientations_rad, np.empty(shape), sigma, modulation, error, mean)
+        exposure = np.empty((rows, columns), np.float32) if bracketed else None
+        return cls(orientations_rad, np.empty(shape), sigma, modulation, error, mean, exposure)
 
 
 @dataclass(frozen=True)

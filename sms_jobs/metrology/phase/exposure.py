@@ -143,12 +143,15 @@ def merge_exposures(
 
     Notes
     -----
-    A pixel's phases go by B / sigma: with shot noise, the next shorter of exposures a factor 4 apart would
-    add a fifth of the information at best, and is left out for the sake of one noise model.
+    A pixel's phases go by B / sigma, which grows with the exposure as long as nothing is saturated: the
+    longest such exposure e is the best, and weighs 1. The next shorter one, e / r, has 1/r of its information
+    where shot noise rules and 1/r^2 where read noise does. With r = 4 using it too would lower the standard
+    deviation by 11 % at most; it is left out for the sake of one noise model in every pixel.
     """
-    peaks = frames.max(axis=1)
-    index = best_exposure(peaks, exposures, full_scale)
-    merged = np.take_along_axis(frames, index[None, None].astype(np.intp), axis=0)[0]
+    index = best_exposure(frames.max(axis=1), exposures, full_scale)
+    merged = frames[index.flat[0] if index.size else 0].copy()
+    for i in range(len(frames)):
+        np.copyto(merged, frames[i], where=index == i)
     return merged, index
 
 

@@ -92,8 +92,11 @@ def _uniform_modulation(z: Complexes, densities: Floats, damping: float) -> Floa
     return np.asarray(kept @ np.abs(z) / np.sum(np.square(kept)))
 
 
-def _distortion(response: Response, phase: Floats, density: float, steps: int) -> Complexes:
-    """Return by which factor phase stepping falsifies B exp(i phase), (...) as the true phase is."""
+def distortion(response: Response, phase: Floats, density: float, steps: int) -> Complexes:
+    """Return by which factor phase stepping falsifies B exp(i phase), (...) as the true phase is.
+
+    Parameters as of `phase_ripple`, which is its angle.
+    """
     amplitudes = response.at_density(density)
     z = np.zeros(np.shape(phase), np.complex128)
     for n, amplitude in enumerate(amplitudes, start=1):
@@ -123,7 +126,7 @@ def phase_ripple(response: Response, phase: Floats, density: float, steps: int) 
     arg(1 + sum over n of r_n exp(i (n - 1) phi) for n = 1 (mod q), exp(-i (n + 1) phi) for n = -1 (mod q)):
     the harmonics that q steps cannot tell from the fringes.
     """
-    return np.asarray(np.angle(_distortion(response, phase, density, steps)))
+    return np.asarray(np.angle(distortion(response, phase, density, steps)))
 
 
 def gradient_ripple(response: Response, omega: Floats, densities: Sequence[int], steps: int) -> Floats:
@@ -144,7 +147,7 @@ def gradient_ripple(response: Response, omega: Floats, densities: Sequence[int],
     """
     top, bottom = np.zeros(np.shape(omega)), np.zeros(np.shape(omega))
     for t in densities:
-        z = _distortion(response, omega * t, t, steps)
+        z = distortion(response, omega * t, t, steps)
         power = np.square(response.at_density(t)[0] * np.abs(z))
         top += power * t * np.angle(z)
         bottom += power * t * t
@@ -168,7 +171,7 @@ def _undistorted(
 ) -> Complexes:
     """Return B exp(i phi) of every density without what the harmonics add to it."""
     return np.stack(
-        [z[i] / _distortion(response, omega * t, t, steps) for i, t in enumerate(densities)], axis=0
+        [z[i] / distortion(response, omega * t, t, steps) for i, t in enumerate(densities)], axis=0
     )
 
 
