@@ -95,5 +95,9 @@ class Cancelled(SmsError):
     """The job was asked to stop and did."""
 
 
+class OverLimit(Cancelled):
+    """The job took more time or memory than a job may have, and was stopped."""
+
+
 class LeaseLost(SmsError):
     """Another worker holds the job now; this attempt's outputs are discarded."""

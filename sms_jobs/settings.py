@@ -43,6 +43,11 @@ class Settings(BaseSettings):
         How long a job stays with a worker that gives no sign of life.
     crash_budget
         How many times a job may bring its worker down before it is quarantined.
+    job_time_limit_s, job_memory_limit_mb
+        What one job may take before it is stopped and fails; 0 for no limit.
+    stop_grace_s
+        How long a job that is asked to stop may take to reach a checkpoint before it is ended by a signal;
+        after twice this it is killed.
     """
 
     model_config = SettingsConfigDict(env_prefix="SMS_", frozen=True, extra="forbid")
@@ -55,6 +60,9 @@ class Settings(BaseSettings):
     threads: int = Field(default=1, ge=1, le=256)
     lease_s: float = Field(default=30.0, ge=1.0, le=3600.0)
     crash_budget: int = Field(default=3, ge=1, le=100)
+    job_time_limit_s: float = Field(default=0.0, ge=0.0)
+    job_memory_limit_mb: float = Field(default=0.0, ge=0.0)
+    stop_grace_s: float = Field(default=15.0, ge=0.1, le=3600.0)
 
     @classmethod
     def settings_customise_sources(

@@ -23,9 +23,12 @@ from sqlalchemy import exists, select
 
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import JobRow
-from sms_jobs.errors import SmsError
-from sms_jobs.jobs import recovery
+from sms_jobs.errors import SmsError, StorageFull
+from sms_jobs.jobs import limits, queues, recovery
+from sms_jobs.jobs.limits import Force, Limits
+from sms_jobs.jobs.runner import require_room
 from sms_jobs.records.job import ACTIVE
+from sms_jobs.settings import Settings
 from sms_jobs.workers.celery_app import QUEUES, WORKER_ID, WORKER_QUEUES, make_app, message_queue
 from sms_jobs.workers.publisher import Publisher
 
@@ -55,6 +58,7 @@ class Supervisor:
         self._settings = services.settings
         self._queues = tuple(queues)
         self._lease = timedelta(seconds=self._settings.lease_s)
+        self._limits = limits_of(self._settings)
         self._host = socket.gethostname()
         self._app = make_app(self._settings, self._queues)
         self._process: subprocess.Popen[bytes] | None = None
@@ -93,6 +97,7 @@ class Supervisor:
                     self._beat()
                     beat_at = moment + self._settings.lease_s / 3
                 if moment >= recover_at:
+                    self._enforce()
                     self._recover()
                     recover_at = moment + _RECOVER_EVERY_S
                     if until_idle and self._is_idle():
@@ -114,6 +119,32 @@ class Supervisor:
             )
         for job_id in lost:
             logger.warning("job %s was lost", job_id)
+
+    def _enforce(self) -> None:
+        """Ask jobs that take too much to stop, end those that do not, let queues go on that have room."""
+        now = datetime.now(UTC)
+        with self._services.catalogue.writing() as session:
+            for job_id in limits.ask_those_over_limit(
+                session, self.worker_id, now, self._limits, memory_of_process
+            ):
+                logger.warning("job %s is over its limit and asked to stop", job_id)
+            late = limits.overdue(session, self.worker_id, now, self._limits)
+        for job in late:
+            logger.warning("job %s does not stop: %s process %d", job.job_id, job.force.value, job.pid)
+            end_process(job.pid, job.began, job.force)
+        self._go_on_when_there_is_room()
+
+    def _go_on_when_there_is_room(self) -> None:
+        with self._services.catalogue.reading() as session:
+            if not any(queue.for_room for queue in queues.queues(session)):
+                return
+        try:
+            require_room(self._services.archive.root)
+        except StorageFull:
+            return
+        with self._services.catalogue.writing() as session:
+            resumed = queues.resume_for_room(session)
+        logger.info("there is room again: %s go on", ", ".join(resumed))
 
     def _is_idle(self) -> bool:
         with self._services.catalogue.reading() as session:
@@ -182,6 +213,30 @@ class Supervisor:
 
     def _ask_to_stop(self, number: int, frame: FrameType | None) -> None:
         self._stop_asked += 1
+
+
+def limits_of(settings: Settings) -> Limits:
+    """Return what a job may take."""
+    time_s = settings.job_time_limit_s
+    return Limits(
+        timedelta(seconds=time_s) if time_s else None,
+        settings.job_memory_limit_mb or None,
+        timedelta(seconds=settings.stop_grace_s),
+    )
+
+
+def memory_of_process(pid: int) -> float | None:
+    """Return the resident memory of a process in MB; None when it is gone."""
+    try:
+        return float(psutil.Process(pid).memory_info().rss) / 2**20
+    except psutil.NoSuchProcess:
+        return None
+
+
+def end_process(pid: int, before: datetime, force: Force) -> None:
+    """End a process that began before a time, if it is still there."""
+    if process_lives(pid, before):
+        os.kill(pid, signal.SIGKILL if force is Force.KILL else signal.SIGTERM)
 
 
 def process_lives(pid: int, before: datetime) -> bool:

@@ -262,7 +262,10 @@ class JobRow(Table):
     worker_id: Mapped[str | None] = mapped_column(ForeignKey("worker.id"))
     pid: Mapped[int | None]
     lease_until: Mapped[datetime | None]
-    cancel_requested: Mapped[bool] = mapped_column(default=False)
+    stop_asked_at: Mapped[datetime | None]
+    """Since when it is to stop; `stop_as` says how it then ends, `stop_reason` why."""
+    stop_as: Mapped[JobState | None]
+    stop_reason: Mapped[str | None] = mapped_column(Text)
     progress: Mapped[float] = mapped_column(default=0.0)
     message: Mapped[str] = mapped_column(Text, default="")
     error: Mapped[str | None] = mapped_column(Text)
@@ -302,6 +305,17 @@ class OutboxRow(Table):
     id: Mapped[int] = mapped_column(BigId, primary_key=True)
     job_id: Mapped[str] = mapped_column(ForeignKey("job.id"))
     queue: Mapped[str] = mapped_column(String(16))
+
+
+class QueueRow(Table):
+    """A queue that is paused, or was; one without a row never was."""
+
+    __tablename__ = "queue"
+    name: Mapped[str] = mapped_column(String(16), primary_key=True)
+    paused_at: Mapped[datetime | None]
+    reason: Mapped[str] = mapped_column(Text)
+    for_room: Mapped[bool]
+    """Paused because a disk is full: it goes on by itself once there is room."""
 
 
 class ScheduleRow(Table):

@@ -239,7 +239,7 @@ def watch(
     Example: sms job watch -c wing-fatigue
     """
     with bootstrap.services(home) as services:
-        ids = _named(services, jobs or [], campaign)
+        ids = named_jobs(services, jobs or [], campaign)
 
         def tell(counted: dict[str, int]) -> None:
             if as_json:
@@ -265,7 +265,7 @@ def wait(
     Example: sms job wait -c wing-fatigue --timeout 3600
     """
     with bootstrap.services(home) as services:
-        _wait(services, _named(services, jobs or [], campaign), timeout, as_json)
+        _wait(services, named_jobs(services, jobs or [], campaign), timeout, as_json)
 
 
 @app.command()
@@ -274,14 +274,14 @@ def cancel(
     campaign: Campaign = None,
     home: Home = None,
 ) -> None:
-    """Cancel jobs; running ones stop at their next checkpoint.
+    """Cancel jobs; running ones stop at their next checkpoint, or are ended when they reach none.
 
     Example: sms job cancel 3f2a
     """
     if not jobs and campaign is None:
         raise InvalidInput("name the jobs to cancel, or a campaign with --campaign")
     with bootstrap.services(home) as services:
-        ids = _named(services, jobs or [], campaign)
+        ids = named_jobs(services, jobs or [], campaign)
         with services.catalogue.writing() as session:
             cancelled = [i for i in ids if lifecycle.cancel(session, i, datetime.now(UTC))]
     if jobs and not cancelled:
@@ -361,7 +361,8 @@ def _parameters(settings: Sequence[str]) -> dict[str, Any]:
     return parameters
 
 
-def _named(services: Services, prefixes: Sequence[str], campaign: str | None) -> list[str]:
+def named_jobs(services: Services, prefixes: Sequence[str], campaign: str | None) -> list[str]:
+    """Return the ids of the named jobs; if none is named, of all active ones, or of a campaign's."""
     with services.catalogue.reading() as session:
         if prefixes:
             return [inquiry.find_job(session, prefix).id for prefix in prefixes]

@@ -10,7 +10,7 @@ import typer
 from typer.exceptions import TyperException
 
 import sms_jobs
-from sms_jobs.cli import bench, calibration, campaign, data, db, demo, job, service, worker
+from sms_jobs.cli import bench, calibration, campaign, data, db, demo, job, queue, service, worker
 from sms_jobs.cli.output import remarks
 from sms_jobs.errors import SmsError
 
@@ -33,6 +33,7 @@ app.command("bench")(bench.bench)
 app.command("study")(bench.study)
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(job.app, name="job")
+app.add_typer(queue.app, name="queue")
 app.add_typer(data.app, name="data")
 app.add_typer(calibration.app, name="calibration")
 app.add_typer(worker.app, name="worker")

@@ -18,6 +18,7 @@ from sms_jobs.catalogue.models import (
     EventRow,
     FileRow,
     JobRow,
+    QueueRow,
     WorkerRow,
 )
 from sms_jobs.errors import Conflict, NotFound
@@ -179,6 +180,12 @@ def _why_queued(session: Session, job: JobRow) -> list[str]:
             | ((JobRow.priority == job.priority) & (JobRow.position < job.position)),
         )
     )
+    held_back = session.get(QueueRow, job.queue)
+    if held_back is not None and held_back.paused_at is not None:
+        hint = (
+            "it goes on by itself" if held_back.for_room else f"'sms queue resume {job.queue}' lets it go on"
+        )
+        return [f"the queue '{job.queue}' is paused: {held_back.reason}; {hint}"]
     workers = session.scalars(select(WorkerRow).where(WorkerRow.draining.is_(False))).all()
     serving = [w.id for w in workers if job.queue in w.queues.split(",")]
     if not serving:

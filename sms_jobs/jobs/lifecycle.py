@@ -14,8 +14,8 @@ from typing import Any
 from sqlalchemy import exists, insert, select, update
 from sqlalchemy.orm import Session, aliased
 
-from sms_jobs.catalogue.models import DependencyRow, EventRow, JobRow, OutboxRow, WorkerRow
-from sms_jobs.errors import Conflict
+from sms_jobs.catalogue.models import DependencyRow, EventRow, JobRow, OutboxRow, QueueRow, WorkerRow
+from sms_jobs.errors import Cancelled, Conflict, LeaseLost, OverLimit
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import UNSUCCESSFUL, JobState, origins
 
@@ -79,13 +79,17 @@ def change(
 def claim(
     session: Session, queues: Sequence[str], worker_id: str, pid: int, now: datetime, lease: timedelta
 ) -> Claim | None:
-    """Take the first queued job of some queues, or None when there is none or the worker is draining."""
+    """Take the first queued job of some queues that are not paused.
+
+    None when there is none or the worker is draining.
+    """
     candidate = (
         select(JobRow.id)
         .where(
             JobRow.state == JobState.QUEUED,
             JobRow.queue.in_(queues),
             exists().where(WorkerRow.id == worker_id, WorkerRow.draining.is_(False)),
+            ~exists().where(QueueRow.name == JobRow.queue, QueueRow.paused_at.is_not(None)),
         )
         .order_by(JobRow.priority.desc(), JobRow.position)
         .limit(1)
@@ -125,14 +129,26 @@ def claim(
     )
 
 
-def report_progress(session: Session, held: Claim, fraction: float, message: str) -> bool | None:
-    """Store how far a job has come; return whether it is to stop, or None when the claim is lost."""
-    return session.execute(
+def report_progress(session: Session, held: Claim, fraction: float, message: str) -> None:
+    """Store how far a job has come.
+
+    Raises
+    ------
+    LeaseLost
+        A newer attempt has begun.
+    Cancelled, OverLimit
+        The job is to stop, by an operator's word or because it went over a limit.
+    """
+    asked = session.execute(
         update(JobRow)
         .where(JobRow.id == held.job_id, JobRow.fence == held.fence, JobRow.state == JobState.RUNNING)
         .values(progress=fraction, message=message)
-        .returning(JobRow.cancel_requested)
-    ).scalar_one_or_none()
+        .returning(JobRow.stop_as, JobRow.stop_reason)
+    ).one_or_none()
+    if asked is None:
+        raise LeaseLost("a newer attempt has begun")
+    if asked.stop_as is not None:
+        raise (OverLimit if asked.stop_as is JobState.FAILED else Cancelled)(asked.stop_reason or "")
 
 
 def succeed(
@@ -192,15 +208,23 @@ def ready(job_ids: Collection[str] | None = None) -> Any:
 
 def cancel(session: Session, job_id: str, now: datetime) -> bool:
     """Cancel a job that does not run, or ask a running one to stop; False when it has ended already."""
-    asked = session.execute(
-        update(JobRow)
-        .where(JobRow.id == job_id, JobRow.state == JobState.RUNNING)
-        .values(cancel_requested=True)
-        .returning(JobRow.id)
-    ).one_or_none()
-    if asked is not None:
+    if ask_to_stop(session, job_id, JobState.CANCELLED, now, "cancelled by an operator"):
         return True
     return change(session, job_id, JobState.CANCELLED, now, "cancelled before it ran", finished_at=now)
+
+
+def ask_to_stop(session: Session, job_id: str, end: JobState, now: datetime, reason: str) -> bool:
+    """Ask a running job to stop and to end as `end`; False when it does not run.
+
+    It hears of it at its next checkpoint. The first to ask is the one who is heard.
+    """
+    session.execute(
+        update(JobRow)
+        .where(JobRow.id == job_id, JobRow.state == JobState.RUNNING, JobRow.stop_as.is_(None))
+        .values(stop_asked_at=now, stop_as=end, stop_reason=reason)
+    )
+    runs = select(JobRow.id).where(JobRow.id == job_id, JobRow.state == JobState.RUNNING)
+    return session.scalar(runs) is not None
 
 
 def retry(session: Session, job_id: str, now: datetime) -> int:
@@ -235,7 +259,9 @@ def retry(session: Session, job_id: str, now: datetime) -> int:
         "retried by an operator",
         finished_at=None,
         crashes=0,
-        cancel_requested=False,
+        stop_asked_at=None,
+        stop_as=None,
+        stop_reason=None,
     )
     count = 1
     level = [job_id]

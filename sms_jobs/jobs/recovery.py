@@ -105,10 +105,10 @@ def recover(session: Session, now: datetime, host: str, crash_budget: int, lives
 
 
 def _decide(session: Session, job: JobRow, now: datetime, crash_budget: int) -> None:
-    if job.cancel_requested:
-        lifecycle.change(
-            session, job.id, JobState.CANCELLED, now, "cancelled while it was lost", finished_at=now
-        )
+    if job.stop_as is not None:
+        reason = f"{job.stop_reason}; its process was ended"
+        error = reason if job.stop_as is JobState.FAILED else None
+        lifecycle.change(session, job.id, job.stop_as, now, reason, finished_at=now, error=error)
     elif not job.repeatable:
         lifecycle.change(
             session,

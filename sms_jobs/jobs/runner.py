@@ -23,8 +23,8 @@ import sms_jobs
 from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.errors import Cancelled, LeaseLost, ServerUnreachable, SmsError, StorageFull
-from sms_jobs.jobs import indexing, lifecycle, reuse
+from sms_jobs.errors import Cancelled, LeaseLost, OverLimit, ServerUnreachable, SmsError, StorageFull
+from sms_jobs.jobs import indexing, lifecycle, queues, reuse
 from sms_jobs.jobs.indexing import SealedOutput
 from sms_jobs.jobs.lifecycle import Claim
 from sms_jobs.jobs.logs import logged
@@ -86,8 +86,10 @@ class Runner:
             self._run(held)
         except LeaseLost as error:
             logger.warning("job %s: %s", held.job_id, error)
-        except Cancelled:
-            self._end(held, JobState.CANCELLED, "cancelled while it ran")
+        except OverLimit as error:
+            self._end(held, JobState.FAILED, str(error), error=str(error))
+        except Cancelled as error:
+            self._end(held, JobState.CANCELLED, f"{error} while it ran")
         except (SmsError, OSError, MemoryError) as error:
             self._fail(held, _as_ours(error))
         except Exception as error:  # noqa: BLE001 - a kind may raise anything; the job's row must tell it
@@ -103,7 +105,7 @@ class Runner:
             return
         if held.repeatable and held.attempt > 1:
             self._clear_leftovers(held)
-        self._require_room()
+        require_room(self.archive.root)
         started = time.monotonic()
         sealed: list[SealedOutput] = []
         try:
@@ -161,14 +163,6 @@ class Runner:
                 logger.warning("job %s: discarding %s of an earlier attempt", held.job_id, path)
                 self.archive.discard(path)
 
-    def _require_room(self) -> None:
-        free = shutil.disk_usage(self.archive.root).free
-        if free < _SPARE_BYTES:
-            raise StorageFull(
-                f"the archive's disk has {free / 2**20:.0f} MiB left and a job needs at least "
-                f"{_SPARE_BYTES / 2**20:.0f} MiB; free some space"
-            )
-
     def _sealed_outputs(self, kind: Kind[Any], held: Claim, task: _Task) -> Iterator[SealedOutput]:
         progress = _ThrottledProgress(self, held)
         with ExitStack() as stack:
@@ -198,6 +192,9 @@ class Runner:
         return self.archive.seal_document(output.filename, output.media_type, output.write, provenance)
 
     def _fail(self, held: Claim, error: BaseException) -> None:
+        if isinstance(error, StorageFull) and held.repeatable:
+            self._wait_for_room(held, error)
+            return
         if isinstance(error, SmsError) and error.retryable and held.repeatable and held.attempt < _ATTEMPTS:
             logger.warning("job %s: %s; tried again", held.job_id, error)
             self._end(held, JobState.QUEUED, f"tried again: {error}")
@@ -209,6 +206,21 @@ class Runner:
             message = f"{type(error).__name__}: {error}"
             logger.error("job %s: unexpected error", held.job_id, exc_info=error)
         self._end(held, JobState.FAILED, message, error=message)
+
+    def _wait_for_room(self, held: Claim, error: StorageFull) -> None:
+        """Queue the job again and hold every queue back; the supervisor lets them go on later."""
+        logger.error("job %s: %s; the queues wait for room", held.job_id, error)
+        with self.catalogue.writing() as session:
+            for name in queues.QUEUES:
+                queues.pause(session, name, str(error), self.now(), for_room=True)
+            lifecycle.change(
+                session,
+                held.job_id,
+                JobState.QUEUED,
+                self.now(),
+                f"waits for room: {error}",
+                fence=held.fence,
+            )
 
     def _end(self, held: Claim, state: JobState, message: str, **columns: Any) -> None:
         ended: dict[str, Any] = {} if state is JobState.QUEUED else {"finished_at": self.now()}
@@ -239,15 +251,20 @@ class _ThrottledProgress:
         self._next = time.monotonic() + _PROGRESS_EVERY_S
         try:
             with self._runner.catalogue.writing() as session:
-                stop = lifecycle.report_progress(session, self._held, min(max(fraction, 0.0), 1.0), message)
+                lifecycle.report_progress(session, self._held, min(max(fraction, 0.0), 1.0), message)
         except (ServerUnreachable, StorageFull) as error:
             # Hours of computing are not given up because nobody could be told how far they have come.
             logger.warning("job %s: %s", self._held.job_id, error)
-            return
-        if stop is None:
-            raise LeaseLost("a newer attempt has begun")
-        if stop:
-            raise Cancelled("cancelled by an operator")
+
+
+def require_room(folder: Path) -> None:
+    """Raise `StorageFull` when the disk of a folder has too little room for a job to be begun."""
+    free = shutil.disk_usage(folder).free
+    if free < _SPARE_BYTES:
+        raise StorageFull(
+            f"the archive's disk has {free / 2**20:.0f} MiB left and a job needs at least "
+            f"{_SPARE_BYTES / 2**20:.0f} MiB; free some space"
+        )
 
 
 def _as_ours(error: Exception) -> Exception:

@@ -32,7 +32,13 @@ TRANSITIONS: dict[JobState, frozenset[JobState]] = {
         {JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELLED, JobState.LOST, JobState.QUEUED}
     ),
     JobState.LOST: frozenset(
-        {JobState.QUEUED, JobState.QUARANTINED, JobState.NEEDS_OPERATOR, JobState.CANCELLED}
+        {
+            JobState.QUEUED,
+            JobState.QUARANTINED,
+            JobState.NEEDS_OPERATOR,
+            JobState.CANCELLED,
+            JobState.FAILED,
+        }
     ),
     JobState.SUCCEEDED: frozenset(),
     JobState.FAILED: frozenset({JobState.WAITING, JobState.QUEUED}),

@@ -12,7 +12,7 @@ from support.jobs import JOBS, NOW, claim, events, ids, state, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow, JobRow, OutboxRow
-from sms_jobs.errors import Conflict
+from sms_jobs.errors import Cancelled, Conflict, LeaseLost
 from sms_jobs.jobs import doorbell, inquiry, lifecycle, recovery
 from sms_jobs.records.job import ACTIVE, TRANSITIONS, JobState
 
@@ -114,7 +114,8 @@ def test_a_superseded_attempt_can_write_nothing(catalogue: Catalogue) -> None:
     assert newer.fence > late.fence
     with catalogue.writing() as session:
         assert not lifecycle.succeed(session, late, NOW, "done", reuse_key="late")
-        assert lifecycle.report_progress(session, late, 0.5, "half") is None
+        with pytest.raises(LeaseLost):
+            lifecycle.report_progress(session, late, 0.5, "half")
         assert not lifecycle.change(session, late.job_id, JobState.FAILED, NOW, "late", fence=late.fence)
         assert lifecycle.succeed(session, newer, NOW, "done", reuse_key="newer")
 
@@ -194,9 +195,10 @@ def test_cancelling_stops_what_does_not_run_and_asks_what_does(catalogue: Catalo
     held = claim(catalogue)
     assert held is not None
     with catalogue.writing() as session:
-        assert lifecycle.report_progress(session, held, 0.1, "begun") is False
+        lifecycle.report_progress(session, held, 0.1, "begun")
         assert lifecycle.cancel(session, held.job_id, NOW)
-        assert lifecycle.report_progress(session, held, 0.2, "going on") is True
+        with pytest.raises(Cancelled, match="by an operator"):
+            lifecycle.report_progress(session, held, 0.2, "going on")
         for job_id in inquiry.active(session):
             if job_id != held.job_id:
                 lifecycle.cancel(session, job_id, NOW)

@@ -1,0 +1,127 @@
+"""Queues that an operator holds back, and the order in which jobs leave them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Literal
+
+from sqlalchemy import func, select, update
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.models import JobRow, QueueRow
+from sms_jobs.errors import Conflict
+from sms_jobs.kinds.kind import Queue
+from sms_jobs.records.job import JobState
+
+QUEUES = tuple(queue.value for queue in Queue)
+HIGHEST_PRIORITY = 1_000_000
+
+_PENDING = (JobState.WAITING, JobState.QUEUED)
+
+
+@dataclass(frozen=True)
+class QueueView:
+    """One queue as it is shown."""
+
+    name: str
+    queued: int
+    running: int
+    paused_at: datetime | None
+    reason: str
+    for_room: bool
+
+
+def pause(session: Session, name: str, reason: str, now: datetime, *, for_room: bool = False) -> None:
+    """Let no more jobs of a queue begin; those that run go on.
+
+    With `for_room` it goes on by itself once there is room; an operator's pause is not made one of those.
+    """
+    row = session.get(QueueRow, name, with_for_update=True)
+    if row is None:
+        session.add(QueueRow(name=name, paused_at=now, reason=reason, for_room=for_room))
+    elif row.paused_at is None or row.for_room:
+        row.paused_at, row.reason, row.for_room = now, reason, for_room
+
+
+def resume_for_room(session: Session) -> list[str]:
+    """Let the queues go on that were paused because a disk was full; return their names."""
+    full = select(QueueRow).where(QueueRow.paused_at.is_not(None), QueueRow.for_room)
+    names = [row.name for row in session.scalars(full)]
+    for name in names:
+        resume(session, name)
+    return names
+
+
+def resume(session: Session, name: str) -> bool:
+    """Let the jobs of a queue begin again; False when it was not paused."""
+    row = session.get(QueueRow, name)
+    if row is None or row.paused_at is None:
+        return False
+    row.paused_at, row.reason, row.for_room = None, "", False
+    return True
+
+
+def queues(session: Session) -> list[QueueView]:
+    """Return every queue and how it stands."""
+    counted = {
+        (queue, state): count
+        for queue, state, count in session.execute(
+            select(JobRow.queue, JobRow.state, func.count())
+            .where(JobRow.state.in_((JobState.QUEUED, JobState.RUNNING)))
+            .group_by(JobRow.queue, JobRow.state)
+        )
+    }
+    paused = {row.name: row for row in session.scalars(select(QueueRow))}
+    return [
+        QueueView(
+            name,
+            counted.get((name, JobState.QUEUED), 0),
+            counted.get((name, JobState.RUNNING), 0),
+            paused[name].paused_at if name in paused else None,
+            paused[name].reason if name in paused else "",
+            name in paused and paused[name].for_room,
+        )
+        for name in QUEUES
+    ]
+
+
+def set_priority(session: Session, job_ids: Sequence[str], priority: int) -> int:
+    """Give jobs that have not begun a priority; higher runs earlier. Return how many there were."""
+    changed = session.scalars(
+        update(JobRow)
+        .where(JobRow.id.in_(job_ids), JobRow.state.in_(_PENDING))
+        .values(priority=priority)
+        .returning(JobRow.id)
+    ).all()
+    return len(changed)
+
+
+def move(session: Session, job_ids: Sequence[str], to: Literal["front", "back"]) -> int:
+    """Bring jobs that have not begun before or behind all others, in the order they have among themselves.
+
+    At the front they also get the highest priority that any such job has, at the back the lowest.
+
+    Raises
+    ------
+    Conflict
+        None of them has yet to begin.
+    """
+    mine = session.scalars(
+        select(JobRow)
+        .where(JobRow.id.in_(job_ids), JobRow.state.in_(_PENDING))
+        .order_by(JobRow.priority.desc(), JobRow.position)
+        .with_for_update()
+    ).all()
+    if not mine:
+        raise Conflict("these jobs have begun or ended already, so their place in the queue is gone")
+    best = func.max if to == "front" else func.min
+    edge = func.min if to == "front" else func.max
+    priority, position = session.execute(
+        select(best(JobRow.priority), edge(JobRow.position)).where(JobRow.state.in_(_PENDING))
+    ).one()
+    first = position - len(mine) if to == "front" else position + 1
+    for place, job in enumerate(mine):
+        job.priority, job.position = priority, first + place
+    return len(mine)
