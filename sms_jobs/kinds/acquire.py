@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -41,6 +41,8 @@ class Recipe:
 
     Attributes
     ----------
+    scene
+        With the artefact in place of a specimen where the state shows one.
     state
         Label of the load state.
     deformation
@@ -72,9 +74,11 @@ def recipe(campaign: Campaign, subject: Subject) -> Recipe:
             f"campaign {campaign.name} has no scene for the virtual rig to record; "
             "describe one under [scene] in its test plan"
         )
-    state = campaign.state(subject.state or "")
+    state, scene = campaign.state(subject.state or ""), campaign.scene
+    if campaign.session is not None and state.artefact is not None:
+        scene = replace(scene, surface=campaign.session.artefacts[state.artefact], speckle=None)
     return Recipe(
-        campaign.scene,
+        scene,
         state.label,
         state.deformation,
         campaign.pairs,

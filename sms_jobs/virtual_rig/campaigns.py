@@ -52,6 +52,9 @@ class Lens:
 CAMERA_LENS = Lens(3.85, -0.08, 0.12, 2e-4, -3e-4)
 PROJECTOR_LENS = Lens(3.15, -0.05, 0.08, -4e-4, 2e-4)
 
+BENDING_VOLUME = Box((-270.0, -270.0, -250.0), (270.0, 270.0, 250.0))
+BENDING_PROJECTOR = ProjectorResponse(defocus_px=0.8, visibility=0.95)
+
 
 def aimed(name: str, columns: int, rows: int, lens: Lens, centre: Vector, roll_rad: float = 0.0) -> Sensor:
     """Return a sensor at `centre` (mm) that looks at the world's origin, Y up but for a roll.
@@ -66,19 +69,11 @@ def aimed(name: str, columns: int, rows: int, lens: Lens, centre: Vector, roll_r
     return Sensor(name, role, columns, rows, intrinsics, Pose.looking_at(np.array(centre), np.zeros(3), up))
 
 
-def top_hat_bending(name: str, size: Size) -> Made:
-    """Return the rig and the campaign of thesis section 5.3: a top hat, pushed out at its middle.
+def bending_rig(size: Size) -> Rig:
+    """Return the rig of thesis section 5.3.
 
     Two scanners, each a camera and a projector 1.2 m apart, stand 2.5 m away on the left (C1, P1) and on
-    the right (C2, P2), so far round that each sees one side of the hat and not the other. The clamping
-    frame gives a little: every deformed state has a small rigid motion besides.
-
-    Parameters
-    ----------
-    name
-        Of the campaign.
-    size
-        Cameras of 512 x 512 px or of 1024 x 1024 px; the speckles have about 6 px in both.
+    the right (C2, P2). Cameras have 512 x 512 px or 1024 x 1024 px.
     """
     pixels = PIXELS[size]
     sensors = (
@@ -87,14 +82,30 @@ def top_hat_bending(name: str, size: Size) -> Made:
         aimed("P1", 1024, 768, PROJECTOR_LENS, (-1500.0, -600.0, 1900.0), 0.01),
         aimed("P2", 1024, 768, PROJECTOR_LENS, (1500.0, 600.0, 1900.0), 0.02),
     )
+    return Rig("virtual-rig", sensors)
+
+
+def top_hat_bending(name: str, size: Size) -> Made:
+    """Return the rig and the campaign of thesis section 5.3: a top hat, pushed out at its middle.
+
+    The scanners of `bending_rig` stand so far round that each sees one side of the hat and not the other.
+    The clamping frame gives a little: every deformed state has a small rigid motion besides.
+
+    Parameters
+    ----------
+    name
+        Of the campaign.
+    size
+        Cameras of 512 x 512 px or of 1024 x 1024 px; the speckles have about 6 px in both.
+    """
     hat = TopHat()
     scene = Scene(
-        Rig("virtual-rig", sensors),
+        bending_rig(size),
         hat,
-        Speckle(diameter_mm=6.0 * 2500.0 / (CAMERA_LENS.focal * pixels)),
+        Speckle(diameter_mm=6.0 * 2500.0 / (CAMERA_LENS.focal * PIXELS[size])),
         _placed((0.02, -0.015, 0.01), (3.0, -2.0, 5.0)),
         CameraResponse(exposure=1.0),
-        ProjectorResponse(defocus_px=0.8, visibility=0.95),
+        BENDING_PROJECTOR,
     )
     states = [LoadState("S00", 0.0, 0.0, START)]
     for number, deflection in enumerate((2.0, 5.0, 10.0), start=1):
@@ -106,8 +117,7 @@ def top_hat_bending(name: str, size: Size) -> Made:
         load_n, time = 38.0 * deflection, START + number * HOLD
         states.append(LoadState(f"S{number:02d}", load_n, deflection, time, deformation=deformation))
     specimen = Specimen("top hat", "aluminium", "1 mm sheet bent along four lines, two holes in the top")
-    volume = Box((-270.0, -270.0, -250.0), (270.0, 270.0, 250.0))
-    return _made(name, volume, specimen, tuple(states), FringeSequence(), scene)
+    return _made(name, BENDING_VOLUME, specimen, tuple(states), FringeSequence(), scene)
 
 
 def small_plate(name: str) -> Made:
