@@ -1,0 +1,1 @@
+"""Calibration targets: what boards and spheres look like in images and clouds, and where they are."""
