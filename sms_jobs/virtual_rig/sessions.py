@@ -71,7 +71,7 @@ TRIPOD_AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """The tripod's axes in the world, as columns: x, the pan axis, up; z, the bar at home, along X."""
 
 SMALL_BOARD = CircleBoard(7, 7, 30.0, 18.0, ((1, 1), (5, 1), (1, 5)), "ring", 24.0, 12.0)
-SMALL_BAR = BallBar(190.0, 0.005, 20.0, 0.002, stalk_mm=30.0, slide_mm=6.0)
+SMALL_BAR = BallBar(190.0, 0.005, 22.0, 0.002, stalk_mm=30.0, slide_mm=6.0)
 SMALL_ANGLES_DEG = (
     (0.0, 0.0), (40.0, 0.0), (0.0, 40.0), (-40.0, -35.0), (35.0, -40.0), (-35.0, 35.0)
 )  # fmt: skip

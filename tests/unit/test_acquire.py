@@ -14,9 +14,10 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.acquire import KIND, UNTIMED, AcquireParameters, Recipe
 from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Inputs, default_subjects
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.measurement import Measurement
-from sms_jobs.records.scene import Simulation
+from sms_jobs.records.measurement import FringeSequence, Measurement
+from sms_jobs.records.scene import Simulation, Speckle
 from sms_jobs.virtual_rig.campaigns import small_plate
+from sms_jobs.virtual_rig.sessions import small_session
 
 CAMPAIGN = small_plate("plate")[1]
 
@@ -132,3 +133,25 @@ def test_a_recording_comes_back_from_the_archive_with_what_was_simulated(tmp_pat
         # Equal in value: the truth of two states is looked for in equal scenes.
         assert read.simulation == made.simulation
         np.testing.assert_array_equal(read.frames.rows(10, 40), made.frames.rows(10, 40))
+
+
+def test_a_state_of_a_session_is_recorded_with_its_artefact(tmp_path: Path) -> None:
+    session = small_session("session")
+    assert session.session is not None
+    specked = replace(session, scene=replace(session.scene, speckle=Speckle(5.0)))
+    for label, artefact in (("B02", "board"), ("S03", "bar")):
+        context = KIND.context(specked, Subject("session", label))
+        assert isinstance(context, Recipe)
+        assert context.scene.surface == session.session.artefacts[artefact]
+        assert context.scene.speckle is None
+        assert context.deformation == session.state(label).deformation
+    # One pose of the bar takes three quarters of a megabyte a pair: it is enough to archive one.
+    output = recorded(replace(session, sequence=FringeSequence((8, 4)), pairs=("C1P2",)), "S03")
+    made = measurement_of(output["session/S03/C1P2"])
+    provenance = Provenance(
+        "acquire", 1, Subject("session", "S03", "C1P2"), "0" * 16, 1, UNTIMED, {}, (), "0", "host", "operator"
+    )
+    sealed = Archive(tmp_path).seal_dataset({"measurement": made}, provenance)
+    with Archive(tmp_path).open(sealed.path) as dataset:
+        assert dataset.read("measurement", Measurement).simulation == made.simulation
+    assert default_subjects(KIND, session) == tuple(Subject("session", s.label) for s in session.states)
