@@ -24,7 +24,7 @@ from sqlalchemy import exists, select
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import SmsError, StorageFull
-from sms_jobs.jobs import limits, queues, recovery
+from sms_jobs.jobs import limits, queues, recovery, schedules
 from sms_jobs.jobs.limits import Force, Limits
 from sms_jobs.jobs.runner import require_room
 from sms_jobs.records.job import ACTIVE
@@ -97,6 +97,7 @@ class Supervisor:
                     self._beat()
                     beat_at = moment + self._settings.lease_s / 3
                 if moment >= recover_at:
+                    self._fire_schedules()
                     self._enforce()
                     self._recover()
                     recover_at = moment + _RECOVER_EVERY_S
@@ -133,6 +134,12 @@ class Supervisor:
             logger.warning("job %s does not stop: %s process %d", job.job_id, job.force.value, job.pid)
             end_process(job.pid, job.began, job.force)
         self._go_on_when_there_is_room()
+
+    def _fire_schedules(self) -> None:
+        with self._services.catalogue.writing() as session:
+            fired = schedules.fire_due(session, datetime.now(UTC))
+        for one in fired:
+            logger.info("schedule %s, %s: %s", one.schedule, one.fire_time, one.outcome)
 
     def _go_on_when_there_is_room(self) -> None:
         with self._services.catalogue.reading() as session:

@@ -339,7 +339,7 @@ class ScheduleFireRow(Table):
     __tablename__ = "schedule_fire"
     schedule_id: Mapped[int] = mapped_column(ForeignKey("schedule.id"), primary_key=True)
     fire_time: Mapped[datetime] = mapped_column(primary_key=True)
-    outcome: Mapped[str] = mapped_column(String(16))
+    outcome: Mapped[str] = mapped_column(Text)
 
 
 class LockRow(Table):

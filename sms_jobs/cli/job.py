@@ -86,8 +86,8 @@ def submit(
     Example: sms job submit reconstruct --method fdr --returns 2 -c wing-fatigue
     """
     kind, settings = split_words(kind)
-    parameters = _parameters([*settings, *(parameter or [])])
-    requests = _requests(kind, parameters, tuple(state or ()), tuple(pair or ()))
+    parameters = given_parameters([*settings, *(parameter or [])])
+    requests = requested(kind, parameters, tuple(state or ()), tuple(pair or ()))
     with bootstrap.services(home) as services:
         with services.catalogue.writing() as session:
             done = submit_requests(
@@ -330,7 +330,7 @@ def _items(mapping: Any) -> list[tuple[str, Any]]:
     return list(mapping.items())
 
 
-def _requests(
+def requested(
     kinds: Sequence[str], parameters: dict[str, Any], states: tuple[str, ...], pairs: tuple[str, ...]
 ) -> list[Request]:
     """Give each kind its parameters: all to a single one, by `KIND.` to one of several."""
@@ -351,7 +351,8 @@ def _requests(
     return requests
 
 
-def _parameters(settings: Sequence[str]) -> dict[str, Any]:
+def given_parameters(settings: Sequence[str]) -> dict[str, Any]:
+    """Return the parameters of NAME=VALUE words; a value with commas is a list."""
     parameters = {}
     for text in settings:
         name, equals, value = text.partition("=")

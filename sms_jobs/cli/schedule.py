@@ -1,0 +1,192 @@
+"""`sms schedule`: jobs that are submitted at their time."""
+
+from __future__ import annotations
+
+import time
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.cli import completion, output
+from sms_jobs.cli.job import given_parameters, requested
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.errors import InvalidInput
+from sms_jobs.jobs import schedules
+from sms_jobs.jobs.fire_times import parse_expression
+from sms_jobs.jobs.schedules import MissedFire, Order
+
+app = typer.Typer(help="Schedules: jobs that are submitted at their time.", no_args_is_help=True)
+
+Name = Annotated[str, typer.Argument(help="Name of the schedule.")]
+
+
+@app.command()
+def add(
+    name: Name,
+    kinds: Annotated[
+        list[str],
+        typer.Argument(help="Job kinds, or 'pipeline'.", autocompletion=completion.kind_names),
+    ],
+    campaign: Annotated[
+        str,
+        typer.Option(
+            "--campaign", "-c", help="Name of the campaign.", autocompletion=completion.campaign_names
+        ),
+    ],
+    cron: Annotated[str | None, typer.Option(help="Minute, hour, day, month, weekday.")] = None,
+    at: Annotated[str | None, typer.Option(help="Once, at this time.")] = None,
+    every: Annotated[str | None, typer.Option(help="Again and again, after 30s, 10m, 2h or 1d.")] = None,
+    after: Annotated[
+        str | None,
+        typer.Option(
+            help="Once, when all jobs of this campaign have ended.",
+            autocompletion=completion.campaign_names,
+        ),
+    ] = None,
+    zone: Annotated[
+        str | None, typer.Option(help="IANA time zone of the times; this machine's if not given.")
+    ] = None,
+    missed: Annotated[
+        MissedFire,
+        typer.Option(help="Times that passed with no service running: skip them, run once, or run all."),
+    ] = "once",
+    grace: Annotated[float, typer.Option(help="Seconds after which a time counts as missed.", min=1.0)] = 300,
+    state: Annotated[list[str] | None, typer.Option(help="Only this state; can be repeated.")] = None,
+    pair: Annotated[list[str] | None, typer.Option(help="Only this pair; can be repeated.")] = None,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="NAME=VALUE of the kind, or KIND.NAME=VALUE; can be repeated."),
+    ] = None,
+    priority: Annotated[int, typer.Option(help="Higher runs earlier.", min=-100, max=100)] = 0,
+    no_cache: Annotated[
+        bool, typer.Option("--no-cache", help="Compute again what was computed before.")
+    ] = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Submit jobs at a time, again and again, or when another campaign is done.
+
+    Example: sms schedule add nightly pipeline -c wing-fatigue --cron "0 2 * * *" --zone Europe/London
+    """
+    forms = {"cron": cron, "at": at, "every": every, "after": after}
+    given = {form: what for form, what in forms.items() if what is not None}
+    if len(given) != 1:
+        raise InvalidInput(f"say when: one of --cron, --at, --every and --after, not {len(given)} of them")
+    ((form, what),) = given.items()
+    expression = parse_expression(f"{form} {what}", zone or local_zone())
+    requests = requested(kinds, given_parameters(parameter or []), tuple(state or ()), tuple(pair or ()))
+    order = Order(campaign, tuple(requests), priority, not no_cache)
+    now = datetime.now(UTC)
+    with bootstrap.services(home) as services, services.catalogue.writing() as session:
+        schedules.add(
+            session,
+            name,
+            expression,
+            order,
+            now,
+            missed_fire=missed,
+            grace=timedelta(seconds=grace),
+        )
+        first = schedules.coming(session, name, now, 1)
+    if as_json:
+        output.print_json({"schedule": name, "next_fire": first[0] if first else None})
+    else:
+        when = f"at {output.shown(first[0])}" if first else f"when {after} is done"
+        output.say(f"schedule {name} fires next {when}; the service ('sms up') must run then")
+
+
+@app.command("list")
+def list_(home: Home = None, as_json: Json = False) -> None:
+    """Show schedules, what became of them last, and when they fire next.
+
+    Example: sms schedule list
+    """
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        found = schedules.schedules(session, datetime.now(UTC))
+    if as_json:
+        output.print_json_list(found)
+        return
+    output.print_table(
+        ["schedule", "when", "zone", "campaign", "kinds", "last", "outcome", "next"],
+        [
+            (
+                s.name,
+                s.expression,
+                s.time_zone,
+                s.campaign,
+                " ".join(s.kinds),
+                s.last_fire,
+                s.last_outcome,
+                "paused" if s.paused else s.next_fire,
+            )
+            for s in found
+        ],
+        empty="there is no schedule; see 'sms schedule add --help'",
+    )
+
+
+@app.command("next")
+def next_(
+    name: Name,
+    count: Annotated[int, typer.Option(help="How many times.", min=1, max=1000)] = 5,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Show the next times of a schedule.
+
+    Example: sms schedule next nightly --count 3
+    """
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        times = schedules.coming(session, name, datetime.now(UTC), count)
+    if as_json:
+        output.print_json({"schedule": name, "times": times})
+        return
+    for moment in times:
+        output.answer.print(output.shown(moment))
+
+
+@app.command()
+def pause(name: Name, home: Home = None) -> None:
+    """Hold a schedule back.
+
+    Example: sms schedule pause nightly
+    """
+    _set_paused(name, True, home)
+
+
+@app.command()
+def resume(name: Name, home: Home = None) -> None:
+    """Let a schedule go on; times that passed meanwhile count as missed.
+
+    Example: sms schedule resume nightly
+    """
+    _set_paused(name, False, home)
+
+
+@app.command()
+def remove(name: Name, home: Home = None) -> None:
+    """Remove a schedule; jobs that it submitted stay.
+
+    Example: sms schedule remove nightly
+    """
+    with bootstrap.services(home) as services, services.catalogue.writing() as session:
+        schedules.remove(session, name)
+    output.say(f"removed schedule {name}")
+
+
+def _set_paused(name: str, paused: bool, home: Path | None) -> None:
+    with bootstrap.services(home) as services, services.catalogue.writing() as session:
+        schedules.set_paused(session, name, paused)
+    output.say(f"schedule {name} {'is paused' if paused else 'goes on'}")
+
+
+def local_zone() -> str:
+    """Return the IANA name of this machine's zone; UTC where the machine does not tell it."""
+    link = Path("/etc/localtime")
+    _, found, name = str(link.resolve()).partition("zoneinfo/") if link.is_symlink() else ("", "", "")
+    if found and time.localtime().tm_zone not in ("", "UTC"):
+        return name
+    return "UTC"
