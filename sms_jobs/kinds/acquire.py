@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.protocols import Recorder
 from sms_jobs.instruments.simulated.rig import SimulatedRig
+from sms_jobs.kinds.adaptation import QUICK, outlook
 from sms_jobs.kinds.kind import (
     MEASUREMENT,
     DatasetOutput,
@@ -26,13 +29,26 @@ from sms_jobs.kinds.kind import (
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.scene import Deformation, Scene
+from sms_jobs.records.sensors import split_pair
 
 UNTIMED = datetime(2000, 1, 1, tzinfo=UTC)
 """What a simulated measurement bears whose state has no time: a clock would make every run differ."""
 
 
 class AcquireParameters(Parameters):
-    """What is recorded and how follows from the campaign alone."""
+    """What is recorded follows from the campaign; how it is exposed may follow from what stands there."""
+
+    adaptive: Literal["none", "exposures", "projector"] = Field(
+        "none",
+        description="what a quick pre-exposure of every pair decides: nothing, the set of exposures that "
+        "keeps every pixel in the camera's range instead of that of the sequence, or where the projector is "
+        "dimmed so that one exposure does",
+    )
+    longest_exposure: float = Field(
+        1.0,
+        gt=0.0,
+        description="exposure that an adaptive set does not exceed, in units of the camera's own",
+    )
 
 
 @dataclass(frozen=True)
@@ -105,19 +121,38 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
     rig: Recorder = SimulatedRig(task.scene, task.state, task.deformation, task.recorded_at, inputs.threads)
     for number, pair in enumerate(task.pairs):
         progress(number / len(task.pairs), f"recording {pair}")
-        measurement = rig.record(pair, task.sequence)
+        measurement = _recorded(rig, task, pair, parameters, inputs.threads)
         subject = Subject(inputs.subject.campaign, task.state, pair)
         yield DatasetOutput(subject, {"measurement": measurement}, _statistics(measurement))
     progress(1.0, f"recorded {len(task.pairs)} pairs")
 
 
+def _recorded(
+    rig: Recorder, task: Recipe, pair: str, parameters: AcquireParameters, threads: int
+) -> Measurement:
+    """Record a pair, after a quick look at how bright it is where that is wanted."""
+    if parameters.adaptive == "none":
+        return rig.record(pair, task.sequence)
+    projector = task.scene.rig.sensor(split_pair(pair)[1])
+    seen = outlook(rig.record(pair, QUICK), projector, threads)
+    if parameters.adaptive == "exposures":
+        chosen = seen.exposures(parameters.longest_exposure)
+        return rig.record(pair, replace(task.sequence, exposures=chosen))
+    return rig.record(pair, task.sequence, seen.dimming(max(task.sequence.exposures)))
+
+
 def _statistics(measurement: Measurement) -> dict[str, float]:
-    """Return what the white frame, the brightest, says of the exposure."""
-    texture = measurement.texture
-    return {
+    """Return what the white frame, the brightest, says of the exposure, and how that was adapted."""
+    texture, exposures = measurement.texture, measurement.sequence.exposures
+    statistics = {
         "saturated_fraction": float(np.mean(texture >= measurement.full_scale)),
         "mean_level_count": float(np.mean(texture)),
+        "exposures": float(len(exposures)),
+        "shortest_exposure": min(exposures),
     }
+    if measurement.dimming is not None:
+        statistics["dimmed_fraction"] = float(np.mean(measurement.dimming < 1.0))
+    return statistics
 
 
 KIND = Kind(

@@ -178,6 +178,9 @@ class Measurement:
         Fringe frames in the order of `sequence.patterns()`, exposure by exposure; streamed.
     simulation
         For a virtual rig: what was simulated.
+    dimming
+        By which factor the projector's brightness was lowered, pixel by pixel of its image, in the patterns
+        and in the white frame; None for full brightness.
     """
 
     recorded_at: datetime
@@ -188,6 +191,9 @@ class Measurement:
     texture: NDArray[np.uint16] = array("count", "white-light texture")
     frames: FrameStack = array("count", "fringe frames", ("frame", "row", "column"))
     simulation: Simulation | None = None
+    dimming: NDArray[np.float32] | None = array(
+        "1", "factor by which the projector's pixels were dimmed", default=None
+    )
 
     def noise(self, level: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the standard deviation of one frame's noise at grey levels."""

@@ -23,7 +23,7 @@ from sms_jobs.metrology.phase.patterns import direction, fringe_harmonics, span_
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, Simulation
 from sms_jobs.records.sensors import Sensor
-from sms_jobs.virtual_rig.gloss import shining
+from sms_jobs.virtual_rig.gloss import dimmed, shining
 from sms_jobs.virtual_rig.light import SUBSAMPLES, Floats, Light, Singles, sensor_named
 
 Image: TypeAlias = NDArray[np.uint16]
@@ -58,7 +58,9 @@ class Noise:
         return cls(full_scale, gain, camera.read_noise * gain)
 
 
-def render(simulation: Simulation, sequence: FringeSequence, *, threads: int = 1) -> Rendering:
+def render(
+    simulation: Simulation, sequence: FringeSequence, *, threads: int = 1, dimming: Singles | None = None
+) -> Rendering:
     """Render what a pair records of a simulated state.
 
     Parameters
@@ -69,13 +71,18 @@ def render(simulation: Simulation, sequence: FringeSequence, *, threads: int = 1
         The patterns that are projected.
     threads
         Number of threads; the images do not depend on it.
+    dimming
+        (projector rows, projector columns): what every pattern is multiplied by; None for 1.
 
     Returns
     -------
     The texture, and the frames, which are rendered when they are asked for. `read_noise` includes the
     rounding to whole grey levels, 1/12 of a grey level squared.
     """
-    frames = SimulatedFrames(simulation, sequence, shining(simulation, threads), threads)
+    light = shining(simulation, threads)
+    if dimming is not None:
+        light = dimmed(light, dimming.astype(np.float64))
+    frames = SimulatedFrames(simulation, sequence, light, threads)
     noise = Noise.of(simulation.scene.camera)
     read_noise = sqrt(noise.read_noise**2 + 1.0 / 12.0)
     return Rendering(frames.texture(), frames, noise.full_scale, noise.gain, read_noise)

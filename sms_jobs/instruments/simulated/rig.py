@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.scene import Deformation, Scene, Simulation
 from sms_jobs.records.sensors import split_pair
@@ -33,11 +36,13 @@ class SimulatedRig:
     recorded_at: datetime
     threads: int = 1
 
-    def record(self, pair: str, sequence: FringeSequence) -> Measurement:
+    def record(
+        self, pair: str, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None
+    ) -> Measurement:
         """Render a measurement; its frames are made while they are asked for."""
         camera, projector = split_pair(pair)
         simulation = Simulation(self.scene, camera, projector, self.deformation, self.state)
-        rendering = render(simulation, sequence, threads=self.threads)
+        rendering = render(simulation, sequence, threads=self.threads, dimming=dimming)
         return Measurement(
             self.recorded_at,
             sequence,
@@ -47,4 +52,5 @@ class SimulatedRig:
             rendering.texture,
             rendering.frames,
             simulation,
+            dimming,
         )
