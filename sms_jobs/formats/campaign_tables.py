@@ -5,55 +5,29 @@ Keys are the names of the records' fields, with angles in degrees (`..._deg`) in
 
 from __future__ import annotations
 
-import re
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
-from functools import cache
 from math import radians
-from typing import Annotated, Any, TypeAlias, Union, get_type_hints
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    AwareDatetime,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    GetPydanticSchema,
-    create_model,
-    model_validator,
-)
-from pydantic_core import PydanticCustomError, core_schema
+from pydantic import AfterValidator, AwareDatetime, BeforeValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
 from scipy.spatial.transform import Rotation
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.record_tables import Placement, Table, Vector, Volume, flat, mapped
+from sms_jobs.formats.session_tables import ARTEFACTS, Pixels, SessionTable, sensor_name
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
 from sms_jobs.metrology.phase.sequences import named_sequence
 from sms_jobs.records import scene as scenes
-from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
 from sms_jobs.records.campaign import Campaign, LoadState, ParameterValue, Specimen
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, Gloss, ProjectorResponse, Scene, Speckle
-from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor, split_pair
-
-LONGEST_SIDE_PX = 20_000
+from sms_jobs.records.sensors import Calibration, Rig, Role, Sensor, split_pair
 
 ALWAYS = datetime(1970, 1, 1, tzinfo=UTC)
 """From when the exact calibration of a virtual rig is valid, unless its file says otherwise."""
-
-Vector: TypeAlias = tuple[float, float, float]
-
-_POSITIVE = (
-    *("width_mm", "height_mm", "radius_mm", "size_mm", "depth_mm", "diameter_mm"),
-    *("pitch_mm", "length_mm", "sigma_mm", "pitch_relative_sigma"),
-    *("exposure", "full_well", "gamma", "strength", "exponent"),
-)
-"""Endings of the names of fields that must be above zero."""
-_NOT_NEGATIVE = frozenset(
-    {"read_noise", "blur_px", "defocus_px", "ambient", "hole_offset_mm", "seed", "margin_mm"}
-)
-_FRACTIONS = frozenset({"dark", "bright", "visibility", "mirror_reflectance"})
 
 
 @dataclass(frozen=True)
@@ -65,108 +39,30 @@ class CampaignPlan:
     campaign
         The test.
     calibration
-        For a virtual rig: its exact parameters; None for a real one, which is calibrated by measurement.
+        For a test on a virtual rig: its exact parameters. None for a real rig, which is calibrated by
+        measurement, and for a calibration session, whose calibration is what it is to find.
     """
 
     campaign: Campaign
     calibration: Calibration | None
 
 
-class _Table(BaseModel):
-    """A table of the file: exact types, finite numbers, known keys alone."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_unknown_keys(cls, value: Any) -> Any:
-        known = [f.alias or name for name, f in cls.model_fields.items()]
-        for key in value if isinstance(value, dict) else ():
-            if key not in known:
-                raise PydanticCustomError(
-                    "unknown_key",
-                    "has no key '{key}'; its keys are {known}",
-                    {"key": key, "known": ", ".join(known)},
-                )
-        return value
-
-
-@cache
-def _table_of(record: type) -> Any:
-    """Return the table that describes a flat record: its fields, radians written as degrees."""
-    hints = get_type_hints(record)
-    columns: dict[str, Any] = {}
-    for f in fields(record):
-        limits: dict[str, Any] = {}
-        if f.name.endswith("angle_rad"):
-            limits = {"gt": 0.0, "le": 180.0}
-        elif f.name.endswith(_POSITIVE):
-            limits = {"gt": 0.0}
-        elif f.name in _NOT_NEGATIVE:
-            limits = {"ge": 0}
-        elif f.name in _FRACTIONS:
-            limits = {"ge": 0.0, "le": 1.0}
-        kind = hints[f.name]
-        if limits and kind == tuple[float, float]:
-            one = Annotated[float, Field(**limits)]
-            kind, limits = tuple[one, one], {}
-        name = f.name.removesuffix("_rad") + "_deg" if f.name.endswith("_rad") else f.name
-        default = f.default if f.default is not MISSING else ...
-        if name in ("shape", "motion"):
-            default = ...  # the file says what it is
-        elif name != f.name and default is not ...:
-            default = _map(np.degrees, default)
-        columns[name] = (kind, Field(default, **limits))
-    return create_model(record.__name__, __base__=_Table, **columns)
-
-
-def _map(function: Any, value: Any) -> Any:
-    """Apply a function of one number to a number or to each of a tuple."""
-    return tuple(float(function(v)) for v in value) if isinstance(value, tuple) else float(function(value))
-
-
-def _record(kind: type, table: Any) -> Any:
-    """Return the flat record that a table describes."""
-    values = {}
-    for f in fields(kind):
-        if f.name.endswith("_rad"):
-            values[f.name] = _map(radians, getattr(table, f.name.removesuffix("_rad") + "_deg"))
-        else:
-            values[f.name] = getattr(table, f.name)
-    return kind(**values)
-
-
-def _flat(*kinds: type, tag: str | None = None) -> GetPydanticSchema:
-    """Read one of several flat records, told apart by the value of their field `tag`."""
-    kind_of = {_table_of(kind): kind for kind in kinds}
-    table: Any = Union[tuple(kind_of)]  # noqa: UP007
-    if tag is not None:
-        table = Annotated[table, Field(discriminator=tag)]
-    return GetPydanticSchema(
-        lambda _, handler: core_schema.no_info_after_validator_function(
-            lambda found: _record(kind_of[type(found)], found), handler(table)
-        )
-    )
-
-
 _Surface: TypeAlias = Annotated[
     scenes.Surface,
-    _flat(
+    flat(
         scenes.Plane,
         scenes.Cylinder,
         scenes.Sphere,
         scenes.PlateWithHoleAndStep,
         scenes.TopHat,
         scenes.PlateAndMirror,
-        CircleBoard,
-        Chessboard,
-        BallBar,
+        *ARTEFACTS,
         tag="shape",
     ),
 ]
 _Motion: TypeAlias = Annotated[
     scenes.Deformation,
-    _flat(
+    flat(
         scenes.Rigid,
         scenes.PanTilt,
         scenes.UniaxialStrain,
@@ -177,35 +73,21 @@ _Motion: TypeAlias = Annotated[
 ]
 
 
-class _Pose(_Table):
-    """Where the specimen stands: a rotation vector in degrees, then a translation."""
-
-    rotation_deg: Vector = (0.0, 0.0, 0.0)
-    translation_mm: Vector = (0.0, 0.0, 0.0)
+class _Pose(Placement):
+    """Where the specimen stands."""
 
     def record(self) -> Pose:
         matrix = Rotation.from_rotvec(self.rotation_deg, degrees=True).as_matrix()
         return Pose.from_arrays(matrix, np.array(self.translation_mm))
 
 
-Pixels = Annotated[int, Field(ge=1, le=LONGEST_SIDE_PX)]
 Focal = Annotated[float, Field(gt=0.0)]
 
 
-def _sensor_name(name: str) -> str:
-    if not re.fullmatch(r"[CP][1-9][0-9]{0,2}", name):
-        raise PydanticCustomError(
-            "sensor_name",
-            "should be C1, C2, ... for a camera or P1, P2, ... for a projector, not '{name}'",
-            {"name": name},
-        )
-    return name
-
-
-class _Sensor(_Table):
+class _Sensor(Table):
     """A camera or projector, placed by what it looks at or by its rotation and translation."""
 
-    name: Annotated[str, AfterValidator(_sensor_name)]
+    name: Annotated[str, AfterValidator(sensor_name)]
     columns: Pixels
     rows: Pixels
     fx: Focal
@@ -261,37 +143,26 @@ class _Sensor(_Table):
         return Sensor(self.name, role, self.columns, self.rows, intrinsics, self._pose())
 
 
-class _Volume(_Table):
-    low_mm: Vector
-    high_mm: Vector
-
-    @model_validator(mode="after")
-    def _not_empty(self) -> _Volume:
-        if any(low >= high for low, high in zip(self.low_mm, self.high_mm, strict=True)):
-            raise PydanticCustomError("empty", "needs every coordinate of low_mm below that of high_mm")
-        return self
-
-
-class _Scene(_Table):
+class _Scene(Table):
     sensors: tuple[_Sensor, ...]
-    volume: _Volume
-    surface: _Surface
-    speckle: Annotated[Speckle, _flat(Speckle)] | None = None
+    volume: Volume | None = None
+    surface: _Surface | None = None
+    speckle: Annotated[Speckle, flat(Speckle)] | None = None
     placement: _Pose = _Pose()
-    camera: Annotated[CameraResponse, _flat(CameraResponse)] = CameraResponse()
-    projector: Annotated[ProjectorResponse, _flat(ProjectorResponse)] = ProjectorResponse()
+    camera: Annotated[CameraResponse, flat(CameraResponse)] = CameraResponse()
+    projector: Annotated[ProjectorResponse, flat(ProjectorResponse)] = ProjectorResponse()
     seed: Annotated[int, Field(ge=0)] = 0
-    gloss: Annotated[Gloss, _flat(Gloss)] | None = None
+    gloss: Annotated[Gloss, flat(Gloss)] | None = None
     calibration_valid_from: AwareDatetime = ALWAYS
 
-    def record(self, rig: str) -> Scene:
+    def record(self, rig: str, surface: scenes.Surface) -> Scene:
         sensors = sorted((s.record() for s in self.sensors), key=lambda s: (s.name[0], int(s.name[1:])))
         names = [s.name for s in sensors]
         if len(set(names)) < len(names):
             raise InvalidInput(f"two sensors of the scene have one name: {', '.join(names)}")
         return Scene(
             rig=Rig(rig, tuple(sensors)),
-            surface=self.surface,
+            surface=surface,
             speckle=self.speckle,
             placement=self.placement.record(),
             camera=self.camera,
@@ -301,24 +172,52 @@ class _Scene(_Table):
         )
 
 
-class _Specimen(_Table):
+class _Specimen(Table):
     name: Annotated[str, Field(min_length=1)]
     material: str = ""
     description: str = ""
 
 
-class _State(_Table):
+class _State(Table):
     label: str
     load_n: float | None = None
     displacement_mm: float | None = None
     time: AwareDatetime | None = None
     channels: dict[str, float] = Field(default_factory=dict)
     deformation: tuple[_Motion, ...] = ()
+    artefact: str | None = None
+    pan_deg: float | None = None
+    tilt_deg: float | None = None
+
+    @model_validator(mode="after")
+    def _both_angles_once(self) -> _State:
+        if (self.pan_deg is None) != (self.tilt_deg is None):
+            raise PydanticCustomError("angles", "needs both of pan_deg and tilt_deg, or neither")
+        if self.pan_deg is not None and {"pan_rad", "tilt_rad"} & self.channels.keys():
+            raise PydanticCustomError(
+                "angles", "gives the angles twice: leave out pan_rad and tilt_rad of its channels"
+            )
+        return self
 
     def record(self) -> LoadState:
         return LoadState(
-            self.label, self.load_n, self.displacement_mm, self.time, dict(self.channels), self.deformation
+            self.label,
+            self.load_n,
+            self.displacement_mm,
+            self.time,
+            self._angles() | self.channels,
+            self.deformation,
+            self.artefact,
         )
+
+    def _angles(self) -> dict[str, float]:
+        """Return the angles of the stage as channels; on a virtual rig it reads what it was told."""
+        if self.pan_deg is not None and self.tilt_deg is not None:
+            return {"pan_rad": radians(self.pan_deg), "tilt_rad": radians(self.tilt_deg)}
+        for motion in self.deformation:
+            if isinstance(motion, scenes.PanTilt):
+                return {"pan_rad": motion.pan_rad, "tilt_rad": motion.tilt_rad}
+        return {}
 
 
 def _densities(value: Any) -> Any:
@@ -331,7 +230,7 @@ def _densities(value: Any) -> Any:
         raise PydanticCustomError("unknown_sequence", "{why}", {"why": f"is unknown: {error}"}) from None
 
 
-class _Sequence(_Table):
+class _Sequence(Table):
     densities: Annotated[tuple[int, ...], BeforeValidator(_densities)] = FringeSequence().densities
     steps: int = FringeSequence().steps
     orientations_deg: tuple[float, ...] = (0.0, 90.0)
@@ -339,11 +238,11 @@ class _Sequence(_Table):
 
     def record(self) -> FringeSequence:
         return FringeSequence(
-            self.densities, self.steps, _map(radians, self.orientations_deg), self.exposures
+            self.densities, self.steps, mapped(radians, self.orientations_deg), self.exposures
         )
 
 
-class CampaignTable(_Table):
+class CampaignTable(Table):
     """The whole of a campaign file."""
 
     name: str
@@ -353,52 +252,81 @@ class CampaignTable(_Table):
     pairs: tuple[str, ...] | None = None
     sequence: _Sequence = _Sequence()
     scene: _Scene | None = None
+    session: SessionTable | None = None
     processing: dict[str, dict[str, ParameterValue]] = Field(default_factory=dict)
 
     def plan(self) -> CampaignPlan:
         """Return the records, checked against each other."""
-        scene = None if self.scene is None else self.scene.record(self.rig)
-        calibration = None
-        if self.scene is not None and scene is not None:
-            calibration = Calibration(
-                rig=scene.rig,
-                volume=Box(self.scene.volume.low_mm, self.scene.volume.high_mm),
-                valid_from=self.scene.calibration_valid_from.astimezone(UTC),
-                origin="exact parameters of the virtual rig",
-            )
+        scene = self._scene()
+        pairs = self._checked_pairs(None if scene is None else scene.rig)
+        states = tuple(s.record() for s in self.states)
+        volume = None if self.scene is None else self.scene.volume
         campaign = Campaign(
             name=self.name,
             specimen=Specimen(self.specimen.name, self.specimen.material, self.specimen.description),
             rig=self.rig,
-            states=tuple(s.record() for s in self.states),
-            pairs=self._checked_pairs(calibration),
+            states=states,
+            pairs=pairs,
             sequence=self.sequence.record(),
             scene=scene,
             processing={kind: dict(parameters) for kind, parameters in self.processing.items()},
+            session=None
+            if self.session is None
+            else self.session.record(states, pairs, None if scene is None else scene.rig, volume),
         )
         for state in campaign.states:
             if scene is None and state.deformation:
                 raise InvalidInput(
-                    f"state {state.label} has a deformation, but only the specimen of a virtual rig, "
+                    f"state {state.label} has a deformation, but only what stands before a virtual rig, "
                     "described under [scene], can be given one"
                 )
-        return CampaignPlan(campaign, calibration)
+        return CampaignPlan(campaign, self._calibration(scene))
 
-    def _checked_pairs(self, calibration: Calibration | None) -> tuple[str, ...]:
+    def _scene(self) -> Scene | None:
+        """Return the virtual rig; in a session with the artefact of the first state before it."""
+        if self.scene is None:
+            return None
+        if self.session is not None:
+            shown = self.session.first_artefact(self.states[0].artefact if self.states else None)
+            for key in ("surface", "speckle", "gloss", "calibration_valid_from"):
+                if key in self.scene.model_fields_set:
+                    raise InvalidInput(
+                        f"scene.{key} has no place in a calibration session, whose artefacts stand before "
+                        "the rig and whose calibration is what is to be found: leave it out"
+                    )
+            return self.scene.record(self.rig, shown)
+        if self.scene.surface is None:
+            raise InvalidInput("scene.surface is missing: say what stands before the virtual rig")
+        return self.scene.record(self.rig, self.scene.surface)
+
+    def _calibration(self, scene: Scene | None) -> Calibration | None:
+        """Return the exact calibration of a virtual rig, unless it is to be found."""
+        if scene is None or self.scene is None or self.session is not None:
+            return None
+        if self.scene.volume is None:
+            raise InvalidInput("scene.volume is missing: give the corners of the measurement volume")
+        return Calibration(
+            rig=scene.rig,
+            volume=self.scene.volume.record(),
+            valid_from=self.scene.calibration_valid_from.astimezone(UTC),
+            origin="exact parameters of the virtual rig",
+        )
+
+    def _checked_pairs(self, rig: Rig | None) -> tuple[str, ...]:
         """Return the pairs that measure, each once and of sensors that exist."""
-        if calibration is not None and not calibration.rig.pairs():
+        if rig is not None and not rig.pairs():
             raise InvalidInput(
                 "the scene needs at least one camera and one projector under [[scene.sensors]]"
             )
-        if calibration is not None and self.pairs is None:
-            return calibration.rig.pairs()
+        if rig is not None and self.pairs is None:
+            return rig.pairs()
         if not self.pairs:
             raise InvalidInput("pairs is missing or empty: name those that measure, such as ['C1P1', 'C1P2']")
         for pair in self.pairs:
             names = split_pair(pair)
-            if calibration is not None:
+            if rig is not None:
                 for name in names:
-                    calibration.rig.sensor(name)
+                    rig.sensor(name)
         if len(set(self.pairs)) < len(self.pairs):
             raise InvalidInput(f"pairs names one pair twice: {', '.join(self.pairs)}")
         return self.pairs

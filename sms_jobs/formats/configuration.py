@@ -79,6 +79,11 @@ def example_campaign() -> str:
     return files("sms_jobs.formats").joinpath("example_campaign.toml").read_text("utf-8")
 
 
+def example_session() -> str:
+    """Return the text of a commented, valid file: a calibration session of a virtual rig."""
+    return files("sms_jobs.formats").joinpath("example_session.toml").read_text("utf-8")
+
+
 def _tuples(value: Any) -> Any:
     """Return parsed TOML with tuples for lists, as strict validation of tuples wants them."""
     if isinstance(value, dict):
@@ -126,7 +131,7 @@ def _place(location: tuple[int | str, ...], content: Any) -> tuple[str, Any]:
     value, where = content, ""
     for part in location:
         if isinstance(part, int):
-            value = value[part] if isinstance(value, list) else None
+            value = value[part] if isinstance(value, list) and part < len(value) else None
             entry = value if isinstance(value, dict) else {}
             where += f"[{entry.get('label') or entry.get('name') or part + 1}]"
         elif isinstance(value, dict) and part not in value and part in value.values():
@@ -137,4 +142,4 @@ def _place(location: tuple[int | str, ...], content: Any) -> tuple[str, Any]:
     return where or "the file", value
 
 
-__all__ = ["CampaignPlan", "example_campaign", "load_campaign", "parse_campaign"]
+__all__ = ["CampaignPlan", "example_campaign", "example_session", "load_campaign", "parse_campaign"]

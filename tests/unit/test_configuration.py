@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from sms_jobs.errors import ConfigurationError, NotFound
-from sms_jobs.formats.campaign_tables import _table_of
 from sms_jobs.formats.configuration import (
     LARGEST_FILE_BYTES,
     CampaignPlan,
@@ -21,6 +20,7 @@ from sms_jobs.formats.configuration import (
     load_campaign,
     parse_campaign,
 )
+from sms_jobs.formats.record_tables import table_of
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.records.scene import (
     CameraResponse,
@@ -224,7 +224,7 @@ def test_several_mistakes_are_counted() -> None:
     ids=lambda record: record.__name__,
 )
 def test_every_kind_of_scene_can_be_written(record: type) -> None:
-    keys = {name.replace("_deg", "_rad") for name in _table_of(record).model_fields}
+    keys = {name.replace("_deg", "_rad") for name in table_of(record).model_fields}
     assert keys == {f.name for f in fields(record)}
 
 

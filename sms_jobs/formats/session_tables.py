@@ -1,0 +1,162 @@
+"""The tables of a calibration session in a campaign file: artefacts, sensors, and where the world is."""
+
+from __future__ import annotations
+
+import re
+from math import radians
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.record_tables import Placement, Table, Volume, flat, mapped
+from sms_jobs.records.artefacts import Artefact, BallBar, Chessboard, CircleBoard
+from sms_jobs.records.campaign import CalibrationSession, LoadState, checked_name
+from sms_jobs.records.scene import PanTilt, Rigid
+from sms_jobs.records.sensors import Rig, SensorFormat, split_pair
+
+LONGEST_SIDE_PX = 20_000
+
+ARTEFACTS = (CircleBoard, Chessboard, BallBar)
+
+Pixels = Annotated[int, Field(ge=1, le=LONGEST_SIDE_PX)]
+_Artefact: TypeAlias = Annotated[Artefact, flat(*ARTEFACTS, tag="shape")]
+
+
+def sensor_name(name: str) -> str:
+    """Return the name of a sensor; refuse any but C1, C2, ... and P1, P2, ..."""
+    if not re.fullmatch(r"[CP][1-9][0-9]{0,2}", name):
+        raise PydanticCustomError(
+            "sensor_name",
+            "should be C1, C2, ... for a camera or P1, P2, ... for a projector, not '{name}'",
+            {"name": name},
+        )
+    return name
+
+
+class _Format(Table):
+    name: Annotated[str, AfterValidator(sensor_name)]
+    columns: Pixels
+    rows: Pixels
+
+
+class SessionTable(Table):
+    """What makes a campaign a calibration session."""
+
+    artefacts: dict[str, _Artefact]
+    sensors: tuple[_Format, ...] = ()
+    volume: Volume | None = None
+    board_in_world: Placement = Placement()
+    starts_from: Literal["nothing", "last-calibration"] = "nothing"
+
+    def first_artefact(self, name: str | None) -> Artefact:
+        """Return the artefact of a name, or any where there is none of that name."""
+        if not self.artefacts:
+            raise InvalidInput(
+                "session.artefacts is empty: describe a board or a ball bar under [session.artefacts.<name>]"
+            )
+        return self.artefacts.get(name or "", next(iter(self.artefacts.values())))
+
+    def record(
+        self, states: tuple[LoadState, ...], pairs: tuple[str, ...], rig: Rig | None, scene: Volume | None
+    ) -> CalibrationSession:
+        """Return the session, checked against its states and against the virtual rig if there is one.
+
+        `scene` is the volume that the scene of a virtual rig names: it holds where the session has none.
+        """
+        self.first_artefact(None)
+        for name, artefact in self.artefacts.items():
+            checked_name(name, "calibration artefact")
+            _check(name, artefact)
+        for state in states:
+            self._check_state(state)
+        volume = self.volume or scene
+        return CalibrationSession(
+            artefacts=dict(self.artefacts),
+            sensors=self._formats(pairs, rig),
+            volume=None if volume is None else volume.record(),
+            board_in_world=Rigid(
+                mapped(radians, self.board_in_world.rotation_deg), self.board_in_world.translation_mm
+            ),
+            starts_from=self.starts_from,
+        )
+
+    def _check_state(self, state: LoadState) -> None:
+        if state.artefact is None:
+            raise InvalidInput(
+                f"state {state.label} shows no artefact: in a calibration session every state names one as "
+                f"its artefact, here {' or '.join(self.artefacts)}"
+            )
+        for motion in state.deformation:
+            if not isinstance(motion, Rigid | PanTilt):
+                raise InvalidInput(
+                    f"state {state.label} deforms {state.artefact} by {motion.motion}, but artefacts are "
+                    "stiff: move them by rigid and pan-tilt alone"
+                )
+
+    def _formats(self, pairs: tuple[str, ...], rig: Rig | None) -> tuple[SensorFormat, ...]:
+        """Return the sizes of the images of all sensors, cameras first."""
+        if rig is not None:
+            if self.sensors:
+                raise InvalidInput(
+                    "session.sensors repeats what [[scene.sensors]] says of the virtual rig: leave it out"
+                )
+            return tuple(SensorFormat(s.name, s.columns, s.rows) for s in rig.sensors)
+        found = {s.name: SensorFormat(s.name, s.columns, s.rows) for s in self.sensors}
+        if len(found) < len(self.sensors):
+            raise InvalidInput(
+                f"two sensors of the session have one name: {', '.join(s.name for s in self.sensors)}"
+            )
+        for pair in pairs:
+            for name in split_pair(pair):
+                if name not in found:
+                    raise InvalidInput(
+                        f"the session does not say how many pixels {name} of pair {pair} has: add it under "
+                        "[[session.sensors]]"
+                    )
+        return tuple(sorted(found.values(), key=lambda s: (s.name[0], int(s.name[1:]))))
+
+
+def _check(name: str, artefact: Artefact) -> None:
+    """Refuse an artefact that cannot be built."""
+    if isinstance(artefact, BallBar):
+        if artefact.length_mm <= 2.0 * artefact.radius_mm:
+            raise InvalidInput(
+                f"the spheres of {name}, of radius {artefact.radius_mm} mm, touch at a length of "
+                f"{artefact.length_mm} mm: length_mm is the distance of their centres"
+            )
+    elif isinstance(artefact, CircleBoard):
+        _check_circles(name, artefact)
+
+
+def _check_circles(name: str, board: CircleBoard) -> None:
+    """Refuse a board whose dots overlap or whose markers tell no axes or cannot be told from dots."""
+    for column, row in board.markers:
+        if not (0 <= column < board.columns and 0 <= row < board.rows):
+            raise InvalidInput(
+                f"the marker ({column}, {row}) of {name} is not on its {board.columns} x {board.rows} dots: "
+                "give columns and rows counted from 0"
+            )
+    (column, row), (second, second_row), (third_column, third) = board.markers
+    if second_row != row or third_column != column or second == column or third == row:
+        raise InvalidInput(
+            f"the markers of {name} tell no axes: the second must share the row of the first, the third its "
+            "column"
+        )
+    largest = max(board.marker_diameter_mm, board.dot_diameter_mm)
+    if (largest + board.dot_diameter_mm) / 2.0 >= board.pitch_mm:
+        raise InvalidInput(
+            f"the dots of {name} overlap: diameters of {board.dot_diameter_mm} and "
+            f"{board.marker_diameter_mm} mm at a pitch of {board.pitch_mm} mm"
+        )
+    if board.marker == "ring" and not 0.0 < board.marker_hole_mm < board.marker_diameter_mm:
+        raise InvalidInput(
+            f"the rings of {name} need marker_hole_mm between 0 and marker_diameter_mm, not "
+            f"{board.marker_hole_mm} of {board.marker_diameter_mm} mm"
+        )
+    if board.marker == "larger-dot" and not board.marker_diameter_mm > board.dot_diameter_mm:
+        raise InvalidInput(
+            f"the markers of {name}, larger dots, need a marker_diameter_mm above the "
+            f"{board.dot_diameter_mm} mm of other dots, not {board.marker_diameter_mm} mm"
+        )
