@@ -1,0 +1,264 @@
+"""Finds boards of dots: which dot is which, and the image of each dot's centre."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.targets.circles import Circles, find_circles, refine_circles, semi_axes
+from sms_jobs.metrology.targets.lattice import lattice_places
+from sms_jobs.metrology.targets.patterns import (
+    BoardPattern as BoardPattern,
+)
+from sms_jobs.metrology.targets.patterns import (
+    BoardPoints,
+    DotBoard,
+    board_points,
+    not_found,
+)
+from sms_jobs.metrology.targets.perspective import (
+    PlaneView,
+    centre_bias_of_view,
+    ellipse_matrices,
+    fit_plane_view,
+)
+
+Floats: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.int32]
+
+_LEAST_DOTS = 6
+_LEAST_MARKERS = 2
+_MOST_OUTSIDE = 0.1  # part of the dots of a lattice that may lie outside the board: clutter in its order
+_AREA_TOLERANCE = 1.4
+_OUTLIER_SIGMAS = 6.0
+_LEAST_OUTLIER_PX = 0.1
+_NEAR_PREDICTION = 0.15  # of a pitch
+
+
+def _plane(board: DotBoard, place: Ints) -> Floats:
+    """Return places as points (n, 2) in mm that run with columns and rows, whatever the markers say."""
+    return np.asarray(place, np.float64) * board.pitch_mm
+
+
+def _marker_diameter(board: DotBoard) -> float:
+    return board.marker_diameter_mm if board.marker_diameter_mm > 0.0 else board.dot_diameter_mm
+
+
+def _flags(board: DotBoard, circles: Circles, which: NDArray[np.int64], place: Ints) -> NDArray[np.bool_]:
+    """Return which dots of a lattice look like markers."""
+    if board.marker == "ring":
+        return np.asarray(circles.ring[which])
+    area = 1.0 / np.linalg.det(circles.matrix[which])
+    ratio = np.empty(len(which))
+    for i, here in enumerate(place):
+        near = np.abs(place - here).max(axis=1) <= 2
+        ratio[i] = area[i] / np.median(area[near])
+    return np.asarray(ratio > _marker_diameter(board) / board.dot_diameter_mm)
+
+
+def _turned(place: Ints, quarter: int) -> Ints:
+    """Turn places by quarters of a turn."""
+    x, y = place[:, 0], place[:, 1]
+    return np.stack([(x, y), (-y, x), (-x, -y), (y, -x)][quarter], axis=-1).astype(np.int32)
+
+
+def _inside(board: DotBoard, place: Ints) -> NDArray[np.bool_]:
+    return np.asarray(((place >= 0) & (place < [board.columns, board.rows])).all(axis=1))
+
+
+def _by_markers(board: DotBoard, place: Ints, flagged: NDArray[np.bool_]) -> tuple[Ints, int] | str:
+    """Return the places on the board, and how many markers fit; or why there is no single answer."""
+    assert board.markers is not None
+    markers = [tuple(m) for m in board.markers]
+    found: dict[tuple[int, int, int], tuple[int, int, Ints]] = {}
+    for quarter in range(4):
+        turned = _turned(place, quarter)
+        for i in np.flatnonzero(flagged):
+            for marker in markers:
+                shift = np.array(marker, dtype=np.int32) - turned[i]
+                key = (quarter, int(shift[0]), int(shift[1]))
+                if key in found:
+                    continue
+                moved = (turned + shift).astype(np.int32)
+                inside = _inside(board, moved)
+                if inside.mean() < 1.0 - _MOST_OUTSIDE:
+                    continue
+                is_marker = np.array([tuple(p) in markers for p in moved.tolist()])
+                matched = int((is_marker & flagged).sum())
+                against = int((is_marker != flagged)[inside].sum())
+                found[key] = (matched, 2 * matched - against - int((~inside).sum()), moved)
+    likely = sorted((f for f in found.values() if f[0] >= _LEAST_MARKERS), key=lambda f: -f[1])
+    if not likely:
+        return f"{int(flagged.sum())} markers were seen among {len(place)} dots, not two that fit the board"
+    if len(likely) > 1 and likely[1][1] == likely[0][1]:
+        return f"{likely[0][0]} of three markers were seen, which leaves more than one place for the board"
+    return likely[0][2], likely[0][0]
+
+
+def _by_extent(board: DotBoard, place: Ints, centre: Floats) -> Ints | str:
+    """Return the places on a board without markers, all of which must be seen."""
+    wanted = (board.columns, board.rows)
+    best: tuple[float, Ints] | None = None
+    for quarter in range(4):
+        turned = _turned(place, quarter)
+        size = turned.max(axis=0) - turned.min(axis=0) + 1
+        if tuple(size) != wanted:
+            continue
+        moved = (turned - turned.min(axis=0)).astype(np.int32)
+        # The way of growing columns, in the image.
+        centred = moved[:, 0] - moved[:, 0].mean()
+        way = centred @ (centre - centre.mean(axis=0))
+        right = float(way[0] / (np.hypot(way[0], way[1]) + 1e-12))
+        if best is None or right > best[0]:
+            best = (right, moved)
+    if best is None:
+        size = place.max(axis=0) - place.min(axis=0) + 1
+        return (
+            f"a lattice of {size[0]} by {size[1]} dots was seen, not the board's {wanted[0]} by {wanted[1]}; "
+            "without markers all rows and columns must be in view"
+        )
+    return best[1]
+
+
+def _recover(
+    grey: NDArray[np.float32], board: DotBoard, view: PlaneView, place: Ints, threads: int
+) -> tuple[Circles, Ints]:
+    """Look for the dots that are missing, where the view says that they are and neighbours surround them."""
+    seen = np.zeros((board.rows, board.columns), dtype=np.float32)
+    seen[place[:, 1], place[:, 0]] = 1.0
+    near = cv2.boxFilter(seen, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    row, column = np.nonzero((near > 2.5) & (seen == 0.0))
+    missing = np.stack([column, row], axis=-1).astype(np.int32)
+    plane = _plane(board, missing)
+    at, matrix = view.image(plane), ellipse_matrices(view, plane, _diameters(board, missing))
+    kept: list[int] = []
+    found = refine_circles(grey, at, matrix, ink=board.ink, threads=threads)
+    where = np.empty(len(found.centre), dtype=np.int64)
+    for k, centre in enumerate(found.centre):
+        where[k] = int(np.argmin(np.hypot(*(at - centre).T)))
+        pitch = np.hypot(*view.jacobian(plane[where[k] : where[k] + 1])[0, :, 0]) * board.pitch_mm
+        if np.hypot(*(at[where[k]] - centre)) < _NEAR_PREDICTION * pitch:
+            kept.append(k)
+    return found.chosen(np.array(kept, dtype=np.int64)), missing[where[kept]]
+
+
+def _diameters(board: DotBoard, place: Ints) -> Floats:
+    """Return the outer diameters (n,) in mm of the dots at places (n, 2)."""
+    markers = [] if board.markers is None else [tuple(m) for m in board.markers]
+    wide = np.array([tuple(p) in markers for p in place.tolist()], dtype=bool)
+    return np.where(wide, _marker_diameter(board), board.dot_diameter_mm)
+
+
+def _kept(
+    board: DotBoard, circles: Circles, place: Ints, view: PlaneView, refused: dict[str, int]
+) -> NDArray[np.bool_]:
+    """Return which dots are as large as they must be and where they must be; count the others."""
+    plane = _plane(board, place)
+    expected = np.linalg.det(ellipse_matrices(view, plane, _diameters(board, place)))
+    ratio = expected / np.linalg.det(circles.matrix)
+    ratio /= np.median(ratio)
+    sized = (ratio < _AREA_TOLERANCE) & (ratio > 1.0 / _AREA_TOLERANCE)
+    off = np.hypot(*(circles.centre - view.image(plane)).T)
+    sigma = np.sqrt(np.trace(circles.covariance, axis1=1, axis2=2) + np.median(off) ** 2)
+    placed = off < np.maximum(_OUTLIER_SIGMAS * sigma, _LEAST_OUTLIER_PX)
+    for reason, count in (("not as large as a dot", ~sized), ("off the board's lattice", sized & ~placed)):
+        if count.any():
+            refused[reason] = refused.get(reason, 0) + int(count.sum())
+    return np.asarray(sized & placed)
+
+
+def find_board(image: NDArray[np.generic], board: DotBoard, *, threads: int = 1) -> BoardPoints:
+    """Find a board of dots in an image, whole or in part.
+
+    Dots are brought into the order of a lattice; markers tell which place is which. Two markers are enough
+    where they leave a single answer. An image is never mirrored: columns run to the right and rows
+    downwards as the board is seen from the front. A board without markers must be seen with all its rows
+    and columns; its columns then run to the right of the image, as far as that can be (of a square board:
+    within 45 degrees).
+
+    Parameters
+    ----------
+    image
+        (rows, columns), grey levels of any type.
+    board
+        What to look for.
+    threads
+        Number of threads; never changes a result.
+
+    Returns
+    -------
+    The points, or none of them and the reason.
+    """
+    grey = np.ascontiguousarray(image, dtype=np.float32)
+    circles = find_circles(grey, ink=board.ink, threads=threads)
+    refused = dict(circles.refused)
+    which, lattice = lattice_places(
+        circles.centre, circles.matrix, 2.0 * board.pitch_mm / board.dot_diameter_mm
+    )
+    if len(which) < len(circles.centre):
+        refused["not on a lattice"] = len(circles.centre) - len(which)
+    if len(which) < _LEAST_DOTS:
+        return not_found(f"only {len(which)} dots in a lattice; at least {_LEAST_DOTS} are needed", refused)
+    markers_seen = 0
+    if board.markers is None:
+        answer = _by_extent(board, lattice, circles.centre[which])
+        if isinstance(answer, str):
+            return not_found(answer, refused)
+        place = answer
+    else:
+        marked = _by_markers(board, lattice, _flags(board, circles, which, lattice))
+        if isinstance(marked, str):
+            return not_found(marked, refused)
+        place, markers_seen = marked
+    inside = _inside(board, place)
+    if not inside.all():
+        refused["outside the board"] = int((~inside).sum())
+    return _finished(
+        grey, board, circles.chosen(which[inside]), place[inside], markers_seen, refused, threads
+    )
+
+
+def _finished(
+    grey: NDArray[np.float32],
+    board: DotBoard,
+    circles: Circles,
+    place: Ints,
+    markers_seen: int,
+    refused: dict[str, int],
+    threads: int,
+) -> BoardPoints:
+    """Drop outliers, look for what is missing, correct for perspective, sort."""
+    for last in (False, True):
+        try:
+            view = fit_plane_view(_plane(board, place), circles.centre)
+        except ValueError:
+            return not_found("all dots that were seen are on a line", refused)
+        good = np.flatnonzero(_kept(board, circles, place, view, refused))
+        if len(good) < _LEAST_DOTS:
+            return not_found(
+                f"only {len(good)} dots of the board; at least {_LEAST_DOTS} are needed", refused
+            )
+        circles, place = circles.chosen(good), place[good]
+        if not last:
+            more, where = _recover(grey, board, view, place, threads)
+            circles, place = circles.joined(more), np.concatenate([place, where])
+    order = np.lexsort((place[:, 0], place[:, 1]))
+    circles, place = circles.chosen(order), place[order]
+    view = fit_plane_view(_plane(board, place), circles.centre)
+    # Of a ring the outer ellipse alone: its hole is smaller, hence weaker, and need not be concentric.
+    centre = circles.centre - centre_bias_of_view(view, _plane(board, place), _diameters(board, place))
+    covariance = circles.covariance
+    return BoardPoints(
+        place=place,
+        point=board_points(board, place),
+        centre_px=centre,
+        covariance_px=covariance,
+        sigma_px=np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2)),
+        ellipse_px=circles.centre,
+        radius_px=np.sqrt(np.prod(semi_axes(circles.matrix)[0], axis=1)),
+        markers_seen=markers_seen,
+        refused=refused,
+    )

@@ -1,0 +1,165 @@
+"""What a board of dots is, and what is found of a board in an image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.int32]
+Place: TypeAlias = tuple[int, int]
+
+
+class DotBoard(Protocol):
+    """What must be known of a board of dots; `sms_jobs.records.artefacts.CircleBoard` explains each."""
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        ...
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        ...
+
+    @property
+    def pitch_mm(self) -> float:
+        """Distance of neighbours."""
+        ...
+
+    @property
+    def dot_diameter_mm(self) -> float:
+        """Diameter of an ordinary dot."""
+        ...
+
+    @property
+    def markers(self) -> tuple[Place, Place, Place] | None:
+        """Places of the markers, origin, x, y."""
+        ...
+
+    @property
+    def marker(self) -> Literal["ring", "larger-dot"]:
+        """What a marker is."""
+        ...
+
+    @property
+    def marker_diameter_mm(self) -> float:
+        """Outer diameter of a marker, 0 where unknown."""
+        ...
+
+    @property
+    def marker_hole_mm(self) -> float:
+        """Inner diameter of a ring, 0 where unknown."""
+        ...
+
+    @property
+    def ink(self) -> Literal["dark", "bright"]:
+        """Whether dots are dark or bright."""
+        ...
+
+
+@dataclass(frozen=True)
+class BoardPattern:
+    """A board of dots, with or without markers.
+
+    Attributes
+    ----------
+    columns, rows
+        Number of dots along each direction, columns to the right and rows downwards seen from the front.
+    pitch_mm, dot_diameter_mm
+        Distance of neighbours, and diameter of an ordinary dot.
+    markers
+        Places (column, row) of the markers: origin, x, y; None for a board without markers.
+    marker, marker_diameter_mm, marker_hole_mm
+        What markers are; a diameter of 0 is unknown, and a marker is then taken to be as wide as a dot.
+    ink
+        Whether dots are darker or brighter than the ground.
+    """
+
+    columns: int
+    rows: int
+    pitch_mm: float
+    dot_diameter_mm: float
+    markers: tuple[Place, Place, Place] | None = None
+    marker: Literal["ring", "larger-dot"] = "ring"
+    marker_diameter_mm: float = 0.0
+    marker_hole_mm: float = 0.0
+    ink: Literal["dark", "bright"] = "dark"
+
+
+@dataclass(frozen=True)
+class BoardPoints:
+    """The points of a board that were found in an image.
+
+    Attributes
+    ----------
+    place
+        (n, 2), column and row on the board, sorted by row and column.
+    point
+        (n, 3), on the board, in mm, in the board's frame.
+    centre_px
+        (n, 2), images of the centres, corrected for perspective.
+    covariance_px
+        (n, 2, 2), of `centre_px`, in px squared.
+    sigma_px
+        (n,), standard deviation in each direction.
+    ellipse_px
+        (n, 2), centres of the ellipses, not corrected.
+    radius_px
+        (n,), geometric mean of an ellipse's semi-axes; 0 for the corners of a chessboard.
+    markers_seen
+        Number of markers that were found; 0 for boards without them.
+    refused
+        How many candidates were refused, by reason.
+    reason
+        Why the board was not found, empty where it was; without a board there are no points.
+    """
+
+    place: Ints
+    point: Floats
+    centre_px: Floats
+    covariance_px: Floats
+    sigma_px: Floats
+    ellipse_px: Floats
+    radius_px: Floats
+    markers_seen: int = 0
+    refused: dict[str, int] = field(default_factory=dict)
+    reason: str = ""
+
+
+def not_found(reason: str, refused: dict[str, int]) -> BoardPoints:
+    """Return the result of a search that failed."""
+    none = np.empty
+    return BoardPoints(
+        none((0, 2), np.int32),
+        none((0, 3)),
+        none((0, 2)),
+        none((0, 2, 2)),
+        none(0),
+        none((0, 2)),
+        none(0),
+        0,
+        refused,
+        reason,
+    )
+
+
+def board_points(board: DotBoard, place: Ints) -> Floats:
+    """Return the points (n, 3) in mm, in the board's frame, of places (n, 2) of column and row.
+
+    The origin is the first marker, x runs along the columns towards the second, y along the rows towards
+    the third, z = x cross y. Without markers the origin is place (0, 0), and x and y grow with column and
+    row.
+    """
+    points = np.zeros((len(place), 3))
+    origin, sign = np.zeros(2), np.ones(2)
+    if board.markers is not None:
+        first, second, third = (np.array(m, dtype=np.float64) for m in board.markers)
+        origin = first
+        sign = np.array([np.sign(second[0] - first[0]), np.sign(third[1] - first[1])])
+    points[:, :2] = (np.asarray(place, np.float64) - origin) * sign * board.pitch_mm
+    return points

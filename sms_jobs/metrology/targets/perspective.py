@@ -1,0 +1,203 @@
+"""Where the centre of a circle is in an image: not at the centre of the ellipse that the circle becomes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+
+_LEAST_POINTS_FOR_CUBIC = 30
+_LEAST_POINTS_FOR_QUADRATIC = 14
+
+
+@dataclass(frozen=True)
+class PlaneView:
+    """How a plane is seen: a homography and, on top of it, a bend by the lens.
+
+    Attributes
+    ----------
+    homography
+        (3, 3), from the plane in mm to the image in px.
+    bend
+        (terms, 2), coefficients in px of the terms 1, x, y, x^2, xy, y^2, x^3, x^2 y, x y^2, y^3 in plane
+        coordinates that are shifted by `middle` and divided by `reach`; 0, 6 or 10 terms.
+    middle
+        (2,), in mm.
+    reach
+        In mm.
+    """
+
+    homography: Floats
+    bend: Floats
+    middle: Floats
+    reach: float
+
+    def image(self, points: Floats) -> Floats:
+        """Return the images (n, 2) in px of points (n, 2) of the plane in mm."""
+        straight = through_homography(self.homography, points)
+        scaled = (points - self.middle) / self.reach
+        return np.asarray(straight + _terms(scaled, len(self.bend)) @ self.bend)
+
+    def jacobian(self, points: Floats) -> Floats:
+        """Return d(image)/d(point), (n, 2, 2) in px/mm."""
+        h = self.homography
+        p = points @ h[:, :2].T + h[:, 2]
+        numerator = h[:2, :2] * p[:, 2, None, None] - p[:, :2, None] * h[2, :2]
+        straight = numerator / p[:, 2, None, None] ** 2
+        if not len(self.bend):
+            return np.asarray(straight)
+        x, y = ((points - self.middle) / self.reach).T
+        zero, one = np.zeros_like(x), np.ones_like(x)
+        by_x = [zero, one, zero, 2 * x, y, zero, 3 * x * x, 2 * x * y, y * y, zero]
+        by_y = [zero, zero, one, zero, x, 2 * y, zero, x * x, 2 * x * y, 3 * y * y]
+        n = len(self.bend)
+        bent = [np.stack(d[:n], axis=-1) @ self.bend / self.reach for d in (by_x, by_y)]
+        return np.asarray(straight + np.stack(bent, axis=-1))
+
+    def curvature(self, points: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the second derivatives xx, xy, yy of the bend, each (n, 2) in px/mm^2."""
+        x, y = ((points - self.middle) / self.reach).T
+        zero, one = np.zeros_like(x), np.ones_like(x)
+        n, scale = len(self.bend), self.reach**2
+        by_xx = [zero, zero, zero, 2 * one, zero, zero, 6 * x, 2 * y, zero, zero]
+        by_xy = [zero, zero, zero, zero, one, zero, zero, 2 * x, 2 * y, zero]
+        by_yy = [zero, zero, zero, zero, zero, 2 * one, zero, zero, 2 * x, 6 * y]
+        if n == 0:
+            nothing = np.zeros((len(points), 2))
+            return nothing, nothing, nothing
+        xx, xy, yy = (np.stack(d[:n], axis=-1) @ self.bend / scale for d in (by_xx, by_xy, by_yy))
+        return xx, xy, yy
+
+
+def _terms(scaled: Floats, count: int) -> Floats:
+    x, y = scaled.T
+    terms = [np.ones_like(x), x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3]
+    return np.stack(terms[:count], axis=-1) if count else np.empty((len(scaled), 0))
+
+
+def through_homography(homography: Floats, points: Floats) -> Floats:
+    """Return the images (n, 2) of points (n, 2)."""
+    mapped = points @ homography[:, :2].T + homography[:, 2]
+    return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+
+def fit_plane_view(points: Floats, image: Floats) -> PlaneView:
+    """Fit a homography, and the bend of the lens where there are enough points, by least squares.
+
+    Parameters
+    ----------
+    points
+        (n, 2), on the plane, in mm; n >= 4, not on a line.
+    image
+        (n, 2), their images, in px.
+
+    Returns
+    -------
+    The view; its bend is quadratic from 14 points on, cubic from 30 on, else absent.
+    """
+    found, _ = cv2.findHomography(points.astype(np.float64), image.astype(np.float64), 0)
+    middle = np.asarray(points.mean(axis=0), dtype=np.float64)
+    reach = float(np.abs(points - middle).max())
+    spread = np.linalg.matrix_rank(points - middle, tol=1e-6 * reach)
+    if found is None or spread < 2:
+        raise ValueError("a plane's view needs four points that are not on a line")
+    homography = np.asarray(found, dtype=np.float64)
+    count = len(points)
+    terms = 10 if count >= _LEAST_POINTS_FOR_CUBIC else 6 if count >= _LEAST_POINTS_FOR_QUADRATIC else 0
+    bend = np.zeros((terms, 2))
+    if terms:
+        left = image - through_homography(homography, points)
+        bend[:] = np.linalg.lstsq(_terms((points - middle) / reach, terms), left, rcond=1e-9)[0]
+    return PlaneView(homography, bend, middle, reach)
+
+
+def dual_conics(homography: Floats, centres: Floats, radius: Floats) -> Floats:
+    """Return the dual conics (n, 3, 3) in the image of circles on a plane.
+
+    The dual conic of a circle of radius r about X = (x, y, 1) is r^2 diag(1, 1, 0) - X X^T, and a
+    homography H maps a dual conic C to H C H^T (Hartley and Zisserman 2004, Result 2.14).
+
+    Parameters
+    ----------
+    homography
+        (3, 3), from the plane in mm to the image in px.
+    centres
+        (n, 2), in mm.
+    radius
+        (n,), in mm.
+    """
+    points = centres @ homography[:, :2].T + homography[:, 2]
+    flat = homography[:, :2] @ homography[:, :2].T
+    return np.asarray(radius[:, None, None] ** 2 * flat - points[:, :, None] * points[:, None, :])
+
+
+def centre_bias(homography: Floats, centres: Floats, diameters: Floats) -> Floats:
+    """Return the centres of the ellipses minus the images of the circles' centres, exactly.
+
+    The centre of an ellipse is the pole of the line at infinity: the last column of its dual conic, as a
+    homogeneous point (Heikkila 2000; Hartley and Zisserman 2004, Section 2.2.3).
+
+    Parameters
+    ----------
+    homography
+        (3, 3), from the plane in mm to the image in px.
+    centres
+        (n, 2), of the circles, in mm.
+    diameters
+        (n,), in mm.
+
+    Returns
+    -------
+    (n, 2), in px; to be subtracted from the measured centres of the ellipses. Lens distortion is left out:
+    see `centre_bias_of_view`.
+    """
+    pole = dual_conics(homography, centres, 0.5 * np.asarray(diameters, np.float64))[:, :, 2]
+    return np.asarray(pole[:, :2] / pole[:, 2:] - through_homography(homography, centres))
+
+
+def centre_bias_of_view(view: PlaneView, centres: Floats, diameters: Floats) -> Floats:
+    """Return `centre_bias` with the share of lens distortion added to second order.
+
+    A bend w = A^-1 f of the view f with Jacobian A moves the edge of a circle of radius r by
+    (r^2 / 2) w''(n, n) in the direction n. The first harmonic of its normal component is a shift of the
+    fitted ellipse by (r^2 / 8) (3 w^x_xx + w^x_yy + 2 w^y_xy) along x, and likewise along y. Third
+    derivatives change only axes, fourth derivatives (of the order r^4) are neglected, and so is that an
+    oblique ellipse weights its edge otherwise than a circle.
+
+    Parameters
+    ----------
+    view
+        Of the plane.
+    centres, diameters
+        (n, 2) and (n,), in mm.
+
+    Returns
+    -------
+    (n, 2), in px.
+    """
+    straight = centre_bias(view.homography, centres, diameters)
+    if not len(view.bend):
+        return straight
+    jacobian = view.jacobian(centres)
+    xx, xy, yy = (np.linalg.solve(jacobian, d[:, :, None])[:, :, 0] for d in view.curvature(centres))
+    shift = np.stack(
+        [
+            3.0 * xx[:, 0] + yy[:, 0] + 2.0 * xy[:, 1],
+            3.0 * yy[:, 1] + xx[:, 1] + 2.0 * xy[:, 0],
+        ],
+        axis=-1,
+    )
+    shift *= (0.5 * np.asarray(diameters, np.float64))[:, None] ** 2 / 8.0
+    return np.asarray(straight + (jacobian @ shift[:, :, None])[:, :, 0])
+
+
+def ellipse_matrices(view: PlaneView, centres: Floats, diameters: Floats) -> Floats:
+    """Return M (n, 2, 2) in 1/px of the ellipses |M (x - c)| = 1 that circles become, to first order."""
+    jacobian = view.jacobian(centres) * (0.5 * np.asarray(diameters, np.float64))[:, None, None]
+    values, vectors = np.linalg.eigh(jacobian @ np.swapaxes(jacobian, 1, 2))
+    return np.asarray((vectors / np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
