@@ -30,6 +30,7 @@ from sms_jobs.metrology.phase.returns_signal import (
     read_signal,
     window_weights,
 )
+from sms_jobs.metrology.phase.returns_start import grid
 from sms_jobs.metrology.phase.returns_transform import bit_reversal, transform_length, twiddles
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -198,6 +199,7 @@ def range_returns(
         weights,
         weights.sum(axis=1, dtype=np.float64),
         overlap_table(sequence.densities, sequence.precision * transfer**2),
+        grid(sequence.densities, sequence.precision * transfer**2, padded),
     )
     stack = np.ascontiguousarray(frames)
     rows, columns = stack.shape[1:]

@@ -31,6 +31,7 @@ from sms_jobs.metrology.phase.returns_fit import (
     copy_state,
     in_phase,
     in_quadrature,
+    inlined,
     power,
     refine,
     rotors,
@@ -59,7 +60,7 @@ def wrapped(angle: float) -> float:
     return float(angle - 2.0 * pi * np.rint(angle * (0.5 / pi)))
 
 
-@kernel
+@inlined
 def _offset_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
     """Return how far a peak of Re H lies from its highest sample, -0.5 .. 0.5 samples.
 
@@ -74,13 +75,13 @@ def _offset_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
     return float(offset if right > left else -offset)
 
 
-@kernel
+@inlined
 def start_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
     """Return omega of a peak of Re H between its samples."""
     return wrapped(pi / spectrum.shape[1] * (k + _offset_of_real_peak(spectrum, k, lane)))
 
 
-@kernel
+@inlined
 def height_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
     """Return the height of a peak of Re H between its samples."""
     u = pi * _offset_of_real_peak(spectrum, k, lane)

@@ -43,22 +43,26 @@ VARIANCE = 2 * SIZE + LANES
 _OVER = 2 * SIZE + 2 * LANES
 _SHIFT = 2 * SIZE + 3 * LANES
 _CURVE = 2 * SIZE + 4 * LANES
-PAIR_SIZE = 2 * SIZE + 5 * LANES
+_BETWEEN = 2 * SIZE + 5 * LANES
+PAIR_SIZE = 2 * SIZE + 6 * LANES
 
-_STEPS = 7
+_LONGEST = 3.0  # step x s: half a bin
+_BOLDEST = 0.4  # step over the distance of both returns, beyond which the linear model says little
 _DONE = 0.01  # step x s after which no further one is needed: what is left is its square
 _NEGLIGIBLE = 1e-2  # gain in chi-square that is not worth another step
-_FINENESS = 64  # entries of the table a bin: interpolation errs by (pi / 64)^2 / 8 = 3e-4
+_FINENESS = 64  # entries of the table a bin: what interpolation misses is 2e-6 of the sums
 
 
 def overlap_table(densities: Floats, v: Floats) -> Single:
-    """Return C, T and K for d = 0 .. pi, (entries, 4), from v of every density; the last column is 0."""
+    """Return C, T, K and sum v t^4 cos dt for d = 0 .. pi, (entries, 4), from v of every density."""
     half = _FINENESS << max(int(densities[-1]).bit_length() - 1, 1)
-    rows = np.zeros((3, int(densities[-1]) + 1))
-    rows[:, densities.astype(np.int64)] = v, v * densities, v * densities**2
+    rows = np.zeros((4, int(densities[-1]) + 1))
+    rows[:, densities.astype(np.int64)] = v, v * densities, v * densities**2, v * densities**4
     spectra = np.fft.rfft(rows, 2 * half, axis=1)
     table = np.zeros((half + 2, 4), np.float32)
-    table[: half + 1, :3] = np.stack([spectra[0].real, -spectra[1].imag, spectra[2].real], axis=1)
+    table[: half + 1] = np.stack(
+        [spectra[0].real, -spectra[1].imag, spectra[2].real, spectra[3].real], axis=1
+    )
     table[half + 1] = table[half]
     return table
 
@@ -97,20 +101,28 @@ def _advance(x: Single, y: Single, t: int, weights: Single, rotors: Single, fast
 
 @summing_kernel
 def _look_up(overlaps: Single, state: Floats) -> None:
-    """Interpolate C, T and K in the table."""
+    """Interpolate C, T and K in the table, linearly but for their known curvature."""
     last = np.uint32(overlaps.shape[0] - 2)
     per_entry = last / pi
+    entry = 1.0 / per_entry
     for j in range(LANES):
         d = state[OMEGA + j] - state[SIZE + OMEGA + j]
         d -= 2.0 * pi * np.rint(d * (0.5 / pi))
+        state[_BETWEEN + j] = d
         place = min(abs(d), pi) * per_entry
         k = min(np.uint32(place), last)
         part = place - np.float64(k)
         after = k + np.uint32(1)
-        shift = overlaps[k, 1] + part * (overlaps[after, 1] - overlaps[k, 1])
-        state[_OVER + j] = overlaps[k, 0] + part * (overlaps[after, 0] - overlaps[k, 0])
+        # C'' = -K, T'' = dK/dd, K'' = -sum v t^4 cos dt.
+        bow = 0.5 * part * (1.0 - part) * entry
+        change = overlaps[after, 2] - overlaps[k, 2]
+        curve = overlaps[k, 2] + part * change
+        shift = overlaps[k, 1] + part * (overlaps[after, 1] - overlaps[k, 1]) - bow * change
+        over = overlaps[k, 0] + part * (overlaps[after, 0] - overlaps[k, 0])
+        state[_OVER + j] = over + bow * entry * curve
         state[_SHIFT + j] = shift if d > 0.0 else -shift
-        state[_CURVE + j] = overlaps[k, 2] + part * (overlaps[after, 2] - overlaps[k, 2])
+        fourth = overlaps[k, 3] + part * (overlaps[after, 3] - overlaps[k, 3])
+        state[_CURVE + j] = curve + bow * entry * fourth
 
 
 @summing_kernel
@@ -130,15 +142,29 @@ def _move(v: float, vtt: float, s: float, state: Floats, fast: Single) -> None:
         state[GAIN + j] = (
             (more + less) * h1 + (more - less) * h2 + (along + apart) * q1 + (along - apart) * q2
         )
-        state[VARIANCE + j] = (v - over) * even + (v + over) * odd
-        one = s * (along + apart) / max(state[AMPLITUDE + j], 1e-30)
-        two = s * (along - apart) / max(state[SIZE + AMPLITUDE + j], 1e-30)
-        one, two = max(min(one, 3.0), -3.0), max(min(two, 3.0), -3.0)
-        state[STEP_TIMES_S + j] = max(abs(one), abs(two))
+        a, b = max(state[AMPLITUDE + j], 1e-30), max(state[SIZE + AMPLITUDE + j], 1e-30)
+        one, two = s * (along + apart) / a, s * (along - apart) / b
+        largest = max(abs(one), abs(two))
+        state[STEP_TIMES_S + j] = largest
+        part = min(1.0, min(_LONGEST, _BOLDEST * s * abs(state[_BETWEEN + j])) / max(largest, 1e-30))
+        one, two, along, apart = part * one, part * two, part * along, part * apart
+        # The amplitudes that are best where omega goes to.
+        less = 0.5 * (h1 - h2 - 2.0 * shift * along) / max(v - over, 1e-6 * v)
+        more = 0.5 * (h1 + h2 + 2.0 * shift * apart) / max(v + over, 1e-6 * v)
         state[OMEGA + j] += one * per_s
         state[SIZE + OMEGA + j] += two * per_s
         state[AMPLITUDE + j] += more + less
         state[SIZE + AMPLITUDE + j] += more - less
+
+
+@summing_kernel
+def _vary(v: float, vtt: float, state: Floats) -> None:
+    """Write the variance of a_i omega_i for unit noise where the fit ends."""
+    for j in range(LANES):
+        over, shift, curve = state[_OVER + j], state[_SHIFT + j], state[_CURVE + j]
+        even = 0.5 / max((v - over) * (vtt + curve) - shift * shift, 1e-6 * v * vtt)
+        odd = 0.5 / max((v + over) * (vtt - curve) - shift * shift, 1e-6 * v * vtt)
+        state[VARIANCE + j] = (v - over) * even + (v + over) * odd
 
 
 @summing_kernel
@@ -207,6 +233,7 @@ def fit_two_each(
     first: int,
     wanted: NDArray[np.bool_],
     variance: Floats,
+    steps: int,
     state: Floats,
     rotors: Single,
     fast: Single,
@@ -219,6 +246,8 @@ def fit_two_each(
         Of `overlap_table`.
     wanted, variance
         (LANES,): which pixels matter, and the variance of their z.
+    steps
+        Most steps.
     state
         (PAIR_SIZE,): omega and amplitude of both returns are the start, and become the end; written are for
         both what `fit_one_each` writes, but the larger step and the sum of squares for the first alone; the
@@ -227,7 +256,7 @@ def fit_two_each(
     The other parameters are those of `fit_one_each`.
     """
     second, fast_second = state[SIZE:], fast[FAST:]
-    for _ in range(_STEPS):
+    for _ in range(steps):
         set_rotors(first, 0, state, rotors, fast)
         set_rotors(first, 2, second, rotors, fast_second)
         for t in range(0, x.shape[0], GROUP):
@@ -240,6 +269,8 @@ def fit_two_each(
                 moving += 1
         if moving == 0:
             break
+    _look_up(overlaps, state)
+    _vary(sums[V], sums[VTT], state)
     set_rotors(first, 0, state, rotors, fast)
     set_rotors(first, 2, second, rotors, fast_second)
     flat_x, flat_y, flat_rotors = x.reshape(-1), y.reshape(-1), rotors.reshape(-1)

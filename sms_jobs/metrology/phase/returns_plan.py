@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.phase.returns_start import Grid
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
@@ -22,8 +23,8 @@ class Plan(NamedTuple):
 
     `first` is t of the first density, `least` the number of densities that a pixel needs; `turns`, `order`
     are of `twiddles` and `bit_reversal`, `weights` and `sums` of `fit_weights` for unsaturated pixels,
-    `overlaps` of `overlap_table`. `variance` is that of z at grey level 0, `slope` its growth a grey level,
-    and `unit` makes the standard deviation of a frame of that of z.
+    `overlaps` of `overlap_table`, `grid` of `grid`. `variance` is that of z at grey level 0, `slope` its
+    growth a grey level, and `unit` makes the standard deviation of a frame of that of z.
     """
 
     first: int
@@ -39,6 +40,7 @@ class Plan(NamedTuple):
     weights: Single
     sums: Floats
     overlaps: Single
+    grid: Grid
 
 
 @kernel
@@ -48,13 +50,18 @@ def real_values(first: int, densities: int) -> float:
 
 
 @kernel
+def is_excessive(threshold: float, values: float, variance: float, squares: float) -> bool:
+    """Tell whether what is left of a pixel is too much for noise."""
+    return bool(squares - variance * values > threshold * np.sqrt(2.0 * values) * variance)
+
+
+@kernel
 def is_worth_a_fit(
     threshold: float, values: float, variance: float, squares: float, scatter: float, height: float
 ) -> bool:
     """Tell whether what is left of a pixel can hold a return: a high sample, or too much of everything."""
     floor = max(variance, squares / max(values, 1.0))
-    excess = squares - variance * values
     return bool(
         height > _TRIGGER * threshold * np.sqrt(scatter * floor)
-        or excess > threshold * np.sqrt(2.0 * values) * variance
+        or is_excessive(threshold, values, variance, squares)
     )

@@ -1,34 +1,36 @@
-"""The pixels of a row that are settled many at a time: those with one return, or two well apart.
+"""The pixels of a row that are settled many at a time: those with one return, or with two.
 
-Whatever is not plain here (lost densities, close returns, three of them, slow convergence) is left open for
+Pixels whose two returns are close or slow to converge wait for others like them and are fitted in chunks of
+their own. Whatever is not plain here (lost densities, three returns, no convergence) is left open for
 `returns_search`, with the first return where it is known.
 """
 
 from __future__ import annotations
 
 from math import pi
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.phase import returns_lanes, returns_pairs
-from sms_jobs.metrology.phase.returns_fit import (
-    AMPLITUDE,
-    COS,
-    OMEGA,
-    SEARCH,
-    SIN,
-    SPREAD,
-    VARIANCE,
-    VT4,
-    VTT,
-    G,
-    N,
-    V,
+from sms_jobs.metrology.phase.returns_chunk import (
+    LATER,
+    ONE,
+    OPEN,
+    TWO,
+    Chunk,
+    beside,
+    collect,
+    find_peaks,
+    hand_over,
+    load,
+    new_chunk,
+    report,
 )
-from sms_jobs.metrology.phase.returns_lanes import FALL, FAST, GROUP, SQUARES, STEP_TIMES_S, fit_one_each
+from sms_jobs.metrology.phase.returns_fit import SEARCH, VTT, G, N, V
+from sms_jobs.metrology.phase.returns_lanes import SQUARES, STEP_TIMES_S, fit_one_each
 from sms_jobs.metrology.phase.returns_of_pixel import (
     CLOSE,
     height_of_real_peak,
@@ -36,83 +38,21 @@ from sms_jobs.metrology.phase.returns_of_pixel import (
     wrapped,
 )
 from sms_jobs.metrology.phase.returns_pairs import fit_two_each, is_done
-from sms_jobs.metrology.phase.returns_plan import Plan, is_worth_a_fit, real_values
-from sms_jobs.metrology.phase.returns_transform import LANES, real_peaks
+from sms_jobs.metrology.phase.returns_plan import Plan, is_excessive, is_worth_a_fit, real_values
+from sms_jobs.metrology.phase.returns_start import start_close
+from sms_jobs.metrology.phase.returns_transform import LANES
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
 
-_FEW = 6  # pixels of a chunk that are fitted one by one at less cost than all of them together
-
-_OPEN, _ONE, _TWO = -1, 1, 2  # what a pixel is settled to, 0 for no return; _OPEN where it is not
-
-
-class _Chunk(NamedTuple):
-    """Buffers of a chunk of pixels: signal, transform, and states of `returns_lanes` and `returns_pairs`."""
-
-    x: Single
-    y: Single
-    spectrum: Single
-    best: Single
-    where: NDArray[np.int32]
-    one: Floats
-    pair: Floats
-    rotors: Single
-    fast: Single
-    wanted: NDArray[np.bool_]
-    settled: NDArray[np.int64]
-    known: NDArray[np.bool_]
-    variance: Floats
+_FEW = 6  # pixels that are fitted one by one at less cost than a chunk of them together
+_STEPS, _MORE_STEPS = 4, 12  # of the fit of two returns, the latter for pixels that wait
+_NEAREST = 0.15  # bins; two returns nearer than this are not told apart here
+_CENTRED = 1.0  # step of omega, times s, at which one return is near enough to the middle of two
 
 
 @kernel
-def _chunk(plan: Plan, count: int) -> _Chunk:
-    """Return the buffers of a chunk."""
-    rows = (count + GROUP - 1) // GROUP * GROUP
-    return _Chunk(
-        np.zeros((rows, LANES), np.float32),
-        np.zeros((rows, LANES), np.float32),
-        np.empty((2, plan.order.size, LANES), np.float32),
-        np.empty(LANES, np.float32),
-        np.empty(LANES, np.int32),
-        np.zeros(returns_lanes.SIZE),
-        np.zeros(returns_pairs.PAIR_SIZE),
-        np.zeros((plan.weights.shape[1], LANES), np.float32),
-        np.zeros(2 * FAST, np.float32),
-        np.zeros(LANES, np.bool_),
-        np.zeros(LANES, np.int64),
-        np.zeros(LANES, np.bool_),
-        np.zeros(LANES),
-    )
-
-
-@kernel
-def _load(signal: Single, start: int, lanes: int, x: Single, y: Single) -> None:
-    """Take the pixels from column `start` on."""
-    for t in range(signal.shape[1]):
-        for j in range(lanes):
-            # An unsigned index needs no look at its sign, which would keep this from being a vector copy.
-            x[t, j] = signal[0, t, np.uint64(start + j)]
-            y[t, j] = signal[1, t, np.uint64(start + j)]
-
-
-@kernel
-def _find_peaks(plan: Plan, chunk: _Chunk) -> None:
-    real_peaks(
-        chunk.x,
-        chunk.y,
-        plan.weights[SEARCH],
-        plan.first,
-        plan.turns,
-        plan.order,
-        chunk.spectrum,
-        chunk.best,
-        chunk.where,
-    )
-
-
-@kernel
-def _settle_ones(plan: Plan, count: int, chunk: _Chunk) -> None:
+def _settle_ones(plan: Plan, count: int, chunk: Chunk) -> None:
     """Fit one return to all pixels of a chunk; settled are those whose last step was small.
 
     Small is also what is small against its own standard deviation. `x` and `y` become what is left.
@@ -132,14 +72,16 @@ def _settle_ones(plan: Plan, count: int, chunk: _Chunk) -> None:
         small = step < max(returns_lanes.SMALL, min(4.0 * width, 4.0 * returns_lanes.SMALL))
         chunk.known[j] = small and a > 0.0 and a * a * v > square * floor
         if small:
-            chunk.settled[j] = _ONE if chunk.known[j] else 0
+            chunk.settled[j] = ONE if chunk.known[j] else 0
+        elif step < _CENTRED and a > 0.0 and a * a * v > square * floor:
+            chunk.settled[j] = LATER
 
 
 @kernel
-def _want_pairs(plan: Plan, count: int, chunk: _Chunk) -> int:
+def _want_pairs(plan: Plan, count: int, chunk: Chunk) -> int:
     """Start the fit of two returns where one leaves enough for another; return in how many pixels.
 
-    Pixels whose second return is close to the first are opened again.
+    Pixels whose second return is close to the first have to wait.
     """
     free = real_values(plan.first, count) - 2.0
     scale = 0.0
@@ -150,14 +92,15 @@ def _want_pairs(plan: Plan, count: int, chunk: _Chunk) -> int:
         omega = chunk.one[returns_lanes.OMEGA + j]
         chunk.wanted[j] = False
         second, height = omega + 2.0, 0.0
-        if chunk.settled[j] == _ONE:
+        if chunk.settled[j] == ONE:
             height = height_of_real_peak(chunk.spectrum, chunk.where[j], j)
             if is_worth_a_fit(
                 plan.threshold, free, chunk.variance[j], chunk.one[SQUARES + j], plan.sums[N], height
             ):
                 second = start_of_real_peak(chunk.spectrum, chunk.where[j], j)
                 chunk.wanted[j] = abs(wrapped(second - omega)) > CLOSE * 2.0 * pi / count
-                chunk.settled[j] = _ONE if chunk.wanted[j] else _OPEN
+                chunk.settled[j] = ONE if chunk.wanted[j] else LATER
+                chunk.near[j] = not chunk.wanted[j]
         wanted += 1 if chunk.wanted[j] else 0
         chunk.pair[returns_lanes.OMEGA + j] = omega
         chunk.pair[returns_lanes.AMPLITUDE + j] = chunk.one[returns_lanes.AMPLITUDE + j]
@@ -167,7 +110,7 @@ def _want_pairs(plan: Plan, count: int, chunk: _Chunk) -> int:
 
 
 @kernel
-def _settle_pairs(plan: Plan, count: int, chunk: _Chunk) -> int:
+def _settle_pairs(plan: Plan, count: int, steps: int, chunk: Chunk) -> int:
     """Fit two returns to the wanted pixels; settled are those that converged. Return how many have two."""
     pair = chunk.pair
     fit_two_each(
@@ -180,6 +123,7 @@ def _settle_pairs(plan: Plan, count: int, chunk: _Chunk) -> int:
         plan.first,
         chunk.wanted,
         chunk.variance,
+        steps,
         pair,
         chunk.rotors,
         chunk.fast,
@@ -193,24 +137,28 @@ def _settle_pairs(plan: Plan, count: int, chunk: _Chunk) -> int:
         least = min(pair[returns_lanes.AMPLITUDE + j], pair[returns_lanes.SIZE + returns_lanes.AMPLITUDE + j])
         gained = chunk.one[SQUARES + j] - pair[SQUARES + j]
         floor = max(chunk.variance[j], pair[SQUARES + j] / max(free, 1.0))
-        chunk.settled[j] = _OPEN
+        chunk.settled[j] = LATER
         if (
             least > 0.0
-            and abs(wrapped(second - first)) > CLOSE * 2.0 * pi / count
+            and abs(wrapped(second - first)) > (_NEAREST if chunk.near[j] else CLOSE) * 2.0 * pi / count
             and is_done(pair[STEP_TIMES_S + j], pair[returns_pairs.GAIN + j], chunk.variance[j])
         ):
-            chunk.settled[j] = _TWO if gained > plan.threshold * plan.threshold * floor else _ONE
-            found += 1 if chunk.settled[j] == _TWO else 0
+            # What hides in much that is left is for others to find.
+            if gained > plan.threshold * plan.threshold * floor:
+                chunk.settled[j] = TWO
+                found += 1
+            elif not is_excessive(plan.threshold, free, chunk.variance[j], pair[SQUARES + j]):
+                chunk.settled[j] = ONE
     return found
 
 
 @kernel
-def _open_thirds(plan: Plan, count: int, chunk: _Chunk) -> None:
+def _open_thirds(plan: Plan, count: int, chunk: Chunk) -> None:
     """Open the pixels again in which two returns leave enough for a third."""
-    _find_peaks(plan, chunk)
+    find_peaks(plan, chunk)
     free = real_values(plan.first, count) - 4.0
     for j in range(LANES):
-        if chunk.settled[j] == _TWO and is_worth_a_fit(
+        if chunk.settled[j] == TWO and is_worth_a_fit(
             plan.threshold,
             free,
             chunk.variance[j],
@@ -218,89 +166,79 @@ def _open_thirds(plan: Plan, count: int, chunk: _Chunk) -> None:
             plan.sums[N],
             height_of_real_peak(chunk.spectrum, chunk.where[j], j),
         ):
-            chunk.settled[j] = _OPEN
+            chunk.settled[j] = OPEN
 
 
 @kernel
-def _settle(plan: Plan, signal: Single, start: int, lanes: int, most: int, chunk: _Chunk) -> None:
+def _settle(plan: Plan, signal: Single, start: int, lanes: int, most: int, chunk: Chunk) -> None:
     """Settle what can be settled of a chunk."""
     count = signal.shape[1]
-    _load(signal, start, lanes, chunk.x, chunk.y)
-    _find_peaks(plan, chunk)
+    load(signal, start, lanes, chunk.x, chunk.y)
+    find_peaks(plan, chunk)
     _settle_ones(plan, count, chunk)
     if most == 1:
         return
-    _find_peaks(plan, chunk)
+    find_peaks(plan, chunk)
     wanted = _want_pairs(plan, count, chunk)
     if wanted > _FEW:
-        _load(signal, start, lanes, chunk.x, chunk.y)
-        if _settle_pairs(plan, count, chunk) > 0 and most > 2:
+        load(signal, start, lanes, chunk.x, chunk.y)
+        if _settle_pairs(plan, count, _STEPS, chunk) > 0 and most > 2:
             _open_thirds(plan, count, chunk)
     elif wanted > 0:
         for j in range(LANES):
             if chunk.wanted[j]:
-                chunk.settled[j] = _OPEN
+                chunk.settled[j] = LATER
 
 
 @kernel
-def _report(
-    rank: int,
-    lever: float,
-    cofactor: float,
-    state: Floats,
-    o: int,
-    j: int,
-    row: int,
-    column: int,
-    omega: Floats,
-    maps: Single,
-) -> None:
-    """Write a return, whose state begins at o, of pixel j; `cofactor` is the variance of a omega."""
-    a = state[o + returns_lanes.AMPLITUDE + j]
-    omega[rank, row, column] = wrapped(state[o + returns_lanes.OMEGA + j])
-    maps[0, rank, row, column] = np.sqrt(cofactor) / a
-    maps[1, rank, row, column] = a
-    maps[2, rank, row, column] = np.sqrt(max(-2.0 * state[o + FALL + j] / (a * lever), 0.0))
+def _begin(plan: Plan, start: int, lanes: int, levels: Single, chunk: Chunk) -> None:
+    """Begin with the pixels from column `start` on, of which nothing is known."""
+    for j in range(LANES):
+        chunk.settled[j] = OPEN
+        chunk.near[j] = True
+        chunk.column[j] = start + j
+        chunk.variance[j] = plan.variance + plan.slope * levels[start + j] if j < lanes else 1.0
 
 
 @kernel
-def _report_pixel(
-    plan: Plan, chunk: _Chunk, j: int, row: int, column: int, omega: Floats, maps: Single
-) -> float:
-    """Write the returns of a settled pixel, strongest first, NaN beyond; return what they leave."""
-    found = chunk.settled[j]
-    for i in range(found, omega.shape[0]):
-        omega[i, row, column] = np.nan
-        for k in range(3):
-            maps[k, i, row, column] = np.nan
-    v, vtt = plan.sums[V], plan.sums[VTT]
-    lever = plan.sums[VT4] - vtt * vtt / v
-    if found == _ONE:
-        _report(0, lever, chunk.variance[j] / vtt, chunk.one, 0, j, row, column, omega, maps)
-        return float(chunk.one[SQUARES + j])
-    if found == _TWO:
-        pair, size = chunk.pair, returns_lanes.SIZE
-        a, b = pair[returns_lanes.AMPLITUDE + j], pair[size + returns_lanes.AMPLITUDE + j]
-        cofactor = chunk.variance[j] * pair[returns_pairs.VARIANCE + j]
-        _report(0, lever, cofactor, pair, 0 if a >= b else size, j, row, column, omega, maps)
-        _report(1, lever, cofactor, pair, size if a >= b else 0, j, row, column, omega, maps)
-        return float(pair[SQUARES + j])
-    return np.nan
+def _open_lost(lost: NDArray[np.uint8], lanes: int, most: int, chunk: Chunk) -> None:
+    """Open the pixels that miss densities, for whose weights nothing here holds."""
+    for j in range(lanes):
+        if lost[chunk.column[j]] > 0:
+            chunk.settled[j] = OPEN
+            chunk.known[j] = False
+        elif chunk.settled[j] == LATER and most == 1:
+            chunk.settled[j] = OPEN
 
 
 @kernel
-def _hand_over(plan: Plan, chunk: _Chunk, j: int, column: int, known: Floats) -> None:
-    """Write the first return of an open pixel for `returns_search`."""
-    one = chunk.one
-    a, omega = one[returns_lanes.AMPLITUDE + j], one[returns_lanes.OMEGA + j]
-    v, vtt = plan.sums[V], plan.sums[VTT]
-    known[OMEGA, column] = omega
-    known[COS, column] = np.cos(omega)
-    known[SIN, column] = np.sin(omega)
-    known[AMPLITUDE, column] = a
-    known[VARIANCE, column] = 1.0 / (a * a * vtt)
-    known[SPREAD, column] = -2.0 * one[FALL + j] / (a * (plan.sums[VT4] - vtt * vtt / v))
-    known[SPREAD + 1, column] = one[SQUARES + j]
+def _settle_waiting(plan: Plan, count: int, filled: int, most: int, chunk: Chunk) -> None:
+    """Settle what can be settled of a chunk of pixels that have waited."""
+    for j in range(LANES):
+        chunk.wanted[j] = j < filled and filled > _FEW
+        chunk.settled[j] = OPEN
+    if filled <= _FEW:
+        return
+    start_close(
+        chunk.x,
+        chunk.y,
+        plan.weights,
+        plan.first,
+        plan.grid,
+        chunk.one,
+        chunk.near,
+        chunk.pair,
+        chunk.rotors,
+        chunk.fast,
+        chunk.spectrum,
+        chunk.best,
+        chunk.where,
+    )
+    if _settle_pairs(plan, count, _MORE_STEPS, chunk) > 0 and most > 2:
+        _open_thirds(plan, count, chunk)
+    for j in range(filled):
+        if chunk.settled[j] == LATER or (chunk.settled[j] == ONE and not chunk.known[j]):
+            chunk.settled[j] = OPEN
 
 
 @kernel
@@ -328,26 +266,27 @@ def settle_row(
 
     The other parameters are those of `returns_search.find_jointly`; those of settled pixels are written.
     """
-    count, columns = signal.shape[1], signal.shape[2]
-    chunk = _chunk(plan, count)
-    still = 0
+    count, columns, most = signal.shape[1], signal.shape[2], omega.shape[0]
+    chunk = new_chunk(plan, count)
+    waiting = beside(chunk)
+    still, filled = 0, 0
     for start in range(0, columns, LANES):
         lanes = min(LANES, columns - start)
-        for j in range(LANES):
-            chunk.settled[j] = _OPEN
-            chunk.variance[j] = plan.variance + plan.slope * planes[0, row, start + j] if j < lanes else 1.0
-        _settle(plan, signal, start, lanes, omega.shape[0], chunk)
-        for j in range(lanes):
-            if lost[count, start + j] > 0 or chunk.settled[j] == _OPEN:
-                opened[still] = start + j
-                still += 1
-                known[AMPLITUDE, start + j] = 0.0
-                if chunk.known[j] and lost[count, start + j] == 0:
-                    _hand_over(plan, chunk, j, start + j, known)
-                continue
-            squares = _report_pixel(plan, chunk, j, row, start + j, omega, maps)
-            flags[0, row, start + j] = chunk.settled[j]
-            flags[1, row, start + j] = 0
-            free = real_values(plan.first, count) - 2.0 * chunk.settled[j]
-            planes[2, row, start + j] = plan.unit * np.sqrt(squares / free) if free > 0.0 else np.nan
+        _begin(plan, start, lanes, planes[0, row], chunk)
+        _settle(plan, signal, start, lanes, most, chunk)
+        _open_lost(lost[count], lanes, most, chunk)
+        lane = 0
+        while lane < lanes:
+            lane, filled = collect(signal, chunk, lane, lanes, waiting, filled)
+            if filled == LANES:
+                _settle_waiting(plan, count, filled, most, waiting)
+                report(plan, waiting, count, filled, row, omega, maps, planes, flags)
+                still = hand_over(plan, waiting, filled, opened, still, known)
+                filled = 0
+        report(plan, chunk, count, lanes, row, omega, maps, planes, flags)
+        still = hand_over(plan, chunk, lanes, opened, still, known)
+    if filled > 0:
+        _settle_waiting(plan, count, filled, most, waiting)
+        report(plan, waiting, count, filled, row, omega, maps, planes, flags)
+        still = hand_over(plan, waiting, filled, opened, still, known)
     return still

@@ -309,18 +309,22 @@ def test_refuses_what_it_cannot_range() -> None:
         score_threshold(0.0, 64)
 
 
-def test_many_pixels_at_once_are_fitted_as_each_alone(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize(("lowest", "highest", "bias"), [(2.0, 20.0, 0.02), (0.3, 1.6, 0.05)])
+def test_many_pixels_at_once_are_fitted_as_each_alone(
+    lowest: float, highest: float, bias: float, rng: np.random.Generator
+) -> None:
     omega = rng.uniform(-pi, pi, size=(1, 70))  # a full chunk and a part of one
-    other = omega + rng.uniform(2.0, 20.0, omega.shape) * BIN
+    other = omega + rng.uniform(lowest, highest, omega.shape) * BIN
     frames = recorded(frames_of([omega, other], [STRONG, 0.5 * STRONG]), rng)
     together = ranged(frames, returns=3)
     for j in range(0, 70, 3):
         alone = ranged(frames[:, :, j : j + 1], returns=3)  # few pixels are fitted one by one
         assert alone.count[0, 0] == together.count[0, j]
-        # Both stop when a step gains less than 0.01 in chi-square; what is left is the square of that.
+        # Both stop when a step gains less than 0.01 in chi-square; what is left is the square of that, or
+        # more where two returns are close and the fit is less linear.
         difference = wrapped(alone.omega[:2, 0, 0] - together.omega[:2, 0, j])
-        assert (np.abs(difference) < 0.02 * alone.omega_sigma[:2, 0, 0]).all()
-        for name, rtol in (("omega_sigma", 1e-3), ("amplitude", 1e-4), ("residual", 1e-3)):
-            # The table of overlaps is interpolated to 3e-4; the others follow from omega.
+        assert (np.abs(difference) < bias * alone.omega_sigma[:2, 0, 0]).all()
+        for name, rtol in (("omega_sigma", 0.05 * bias), ("amplitude", 0.005 * bias), ("residual", 1e-3)):
+            # These follow from omega.
             a, b = getattr(alone, name)[..., 0, 0], getattr(together, name)[..., 0, j]
             np.testing.assert_allclose(a, b, rtol=rtol)
