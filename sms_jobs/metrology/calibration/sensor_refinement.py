@@ -1,0 +1,260 @@
+"""Least squares for one sensor: its inner parameters and the poses of what it saw."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.calibration.sensor_derivatives import project_with_derivatives
+from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
+from sms_jobs.metrology.geometry.transforms import rotation_matrix
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+
+_MOST_ITERATIONS = 60
+_CONVERGED = 1e-9  # relative change of the cost
+_HUBER = 3.0
+_REFUSED_BEYOND = 6.0
+_RAYLEIGH_MEDIAN = 1.1774
+_PLAUSIBLE = np.array([np.inf, np.inf, np.inf, np.inf, 1.0, 1.0, 0.1, 0.1, 1.0])
+"""Prior standard deviations, so that distortion which the points do not tell stays away."""
+
+
+@dataclass(frozen=True)
+class SeenPoints:
+    """Points (n, 3) in mm of one rigid thing, their images (n, 2), and standard deviations (n,) in px."""
+
+    point: Floats
+    pixel: Floats
+    sigma_px: Floats
+
+
+@dataclass(frozen=True)
+class RefinedSensor:
+    """A sensor that fits what it saw.
+
+    Attributes
+    ----------
+    intrinsics
+        Inner parameters.
+    poses
+        Of each thing that was seen: x_sensor = R X + T.
+    lens_sigma
+        (9,) standard deviations of the inner parameters; 0 where fixed, infinite where undetermined.
+    kept
+        Of each thing, (n,) which points were used.
+    residual
+        Of each thing, (n, 2) in px, observed less predicted; NaN behind the sensor.
+    scale
+        Robust standard deviation of the residuals, in units of the stated one.
+    cost
+        Robust cost at the end.
+    """
+
+    intrinsics: Intrinsics
+    poses: tuple[Pose, ...]
+    lens_sigma: Floats
+    kept: tuple[Bools, ...]
+    residual: tuple[Floats, ...]
+    scale: float
+    cost: float
+
+
+@dataclass
+class _Problem:
+    seen: Sequence[SeenPoints]
+    kept: list[Bools]
+    basis: Floats  # (9, free): lens parameters by free ones
+    scale: float
+
+
+def _distances(seen: Sequence[SeenPoints], intrinsics: Intrinsics, poses: Sequence[Pose]) -> list[Floats]:
+    """Return the length of the whitened residual of every point; infinite behind the sensor."""
+    found = []
+    for item, pose in zip(seen, poses, strict=True):
+        off = np.linalg.norm(item.pixel - project(intrinsics, pose, item.point), axis=1) / item.sigma_px
+        found.append(np.where(np.isfinite(off), off, np.inf))
+    return found
+
+
+def _huber_cost(problem: _Problem, intrinsics: Intrinsics, poses: Sequence[Pose]) -> float:
+    total = 0.0
+    for distance, kept in zip(_distances(problem.seen, intrinsics, poses), problem.kept, strict=True):
+        d = distance[kept] / problem.scale
+        total += float(np.sum(np.where(d <= _HUBER, 0.5 * d * d, _HUBER * (d - 0.5 * _HUBER))))
+    lens = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy, *intrinsics.distortion()])
+    held = np.inf > _PLAUSIBLE
+    return total + float(0.5 * np.sum((lens[held] / _PLAUSIBLE[held]) ** 2))
+
+
+def _normal_equations(
+    problem: _Problem, intrinsics: Intrinsics, poses: Sequence[Pose]
+) -> tuple[Floats, Floats, list[tuple[Floats, Floats, Floats]]]:
+    """Return the lens's block and gradient, and of each pose its block, the mixed block and its gradient."""
+    lens = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy, *intrinsics.distortion()])
+    prior = 1.0 / _PLAUSIBLE**2
+    a = problem.basis.T @ (prior[:, None] * problem.basis)
+    g = -problem.basis.T @ (prior * lens)
+    blocks = []
+    for item, kept, pose in zip(problem.seen, problem.kept, poses, strict=True):
+        pixels, by_pose, by_lens = project_with_derivatives(intrinsics, pose, item.point[kept])
+        weight = 1.0 / (problem.scale * item.sigma_px[kept])
+        off = (item.pixel[kept] - pixels) * weight[:, None]
+        distance = np.linalg.norm(off, axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            robust = np.sqrt(np.where(distance > _HUBER, _HUBER / distance, 1.0))
+        weight, off = weight * robust, (off * robust[:, None]).ravel()
+        j_pose = (by_pose * weight[:, None, None]).reshape(-1, 6)
+        j_lens = (by_lens * weight[:, None, None]).reshape(-1, 9) @ problem.basis
+        a += j_lens.T @ j_lens
+        g += j_lens.T @ off
+        blocks.append((j_pose.T @ j_pose, j_lens.T @ j_pose, j_pose.T @ off))
+    return a, g, blocks
+
+
+def _reduced(
+    a: Floats, g: Floats, blocks: list[tuple[Floats, Floats, Floats]], damping: float
+) -> tuple[Floats, Floats, list[Floats]]:
+    """Eliminate the poses: return Schur complement, right side, and the inverse of each pose's block."""
+    s, right = a + damping * np.diag(np.diag(a)), g.copy()
+    inverses = []
+    for own, mixed, gradient in blocks:
+        damped = own + max(damping, 1e-13) * np.diag(np.diag(own))
+        inverse = np.asarray(np.linalg.inv(damped), dtype=np.float64)
+        s -= mixed @ inverse @ mixed.T
+        right -= mixed @ inverse @ gradient
+        inverses.append(inverse)
+    return s, right, inverses
+
+
+def _moved(
+    intrinsics: Intrinsics,
+    poses: Sequence[Pose],
+    basis: Floats,
+    lens_step: Floats,
+    pose_steps: Sequence[Floats],
+) -> tuple[Intrinsics, list[Pose]]:
+    lens = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy, *intrinsics.distortion()])
+    changed = Intrinsics(*map(float, lens + basis @ lens_step))
+    return changed, [
+        Pose.from_arrays(rotation_matrix(s[:3]) @ p.matrix(), np.array(p.translation) + s[3:])
+        for p, s in zip(poses, pose_steps, strict=True)
+    ]
+
+
+def _descend(
+    problem: _Problem, intrinsics: Intrinsics, poses: list[Pose]
+) -> tuple[Intrinsics, list[Pose], float]:
+    """Levenberg-Marquardt from a start."""
+    damping, cost = 1e-3, _huber_cost(problem, intrinsics, poses)
+    for _ in range(_MOST_ITERATIONS):
+        a, g, blocks = _normal_equations(problem, intrinsics, poses)
+        while damping < 1e8:
+            try:
+                s, right, inverses = _reduced(a, g, blocks, damping)
+                lens_step = np.asarray(np.linalg.solve(s, right), np.float64) if len(right) else right
+            except np.linalg.LinAlgError:
+                damping *= 10.0
+                continue
+            steps = [i @ (b[2] - b[1].T @ lens_step) for i, b in zip(inverses, blocks, strict=True)]
+            tried = _moved(intrinsics, poses, problem.basis, lens_step, steps)
+            changed = _huber_cost(problem, *tried)
+            if changed <= cost and tried[0].fx > 0.0 and tried[0].fy > 0.0:
+                break
+            damping *= 10.0
+        else:
+            return intrinsics, poses, cost
+        (intrinsics, poses), gain = tried, cost - changed
+        cost, damping = changed, max(damping / 10.0, 1e-12)
+        if gain <= _CONVERGED * cost:
+            break
+    return intrinsics, poses, cost
+
+
+def _robust_scale(distances: Sequence[Floats], kept: Sequence[Bools]) -> float:
+    """Return the standard deviation that the median distance tells, in stated ones; never nothing."""
+    used = np.concatenate([d[k] for d, k in zip(distances, kept, strict=True)])
+    return max(float(np.median(used)) / _RAYLEIGH_MEDIAN, 1e-6)
+
+
+def refine_sensor(
+    seen: Sequence[SeenPoints],
+    intrinsics: Intrinsics,
+    poses: Sequence[Pose],
+    *,
+    free: Sequence[str],
+    square_pixels: bool = False,
+    trusted: Sequence[Bools] | None = None,
+    refuse: bool = True,
+) -> RefinedSensor:
+    """Fit the inner parameters of a sensor, and the poses of rigid things that it saw, to their images.
+
+    Parameters
+    ----------
+    seen
+        One item for each thing: a board in one pose, or points in the world.
+    intrinsics, poses
+        The start; the poses map each thing's frame to the sensor.
+    free
+        Names of `LENS` that are estimated; the others keep the values of the start.
+    square_pixels
+        Keep fy / fx at the ratio of the start.
+    trusted
+        Of each thing, (n,) the points to begin with; all by default.
+    refuse
+        In the end leave out those of all points, trusted or not, that are farther than 6 robust standard
+        deviations from where they should be.
+
+    Notes
+    -----
+    Levenberg-Marquardt on the Huber cost of the reprojection residuals (Zhang 2000, Eq. (14)), the poses
+    eliminated by their Schur complement. The scale of the residuals is their own robust one, since before
+    distortion is found they are larger than stated.
+    """
+    basis = np.eye(9)[:, [LENS.index(name) for name in free]]
+    if square_pixels and "fx" in free:
+        basis[1] = basis[0] * intrinsics.fy / intrinsics.fx
+        basis = basis[:, [name != "fy" for name in free]]
+    placed = list(poses)
+    kept = [np.isfinite(d) for d in _distances(seen, intrinsics, placed)]
+    if trusted is not None:
+        kept = [k & t for k, t in zip(kept, trusted, strict=True)]
+    problem = _Problem(seen, kept, basis, 1.0)
+    cost = 0.0
+    for round_ in range(4):
+        distances = _distances(seen, intrinsics, placed)
+        problem.scale = _robust_scale(distances, problem.kept)
+        if refuse and round_ > 1:
+            problem.kept = [d <= _REFUSED_BEYOND * problem.scale for d in distances]
+        intrinsics, placed, cost = _descend(problem, intrinsics, placed)
+    a, g, blocks = _normal_equations(problem, intrinsics, placed)
+    # Residuals below the stated deviations do not make the parameters better known than those say.
+    covariance = _covariance(_reduced(a, g, blocks, 0.0)[0]) * max(1.0, 1.0 / problem.scale) ** 2
+    lens_sigma = (
+        np.sqrt(np.maximum(np.sum((basis @ covariance) * basis, axis=1), 0.0)) if basis.size else np.zeros(9)
+    )
+    return RefinedSensor(
+        intrinsics,
+        tuple(placed),
+        lens_sigma,
+        tuple(problem.kept),
+        tuple(i.pixel - project(intrinsics, p, i.point) for i, p in zip(seen, placed, strict=True)),
+        problem.scale,
+        cost,
+    )
+
+
+def _covariance(information: Floats) -> Floats:
+    """Invert an information matrix; infinite in the diagonal where it tells nothing."""
+    if not information.size:
+        return information
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    known = np.maximum(values, 1e-14)  # below it, rounding
+    return np.asarray((vectors / known) @ vectors.T / np.outer(scale, scale))
