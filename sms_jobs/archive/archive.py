@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any
 import h5py
 
 from sms_jobs.archive import hdf5, layout
-from sms_jobs.archive.checking import check_apart
+from sms_jobs.archive.checking import Checker
 from sms_jobs.archive.dataset import ArchivedDataset, check_dataset, open_dataset
 from sms_jobs.archive.provenance import (
     InputReference,
@@ -163,14 +163,16 @@ class Archive:
             raise ArchiveCorrupt(f"the provenance of {path} is missing; restore {beside}") from error
         return provenance_from_json(json.dumps(about), path)
 
-    def verify(self, path: str, content_hash: str) -> None:
+    def verify(self, path: str, content_hash: str, checker: Checker | None = None) -> None:
         """Read a whole file; raise `ArchiveCorrupt` unless its contents have that hash.
 
-        A dataset is read by a process of its own: a damaged file can hang or kill the HDF5 library.
+        A dataset is read by the process of `checker`, or one of its own: a damaged file can hang or kill
+        the HDF5 library.
         """
         file = self.path(path)
         if layout.is_dataset(path):
-            check_apart(file, path, content_hash)
+            with nullcontext(checker) if checker else Checker() as reader:
+                reader.check(file, path, content_hash)
             return
         if not file.is_file():
             raise ArchiveCorrupt(f"{path} is missing from the archive; restore it from a backup")
@@ -186,6 +188,17 @@ class Archive:
         for relative in self._names():
             if layout.is_result(relative):
                 yield relative
+
+    def unfinished(self) -> Iterator[tuple[str, str]]:
+        """Yield the path of every file that is being written, or was when its job ended, and the job's id."""
+        for relative in self._names():
+            job_id = layout.writer_of(relative.rsplit("/", 1)[-1])
+            if job_id is not None:
+                yield relative, job_id
+
+    def is_of_job(self, path: str, job_id: str) -> bool:
+        """Tell whether a job sealed a file."""
+        return layout.may_be_of(path.rsplit("/", 1)[-1], job_id) and self._job_of(path) == job_id
 
     def leftovers(self, job_id: str, within: Subject | None = None) -> tuple[str, ...]:
         """Return every file, sealed or still being written, of a job's attempts so far, in order of path.

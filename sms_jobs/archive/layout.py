@@ -110,6 +110,12 @@ def is_temporary_of(name: str, job_id: str) -> bool:
     return name.startswith(".") and name.endswith(f".{job_id}.tmp")
 
 
+def writer_of(name: str) -> str | None:
+    """Return the id of the job that was writing a file of that name; None when it is no such file."""
+    parts = name.split(".")
+    return parts[-2] if name.startswith(".") and parts[-1] == "tmp" and len(parts) > 3 else None
+
+
 def may_be_of(name: str, job_id: str) -> bool:
     """Say whether a file name may be that of a file that the job sealed; other jobs may begin alike."""
     found = _SEALED.fullmatch(name)

@@ -10,7 +10,20 @@ import typer
 from typer.exceptions import TyperException
 
 import sms_jobs
-from sms_jobs.cli import bench, calibration, campaign, data, db, demo, job, queue, schedule, service, worker
+from sms_jobs.cli import (
+    archive,
+    bench,
+    calibration,
+    campaign,
+    data,
+    db,
+    demo,
+    job,
+    queue,
+    schedule,
+    service,
+    worker,
+)
 from sms_jobs.cli.output import remarks
 from sms_jobs.errors import SmsError
 
@@ -36,6 +49,7 @@ app.add_typer(job.app, name="job")
 app.add_typer(queue.app, name="queue")
 app.add_typer(schedule.app, name="schedule")
 app.add_typer(data.app, name="data")
+app.add_typer(archive.app, name="archive")
 app.add_typer(calibration.app, name="calibration")
 app.add_typer(worker.app, name="worker")
 app.add_typer(db.app, name="db")

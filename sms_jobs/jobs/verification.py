@@ -1,0 +1,145 @@
+"""Compares the archive on the disk with the catalogue: what is missing, damaged, unknown or left behind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from sms_jobs.archive import Archive, Checker
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow
+from sms_jobs.errors import ArchiveCorrupt, FormatTooNew
+from sms_jobs.records.job import ACTIVE
+
+Problem: TypeAlias = Literal["missing", "corrupt", "too-new", "unknown", "unfinished"]
+
+_AT_ONCE = 500
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that is not as it should be.
+
+    Attributes
+    ----------
+    problem
+        missing: the catalogue knows it and the disk does not. corrupt: its contents are not those that were
+        sealed. too-new: a newer version wrote it. unknown: it is sealed, and the catalogue does not know it.
+        unfinished: a job that has ended was writing it.
+    path
+        In the archive.
+    detail
+        A sentence.
+    """
+
+    problem: Problem
+    path: str
+    detail: str
+
+
+@dataclass(frozen=True)
+class Checked:
+    """How far a verification has come: one file after the other, in the order of their numbers."""
+
+    file_id: int
+    path: str
+    size_bytes: int
+    finding: Finding | None
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How much there is to check."""
+
+    files: int
+    size_bytes: int
+
+
+def extent(session: Session, after: int = 0, campaign: str | None = None) -> Extent:
+    """Return how many files `check_known` will read, and their size."""
+    query = select(func.count(), func.coalesce(func.sum(FileRow.size_bytes), 0)).where(FileRow.id > after)
+    if campaign is not None:
+        query = query.join(CampaignRow, CampaignRow.id == FileRow.campaign_id).where(
+            CampaignRow.name == campaign
+        )
+    files, size = session.execute(query).one()
+    return Extent(files, int(size))
+
+
+def check_known(
+    catalogue: Catalogue,
+    archive: Archive,
+    *,
+    after: int = 0,
+    campaign: str | None = None,
+    quick: bool = False,
+) -> Iterator[Checked]:
+    """Check every file that the catalogue knows, in the order of their numbers.
+
+    Parameters
+    ----------
+    after
+        Number of the last file that is known to be well: a verification goes on where another ended.
+    campaign
+        Only its files.
+    quick
+        Look at presence and size alone.
+    """
+    with Checker() as checker:
+        while True:
+            query = select(FileRow).where(FileRow.id > after).order_by(FileRow.id).limit(_AT_ONCE)
+            if campaign is not None:
+                query = query.join(CampaignRow, CampaignRow.id == FileRow.campaign_id).where(
+                    CampaignRow.name == campaign
+                )
+            # The session is not kept open while files are read, which may take hours.
+            with catalogue.reading() as session:
+                rows = [(f.id, f.path, f.content_hash, f.size_bytes) for f in session.scalars(query)]
+            if not rows:
+                return
+            for file_id, path, content_hash, size in rows:
+                finding = _of_file(archive, path, content_hash, size, None if quick else checker)
+                yield Checked(file_id, path, size, finding)
+            after = rows[-1][0]
+
+
+def _of_file(
+    archive: Archive, path: str, content_hash: str, size_bytes: int, checker: Checker | None
+) -> Finding | None:
+    file = archive.path(path)
+    if not file.is_file():
+        return Finding("missing", path, "it is in the catalogue and not on the disk")
+    found = file.stat().st_size
+    if found != size_bytes:
+        return Finding("corrupt", path, f"it has {found} bytes, but {size_bytes} were sealed")
+    if checker is None:
+        return None
+    try:
+        archive.verify(path, content_hash, checker)
+    except ArchiveCorrupt as error:
+        return Finding("corrupt", path, str(error))
+    except FormatTooNew as error:
+        return Finding("too-new", path, str(error))
+    return None
+
+
+def check_unknown(catalogue: Catalogue, archive: Archive) -> Iterator[Finding]:
+    """Find the files on the disk that the catalogue does not know, and those that nobody writes any more."""
+    with catalogue.reading() as session:
+        active = set(session.scalars(select(JobRow.id).where(JobRow.state.in_(ACTIVE))))
+    # Listed before they are looked up: what is sealed in between is known by then, or its job is active.
+    unfinished, sealed = list(archive.unfinished()), list(archive.files())
+    for path, job_id in sorted(unfinished):
+        if job_id not in active:
+            yield Finding("unfinished", path, f"job {job_id} has ended and left it behind")
+    with catalogue.reading() as session:
+        for start in range(0, len(sealed), _AT_ONCE):
+            some = sealed[start : start + _AT_ONCE]
+            known = set(session.scalars(select(FileRow.path).where(FileRow.path.in_(some))))
+            for path in sorted(set(some) - known):
+                if not any(archive.is_of_job(path, job_id) for job_id in active):
+                    yield Finding("unknown", path, "it is sealed, but not in the catalogue")
