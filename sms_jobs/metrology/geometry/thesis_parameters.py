@@ -113,7 +113,7 @@ def plane_from_phase(plane: ImagePlane, omega: Floats) -> Floats:
 
     Thesis Eq. (1.20): xi = omega L / (2 pi).
     """
-    return np.asarray(omega) / (2.0 * pi) * np.array(plane.length_mm)
+    return np.asarray(np.asarray(omega) / (2.0 * pi) * np.array(plane.length_mm))
 
 
 def distortion_correction(parameters: ThesisParameters, points: Floats) -> Floats:

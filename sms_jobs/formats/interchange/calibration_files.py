@@ -1,0 +1,245 @@
+"""Calibrations of rigs in the files of other programs: read, completed by a person, checked; and written."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from math import isfinite
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from sms_jobs.errors import ConfigurationError, InvalidInput
+from sms_jobs.formats.interchange.found_sensors import FoundCalibration, FoundSensor, image_size
+from sms_jobs.formats.interchange.opencv_calibration import Dialect, find_opencv_calibration, opencv_text
+from sms_jobs.formats.interchange.opencv_text import Table, parse_storage
+from sms_jobs.formats.interchange.text_files import read_text
+from sms_jobs.formats.interchange.thesis_calibration import find_thesis_calibration, thesis_text
+from sms_jobs.formats.interchange.xml_elements import parse_xml
+from sms_jobs.metrology.geometry.camera import Pose, distortion_jacobian, undistort
+from sms_jobs.records.campaign import checked_name
+from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
+
+Style: TypeAlias = Literal["opencv-yaml", "opencv-xml", "opencv-json", "thesis-xml"]
+
+_DIALECTS: dict[Style, Dialect] = {"opencv-yaml": "yml", "opencv-xml": "xml", "opencv-json": "json"}
+_MOST_BLIND = 0.5
+"""The part of an image that may have no ray before the coefficients are taken for those of another model."""
+_GRID = 33
+
+
+@dataclass(frozen=True)
+class Supplement:
+    """What a person says of a file that does not say it itself.
+
+    Attributes
+    ----------
+    rig, valid_from, volume
+        Win over what the file says.
+    names
+        C1, P1, ... of the sensors, in the order of the file; by default cameras and projectors are counted.
+    sizes
+        Columns and rows of sensors, by name.
+    millimetres_per_unit
+        Of the lengths in the file.
+    """
+
+    rig: str | None = None
+    valid_from: datetime | None = None
+    volume: Box | None = None
+    names: tuple[str, ...] = ()
+    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
+    millimetres_per_unit: float = 1.0
+
+
+@dataclass(frozen=True)
+class ImportedCalibration:
+    """A calibration as it was read, and what a person should know of the reading."""
+
+    calibration: Calibration
+    remarks: tuple[str, ...]
+
+
+def read_calibration(paths: Sequence[Path], given: Supplement) -> ImportedCalibration:
+    """Read a calibration from a file, or from several that complete each other.
+
+    Raises
+    ------
+    NotFound
+        There is no such file.
+    ConfigurationError
+        A file is malformed, says what cannot be, or what the camera model here does not hold.
+    InvalidInput
+        Something is said neither by the files nor by `given`, or the two contradict each other.
+    """
+    texts = [(path, read_text(path, "calibration file")) for path in paths]
+    sources = ", ".join(str(path) for path, _ in texts)
+    root = parse_xml(texts[0][1], sources) if len(texts) == 1 and texts[0][1].lstrip()[:1] == "<" else None
+    if root is not None and root.name == "sms":
+        found = find_thesis_calibration(root, sources)
+    else:
+        found = find_opencv_calibration(_together(texts), sources)
+    digest = hashlib.sha256("".join(text for _, text in texts).encode()).hexdigest()
+    origin = f"imported from {', '.join(path.name for path, _ in texts)}, sha256 {digest[:16]}"
+    return _completed(found, given, sources, found.origin or origin)
+
+
+def calibration_text(
+    calibration: Calibration, style: Style, pixel_pitch_mm: float
+) -> tuple[str, tuple[str, ...]]:
+    """Return a calibration in a style, and what a person should know of the conversion.
+
+    `pixel_pitch_mm` is how wide a pixel is; the thesis's style counts in millimetres on the chip.
+
+    Raises
+    ------
+    ConfigurationError
+        The style cannot hold the distortion of a sensor.
+    """
+    if style == "thesis-xml":
+        return thesis_text(calibration, pixel_pitch_mm)
+    return opencv_text(calibration, _DIALECTS[style]), ()
+
+
+def _together(texts: list[tuple[Path, str]]) -> Table:
+    """Return what several files say, as if it stood in one."""
+    whole: Table = {}
+    for path, text in texts:
+        table = parse_storage(text, str(path))
+        twice = sorted(whole.keys() & table.keys())
+        if twice:
+            raise ConfigurationError(f"{path} says again what another file says: {', '.join(twice[:5])}")
+        whole |= table
+    return whole
+
+
+def _completed(found: FoundCalibration, given: Supplement, sources: str, origin: str) -> ImportedCalibration:
+    rig, valid_from, volume = (
+        given.rig or found.rig,
+        given.valid_from or found.valid_from,
+        given.volume or found.volume,
+    )
+    if rig is None or valid_from is None or volume is None:
+        missing = [
+            option
+            for option, value in (("--rig", rig), ("--valid-from", valid_from), ("--volume", volume))
+            if value is None
+        ]
+        raise InvalidInput(f"{sources} does not say everything: add {', '.join(missing)}")
+    if valid_from.tzinfo is None:
+        raise InvalidInput(
+            f"the time {valid_from.isoformat()} from which it is valid needs a zone, as in +02:00"
+        )
+    checked_name(rig, "rig")
+    _check_volume(volume)
+    sensors = _sensors(found, given, sources)
+    remarks = [*found.remarks]
+    for sensor in sensors:
+        blind = _blind_part(sensor)
+        if blind > _MOST_BLIND:
+            raise ConfigurationError(
+                f"the distortion of {sensor.name} in {sources} folds over: {blind:.0%} of its image has no "
+                f"ray, allowed is {_MOST_BLIND:.0%}; its coefficients may be those of another camera model"
+            )
+        if blind > 0.0:
+            remarks.append(
+                f"{sensor.name}: {blind:.0%} of the image has no ray; its distortion folds over there"
+            )
+    calibration = Calibration(Rig(rig, sensors), volume, valid_from.astimezone(UTC), origin)
+    return ImportedCalibration(calibration, tuple(remarks))
+
+
+def _sensors(found: FoundCalibration, given: Supplement, sources: str) -> tuple[Sensor, ...]:
+    """Return the sensors with name, size and millimetres: cameras first, each group by number."""
+    if not found.sensors:
+        raise ConfigurationError(f"{sources} has no sensor")
+    names = _names(found, given, sources)
+    if found.in_millimetres and given.millimetres_per_unit != 1.0:
+        raise InvalidInput(f"{sources} is in millimetres, so --unit-mm has no use")
+    if not (isfinite(given.millimetres_per_unit) and given.millimetres_per_unit > 0.0):
+        raise InvalidInput(f"a unit of length has more than 0 mm, not {given.millimetres_per_unit}")
+    strange = sorted(set(given.sizes) - set(names))
+    if strange:
+        raise InvalidInput(f"--size names {strange[0]}, but the sensors of {sources} are {', '.join(names)}")
+    sensors = []
+    for name, sensor in zip(names, found.sensors, strict=True):
+        columns, rows = _size(name, sensor, given, sources)
+        pose = Pose.from_arrays(
+            sensor.pose.matrix(), np.array(sensor.pose.translation) * given.millimetres_per_unit
+        )
+        role = Role.CAMERA if name.startswith("C") else Role.PROJECTOR
+        if role is not sensor.role and found.sensors[0].role is not found.sensors[-1].role:
+            raise InvalidInput(
+                f"{name} cannot be the name of a {sensor.role.value}, which it is in {sources}"
+            )
+        sensors.append(Sensor(name, role, columns, rows, sensor.intrinsics, pose))
+    return tuple(sorted(sensors, key=lambda s: (s.name[0], int(s.name[1:]))))
+
+
+def _names(found: FoundCalibration, given: Supplement, sources: str) -> list[str]:
+    own = [s.name for s in found.sensors if s.name is not None]
+    if own and given.names:
+        raise InvalidInput(
+            f"{sources} names its sensors itself: {', '.join(own)}; leave --camera and --projector out"
+        )
+    if given.names and len(given.names) != len(found.sensors):
+        raise InvalidInput(
+            f"{sources} has {len(found.sensors)} sensors, but {len(given.names)} are named: "
+            f"{', '.join(given.names)}"
+        )
+    names = own or list(given.names)
+    if not names:
+        letters = ["C" if s.role is Role.CAMERA else "P" for s in found.sensors]
+        names = [f"{letter}{letters[: i + 1].count(letter)}" for i, letter in enumerate(letters)]
+    for name in names:
+        if not re.fullmatch(r"[CP][1-9][0-9]{0,2}", name):
+            raise InvalidInput(
+                f"'{name}' cannot be the name of a sensor: cameras are C1, C2, ..., projectors P1, P2, ..."
+            )
+    if len(set(names)) < len(names):
+        raise InvalidInput(f"two sensors of {sources} have one name: {', '.join(names)}")
+    return names
+
+
+def _size(name: str, sensor: FoundSensor, given: Supplement, sources: str) -> tuple[int, int]:
+    said = given.sizes.get(name)
+    if said is not None:
+        said = image_size(*said, f"--size of {name}")
+    if said is None and sensor.size is None:
+        raise InvalidInput(f"{sources} does not say the image size of {name}: add --size {name}=COLUMNSxROWS")
+    if said is not None and sensor.size is not None and said != sensor.size:
+        raise InvalidInput(
+            f"--size says {said[0]} x {said[1]} px for {name}, but {sources} says {sensor.size[0]} x "
+            f"{sensor.size[1]} px"
+        )
+    size = said or sensor.size
+    assert size is not None
+    return size
+
+
+def _check_volume(volume: Box) -> None:
+    corners = [*volume.low, *volume.high]
+    if not all(map(isfinite, corners)) or any(
+        low >= high for low, high in zip(volume.low, volume.high, strict=True)
+    ):
+        raise InvalidInput(
+            f"the volume from {list(volume.low)} to {list(volume.high)} mm is empty: give the lower corner "
+            "first, every coordinate below that of the upper"
+        )
+
+
+def _blind_part(sensor: Sensor) -> float:
+    """Return the part of a sensor's image that has no ray: where its distortion folds over."""
+    inner = sensor.intrinsics
+    x, y = np.meshgrid(np.linspace(0, sensor.columns - 1, _GRID), np.linspace(0, sensor.rows - 1, _GRID))
+    with np.errstate(all="ignore"):
+        distorted = np.stack([(x - inner.cx) / inner.fx, (y - inner.cy) / inner.fy], axis=-1)
+        ideal = undistort(inner, distorted)
+        # Beyond a fold there are solutions too, which lie on the other side or turn the image over.
+        upright = np.sum(ideal * distorted, axis=-1) >= 0.0
+        kept = np.linalg.det(distortion_jacobian(inner, ideal)) > 0.0
+    return float(np.mean(~(np.isfinite(ideal).all(axis=-1) & upright & kept)))

@@ -1,0 +1,177 @@
+"""What a calibration file was found to say, and the checks that every number passes before it is believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from sms_jobs.errors import ConfigurationError
+from sms_jobs.metrology.geometry.camera import Floats, Intrinsics, Pose
+from sms_jobs.metrology.geometry.transforms import rotation_matrix
+from sms_jobs.records.sensors import Box, Role
+
+LONGEST_SIDE_PX = 20_000
+LARGEST_ROTATION_ERROR = 1e-5
+"""Largest departure of R R^T from 1: five decimals, as files with few digits have it."""
+
+_EXACT = 1e-12
+_COEFFICIENTS = (4, 5, 8, 12, 14)  # the counts that OpenCV writes: k1, k2, p1, p2, then k3, then others
+_MATRIX_SIDE = 100_000
+
+
+@dataclass(frozen=True)
+class FoundSensor:
+    """A sensor of a file; what the file does not say is None."""
+
+    role: Role
+    intrinsics: Intrinsics
+    pose: Pose
+    name: str | None = None
+    size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class FoundCalibration:
+    """The sensors of a file, in its order, and what it says of the whole.
+
+    `in_millimetres` is False for files that do not say their unit of length; `remarks` are what a person
+    should know of how they were read.
+    """
+
+    sensors: tuple[FoundSensor, ...]
+    in_millimetres: bool
+    remarks: tuple[str, ...] = ()
+    rig: str | None = None
+    volume: Box | None = None
+    valid_from: datetime | None = None
+    origin: str | None = None
+
+
+def numbers(value: Any, where: str) -> Floats:
+    """Return a matrix, list or number of a file as an array; `where` names it in messages.
+
+    Raises
+    ------
+    ConfigurationError
+        It is none, its size contradicts its contents, or a number is not finite.
+    """
+    shape: tuple[int, ...] | None = None
+    if isinstance(value, dict):
+        shape, value = _matrix(value, where)
+    flat = value if isinstance(value, list) else [value]
+    if flat and all(isinstance(row, list) for row in flat):
+        if any(len(row) != len(flat[0]) for row in flat):
+            raise ConfigurationError(f"{where} has rows of different lengths")
+        shape = (len(flat), len(flat[0])) if shape is None else shape
+        flat = [number for row in flat for number in row]
+    for number in flat:
+        if isinstance(number, bool) or not isinstance(number, int | float):
+            raise ConfigurationError(f"{where} should hold numbers alone, not {str(number)[:40]!r}")
+        if not isfinite(number):
+            raise ConfigurationError(f"{where} holds {number}, which is not finite")
+    shape = (len(flat),) if shape is None else shape
+    if len(flat) != int(np.prod(shape)):
+        raise ConfigurationError(
+            f"{where} should hold {' x '.join(map(str, shape))} numbers, but has {len(flat)}"
+        )
+    return np.array(flat, dtype=np.float64).reshape(shape)
+
+
+def _matrix(table: dict[str, Any], where: str) -> tuple[tuple[int, ...], Any]:
+    """Return shape and numbers of OpenCV's table for a matrix, or for one of any number of dimensions."""
+    sizes = table.get("sizes", [table.get("rows"), table.get("cols")])
+    sizes = sizes if isinstance(sizes, list) else [sizes]
+    if "data" not in table or None in sizes:
+        raise ConfigurationError(f"{where} is no matrix of OpenCV: it has no rows, cols and data")
+    if not sizes or not all(isinstance(n, int) and 0 <= n <= _MATRIX_SIDE for n in sizes):
+        raise ConfigurationError(f"{where} has {' x '.join(map(str, sizes))} numbers, which cannot be")
+    return tuple(sizes), table["data"]
+
+
+def image_size(columns: Any, rows: Any, where: str) -> tuple[int, int]:
+    """Return a size of an image in px; raise `ConfigurationError` unless it is one."""
+    for side in (columns, rows):
+        whole = isinstance(side, int | float) and not isinstance(side, bool) and side == side // 1
+        if not whole or not 1 <= side <= LONGEST_SIDE_PX:
+            raise ConfigurationError(
+                f"{where} says {columns} x {rows} px; sides are whole numbers from 1 to {LONGEST_SIDE_PX} px"
+            )
+    return int(columns), int(rows)
+
+
+def intrinsics_from(matrix: Floats, coefficients: Floats, where: str) -> Intrinsics:
+    """Return the inner parameters of a camera matrix and distortion coefficients in OpenCV's order.
+
+    Raises
+    ------
+    ConfigurationError
+        They are not those of the model of this program: no skew, and k1, k2, p1, p2, k3 alone.
+    """
+    if matrix.shape != (3, 3):
+        raise ConfigurationError(f"the camera matrix of {where} is {_shape(matrix)}, not 3 x 3")
+    if matrix[0, 1] != 0.0:
+        raise ConfigurationError(
+            f"the camera matrix of {where} has a skew of {matrix[0, 1]:g} px, which the camera model here "
+            "does not have: calibrate it again without skew"
+        )
+    if matrix[1, 0] != 0.0 or tuple(matrix[2]) != (0.0, 0.0, 1.0):
+        raise ConfigurationError(
+            f"the camera matrix of {where} should be fx 0 cx, 0 fy cy, 0 0 1, not {matrix.tolist()}"
+        )
+    if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
+        raise ConfigurationError(
+            f"the focal lengths of {where} should be above 0 px, not {matrix[0, 0]:g} and {matrix[1, 1]:g}"
+        )
+    found = coefficients.ravel()
+    if found.size not in _COEFFICIENTS:
+        raise ConfigurationError(
+            f"{where} has {found.size} distortion coefficients; OpenCV writes 4, 5, 8, 12 or 14"
+        )
+    if found[5:].any():
+        number = 5 + int(np.flatnonzero(found[5:])[0])
+        raise ConfigurationError(
+            f"distortion coefficient {number + 1} of {where} is {found[number]:g}, but the camera model here "
+            "has k1, k2, p1, p2 and k3 alone: calibrate again without rational, thin prism or tilted terms"
+        )
+    k1, k2, p1, p2, k3 = (float(k) for k in (*found[:5], 0.0)[:5])
+    fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Intrinsics(fx, fy, cx, cy, k1, k2, p1, p2, k3)
+
+
+def pose_from(rotation: Floats, translation: Floats, where: str) -> Pose:
+    """Return the pose x = R X + T of a 3 x 3 rotation, or a rotation vector in rad, and a translation.
+
+    A rotation that is rounded to few digits is replaced by the nearest exact one.
+
+    Raises
+    ------
+    ConfigurationError
+        It is no rotation within 1e-5, or the shapes are wrong.
+    """
+    if translation.size != 3:
+        raise ConfigurationError(f"the translation of {where} is {_shape(translation)}, not 3 numbers")
+    if rotation.size == 3:
+        rotation = rotation_matrix(rotation.ravel())
+    if rotation.shape != (3, 3):
+        raise ConfigurationError(f"the rotation of {where} is {_shape(rotation)}, not 3 x 3")
+    with np.errstate(all="ignore"):
+        departure = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+        determinant = float(np.linalg.det(rotation))
+    if not departure <= LARGEST_ROTATION_ERROR or determinant < 0.0:
+        raise ConfigurationError(
+            f"the rotation of {where} is no right-handed rotation matrix: R R^T differs from 1 by "
+            f"{departure:.2g}, allowed is {LARGEST_ROTATION_ERROR:g}, and its determinant is "
+            f"{determinant:.3g}"
+        )
+    if departure > _EXACT:
+        u, _, vt = np.linalg.svd(rotation)
+        rotation = u @ vt
+    return Pose.from_arrays(rotation, translation.ravel())
+
+
+def _shape(array: Floats) -> str:
+    return " x ".join(map(str, array.shape))

@@ -1,0 +1,335 @@
+"""Calibrations go out and come back bit for bit; OpenCV reads them; other programs' files are understood."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from sms_jobs.errors import ConfigurationError, FormatTooNew, InvalidInput, SmsError
+from sms_jobs.formats.interchange.calibration_files import (
+    Style,
+    Supplement,
+    calibration_text,
+    read_calibration,
+)
+from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, ray_directions
+from sms_jobs.metrology.geometry.transforms import rotation_matrix
+from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
+
+WRONG = Path(__file__).parent / "wrong_calibrations"
+BOX = Box((-100.0, -80.0, 700.0), (100.0, 80.0, 1100.0))
+SINCE = datetime(2026, 5, 4, 8, 0, 0, 123456, tzinfo=UTC)
+GIVEN = Supplement(rig="desk", valid_from=SINCE, volume=BOX)
+SUFFIX: dict[Style, str] = {
+    "opencv-yaml": "yml",
+    "opencv-xml": "xml",
+    "opencv-json": "json",
+    "thesis-xml": "xml",
+}
+OPENCV: list[Style] = ["opencv-yaml", "opencv-xml", "opencv-json"]
+
+
+def pose(rng: np.random.Generator) -> Pose:
+    return Pose.from_arrays(rotation_matrix(rng.normal(0.0, 0.3, 3)), rng.normal(0.0, 300.0, 3))
+
+
+@pytest.fixture
+def calibration(rng: np.random.Generator) -> Calibration:
+    """Two cameras and a projector with every parameter in use."""
+    sensors = tuple(
+        Sensor(
+            name,
+            role,
+            columns,
+            rows,
+            Intrinsics(2100.0 + rng.normal(), 2099.0 + rng.normal(), 640.1, 511.7, *rng.normal(0.0, 0.01, 5)),
+            pose(rng),
+        )
+        for name, role, columns, rows in (
+            ("C1", Role.CAMERA, 1280, 1024),
+            ("C12", Role.CAMERA, 1280, 1024),
+            ("P1", Role.PROJECTOR, 1920, 1080),
+        )
+    )
+    return Calibration(Rig("hall-3", sensors), BOX, SINCE, 'by "hand": 20 °C, a\\b # {no} [list]')
+
+
+def written(calibration: Calibration, style: Style, folder: Path) -> Path:
+    path = folder / f"rig.{SUFFIX[style]}"
+    path.write_text(calibration_text(calibration, style, 0.005)[0], encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("style", OPENCV)
+def test_a_calibration_comes_back_bit_for_bit(style: Style, calibration: Calibration, tmp_path: Path) -> None:
+    found = read_calibration([written(calibration, style, tmp_path)], Supplement())
+    assert found.calibration == calibration
+    assert found.remarks == ()
+
+
+@pytest.mark.parametrize("style", OPENCV)
+def test_programs_with_opencv_read_what_is_written(
+    style: Style, calibration: Calibration, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    storage = cv2.FileStorage(str(written(calibration, style, tmp_path)), cv2.FILE_STORAGE_READ)
+    names = storage.getNode("sensors")
+    assert [names.at(k).string() for k in range(names.size())] == ["C1", "C12", "P1"]
+    assert storage.getNode("rig").string() == "hall-3"
+    points = rng.uniform(BOX.low, BOX.high, (20, 3))
+    for sensor in calibration.rig.sensors:
+        node = storage.getNode(sensor.name)
+        assert node.getNode("image_width").real() == sensor.columns
+        assert node.getNode("image_height").real() == sensor.rows
+        turned = cv2.Rodrigues(node.getNode("R").mat())[0]
+        seen, _ = cv2.projectPoints(
+            points,
+            turned,
+            node.getNode("T").mat(),
+            node.getNode("camera_matrix").mat(),
+            node.getNode("distortion_coefficients").mat(),
+        )
+        ours = project(sensor.intrinsics, sensor.pose, points)
+        ahead = np.isfinite(ours[:, 0])
+        # Frames and pixel centres are the same, so only the roundings of Rodrigues' formula remain.
+        np.testing.assert_allclose(seen[ahead, 0], ours[ahead], rtol=1e-9, atol=1e-7)
+    storage.release()
+
+
+def test_the_thesiss_parameters_come_back_to_the_misfit(
+    calibration: Calibration, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    # Without tangential terms, which the thesis does not have.
+    sensors = tuple(
+        replace(s, intrinsics=replace(s.intrinsics, p1=0.0, p2=0.0)) for s in calibration.rig.sensors
+    )
+    radial = replace(calibration, rig=Rig("hall-3", sensors))
+    found = read_calibration([written(radial, "thesis-xml", tmp_path)], Supplement())
+    assert (found.calibration.volume, found.calibration.valid_from) == (BOX, SINCE)
+    assert found.calibration.origin == calibration.origin
+    assert len(found.remarks) == 3
+    for before, after, remark in zip(sensors, found.calibration.rig.sensors, found.remarks, strict=True):
+        assert (after.name, after.role, after.columns, after.rows) == (
+            before.name,
+            before.role,
+            before.columns,
+            before.rows,
+        )
+        said = re.search(r"within (\S+) px", remark)
+        assert said is not None
+        pixels = rng.uniform(0.0, 1000.0, (100, 2))
+        off = ray_directions(after.intrinsics, after.pose, pixels) - ray_directions(
+            before.intrinsics, before.pose, pixels
+        )
+        # A pixel is an angle of 1 / fx. There and back cost the stated misfit each, of 2 digits; angles in
+        # degrees and millimetres on the chip are rounded.
+        assert np.abs(off).max() * before.intrinsics.fx < 2.2 * float(said[1]) + 1e-9
+        np.testing.assert_allclose(after.pose.centre(), before.pose.centre(), rtol=1e-12, atol=1e-9)
+
+
+def test_tangential_distortion_is_not_lost_in_silence(calibration: Calibration) -> None:
+    first, *others = calibration.rig.sensors
+    bent = replace(first, intrinsics=replace(first.intrinsics, p1=0.01))
+    with pytest.raises(
+        ConfigurationError, match=r"distortion of C1 .* cannot be carried over: .* allowed are 1 px"
+    ):
+        calibration_text(replace(calibration, rig=Rig("hall-3", (bent, *others))), "thesis-xml", 0.005)
+
+
+def test_the_printed_pixel_pitch_can_be_said(calibration: Calibration, tmp_path: Path) -> None:
+    sensor = replace(calibration.rig.sensors[0], intrinsics=Intrinsics(2000.0, 2000.0, 640.0, 500.0))
+    path = written(replace(calibration, rig=Rig("hall-3", (sensor,))), "thesis-xml", tmp_path)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace(">L/N<", ">L/(N-1)<"), encoding="utf-8")
+    again = read_calibration([path], Supplement()).calibration.rig.sensors[0].intrinsics
+    # 1279 instead of 1280 pitches to the same width, counted from the first pixel's centre; rounding.
+    assert again.fx == pytest.approx(2000.0 * 1279 / 1280, rel=1e-13)
+    assert again.cx == pytest.approx((640.0 + 0.5) * 1279 / 1280, rel=1e-13)
+
+
+K1, D1 = [[1750.0, 0, 640.0], [0, 1751.0, 512.0], [0, 0, 1]], [-0.07, 0.1, 1e-4, -2e-4, 0.05]
+K2, D2 = [[2500.0, 0, 990.0], [0, 2501.0, 547.0], [0, 0, 1]], [-0.04, 0.2, 0.0, 0.0]
+R, T = rotation_matrix(np.array([0.01, 0.3, -0.02])), np.array([-110.0, -5.0, -15.0])
+
+PAIRS = {
+    "stereo_calib": ("M1 D1 M2 D2 R T", ["C1", "C2"]),
+    "SLMaster": ("M1 D1 M4 D4 Rlp Tlp", ["C1", "P1"]),
+    "SLStudio": ("Kc kc Kp kp Rp Tp", ["C1", "P1"]),
+    "Moreno and Taubin": ("cam_K cam_kc proj_K proj_kc R T", ["C1", "P1"]),
+    "procam": ("cam_int cam_dist proj_int proj_dist roration translation", ["C1", "P1"]),
+    "numbered": ("camera_matrix_1 dist_coeffs_1 camera_matrix_2 dist_coeffs_2 R T", ["C1", "C2"]),
+    "camel": ("cameraMatrix1 distCoeffs1 cameraMatrix2 distCoeffs2 R T", ["C1", "C2"]),
+}
+
+
+def saved(path: Path, values: dict[str, object]) -> Path:
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in values.items():
+        storage.write(name, np.array(value) if isinstance(value, list) else value)
+    storage.release()
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["yml", "xml", "json"])
+@pytest.mark.parametrize("program", PAIRS)
+def test_a_pair_of_another_program_is_understood(program: str, suffix: str, tmp_path: Path) -> None:
+    keys, names = PAIRS[program]
+    path = saved(tmp_path / f"pair.{suffix}", dict(zip(keys.split(), [K1, D1, K2, D2, R, T], strict=True)))
+    sizes = {names[0]: (1280, 1024), names[1]: (1920, 1080)}
+    found = read_calibration([path], replace(GIVEN, sizes=sizes)).calibration
+    first, second = found.rig.sensors
+    assert [first.name, second.name] == names
+    assert (first.columns, second.rows) == (1280, 1080)
+    np.testing.assert_array_equal(first.intrinsics.matrix(), K1)
+    np.testing.assert_array_equal(first.intrinsics.distortion(), D1)
+    np.testing.assert_array_equal(second.intrinsics.distortion(), [*D2, 0.0])
+    np.testing.assert_array_equal(first.pose.matrix(), np.eye(3))
+    # The second sensor sees X at R X + T, as cv2.stereoCalibrate defines it.
+    np.testing.assert_array_equal(second.pose.matrix(), R)
+    np.testing.assert_array_equal(second.pose.translation, T)
+    assert found.origin.startswith(f"imported from pair.{suffix}, sha256 ")
+
+
+def test_two_files_complete_each_other_and_units_are_converted(tmp_path: Path) -> None:
+    inner = saved(tmp_path / "intrinsics.yml", {"M1": K1, "D1": D1, "M2": K2, "D2": D2})
+    outer = saved(tmp_path / "extrinsics.yml", {"R": R, "T": T / 1000.0, "Q": np.eye(4)})
+    given = replace(
+        GIVEN,
+        names=("C3", "P1"),
+        sizes={"C3": (1280, 1024), "P1": (1920, 1080)},
+        millimetres_per_unit=1000.0,
+    )
+    found = read_calibration([inner, outer], given)
+    assert [s.name for s in found.calibration.rig.sensors] == ["C3", "P1"]
+    assert found.calibration.rig.sensors[1].role is Role.PROJECTOR
+    np.testing.assert_allclose(found.calibration.rig.sensors[1].pose.translation, T, rtol=1e-15)
+    assert found.remarks == (f"not taken over from {inner}, {outer}: Q",)
+    with pytest.raises(ConfigurationError, match="R is missing; where it is in a second file"):
+        read_calibration([inner], given)
+    with pytest.raises(ConfigurationError, match=r"says again what another file says: D1, D2, M1, M2"):
+        read_calibration([inner, inner], given)
+
+
+def test_a_camera_alone_stands_in_the_world_by_its_r_and_t(tmp_path: Path) -> None:
+    values = {"image_width": 640, "image_height": 480, "camera_matrix": K1, "distortion_coefficients": D1}
+    alone = read_calibration([saved(tmp_path / "left.yml", dict(values))], GIVEN).calibration.rig.sensors[0]
+    assert (alone.name, alone.columns, alone.rows) == ("C1", 640, 480)
+    np.testing.assert_array_equal(alone.pose.centre(), np.zeros(3))
+    vector = cv2.Rodrigues(R)[0]
+    placed = read_calibration([saved(tmp_path / "placed.yml", {**values, "R": vector, "T": T})], GIVEN)
+    # Rodrigues there and back: a few roundings.
+    np.testing.assert_allclose(placed.calibration.rig.sensors[0].pose.matrix(), R, atol=1e-14)
+
+
+def test_a_rotation_of_few_digits_becomes_an_exact_one(tmp_path: Path) -> None:
+    path = saved(
+        tmp_path / "pair.yml",
+        dict(zip(["Kc", "kc", "Kp", "kp", "Rp", "Tp"], [K1, D1, K2, D2, R.round(6), T], strict=True)),
+    )
+    sizes = {"C1": (1280, 1024), "P1": (1920, 1080)}
+    rotation = read_calibration([path], replace(GIVEN, sizes=sizes)).calibration.rig.sensors[1].pose.matrix()
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-15 * 4)  # rounding
+    np.testing.assert_allclose(rotation, R, atol=1e-6)  # half a digit, and what that turns the others by
+
+
+def test_higher_coefficients_are_taken_only_where_they_are_zero(tmp_path: Path) -> None:
+    values = {"image_width": 640, "image_height": 480, "camera_matrix": K1}
+    zeros = saved(tmp_path / "zeros.yml", {**values, "distortion_coefficients": [*D1, 0.0, 0.0, 0.0]})
+    found = read_calibration([zeros], GIVEN).calibration.rig.sensors[0]
+    np.testing.assert_array_equal(found.intrinsics.distortion(), D1)
+
+
+CONTRADICTIONS: list[tuple[Supplement, str]] = [
+    (replace(GIVEN, rig=None, volume=None), "does not say everything: add --rig, --volume"),
+    (replace(GIVEN, valid_from=datetime(2026, 5, 4)), "needs a zone"),  # noqa: DTZ001
+    (replace(GIVEN, rig="../etc"), "'../etc' cannot be the name of a rig"),
+    (replace(GIVEN, volume=Box(BOX.high, BOX.low)), "is empty: give the lower corner first"),
+    (replace(GIVEN, names=("C1",)), "has 2 sensors, but 1 are named: C1"),
+    (replace(GIVEN, names=("P1", "C1")), "P1 cannot be the name of a camera"),
+    (replace(GIVEN, names=("C1", "X1")), "'X1' cannot be the name of a sensor"),
+    (replace(GIVEN, names=("C1", "C1")), "two sensors of"),
+    (GIVEN, "does not say the image size of P1: add --size P1=COLUMNSxROWS"),
+    (replace(GIVEN, sizes={"P2": (1, 1)}), "--size names P2, but the sensors"),
+    (replace(GIVEN, sizes={"C1": (640, 480), "P1": (9, 9)}), "--size says 640 x 480 px for C1, but"),
+    (replace(GIVEN, millimetres_per_unit=-1.0), "has more than 0 mm"),
+]
+
+
+@pytest.mark.parametrize(("given", "message"), CONTRADICTIONS, ids=[m[:40] for _, m in CONTRADICTIONS])
+def test_what_a_person_adds_is_checked(given: Supplement, message: str, tmp_path: Path) -> None:
+    values = dict(
+        zip(["M1", "D1", "M4", "D4", "Rlp", "Tlp", "S"], [K1, D1, K2, D2, R, T, [1280, 1024]], strict=True)
+    )
+    with pytest.raises(InvalidInput) as refused:
+        read_calibration([saved(tmp_path / "pair.yml", values)], given)
+    assert message in str(refused.value)
+
+
+def test_a_file_that_says_everything_needs_no_names(calibration: Calibration, tmp_path: Path) -> None:
+    path = written(calibration, "opencv-yaml", tmp_path)
+    with pytest.raises(InvalidInput, match="names its sensors itself"):
+        read_calibration([path], Supplement(names=("C1", "C2", "P1")))
+    with pytest.raises(InvalidInput, match="is in millimetres"):
+        read_calibration([path], Supplement(millimetres_per_unit=1000.0))
+    other = read_calibration([path], GIVEN).calibration
+    assert (other.rig.name, other.rig.sensors) == ("desk", calibration.rig.sensors)
+
+
+REFUSALS = {
+    "anchors.yml": "line 23: '&size [ 1280, 1024 ]' is YAML that OpenCV does not write",
+    "another_root.xml": "its outermost element is <rig>, not <opencv_storage>",
+    "billion_laughs.xml": "line 2: a document type declaration",
+    "brackets.yml": "the brackets that are opened in line 23 do not close",
+    "campaign.toml": "is no file of OpenCV",
+    "empty.yml": "has no camera matrices",
+    "fisheye.yml": "is 'equidistant', but the camera model here is the pin-hole",
+    "folded.yml": "the distortion of C1 in",
+    "huge_image.yml": "sides are whole numbers from 1 to 20000 px",
+    "mirrored.yml": "is no right-handed rotation matrix",
+    "newer.json": "has the format 99, this program reads up to 1",
+    "no_focal_length.yml": "the focal lengths of M4",
+    "no_rotation.yml": "R R^T differs from 1 by 0.1, allowed is 1e-05",
+    "no_translation.yml": "Tlp is missing",
+    "not_a_number.yml": "holds nan, which is not finite",
+    "not_closed.json": "line 2: this is not JSON",
+    "not_closed.xml": "line 3: this is not well-formed XML (mismatched tag)",
+    "nothing_known.yml": "under names that are known here: it has fruit",
+    "outside_entity.xml": "line 2: a document type declaration",
+    "python_object.yml": "S in",
+    "rational.yml": "distortion coefficient 6 of M1",
+    "sensor_that_is_missing.json": "C1 is missing",
+    "shape_that_lies.yml": "has 300000 x 3 numbers, which cannot be",
+    "size_of_half_a_pixel.yml": "says 1280.5 x 1024.0 px",
+    "skew.yml": "has a skew of 0.05 px",
+    "thesis_attribute.xml": "line 14, element sms/calibration/sensors/sensor[1]/phi_deg: has no attribute",
+    "thesis_distortion.xml": "cannot be carried over",
+    "thesis_negative_chip.xml": "sensor[1]/length_mm: should be greater than 0, not -8.71",
+    "thesis_no_focal_length.xml": "line 5, element sms/calibration/sensors/sensor[1]: c_mm is missing",
+    "thesis_overflow.xml": "goes beyond all numbers",
+    "thesis_word.xml": "phi_deg: should be a valid number, not 'steep'",
+    "three_coefficients.yml": "M1 in",
+    "time_without_zone.json": "should be a time with its zone",
+    "too_few_numbers.yml": "should hold 3 x 3 numbers, but has 8",
+    "twice.yml": "line 23: 'M1' stands twice in one table",
+    "words.yml": "should hold numbers alone, not 'wide'",
+}
+
+
+@pytest.mark.parametrize("name", REFUSALS)
+def test_a_wrong_file_is_refused_in_one_sentence(name: str) -> None:
+    sizes = {"P1": (1920, 1080)} if name.endswith(".yml") else {}
+    with pytest.raises(SmsError) as refused:
+        read_calibration([WRONG / name], replace(GIVEN, sizes=sizes))
+    assert isinstance(refused.value, ConfigurationError | FormatTooNew)
+    assert REFUSALS[name] in str(refused.value)
+    assert name in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_every_wrong_file_has_its_refusal() -> None:
+    assert sorted(p.name for p in WRONG.iterdir()) == sorted(REFUSALS)
