@@ -10,7 +10,8 @@ import pytest
 from support.command import answer, service, sms
 
 from sms_jobs.archive import Archive
-from sms_jobs.records.fields import PointCloud, ReturnMaps
+from sms_jobs.records.fields import PhaseMaps, PointCloud, ReturnMaps
+from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 
 PLAN = """
@@ -57,25 +58,45 @@ target_mm = [0.0, 0.0, 0.0]
 """
 
 
+MIRROR = PLAN[PLAN.index("surface = ") : PLAN.index("camera = ")]
+SHINING = """surface = { shape = "cylinder", radius_mm = 300.0, width_mm = 400.0, height_mm = 300.0 }
+gloss = { strength = 20.0, exponent = 300.0 }
+"""
+PLACEMENT = PLAN[PLAN.index("[scene.placement]") : PLAN.index("[[scene.sensors]]")]
+GLOSSY = (
+    PLAN.replace('"mirror"', '"glossy"')
+    .replace('"fdr-16"', '"reverse-exponential-16"')
+    .replace(MIRROR, SHINING)
+    .replace(PLACEMENT, "")
+)
+
+
 def run(home: Path, *arguments: str) -> Any:
     return answer(*arguments, "--home", str(home))
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """Range two campaigns, the second of which cannot be; return the home and what was said of the second."""
+    """Range two campaigns, the second of which cannot be, and measure a glossy one.
+
+    Return the home and what was said of the second.
+    """
     home = tmp_path_factory.mktemp("ranging")
     assert sms("init", "--home", str(home)).returncode == 0
     exponential = PLAN.replace('"mirror"', '"other"').replace('"fdr-16"', '"reverse-exponential-16"')
-    for name, plan in (("mirror", PLAN), ("other", exponential)):
+    for name, plan in (("mirror", PLAN), ("other", exponential), ("glossy", GLOSSY)):
         (home / f"{name}.toml").write_text(plan)
         run(home, "campaign", "create", str(home / f"{name}.toml"))
     acquisitions = [run(home, "job", "submit", "acquire", "-c", name)["jobs"] for name in ("mirror", "other")]
+    acquisitions.append(
+        run(home, "job", "submit", "acquire", "--adaptive", "exposures", "-c", "glossy")["jobs"]
+    )
     ranging = ("job", "submit", "reconstruct", "--method", "fdr", "--returns", "2", "-c")
     with service(home):
-        run(home, "job", "wait", *acquisitions[0], *acquisitions[1])
+        run(home, "job", "wait", *acquisitions[0], *acquisitions[1], *acquisitions[2])
         good, bad = (run(home, *ranging, name)["jobs"] for name in ("mirror", "other"))
-        run(home, "job", "wait", *good)
+        shiny = run(home, "job", "submit", "reconstruct", "--response", "measured", "-c", "glossy")["jobs"]
+        run(home, "job", "wait", *good, *shiny)
         waited = sms("job", "wait", *bad, "--home", str(home))
     assert waited.returncode == 5
     return home, waited.stderr
@@ -113,3 +134,31 @@ def test_a_sequence_that_cannot_be_ranged_fails_with_a_sentence(done: tuple[Path
     refused = sms("job", "submit", "reconstruct", "--returns", "2", "-c", "other", "--home", str(home))
     assert refused.returncode == 2
     assert "set method=fdr" in refused.stderr
+
+
+def test_a_bracket_that_acquire_chose_is_archived_and_merged(done: tuple[Path, str]) -> None:
+    home, _ = done
+    (measured,) = run(home, "data", "find", "-c", "glossy", "--kind", "measurement")
+    (found,) = run(home, "data", "find", "-c", "glossy", "--kind", "reconstruct")
+    archive = Archive(home / "archive")
+    with archive.open(measured["path"]) as dataset:
+        measurement = dataset.read("measurement", Measurement)
+        sequence = measurement.sequence
+        assert len(sequence.exposures) > 1
+        assert measurement.frames.shape == (len(sequence.exposures) * 2 * 5 * 4, 96, 96)
+        dazzled = measurement.texture >= measurement.full_scale  # white is recorded at the exposure 1
+    assert dazzled.sum() > 200
+    statistics = run(home, "data", "show", str(found["id"]))["statistics"]
+    # Some 700 pixels, with noise of 1e-3 where ten thousand are asked; a linear projector.
+    assert statistics["gamma"] == pytest.approx(1.0, abs=0.02)
+    with archive.open(found["path"]) as dataset:
+        assert dataset.provenance.parameters["response"] == "measured"
+        cloud, phase = dataset.read("cloud", PointCloud), dataset.read("phase", PhaseMaps)
+    assert phase.exposure is not None
+    assert set(np.unique(phase.exposure)) == {np.float32(e) for e in sequence.exposures}
+    # All of the highlight but what a shadow's edge takes: it is measured as any other part.
+    assert (cloud.reason[dazzled] == Reason.VALID).mean() > 0.9
+    valid = cloud.reason == Reason.VALID
+    off = np.hypot(cloud.xyz[0], cloud.xyz[2] + 300.0)[valid & dazzled] - 300.0  # about the axis x = 0
+    # Noise of 0.1 mm in a shorter exposure.
+    assert np.median(np.abs(off)) < 0.2

@@ -5,14 +5,16 @@ from __future__ import annotations
 import gc
 import weakref
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sms_jobs.kinds.streaming import row_slabs, sampled
-from sms_jobs.records.measurement import ArrayStack
+from sms_jobs.kinds.streaming import exposed_slabs, in_best_exposure, row_slabs, sampled
+from sms_jobs.metrology.phase.exposure import merge_exposures
+from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 
 
 @dataclass
@@ -94,3 +96,40 @@ def test_a_sample_is_spread_over_the_image() -> None:
     np.testing.assert_array_equal(picked[0, :, 0], [15, 45, 75])
     np.testing.assert_array_equal(picked[1, 0], np.arange(0, 50, 5))
     assert sampled(ArrayStack(np.zeros((2, 2, 3))), 5, 10).shape == (2, 2, 3)
+
+
+EXPOSURES = (1.0, 0.25, 4.0)
+
+
+def bracketed(stack: Counted, exposures: tuple[float, ...]) -> Measurement:
+    sequence = FringeSequence((1, 2), 3, (0.0,), exposures)
+    white = np.zeros(stack.shape[1:], np.uint16)
+    return Measurement(datetime(2026, 1, 1, tzinfo=UTC), sequence, 4000, 0.1, 2.0, white, stack)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_the_best_exposures_slab_by_slab_are_those_of_the_whole(
+    rng: np.random.Generator, threads: int
+) -> None:
+    stack = Counted(rng.integers(0, 4096, (18, 150, 7), dtype=np.uint16))
+    stack.frames[:6, ::2] //= 2
+    stack.frames[6:12, 1::2] //= 2
+    wanted, index = merge_exposures(stack.frames.reshape(3, 6, 150, 7), EXPOSURES, 4000)
+    seen, chosen = [], []
+    for slab, frames, exposure in exposed_slabs(bracketed(stack, EXPOSURES), threads):
+        assert slab.stop - slab.start == frames.shape[1]
+        seen.append(frames.copy())
+        chosen.append(exposure)
+        del frames
+        gc.collect()
+    np.testing.assert_array_equal(np.concatenate(seen, axis=1), wanted)
+    np.testing.assert_array_equal(np.concatenate(chosen), np.array(EXPOSURES, np.float32)[index])
+    assert len(np.unique(index)) == 3
+    assert stack.most <= 2
+
+
+def test_a_single_exposure_is_not_copied(rng: np.random.Generator) -> None:
+    stack = Counted(rng.integers(0, 4096, (6, 20, 7), dtype=np.uint16))
+    frames, exposure = in_best_exposure(bracketed(stack, (0.5,)), stack.frames)
+    assert frames is stack.frames
+    np.testing.assert_array_equal(exposure, np.full((20, 7), 0.5, np.float32))
