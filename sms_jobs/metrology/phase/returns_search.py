@@ -59,6 +59,7 @@ class _Chunk(NamedTuple):
     active: NDArray[np.bool_]
     missing: NDArray[np.int64]
     squares: Floats
+    gain: Floats
     variance: Floats
     work: Floats
     tables: Single
@@ -88,6 +89,7 @@ def _chunk(plan: Plan, count: int, most: int) -> _Chunk:
         np.zeros(LANES, np.int64),
         np.zeros(LANES, np.bool_),
         np.zeros(LANES, np.int64),
+        np.zeros(LANES),
         np.zeros(LANES),
         np.zeros(LANES),
         np.zeros((3, 6, most)),
@@ -126,6 +128,7 @@ def _load(
     _to_pixels(chunk.x, chunk.y, chunk.pixels)
     for j in range(LANES):
         chunk.found[j] = 0
+        chunk.gain[j] = np.inf
         chunk.missing[j] = lost[count, columns[j]] if j < columns.size else 0
         chunk.active[j] = j < columns.size and count - chunk.missing[j] >= plan.least
 
@@ -170,6 +173,7 @@ def _fit_pixel(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk, i: int, j: in
         plan.threshold, values - 2.0 * i, variance, chunk.squares[j], chunk.sums[m, N], height
     ):
         return
+    # A strong second return would count as noise of the first, which is therefore tested last of all.
     squares = add_jointly(
         i + 1,
         chunk.pixels,
@@ -178,7 +182,7 @@ def _fit_pixel(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk, i: int, j: in
         chunk.sums,
         m,
         plan.first,
-        (variance, plan.threshold, values),
+        (variance, plan.threshold, values if i > 0 else np.inf),
         start_of_real_peak(chunk.spectrum, chunk.where[j], j),
         chunk.squares[j],
         chunk.states,
@@ -188,6 +192,8 @@ def _fit_pixel(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk, i: int, j: in
         chunk.system,
     )
     if squares >= 0.0:
+        if i == 0:
+            chunk.gain[j] = chunk.squares[j] - squares
         chunk.squares[j] = squares
         chunk.found[j] = i + 1
         for t in range(chunk.x.shape[0]):
@@ -208,6 +214,11 @@ def _find_jointly(plan: Plan, chunk: _Chunk) -> None:
             remaining += 1 if chunk.active[j] else 0
         if remaining == 0:
             break
+    for j in range(LANES):
+        values = real_values(plan.first, chunk.lost.shape[0] - chunk.missing[j])
+        left = chunk.squares[j] / max(values - 2.0 * chunk.found[j], 1.0)
+        if not chunk.gain[j] > plan.threshold * plan.threshold * max(chunk.variance[j], left):
+            chunk.found[j] = 0
 
 
 @kernel

@@ -72,8 +72,9 @@ def _settle_ones(plan: Plan, count: int, chunk: Chunk) -> None:
         small = step < max(returns_lanes.SMALL, min(4.0 * width, 4.0 * returns_lanes.SMALL))
         chunk.known[j] = small and a > 0.0 and a * a * v > square * floor
         if small:
-            chunk.settled[j] = ONE if chunk.known[j] else 0
-        elif step < _CENTRED and a > 0.0 and a * a * v > square * floor:
+            # A strong second return would count as noise of the first, and is looked for before that.
+            chunk.settled[j] = ONE if a > 0.0 and a * a * v > square * chunk.variance[j] else 0
+        elif step < _CENTRED and a > 0.0 and a * a * v > square * chunk.variance[j]:
             chunk.settled[j] = LATER
 
 
@@ -101,6 +102,8 @@ def _want_pairs(plan: Plan, count: int, chunk: Chunk) -> int:
                 chunk.wanted[j] = abs(wrapped(second - omega)) > CLOSE * 2.0 * pi / count
                 chunk.settled[j] = ONE if chunk.wanted[j] else LATER
                 chunk.near[j] = not chunk.wanted[j]
+            elif not chunk.known[j]:
+                chunk.settled[j] = 0
         wanted += 1 if chunk.wanted[j] else 0
         chunk.pair[returns_lanes.OMEGA + j] = omega
         chunk.pair[returns_lanes.AMPLITUDE + j] = chunk.one[returns_lanes.AMPLITUDE + j]
@@ -135,8 +138,9 @@ def _settle_pairs(plan: Plan, count: int, steps: int, chunk: Chunk) -> int:
             continue
         first, second = pair[returns_lanes.OMEGA + j], pair[returns_lanes.SIZE + returns_lanes.OMEGA + j]
         least = min(pair[returns_lanes.AMPLITUDE + j], pair[returns_lanes.SIZE + returns_lanes.AMPLITUDE + j])
-        gained = chunk.one[SQUARES + j] - pair[SQUARES + j]
+        one, gained = chunk.one[returns_lanes.AMPLITUDE + j], chunk.one[SQUARES + j] - pair[SQUARES + j]
         floor = max(chunk.variance[j], pair[SQUARES + j] / max(free, 1.0))
+        least_gain = plan.threshold * plan.threshold * floor
         chunk.settled[j] = LATER
         if (
             least > 0.0
@@ -144,10 +148,12 @@ def _settle_pairs(plan: Plan, count: int, steps: int, chunk: Chunk) -> int:
             and is_done(pair[STEP_TIMES_S + j], pair[returns_pairs.GAIN + j], chunk.variance[j])
         ):
             # What hides in much that is left is for others to find.
-            if gained > plan.threshold * plan.threshold * floor:
+            if gained > least_gain and (chunk.known[j] or one * one * plan.sums[V] > least_gain):
                 chunk.settled[j] = TWO
                 found += 1
-            elif not is_excessive(plan.threshold, free, chunk.variance[j], pair[SQUARES + j]):
+            elif chunk.known[j] and not is_excessive(
+                plan.threshold, free, chunk.variance[j], pair[SQUARES + j]
+            ):
                 chunk.settled[j] = ONE
     return found
 
@@ -177,6 +183,9 @@ def _settle(plan: Plan, signal: Single, start: int, lanes: int, most: int, chunk
     find_peaks(plan, chunk)
     _settle_ones(plan, count, chunk)
     if most == 1:
+        for j in range(LANES):
+            if chunk.settled[j] == ONE and not chunk.known[j]:
+                chunk.settled[j] = 0
         return
     find_peaks(plan, chunk)
     wanted = _want_pairs(plan, count, chunk)
@@ -237,7 +246,7 @@ def _settle_waiting(plan: Plan, count: int, filled: int, most: int, chunk: Chunk
     if _settle_pairs(plan, count, _MORE_STEPS, chunk) > 0 and most > 2:
         _open_thirds(plan, count, chunk)
     for j in range(filled):
-        if chunk.settled[j] == LATER or (chunk.settled[j] == ONE and not chunk.known[j]):
+        if chunk.settled[j] == LATER:
             chunk.settled[j] = OPEN
 
 
