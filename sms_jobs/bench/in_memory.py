@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
-from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind
+from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Progress
 from sms_jobs.records.campaign import Subject
 
 R = TypeVar("R")
@@ -29,12 +29,21 @@ class InMemory:
         return cast(R, self.records[name])
 
 
+def unheard(fraction: float, message: str = "") -> None:
+    """Take progress and say nothing."""
+
+
 def run_kind(
-    kind: Kind[Any], subject: Subject, records: Mapping[str, Any], threads: int, parameters: Any
+    kind: Kind[Any],
+    subject: Subject,
+    records: Mapping[str, Any],
+    threads: int,
+    parameters: Any,
+    progress: Progress = unheard,
 ) -> DatasetOutput:
     """Run a kind that makes one dataset of one record from each of its needs, by role."""
     datasets = {role: InMemory(subject, {role: record}) for role, record in records.items()}
     inputs = Inputs(subject, None, datasets, threads)
-    (output,) = kind.run(inputs, parameters, lambda fraction, message="": None)
+    (output,) = kind.run(inputs, parameters, progress)
     assert isinstance(output, DatasetOutput)
     return output

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import pi
-from typing import Any, TypeVar, cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.kinds.kind import DatasetOutput
 from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import PhaseMaps, PointCloud
@@ -25,25 +25,7 @@ from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Shape, exact_shape
 
-R = TypeVar("R")
-
 SUBJECT = Subject("plate", "S00", "C1P1")
-
-
-@dataclass(frozen=True)
-class InMemory:
-    """A dataset whose records are at hand."""
-
-    subject: Subject
-    records: dict[str, Any]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(self.records)
-
-    def read(self, name: str, record: type[R]) -> R:
-        assert isinstance(self.records[name], record)
-        return cast(R, self.records[name])
 
 
 @dataclass(frozen=True)
@@ -61,15 +43,8 @@ class Tuple:
         threads: int = 1,
         progress: Callable[..., None] = lambda fraction, message="": None,
     ) -> tuple[PointCloud, PhaseMaps, DatasetOutput]:
-        datasets = {
-            "measurement": InMemory(SUBJECT, {"measurement": measurement or self.measurement}),
-            "calibration": InMemory(Subject("plate"), {"calibration": self.calibration}),
-        }
-        inputs = Inputs(SUBJECT, None, datasets, threads)
-        outputs = list(KIND.run(inputs, parameters or ReconstructParameters(), progress))
-        assert len(outputs) == 1
-        output = outputs[0]
-        assert isinstance(output, DatasetOutput)
+        records = {"measurement": measurement or self.measurement, "calibration": self.calibration}
+        output = run_kind(KIND, SUBJECT, records, threads, parameters or ReconstructParameters(), progress)
         assert list(output.records) == ["cloud", "phase"]
         return output.records["cloud"], output.records["phase"], output
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cache
 from math import pi
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs.planning import checked_parameters
-from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.kinds.kind import DatasetOutput
 from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
 from sms_jobs.metrology.phase.patterns import direction, span_px
 from sms_jobs.records.campaign import Subject
@@ -28,29 +29,12 @@ from sms_jobs.virtual_rig.light import Light, trace
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Shape, exact_shape
 
-R = TypeVar("R")
 Mask = NDArray[np.bool_]
 
 CROSSED = (0.0, pi / 2)
 DIAGONAL = (pi / 4, -pi / 4)
 FRINGES = 64
 PIXELS = 192
-
-
-@dataclass(frozen=True)
-class InMemory:
-    """A dataset whose records are at hand."""
-
-    subject: Subject
-    records: dict[str, Any]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(self.records)
-
-    def read(self, name: str, record: type[R]) -> R:
-        assert isinstance(self.records[name], record)
-        return cast(R, self.records[name])
 
 
 @dataclass(frozen=True)
@@ -65,15 +49,8 @@ class Seen:
 
     def reconstruct(self, threads: int = 1, **parameters: Any) -> DatasetOutput:
         subject = Subject("mirror", "S00", "C1P1")
-        datasets = {
-            "measurement": InMemory(subject, {"measurement": self.measurement}),
-            "calibration": InMemory(Subject("mirror"), {"calibration": self.calibration}),
-        }
-        inputs = Inputs(subject, None, datasets, threads)
-        chosen = ReconstructParameters(**parameters)
-        output = next(iter(KIND.run(inputs, chosen, lambda fraction, message="": None)))
-        assert isinstance(output, DatasetOutput)
-        return output
+        records = {"measurement": self.measurement, "calibration": self.calibration}
+        return run_kind(KIND, subject, records, threads, ReconstructParameters(**parameters))
 
     def halves(self) -> tuple[Mask, Mask]:
         """Return the parts of the plate that are lit once and twice, without their outermost three pixels."""

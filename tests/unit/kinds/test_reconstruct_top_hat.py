@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar, cast
-
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
 from sms_jobs.metrology.images.segmentation import label_regions, pixel_footprint
 from sms_jobs.records.campaign import Subject
@@ -20,21 +18,6 @@ from sms_jobs.records.sensors import Calibration
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Shape, exact_shape
-
-R = TypeVar("R")
-
-
-class InMemory:
-    """A dataset of one record that is at hand."""
-
-    def __init__(self, subject: Subject, record: Any) -> None:
-        self.subject = subject
-        self.names = (type(record).__name__.lower(),)
-        self._record = record
-
-    def read(self, name: str, record: type[R]) -> R:
-        assert name in self.names
-        return cast(R, self._record)
 
 
 @pytest.fixture(scope="module", params=["C1P1", "C2P1"])
@@ -55,13 +38,8 @@ def reconstructed(request: pytest.FixtureRequest) -> tuple[Calibration, PointClo
         texture=seen.texture,
         frames=seen.frames,
     )
-    datasets = {
-        "measurement": InMemory(subject, measurement),
-        "calibration": InMemory(Subject("hat"), calibration),
-    }
-    inputs = Inputs(subject, None, datasets)
-    output = next(iter(KIND.run(inputs, ReconstructParameters(), lambda fraction, message="": None)))
-    assert isinstance(output, DatasetOutput)
+    records = {"measurement": measurement, "calibration": calibration}
+    output = run_kind(KIND, subject, records, 1, ReconstructParameters())
     return calibration, output.records["cloud"], exact_shape(simulation)
 
 
