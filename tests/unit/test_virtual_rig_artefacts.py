@@ -7,9 +7,11 @@ from math import pi, radians
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import pixel_grid, project, ray_directions
+from sms_jobs.metrology.phase.patterns import phase_gradient
 from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import (
@@ -310,3 +312,36 @@ def test_truth_is_of_the_artefact_that_stands_there() -> None:
     assert not truth.seen.any()
     expected = project(PROJECTOR.intrinsics, PROJECTOR.pose, truth.world)
     np.testing.assert_array_equal(truth.projector_px, expected)
+
+
+def test_phases_on_a_sphere_are_those_of_its_points_but_for_the_pixels_size() -> None:
+    sim = simulation(replace(BAR, radius_mm=40.0), PanTilt(0.2, 0.1), TRIPOD)
+    frames, shape = render(sim, FringeSequence((8,), orientations_rad=(0.0,))).frames, exact_shape(sim)
+    level = [frames.frame(k).astype(float) for k in range(4)]
+    phase = np.arctan2(level[3] - level[1], level[0] - level[2])
+    true_px = project(PROJECTOR.intrinsics, PROJECTOR.pose, np.moveaxis(shape.xyz, 0, -1))
+    omega = phase_gradient(true_px, PROJECTOR.columns, PROJECTOR.rows, 0.0)
+    error = np.angle(np.exp(1j * (phase - 8 * omega))) / 8
+    # Blur and sub-samples have the variance 1/4 + 1/16 px^2: light that changes across the pixel and a phase
+    # that is curved shift the mean to first order by
+    light = np.gradient(np.log(np.hypot(level[3] - level[1], level[0] - level[2]) + 1e-9))
+    slope = np.gradient(omega)
+    curved = np.gradient(slope[0], axis=0) + np.gradient(slope[1], axis=1)
+    shift = 0.3125 * (slope[0] * light[0] + slope[1] * light[1] + 0.5 * curved)
+    rays = ray_directions(CAMERA.intrinsics, CAMERA.pose, pixel_grid(160, 160))
+    to_light = PROJECTOR.pose.centre()[:, None, None] - shape.xyz
+    to_light /= np.linalg.norm(to_light, axis=0)
+    facing = np.minimum(
+        -(rays * np.moveaxis(shape.normal, 0, -1)).sum(axis=-1), (to_light * shape.normal).sum(axis=0)
+    )
+    good = (facing > 0.5) & shape.lit
+    inner = np.zeros_like(good)
+    for number in (1, 2):  # away from outlines and shadows
+        inner |= ndimage.binary_erosion(good & (shape.region == number), iterations=4)
+    assert inner.sum() > 1000
+    # What is left is of the next order: the spot of 0.56 px over the 6 px in which light and slope change on
+    # a sphere of 28 px, squared: 1 %; several times that at the end of what is looked at.
+    size = np.sqrt(np.mean(shift[inner] ** 2))
+    assert size > 3e-4
+    assert np.sqrt(np.mean((error - shift)[inner] ** 2)) < 0.02 * size
+    assert np.abs((error - shift)[inner]).max() < 0.06 * size
