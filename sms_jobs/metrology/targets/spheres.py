@@ -8,6 +8,7 @@ from math import radians
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.optimize import linear_sum_assignment
 
 from sms_jobs.errors import InvalidInput
@@ -20,9 +21,11 @@ INCIDENCE_LIMIT = radians(60.0)
 """Points seen more obliquely are left out: light scatters across a limb, and depth there means little."""
 
 _PEAKS = 12  # tried: two spheres, and ten other things that look like one
+_FAINT = 0.25  # of the votes of the spheres found already: not tried once there are enough of these
 _LEAST_PIXELS = 50
 _LEAST_COVERAGE = 0.3
 _LEAST_ON_SURFACE = 0.5  # of the pixels within the outline: spheres are opaque, and mostly in full view
+_TOGETHER = 2  # points off the surface, in a square of three pixels; more are a thing
 _ROUGHEST = 0.03  # of the radius, beyond what the noise explains
 _RADIUS_TOLERANCE = 0.05
 _SEPARATION_TOLERANCE = 0.01  # of the bar; an earlier calibration is better than that
@@ -154,6 +157,8 @@ def find_spheres(
     found: list[Sphere] = []
     refused: dict[str, int] = {}
     for peak in sphere_peaks(points, looked_at, camera, radius_mm, _PEAKS, threads):
+        if len(found) >= count and peak.votes < _FAINT * sorted(s.votes for s in found)[-count]:
+            break
         sphere = _measure(points, sigma, looked_at, camera, peak, radius_mm, incidence_limit, select)
         if isinstance(sphere, Sphere) and any(
             np.linalg.norm(sphere.centre - other.centre) < radius_mm for other in found
@@ -194,7 +199,7 @@ def find_spheres(
     ]
     return SphereSearch(
         spheres=spheres,
-        searched_fraction=float(np.mean(looked_at)),
+        searched_fraction=np.count_nonzero(looked_at) / looked_at.size,
         refused=refused,
         separation_mm=separation,
         problems=tuple(problems),
@@ -255,6 +260,22 @@ def _measure(
     reason = _why_not(fit, float(np.median(deviation[usable])), radius_mm)
     if reason:
         return reason
+    refused = {
+        "seen too obliquely": int(np.count_nonzero(fit.limb)),
+        "in front of the surface": int(np.count_nonzero(fit.front)),
+        "behind the surface": int(np.count_nonzero(fit.behind)),
+        "beside something else": 0,
+        "no standard deviation": int(np.count_nonzero(measured & ~usable)),
+    }
+    beside = _beside(usable, fit)
+    if beside.any():
+        refused["beside something else"] = int(np.count_nonzero(beside[usable] & fit.inlier))
+        usable &= ~beside
+        fit = fit_sphere(
+            window[:, usable].T, deviation[usable], camera, fit.centre, radius_mm, incidence_limit
+        )
+        if fit is None or np.count_nonzero(fit.inlier) < _LEAST_PIXELS:
+            return f"fewer than {_LEAST_PIXELS} pixels"
     pixels = np.argwhere(usable)[fit.inlier] + [rows.start, columns.start]
     return Sphere(
         number=0,
@@ -268,14 +289,22 @@ def _measure(
         votes=peak.votes,
         pixels=pixels.astype(np.int32),
         selected=spread_pixels(pixels.astype(np.int32), select),
-        refused={
-            "seen too obliquely": int(np.count_nonzero(fit.limb)),
-            "in front of the surface": int(np.count_nonzero(fit.front)),
-            "behind the surface": int(np.count_nonzero(fit.behind)),
-            "no standard deviation": int(np.count_nonzero(measured & ~usable)),
-        },
+        refused=refused,
         off_prediction_mm=float("nan"),
     )
+
+
+def _beside(usable: NDArray[np.bool_], fit: SphereFit) -> NDArray[np.bool_]:
+    """Return the pixels within two of something that covers the sphere or joins it, such as the bar.
+
+    Where it meets the sphere its points are within the noise of the surface, all to the same side. Points
+    that are off alone, or two together, are no thing.
+    """
+    off = np.zeros(usable.shape, dtype=np.bool_)
+    off[usable] = fit.front | fit.behind
+    around = ndimage.convolve(off.astype(np.int32), np.ones((3, 3), dtype=np.int32), mode="constant")
+    thing = off & (around > _TOGETHER)
+    return np.asarray(ndimage.binary_dilation(thing, np.ones((3, 3)), iterations=2))
 
 
 def _why_not(fit: SphereFit, sigma: float, radius_mm: float) -> str | None:
