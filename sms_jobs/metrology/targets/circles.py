@@ -123,8 +123,11 @@ def _contours(excess: NDArray[np.float32], window: int, noise: float) -> list[ND
     above = excess - cv2.boxFilter(excess, -1, side, borderType=cv2.BORDER_REFLECT)
     spread = cv2.sqrt(cv2.boxFilter(above * above, -1, side, borderType=cv2.BORDER_REFLECT))
     binary = (above > np.maximum(0.5 * spread, 3.0 * noise)).astype(np.uint8)
-    found, _ = cv2.findContours(binary, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return [np.asarray(c, dtype=np.int32) for c in found]
+    # The darkness round a lit board is a frame that the dots lie within: outlines of holes are left out, but
+    # not what lies in holes.
+    found, tree = cv2.findContours(binary, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    outer = [] if tree is None else [k for k, parent in enumerate(tree[0, :, 3]) if parent < 0]
+    return [np.asarray(found[k], dtype=np.int32) for k in outer]
 
 
 def _starts(contours: list[NDArray[np.int32]], rows: int, columns: int) -> tuple[Floats, dict[str, int]]:
