@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
+from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.fringe_response import SampledResponse, SampleParameters, sampled_response
 from sms_jobs.kinds.kind import Parameters, Progress
 from sms_jobs.kinds.streaming import exposed_slabs, in_best_exposure, sampled
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
+from sms_jobs.metrology.geometry.triangulation import Projector
 from sms_jobs.metrology.images.masks import high_phase_error, low_modulation, phase_error_factor
 from sms_jobs.metrology.phase.fourier_domain_ranging import range_returns, score_threshold
 from sms_jobs.metrology.phase.fringe_blur import transfer_of_sample
@@ -28,9 +30,9 @@ from sms_jobs.metrology.phase.ripple_table import RippleTable, ripple_table
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps
-from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.sensors import Box, Sensor
 
 Reasons = NDArray[np.uint32]
 Floats = NDArray[np.float64]
@@ -129,14 +131,22 @@ class PhaseParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class Geometry:
+    """Where sensors and specimen are: by this returns are paired."""
+
+    pair: SensorPair
+    volume: Box
+
+
+@dataclass(frozen=True)
 class PhaseTask:
-    """What the frames of a tuple are turned into phases with."""
+    """What the frames of a tuple are turned into phases with; only ranging needs the geometry."""
 
     subject: Subject
     measurement: Measurement
-    calibration: Calibration
     parameters: PhaseParameters
-    pair: SensorPair
+    threads: int
+    geometry: Geometry | None = None
 
 
 @dataclass(frozen=True)
@@ -172,9 +182,12 @@ class _Known:
 def find_phases(task: PhaseTask, progress: Progress) -> Phases:
     """Return the phases of a tuple, its returns if there can be several, and the pixels not to be trusted.
 
-    Raises `MeasurementFailed` when the response is to be corrected and cannot be found.
+    Raises `MeasurementFailed` when the response is to be corrected and cannot be found, and `InvalidInput`
+    for ranging without a geometry.
     """
     measurement, parameters = task.measurement, task.parameters
+    if parameters.method != UNWRAPPING and task.geometry is None:
+        raise InvalidInput(f"method={parameters.method} needs a calibration; set method={UNWRAPPING}")
     sequence = measurement.sequence
     _, rows, columns = measurement.frames.shape
     phase = PhaseMaps.unset(sequence.orientations_rad, rows, columns, bracketed=len(sequence.exposures) > 1)
@@ -185,7 +198,7 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
     response = _response(task)
     ripples = [] if response is None else _ripples(response, sequence.steps)
     known = _Known([] if parameters.method == UNWRAPPING else _transfers(task), ripples)
-    for slab, frames, exposure in exposed_slabs(measurement, task.pair.threads):
+    for slab, frames, exposure in exposed_slabs(measurement, task.threads):
         if parameters.method == UNWRAPPING:
             _unwrap_slab(task, known, slab, frames, phase, reason)
         else:
@@ -199,7 +212,7 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
 def _response(task: PhaseTask) -> SampledResponse | None:
     if task.parameters.response == "none":
         return None
-    return sampled_response(task.subject, task.measurement, SampleParameters(), task.pair.threads)
+    return sampled_response(task.subject, task.measurement, SampleParameters(), task.threads)
 
 
 def _ripples(response: SampledResponse, steps: int) -> list[RippleTable]:
@@ -231,7 +244,7 @@ def _unwrap_slab(
             full_scale=measurement.full_scale,
             gain=measurement.gain,
             read_noise=measurement.read_noise,
-            threads=task.pair.threads,
+            threads=task.threads,
         )
         phase.omega[k, rows] = found.omega
         phase.omega_sigma[k, rows] = found.omega_sigma
@@ -302,7 +315,7 @@ def _transfers(task: PhaseTask) -> list[Floats]:
             full_scale=measurement.full_scale,
             gain=measurement.gain,
             read_noise=measurement.read_noise,
-            threads=task.pair.threads,
+            threads=task.threads,
         )
         for k in range(len(sequence.orientations_rad))
     ]
@@ -334,7 +347,7 @@ def _range_slab(
             window=parameters.window,
             significance=parameters.significance,
             mtf=known.transfers[k],
-            threads=task.pair.threads,
+            threads=task.threads,
         )
         for k in range(len(sequence.orientations_rad))
     ]
@@ -344,8 +357,9 @@ def _range_slab(
         ripples[k] = table.expected_error(measured[0])
         sigma = table.corrected_sigma(measured, found[k].omega_sigma)
         found[k] = replace(found[k], omega=table.corrected(measured), omega_sigma=sigma)
-    volume, densities = task.calibration.volume, np.array(sequence.densities, dtype=np.float64)
-    pairing = task.pair.choose(
+    assert task.geometry is not None
+    volume, densities = task.geometry.volume, np.array(sequence.densities, dtype=np.float64)
+    pairing = task.geometry.pair.choose(
         rows,
         np.stack([f.omega for f in found]),
         np.stack([f.omega_sigma for f in found]),
@@ -397,3 +411,16 @@ def _range_slab(
 def mark(reason: Reasons, where: NDArray[np.bool_], why: Reason) -> None:
     """Add a reason to those of the pixels where it holds."""
     reason[where] |= np.uint32(why)
+
+
+def sensor_pair(camera: Sensor, projector: Sensor, sequence: FringeSequence, threads: int) -> SensorPair:
+    """Return a pair as its calibration says it stands."""
+    return SensorPair(
+        camera.intrinsics,
+        camera.pose,
+        camera.rows,
+        camera.columns,
+        Projector(projector.intrinsics, projector.pose, projector.columns, projector.rows),
+        sequence.orientations_rad,
+        threads,
+    )

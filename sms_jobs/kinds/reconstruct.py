@@ -37,17 +37,16 @@ from sms_jobs.kinds.kind import (
     Progress,
     Scope,
 )
-from sms_jobs.kinds.phases import PhaseParameters, PhaseTask, find_phases, mark
-from sms_jobs.metrology.geometry.sensor_pair import SensorPair
-from sms_jobs.metrology.geometry.triangulation import Projector, Triangulation
+from sms_jobs.kinds.phases import Geometry, PhaseParameters, PhaseTask, find_phases, mark, sensor_pair
+from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge, large_ray_gap, outside_box
 from sms_jobs.metrology.phase.response import corrected_gradient
 from sms_jobs.metrology.phase.texture_error import Blur, correct_texture
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import PhaseMaps, PointCloud, ReturnMaps
-from sms_jobs.records.measurement import FringeSequence, Measurement
+from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.sensors import Calibration, Role, Sensor, split_pair
+from sms_jobs.records.sensors import Calibration, Role, split_pair
 
 # Of good pixels 0.2 % fail by noise: four that touch each other do so once in many million images.
 _SMALLEST_GAP = 4
@@ -93,8 +92,10 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
             f"the frames of {inputs.subject} are {columns} x {rows} px but {camera_name} is calibrated for "
             f"{camera.columns} x {camera.rows} px: choose the calibration of the camera that recorded them"
         )
-    pair = _sensor_pair(camera, projector, measurement.sequence, inputs.threads)
-    found = find_phases(PhaseTask(inputs.subject, measurement, calibration, parameters, pair), progress)
+    pair = sensor_pair(camera, projector, measurement.sequence, inputs.threads)
+    geometry = Geometry(pair, calibration.volume)
+    task = PhaseTask(inputs.subject, measurement, parameters, inputs.threads, geometry)
+    found = find_phases(task, progress)
     phase, reason = found.maps, found.reason
     blur, beside = correct_texture(
         phase.omega,
@@ -122,18 +123,6 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     if phase.exposure is not None:
         statistics |= _exposure_statistics(phase.exposure, measurement.sequence.exposures)
     yield DatasetOutput(inputs.subject, records, statistics)
-
-
-def _sensor_pair(camera: Sensor, projector: Sensor, sequence: FringeSequence, threads: int) -> SensorPair:
-    return SensorPair(
-        camera.intrinsics,
-        camera.pose,
-        camera.rows,
-        camera.columns,
-        Projector(projector.intrinsics, projector.pose, projector.columns, projector.rows),
-        sequence.orientations_rad,
-        threads,
-    )
 
 
 def _mark_points(

@@ -1,0 +1,139 @@
+"""Observe a board: its points in the image of the camera and, through the phase, of the projector."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.kind import (
+    MEASUREMENT,
+    DatasetOutput,
+    Inputs,
+    Kind,
+    Need,
+    Output,
+    Parameters,
+    Progress,
+    Scope,
+)
+from sms_jobs.kinds.projector_maps import projector_maps
+from sms_jobs.kinds.sessions import (
+    OBSERVATION,
+    OBSERVE_BOARD,
+    board_states,
+    every_pair,
+    sensor_format,
+    session_of,
+)
+from sms_jobs.metrology.targets.boards import find_board
+from sms_jobs.metrology.targets.chessboards import find_chessboard
+from sms_jobs.metrology.targets.patterns import BoardPoints
+from sms_jobs.metrology.targets.projector_points import carry_to_projector
+from sms_jobs.records.artefacts import Artefact, Chessboard, CircleBoard
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.observations import BoardObservation
+from sms_jobs.records.sensors import SensorFormat, split_pair
+
+
+class ObserveBoardParameters(Parameters):
+    """What there is to see follows from the session alone."""
+
+
+@dataclass(frozen=True)
+class BoardShown:
+    """What a pair is shown: a board, and the sizes of the images in which it is looked for."""
+
+    name: str
+    board: Artefact
+    camera: SensorFormat
+    projector: SensorFormat
+
+
+def board_shown(campaign: Campaign, subject: Subject) -> BoardShown:
+    """Return what a tuple of a session shows."""
+    session = session_of(campaign)
+    camera, projector = split_pair(subject.pair or "")
+    name = campaign.state(subject.state or "").artefact or ""
+    return BoardShown(
+        name, session.artefacts[name], sensor_format(session, camera), sensor_format(session, projector)
+    )
+
+
+def _subjects(campaign: Campaign) -> Iterable[Subject]:
+    return every_pair(campaign, board_states(campaign))
+
+
+def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+    yield Need("measurement", MEASUREMENT, subject)
+
+
+def run(inputs: Inputs, parameters: ObserveBoardParameters, progress: Progress) -> Iterator[Output]:
+    """Find the board in the fringe-free picture, and carry its points to the projector by the phase."""
+    shown: BoardShown = inputs.context
+    measurement = inputs.read("measurement", "measurement", Measurement)
+    _, rows, columns = measurement.frames.shape
+    if (columns, rows) != (shown.camera.columns, shown.camera.rows):
+        raise InvalidInput(
+            f"the frames of {inputs.subject} are {columns} x {rows} px, but the session says that "
+            f"{shown.camera.name} has {shown.camera.columns} x {shown.camera.rows}; "
+            "correct [[session.sensors]]"
+        )
+    maps = projector_maps(inputs.subject, measurement, shown.projector, inputs.threads, progress)
+    progress(0.85, "looking for the board")
+    found = _found(maps.phase.mean_intensity, shown.board, inputs.threads)
+    carried = carry_to_projector(maps.pixel, maps.sigma, found.centre_px, found.sigma_px, found.radius_px)
+    kept = np.isfinite(carried.sigma)
+    refused = dict(found.refused)
+    for why, count in carried.refused.items():
+        refused[f"in the projector: {why}"] = count
+    if found.reason:
+        refused[found.reason] = 1
+    observation = BoardObservation(
+        shown.camera.name,
+        shown.projector.name,
+        shown.name,
+        refused,
+        found.place[kept],
+        found.point[kept],
+        found.centre_px[kept],
+        found.sigma_px[kept],
+        carried.pixel[kept],
+        carried.sigma[kept],
+    )
+    progress(1.0, f"found {kept.sum()} points")
+    yield DatasetOutput(inputs.subject, {OBSERVATION: observation}, _statistics(observation))
+
+
+def _found(picture: np.ndarray, board: Artefact, threads: int) -> BoardPoints:
+    if isinstance(board, CircleBoard):
+        return find_board(picture, board, threads=threads)
+    assert isinstance(board, Chessboard)
+    return find_chessboard(picture, board.columns, board.rows, board.pitch_mm, threads=threads)
+
+
+def _statistics(observation: BoardObservation) -> dict[str, float]:
+    count = len(observation.point)
+    statistics = {"points_count": float(count), "refused_count": float(sum(observation.refused.values()))}
+    if count:
+        statistics |= {
+            "camera_sigma_median_px": float(np.median(observation.camera_sigma_px)),
+            "projector_sigma_median_px": float(np.median(observation.projector_sigma_px)),
+        }
+    return statistics
+
+
+KIND = Kind(
+    name=OBSERVE_BOARD,
+    summary="find the points of a calibration board in camera and projector",
+    version=1,
+    scope=Scope.TUPLE,
+    parameters=ObserveBoardParameters,
+    needs=_needs,
+    run=run,
+    subjects=_subjects,
+    context=board_shown,
+)

@@ -1,0 +1,135 @@
+"""What the job kinds of a calibration session have in common: its poses, and who observes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.kind import Need
+from sms_jobs.records.artefacts import Artefact, BallBar
+from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Subject
+from sms_jobs.records.sensors import SensorFormat
+
+OBSERVE_BOARD = "observe-board"
+CALIBRATE_BOARDS = "calibrate-boards"
+OBSERVE_BAR = "observe-bar"
+CALIBRATE = "calibrate"
+OBSERVATION = "observation"
+"""Name of the record that `observe-board` and `observe-bar` make."""
+
+
+@dataclass(frozen=True)
+class SessionPose:
+    """One pose of an artefact.
+
+    Attributes
+    ----------
+    label
+        Of the state.
+    artefact
+        Name in the session.
+    angles_rad
+        Pan and tilt of the stage, where it is known.
+    """
+
+    label: str
+    artefact: str
+    angles_rad: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class SessionPlan:
+    """What a calibration depends on of its campaign.
+
+    Attributes
+    ----------
+    name, rig
+        Of the campaign and the rig.
+    began
+        Time of the first pose, if known.
+    poses, pairs
+        In order.
+    """
+
+    name: str
+    rig: str
+    began: datetime | None
+    session: CalibrationSession
+    poses: tuple[SessionPose, ...]
+    pairs: tuple[str, ...]
+
+
+def session_of(campaign: Campaign) -> CalibrationSession:
+    """Return the session that a campaign is; raise `InvalidInput` for a test."""
+    if campaign.session is None:
+        raise InvalidInput(
+            f"campaign {campaign.name} is no calibration session; describe its artefacts under [session]"
+        )
+    return campaign.session
+
+
+def session_plan(campaign: Campaign, subject: Subject) -> SessionPlan:
+    """Return what a calibration depends on; raise `InvalidInput` for a campaign that is no session."""
+    session = session_of(campaign)
+    poses = tuple(
+        SessionPose(state.label, state.artefact, angles(state))
+        for state in campaign.states
+        if state.artefact is not None
+    )
+    return SessionPlan(campaign.name, campaign.rig, campaign.states[0].time, session, poses, campaign.pairs)
+
+
+def angles(state: LoadState) -> tuple[float, float] | None:
+    """Return the pan and tilt of a state in rad; None where they were not recorded."""
+    if "pan_rad" in state.channels and "tilt_rad" in state.channels:
+        return state.channels["pan_rad"], state.channels["tilt_rad"]
+    return None
+
+
+def shown(campaign: Campaign, state: LoadState) -> Artefact | None:
+    """Return the artefact that a state shows."""
+    if campaign.session is None or state.artefact is None:
+        return None
+    return campaign.session.artefacts[state.artefact]
+
+
+def board_states(campaign: Campaign) -> tuple[LoadState, ...]:
+    """Return the states that show a board."""
+    return tuple(
+        s for s in campaign.states if s.artefact is not None and not isinstance(shown(campaign, s), BallBar)
+    )
+
+
+def bar_states(campaign: Campaign) -> tuple[LoadState, ...]:
+    """Return the states that show a ball bar."""
+    return tuple(s for s in campaign.states if isinstance(shown(campaign, s), BallBar))
+
+
+def every_pair(campaign: Campaign, states: Iterable[LoadState]) -> tuple[Subject, ...]:
+    """Return the tuples of some states."""
+    return tuple(Subject(campaign.name, s.label, p) for s in states for p in campaign.pairs)
+
+
+def observations_of(campaign: Campaign, kind: str, states: Iterable[LoadState]) -> Iterable[Need]:
+    """Return the need for what every pair observed in some states."""
+    for subject in every_pair(campaign, states):
+        yield Need(role_of(kind, subject.state or "", subject.pair or ""), kind, subject)
+
+
+def role_of(kind: str, state: str, pair: str) -> str:
+    """Return the role of an observation among the inputs of a calibration."""
+    return f"{kind}/{state}/{pair}"
+
+
+def sensor_format(session: CalibrationSession, name: str) -> SensorFormat:
+    """Return the size of a sensor's image; raise `InvalidInput` where the session does not tell it."""
+    for sensor in session.sensors:
+        if sensor.name == name:
+            return sensor
+    known = ", ".join(s.name for s in session.sensors)
+    raise InvalidInput(
+        f"the session does not say how many pixels {name} has; it knows {known or 'no sensor'}: "
+        "add it under [[session.sensors]]"
+    )
