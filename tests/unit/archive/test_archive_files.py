@@ -1,4 +1,4 @@
-"""A sealed file is whole or absent, tells when it was damaged, and stays inside the archive."""
+"""A sealed file is whole or absent, tells when it was damaged, and opens in other people's viewers."""
 
 from __future__ import annotations
 
@@ -19,92 +19,22 @@ import numpy as np
 import pytest
 import silx.io
 from silx.io.nxdata import get_default
+from support.sealing import (
+    JOB,
+    calibration,
+    damaged,
+    files_below,
+    measurement,
+    point_cloud,
+    provenance,
+    regions,
+)
 
-from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
+from sms_jobs.archive import Archive, Sealed
 from sms_jobs.errors import ArchiveCorrupt, Conflict, FormatTooNew, InvalidInput, NotFound, StorageFull
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.fields import ImageMatches, PointCloud, Region, Regions
-from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
-from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
-
-JOB = "0123456789abcdef"
-
-
-def provenance(**changes: Any) -> Provenance:
-    made = Provenance(
-        kind="example",
-        kind_version=1,
-        subject=Subject("test", "S00", "C1P1"),
-        job_id=JOB,
-        attempt=1,
-        created_at=datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC),
-        parameters={"threshold": 0.5, "names": ["a", "b"]},
-        inputs=(InputReference("measured", "measurement", "test/S00/C1P1/a.h5", "ab" * 32),),
-        program_version="0.1.0",
-        host="here",
-        operator="Jürgen",
-    )
-    return replace(made, **changes)
-
-
-def measurement(rng: np.random.Generator, rows: int = 150, columns: int = 90) -> Measurement:
-    shape = (6, rows, columns)
-    return Measurement(
-        recorded_at=datetime(2026, 1, 2, tzinfo=UTC),
-        sequence=FringeSequence(densities=(3, 2), steps=3, orientations_rad=(0.0,)),
-        full_scale=4095,
-        gain=0.1,
-        read_noise=2.0,
-        texture=rng.integers(0, 4096, shape[1:], dtype=np.uint16),
-        frames=ArrayStack(rng.integers(0, 4096, shape, dtype=np.uint16)),
-    )
-
-
-def point_cloud(rng: np.random.Generator) -> PointCloud:
-    image = (40, 30)
-    return PointCloud(
-        camera="C1",
-        projector="P1",
-        xyz=rng.normal(size=(3, *image)),
-        covariance=rng.normal(size=(6, *image)).astype(np.float32),
-        ray_gap=rng.normal(size=image).astype(np.float32),
-        reason=np.zeros(image, np.uint32),
-    )
-
-
-def regions() -> Regions:
-    return Regions((Region(1, 9, (1.0, 1.0)),), np.ones((3, 3), np.int32))
-
-
-def calibration() -> Calibration:
-    pose = Pose(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 500.0))
-    sensor = Sensor("C1", Role.CAMERA, 90, 150, Intrinsics(100.0, 100.0, 44.5, 74.5), pose)
-    return Calibration(
-        Rig("rig", (sensor,)), Box((-1.0,) * 3, (1.0,) * 3), datetime(2026, 1, 1, tzinfo=UTC), "exact"
-    )
-
-
-@pytest.fixture
-def archive(tmp_path: Path) -> Archive:
-    return Archive(tmp_path / "archive")
-
-
-@pytest.fixture
-def sealed(archive: Archive) -> Sealed:
-    return archive.seal_dataset({"measurement": measurement(np.random.default_rng(7))}, provenance())
-
-
-def files_below(archive: Archive) -> list[str]:
-    return sorted(p.relative_to(archive.root).as_posix() for p in archive.root.rglob("*") if p.is_file())
-
-
-def damaged(archive: Archive, sealed: Sealed, change: Any) -> None:
-    path = archive.path(sealed.path)
-    data = bytearray(path.read_bytes())
-    path.chmod(0o644)
-    path.write_bytes(change(data))
-
+from sms_jobs.records.fields import ImageMatches, PointCloud
+from sms_jobs.records.measurement import ArrayStack, Measurement
 
 # --- sealing -----------------------------------------------------------------------------------------
 
@@ -405,120 +335,6 @@ def test_a_file_of_a_newer_version_is_refused_with_both_versions(archive: Archiv
         archive.verify(sealed.path, sealed.content_hash)
 
 
-# --- names -------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("path", ["../x.h5", "/etc/passwd", "a/../../x", "", "a\0b", ".."])
-def test_paths_stay_inside_the_archive(path: str, archive: Archive) -> None:
-    with pytest.raises(InvalidInput, match="not a path inside"):
-        archive.path(path)
-    with pytest.raises(InvalidInput):
-        archive.discard(path)
-
-
-def test_links_do_not_lead_out_of_the_archive(archive: Archive, tmp_path: Path) -> None:
-    outside = tmp_path / "outside"
-    outside.mkdir()
-    (outside / "secret.h5").write_bytes(b"x")
-    (archive.root / "test").symlink_to(outside)
-    with pytest.raises(InvalidInput, match="through a link"):
-        archive.path("test/secret.h5")
-    with pytest.raises(InvalidInput, match="through a link"):
-        archive.discard("test/secret.h5")
-    with pytest.raises(InvalidInput, match="through a link"):
-        archive.seal_dataset({"regions": regions()}, provenance())
-    assert [p.name for p in outside.iterdir()] == ["secret.h5"]
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"subject": Subject("..")},
-        {"subject": Subject("test", "../../S00")},
-        {"subject": Subject("test", "S00", "C1/P1")},
-        {"kind": "../example"},
-        {"job_id": "../../etc"},
-        {"created_at": datetime(2026, 1, 1)},  # noqa: DTZ001
-    ],
-)
-def test_names_that_could_lead_elsewhere_are_refused(changes: Any, archive: Archive) -> None:
-    with pytest.raises(InvalidInput):
-        archive.seal_dataset({"regions": regions()}, provenance(**changes))
-    assert files_below(archive) == []
-
-
-@pytest.mark.parametrize("name", ["../x.html", "a/b.html", ".hidden", "x.provenance.json", ""])
-def test_names_of_documents_are_plain(name: str, archive: Archive) -> None:
-    with pytest.raises(InvalidInput, match="name of a document"):
-        archive.seal_document(name, "text/html", lambda p: None, provenance())
-
-
-def test_a_job_finds_its_own_files_and_no_others(archive: Archive) -> None:
-    mine = archive.seal_dataset({"regions": regions()}, provenance())
-    mine_too = archive.seal_dataset({"regions": regions()}, provenance(attempt=2, subject=Subject("test")))
-    page = archive.seal_document("p.html", "text/html", lambda p: None or p.write_text("x"), provenance())
-    begins_alike = provenance(job_id=JOB[:8] + "ffffffff", attempt=3)
-    other = archive.seal_dataset({"regions": regions()}, begins_alike)
-    found = archive.leftovers(JOB)
-    assert set(found) == {mine.path, mine_too.path, page.path}
-    assert set(archive.files()) == {mine.path, mine_too.path, page.path, other.path}
-    assert set(archive.leftovers(JOB, Subject("test", "S00"))) == {mine.path, page.path}
-    assert archive.leftovers(JOB, Subject("elsewhere")) == ()
-    for path in found:
-        archive.discard(path)
-    archive.discard(mine.path)  # twice does no harm
-    assert files_below(archive) == [other.path]
-
-
-def test_the_provenance_of_a_document_that_was_never_sealed_is_found(archive: Archive) -> None:
-    page = archive.seal_document("p.html", "text/html", lambda p: None or p.write_text("x"), provenance())
-    archive.path(page.path).unlink()
-    assert archive.leftovers(JOB) == (f"{page.path}.provenance.json",)
-    archive.discard(f"{page.path}.provenance.json")
-    assert files_below(archive) == []
-
-
-# --- documents and calibrations ----------------------------------------------------------------------------
-
-
-def test_documents_are_sealed_with_their_provenance(archive: Archive) -> None:
-    def write(path: Path) -> None:
-        path.write_bytes(b"<p>")
-
-    sealed = archive.seal_document("report.html", "text/html", write, provenance())
-    assert sealed.path == "test/S00/C1P1/example-20260102T030405Z-01234567-1-report.html"
-    assert (sealed.size_bytes, sealed.media_type) == (3, "text/html")
-    archive.verify(sealed.path, sealed.content_hash)
-    assert archive.document_provenance(sealed.path) == provenance()
-    beside = json.loads(archive.path(f"{sealed.path}.provenance.json").read_text())
-    assert (beside["filename"], beside["content_hash"]) == ("report.html", sealed.content_hash)
-    damaged(archive, sealed, lambda data: data + b"!")
-    with pytest.raises(ArchiveCorrupt, match="is on record"):
-        archive.verify(sealed.path, sealed.content_hash)
-
-
-def test_a_document_that_fails_leaves_nothing_behind(archive: Archive) -> None:
-    with pytest.raises(InvalidInput, match="nothing was written"):
-        archive.seal_document("a.html", "text/html", lambda path: None, provenance())
-
-    def fill_up(path: Path) -> None:
-        path.write_text("half")
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with pytest.raises(StorageFull):
-        archive.seal_document("b.html", "text/html", fill_up, provenance())
-    assert files_below(archive) == []
-
-
-def test_calibrations_have_a_place_of_their_own(archive: Archive) -> None:
-    when = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
-    sealed = archive.seal_calibration(calibration(), when, program_version="0.1", host="h", operator="me")
-    assert sealed.path == "calibrations/rig/calibration-20260102T030405Z-nojob-1.h5"
-    archive.verify(sealed.path, sealed.content_hash)
-    with archive.open(sealed.path) as dataset:
-        assert dataset.read("calibration", Calibration) == calibration()
-
-
 # --- NeXus -------------------------------------------------------------------------------------------------
 
 
@@ -580,13 +396,3 @@ def test_viewers_open_points_as_a_scatter_plot(archive: Archive, rng: np.random.
         assert plot.is_valid
         assert plot.is_scatter
         assert plot.signal_dataset_name == "u"
-
-
-def test_two_calibrations_of_a_rig_may_come_in_the_same_second(archive: Archive) -> None:
-    now = datetime(2026, 1, 1, tzinfo=UTC)
-    sealed = [
-        archive.seal_calibration(calibration(), now, program_version="1", host="here", operator="me")
-        for _ in range(3)
-    ]
-    assert len({file.path for file in sealed}) == 3
-    assert len({file.content_hash for file in sealed}) == 1
