@@ -1,4 +1,4 @@
-"""Campaign definitions that people write: TOML text in, records out.
+"""Campaign definitions that people write: TOML or XML text in, records out.
 
 Nothing is taken from a file that cannot be used as a whole: unknown keys, impossible values and
 contradictions are refused, in one sentence that names the file and the key.
@@ -17,19 +17,21 @@ from pydantic_core import ErrorDetails
 
 from sms_jobs.errors import ConfigurationError, InvalidInput, NotFound
 from sms_jobs.formats.campaign_tables import CampaignPlan, CampaignTable
+from sms_jobs.formats.interchange.xml_values import Places
+from sms_jobs.formats.measurement_configuration import parse_measurement_configuration
 
 LARGEST_FILE_BYTES = 1 << 20
 
 
 def load_campaign(path: Path) -> CampaignPlan:
-    """Read a campaign file.
+    """Read a campaign file: XML where its name ends in .xml, TOML otherwise.
 
     Raises
     ------
     NotFound
         There is no such file.
     ConfigurationError
-        It is too large, no TOML, or does not describe a campaign; the message names file and key.
+        It is too large, no TOML or XML, or does not describe a campaign; the message names file and key.
     """
     try:
         with path.open("rb") as file:
@@ -46,6 +48,8 @@ def load_campaign(path: Path) -> CampaignPlan:
         text = content.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ConfigurationError(f"{path} is not UTF-8 text (byte {error.start}): save it as UTF-8") from None
+    if path.suffix.lower() == ".xml":
+        return _plan(*parse_measurement_configuration(text, str(path)))
     return parse_campaign(text, str(path))
 
 
@@ -61,17 +65,22 @@ def parse_campaign(text: str, source: str) -> CampaignPlan:
         content = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigurationError(f"{source} is not valid TOML: {error or 'nested too deeply'}") from None
+    return _plan(content, Places(source))
+
+
+def _plan(content: dict[str, Any], places: Places) -> CampaignPlan:
+    """Return what the nested table of a file defines; `places` says where in the file its values stand."""
     try:
         return CampaignTable.model_validate(_tuples(content)).plan()
     except ValidationError as error:
         first, *more = error.errors(include_url=False)
         rest = f" (and {len(more)} more)" if more else ""
         raise ConfigurationError(
-            f"{source}: {_explained(first, content)}{rest}; "
+            f"{places.at(first['loc'])}: {_explained(first, content)}{rest}; "
             "`sms campaign create --example` prints a valid file"
         ) from None
     except InvalidInput as error:
-        raise ConfigurationError(f"{source}: {error}") from error
+        raise ConfigurationError(f"{places.source}: {error}") from error
 
 
 def example_campaign() -> str:

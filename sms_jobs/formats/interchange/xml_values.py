@@ -32,17 +32,21 @@ class Places:
 
     source: str
     _found: dict[Path, tuple[str, int]] = field(default_factory=dict)
+    _known: set[Path] = field(default_factory=set)
 
     def add(self, path: Path, element: str, line: int) -> None:
         """Say that the value at a path is that of an element."""
         self._found[path] = (element, line)
+        self._known |= {path[:length] for length in range(len(path) + 1)}
 
     def at(self, path: Path) -> str:
         """Return file, line and element of the value at a path, or of the nearest that surrounds it."""
         place: Path = ()
         for part in path:
             # What is no element is the tag of a union, or a key that is missing.
-            place = (*place, part) if (*place, part) in self._found else place
+            place = (*place, part) if (*place, part) in self._known else place
+        while place and place not in self._found:
+            place = place[:-1]
         if place not in self._found:
             return self.source
         element, line = self._found[place]
