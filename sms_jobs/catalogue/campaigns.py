@@ -105,8 +105,8 @@ def state_ids(session: Session, campaign_id: int) -> dict[str, int]:
     return dict(rows.all())
 
 
-def add_calibration(session: Session, calibration: Calibration, file_id: int) -> None:
-    """Index a calibration file, and the sensors that it names."""
+def add_calibration(session: Session, calibration: Calibration, file_id: int) -> int:
+    """Index a calibration file and the sensors that it names; return the number of the calibration."""
     rig = _rig(session, calibration.rig.name)
     session.flush()
     known = set(session.scalars(select(SensorRow.name).where(SensorRow.rig_id == rig.id)))
@@ -115,11 +115,12 @@ def add_calibration(session: Session, calibration: Calibration, file_id: int) ->
         for s in calibration.rig.sensors
         if s.name not in known
     )
-    session.add(
-        CalibrationRow(
-            rig_id=rig.id, file_id=file_id, valid_from=calibration.valid_from, origin=calibration.origin
-        )
+    row = CalibrationRow(
+        rig_id=rig.id, file_id=file_id, valid_from=calibration.valid_from, origin=calibration.origin
     )
+    session.add(row)
+    session.flush()
+    return row.id
 
 
 def calibration_file(session: Session, rig_id: int, at: datetime) -> int | None:

@@ -8,11 +8,13 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import search
-from sms_jobs.cli import output
+from sms_jobs.cli import calibration_files, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.sensors import Calibration
 
 app = typer.Typer(help="Calibrations of rigs.", no_args_is_help=True)
+app.command("export")(calibration_files.export)
+app.command("import")(calibration_files.import_)
 
 
 @app.command("list")

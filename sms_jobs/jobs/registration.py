@@ -13,7 +13,7 @@ import sms_jobs
 from sms_jobs.archive import Archive, Sealed
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue.models import CalibrationRow, FileRow
 from sms_jobs.errors import Conflict
 from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds import kind_named
@@ -51,6 +51,30 @@ def register_campaign(
         raise
 
 
+def register_calibration(
+    catalogue: Catalogue, archive: Archive, calibration: Calibration, now: datetime
+) -> tuple[int, bool]:
+    """Add a calibration of a rig that was made elsewhere.
+
+    Returns
+    -------
+    Its number in the catalogue, and whether it is new: the same calibration is entered once.
+    """
+    sealed = _seal(archive, calibration, now)
+    try:
+        with catalogue.writing() as session:
+            number = _index(session, archive, calibration, sealed, now)
+            path = session.scalar(
+                select(FileRow.path)
+                .join(CalibrationRow, CalibrationRow.file_id == FileRow.id)
+                .where(CalibrationRow.id == number)
+            )
+    except BaseException:
+        archive.discard(sealed.path)
+        raise
+    return number, path == sealed.path
+
+
 def _seal(archive: Archive, calibration: Calibration, now: datetime) -> Sealed:
     return archive.seal_calibration(
         calibration,
@@ -63,13 +87,16 @@ def _seal(archive: Archive, calibration: Calibration, now: datetime) -> Sealed:
 
 def _index(
     session: Session, archive: Archive, calibration: Calibration, sealed: Sealed, now: datetime
-) -> None:
+) -> int:
+    """Index a sealed calibration and return its number; the file of one that is known is discarded."""
     same = session.scalar(
-        select(FileRow.path).where(FileRow.source == CALIBRATION, FileRow.content_hash == sealed.content_hash)
+        select(CalibrationRow.id)
+        .join(FileRow, FileRow.id == CalibrationRow.file_id)
+        .where(FileRow.source == CALIBRATION, FileRow.content_hash == sealed.content_hash)
     )
     if same is not None:
         archive.discard(sealed.path)
-        return
+        return same
     file = FileRow(
         source=CALIBRATION,
         path=sealed.path,
@@ -80,4 +107,4 @@ def _index(
     )
     session.add(file)
     session.flush()
-    campaigns.add_calibration(session, calibration, file.id)
+    return campaigns.add_calibration(session, calibration, file.id)

@@ -1,0 +1,189 @@
+"""`sms calibration export` and `import`: calibrations in the files of other programs."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, get_args
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.catalogue import search
+from sms_jobs.cli import output
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.formats.interchange.calibration_files import (
+    Style,
+    Supplement,
+    calibration_text,
+    read_calibration,
+)
+from sms_jobs.jobs.registration import register_calibration
+from sms_jobs.records.sensors import Box, Calibration
+
+_STYLES: tuple[Style, ...] = get_args(Style)
+_SIZE = re.compile(r"(?P<name>\w{1,8})=(?P<columns>\d{1,6})x(?P<rows>\d{1,6})")
+
+_Six = tuple[float, float, float, float, float, float]
+
+
+def export(
+    number: Annotated[int, typer.Argument(help="Number of a calibration; see 'sms calibration list'.")],
+    style: Annotated[str, typer.Option("--as", help=f"One of {', '.join(_STYLES)}.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
+    pixel_pitch_um: Annotated[
+        float,
+        typer.Option(
+            "--pixel-pitch-um",
+            help="thesis-xml: width of a pixel in micrometres, which sets the scale of its millimetres.",
+            min=0.01,
+            max=1000.0,
+        ),
+    ] = 5.0,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Write a calibration for other programs.
+
+    opencv-yaml, opencv-xml and opencv-json are files of OpenCV's FileStorage with a table for every sensor:
+    image_width, image_height, camera_matrix, distortion_coefficients, R and T in mm, x = R X + T. thesis-xml
+    has millimetres on the chip, angles and pin-holes.
+
+    Example: sms calibration export 3 --as opencv-yaml --out hall-3.yml
+    """
+    chosen = next((one for one in _STYLES if one == style), None)
+    if chosen is None:
+        raise InvalidInput(f"--as should be one of {', '.join(_STYLES)}, not '{style}'")
+    if out.exists() and not force:
+        raise Conflict(f"{out} exists already; give another name, or --force to replace it")
+    if not out.parent.is_dir():
+        raise InvalidInput(f"the folder {out.parent} does not exist; make it first")
+    with bootstrap.services(home) as services:
+        with services.catalogue.reading() as session:
+            view = search.calibration_view(session, number)
+        with services.archive.open(view.path) as dataset:
+            calibration = dataset.read("calibration", Calibration)
+    text, remarks = calibration_text(calibration, chosen, pixel_pitch_um / 1000.0)
+    try:
+        out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InvalidInput(f"{out} cannot be written: {error.strerror}") from error
+    if as_json:
+        output.print_json({"calibration": number, "style": chosen, "file": out, "remarks": remarks})
+        return
+    for remark in remarks:
+        output.say(remark)
+    output.say(f"wrote {out}")
+
+
+def import_(
+    files: Annotated[
+        list[Path], typer.Argument(help="Calibration file, or several that complete each other.")
+    ],
+    rig: Annotated[str | None, typer.Option(help="Rig that it is of.", show_default=False)] = None,
+    valid_from: Annotated[
+        str | None,
+        typer.Option(
+            "--valid-from", help="From when it holds, as in 2026-05-04T10:00:00+02:00.", show_default=False
+        ),
+    ] = None,
+    volume: Annotated[
+        _Six | None,
+        typer.Option(
+            help="Measurement volume in the world's frame, in mm: its lower corner, then its upper.",
+            metavar="X Y Z X Y Z",
+            show_default=False,
+        ),
+    ] = None,
+    camera: Annotated[
+        list[str] | None, typer.Option(help="Name of a camera, in the order of the file.", show_default=False)
+    ] = None,
+    projector: Annotated[
+        list[str] | None,
+        typer.Option(help="Name of a projector, in the order of the file.", show_default=False),
+    ] = None,
+    size: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Image size of a sensor whose size the file does not say, as in P1=1920x1080.",
+            show_default=False,
+        ),
+    ] = None,
+    unit_mm: Annotated[
+        float, typer.Option("--unit-mm", help="Millimetres in the file's unit of length: 1000 for metres.")
+    ] = 1.0,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Bring in a calibration that was made elsewhere.
+
+    Reads what 'sms calibration export' writes, and files of OpenCV with one camera or a pair, as OpenCV's
+    samples, SLStudio, SLMaster and others write them; the world is then the frame of the first sensor. What
+    the file does not say has to be added. Nothing is changed unless everything is right.
+
+    Example: sms calibration import calibration.xml --rig desk --valid-from 2026-05-04T10:00:00+02:00
+    --volume -200 -200 500 200 200 900
+
+    Example: sms calibration import intrinsics.yml extrinsics.yml --camera C1 --projector P1
+    --size C1=1280x1024 --size P1=1920x1080 --unit-mm 1000 --rig desk --valid-from 2026-05-04T10:00:00+02:00
+    --volume -200 -200 500 200 200 900
+    """
+    supplement = Supplement(
+        rig=rig,
+        valid_from=_time(valid_from),
+        volume=None if volume is None else Box(volume[:3], volume[3:]),
+        names=(*(camera or ()), *(projector or ())),
+        sizes=_sizes(size or []),
+        millimetres_per_unit=unit_mm,
+    )
+    found = read_calibration(files, supplement)
+    calibration = found.calibration
+    with bootstrap.services(home) as services:
+        number, new = register_calibration(
+            services.catalogue, services.archive, calibration, datetime.now(UTC)
+        )
+    if as_json:
+        output.print_json(
+            {
+                "calibration": number,
+                "new": new,
+                "rig": calibration.rig.name,
+                "sensors": [s.name for s in calibration.rig.sensors],
+                "valid_from": calibration.valid_from,
+                "remarks": found.remarks,
+            }
+        )
+        return
+    for remark in found.remarks:
+        output.say(remark)
+    names = " ".join(s.name for s in calibration.rig.sensors)
+    output.say(
+        f"calibration {number} of rig {calibration.rig.name} ({names}) "
+        + (f"is entered; next: sms calibration show {number}" if new else "is known already")
+    )
+
+
+def _time(text: str | None) -> datetime | None:
+    if text is None:
+        return None
+    try:
+        return datetime.fromisoformat(text)
+    except ValueError:
+        raise InvalidInput(
+            f"--valid-from should be a time as in 2026-05-04T10:00:00+02:00, not '{text}'"
+        ) from None
+
+
+def _sizes(texts: list[str]) -> dict[str, tuple[int, int]]:
+    found: dict[str, tuple[int, int]] = {}
+    for text in texts:
+        said = _SIZE.fullmatch(text)
+        if said is None:
+            raise InvalidInput(f"--size should be as in P1=1920x1080, not '{text}'")
+        if said["name"] in found:
+            raise InvalidInput(f"--size says the size of {said['name']} twice")
+        found[said["name"]] = (int(said["columns"]), int(said["rows"]))
+    return found
