@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sms_jobs.metrology.calibration.pan_tilt import stage_rotation
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.scene import (
@@ -56,7 +57,7 @@ def _packed(deformation: Deformation) -> Floats:
         rotation = Rotation.from_rotvec(deformation.rotation_rad).as_matrix()
         return _affine(rotation, np.array(deformation.translation_mm))
     if isinstance(deformation, PanTilt):
-        return _affine(pan_tilt_matrix(deformation.pan_rad, deformation.tilt_rad), np.zeros(3))
+        return _affine(stage_rotation(deformation.pan_rad, deformation.tilt_rad), np.zeros(3))
     if isinstance(deformation, UniaxialStrain):
         across = 1.0 - deformation.poisson_ratio * deformation.strain
         return _affine(np.diag([1.0 + deformation.strain, across, across]), np.zeros(3))
@@ -66,12 +67,6 @@ def _packed(deformation: Deformation) -> Floats:
     else:
         row[:2] = HALVES, deformation.gap_mm
     return row
-
-
-def pan_tilt_matrix(pan_rad: float, tilt_rad: float) -> Floats:
-    """Return the rotation from the bar's frame to the tripod's, (3, 3): R~ of thesis Eq. (2.3)."""
-    cw, sw, cp, sp = np.cos(pan_rad), np.sin(pan_rad), np.cos(tilt_rad), np.sin(tilt_rad)
-    return np.array([[cp, 0.0, sp], [sw * sp, cw, -sw * cp], [-cw * sp, sw, cw * cp]])
 
 
 def _affine(matrix: Floats, shift: Floats) -> Floats:

@@ -28,7 +28,6 @@ from sms_jobs.records.sensors import Rig
 from sms_jobs.virtual_rig.artefact_truth import placed_points, true_bar, true_board
 from sms_jobs.virtual_rig.artefacts import axes_of, bar_centres, board_normal, board_points
 from sms_jobs.virtual_rig.campaigns import CAMERA_LENS, PROJECTOR_LENS, aimed
-from sms_jobs.virtual_rig.deformations import pan_tilt_matrix
 from sms_jobs.virtual_rig.ink import BRIGHT, DARK, disc_share, edge_share
 from sms_jobs.virtual_rig.light import SUBSAMPLES, trace
 from sms_jobs.virtual_rig.rendering import render
@@ -45,6 +44,7 @@ BAR = BallBar(150.0, 0.01, 20.0, 0.005, stalk_mm=15.0, slide_mm=4.0)
 UPRIGHT = facing_rig(BOARD)
 TILTED = Rigid((0.3, -0.2, 0.5), (5.0, -4.0, 20.0))
 TRIPOD = Rigid((pi / 2.0, 0.0, 0.0), (0.0, -10.0, 0.0))
+ABOUT_X = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def simulation(surface: Surface, *deformation: Deformation) -> Simulation:
@@ -63,20 +63,23 @@ def board_coordinates(sim: Simulation, pixels: np.ndarray) -> np.ndarray:
     return (points - corner) @ frame
 
 
-def test_pan_and_tilt_turn_about_the_stages_axes() -> None:
-    pan, tilt = 0.4, -0.7
+def turned(pan: float, tilt: float) -> np.ndarray:
+    """Return the turn by the tilt about y, then by the pan about x, (3, 3)."""
     about_x = np.array([[1, 0, 0], [0, np.cos(pan), -np.sin(pan)], [0, np.sin(pan), np.cos(pan)]])
     about_y = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
-    # A few roundings of numbers up to 1.
-    np.testing.assert_allclose(pan_tilt_matrix(pan, tilt), about_x @ about_y, atol=1e-15)
-    # Thesis Eqs. (2.4) and (2.6): the bar at home crossed with the bar turned points along the axis.
-    home = pan_tilt_matrix(0.0, 0.0)[:, 2]
-    np.testing.assert_allclose(
-        np.cross(home, pan_tilt_matrix(pan, 0.0)[:, 2]), [np.sin(pan), 0, 0], atol=1e-15
-    )
-    np.testing.assert_allclose(
-        np.cross(home, pan_tilt_matrix(0.0, tilt)[:, 2]), [0, np.sin(tilt), 0], atol=1e-15
-    )
+    return np.asarray(about_x @ about_y)
+
+
+def test_pan_and_tilt_turn_about_the_stages_axes() -> None:
+    scene, points = simulation(BAR).scene, np.array([[3.0, -4.0, 5.0], [0.0, 0.0, 100.0]])
+    for pan, tilt in ((0.4, -0.7), (0.4, 0.0), (0.0, -0.7)):
+        moved = placed_points(scene, (PanTilt(pan, tilt), TRIPOD), points)
+        expected = points @ turned(pan, tilt).T @ ABOUT_X.T + TRIPOD.translation_mm
+        # A few roundings of numbers up to 100.
+        np.testing.assert_allclose(moved, expected, atol=1e-13)
+    # Thesis Eq. (2.4): the bar at home crossed with the bar panned points along the pan axis.
+    home, panned = (placed_points(scene, (PanTilt(pan),), points[1:])[0] for pan in (0.0, 0.4))
+    np.testing.assert_allclose(np.cross(home, panned), [1e4 * np.sin(0.4), 0.0, 0.0], atol=1e-10)
 
 
 def test_the_markers_place_the_axes_of_a_board() -> None:
@@ -224,8 +227,7 @@ def test_nothing_is_printed_on_the_back_of_a_board() -> None:
 def test_rays_meet_the_spheres_of_the_bar(angles: tuple[float, float]) -> None:
     sim = simulation(BAR, PanTilt(*angles), TRIPOD)
     shape, truth = exact_shape(sim), true_bar(sim)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-    placed = bar_centres(BAR) @ pan_tilt_matrix(*angles).T @ about_x.T + [0.0, -10.0, 0.0]
+    placed = bar_centres(BAR) @ turned(*angles).T @ ABOUT_X.T + TRIPOD.translation_mm
     np.testing.assert_allclose(truth.centre, placed, atol=1e-12)
     assert np.linalg.norm(truth.centre[1] - truth.centre[0]) == pytest.approx(150.0, rel=1e-14)
     rows, columns = shape.region.shape
