@@ -25,8 +25,8 @@ from sms_jobs.records.sensors import Calibration
 _DEFINITION = TypeAdapter(Campaign)
 
 
-def add_campaign(session: Session, campaign: Campaign, now: datetime) -> None:
-    """Add a campaign with its specimen, rig and states.
+def add_campaign(session: Session, campaign: Campaign, now: datetime, plan: str | None = None) -> None:
+    """Add a campaign with its specimen, rig and states, and the text of the file that it was made from.
 
     Raises
     ------
@@ -50,6 +50,7 @@ def add_campaign(session: Session, campaign: Campaign, now: datetime) -> None:
         rig_id=rig.id,
         created_at=now,
         definition=_DEFINITION.dump_python(campaign, mode="json"),
+        plan=plan,
     )
     session.add(row)
     session.flush()

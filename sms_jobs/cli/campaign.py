@@ -13,7 +13,7 @@ from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats import configuration
 from sms_jobs.jobs import inquiry
 from sms_jobs.jobs.registration import register_campaign
@@ -25,7 +25,7 @@ app = typer.Typer(
 
 @app.command()
 def create(
-    plan: Annotated[Path | None, typer.Argument(help="Test plan (TOML).", show_default=False)] = None,
+    plan: Annotated[Path | None, typer.Argument(help="Test plan (TOML, or XML).", show_default=False)] = None,
     example: Annotated[
         bool, typer.Option("--example", help="Print a plan to start from, and do nothing.")
     ] = False,
@@ -47,7 +47,12 @@ def create(
     campaign = loaded.campaign
     with bootstrap.services(home) as services:
         register_campaign(
-            services.catalogue, services.archive, campaign, loaded.calibration, datetime.now(UTC)
+            services.catalogue,
+            services.archive,
+            campaign,
+            loaded.calibration,
+            datetime.now(UTC),
+            loaded.text,
         )
     if as_json:
         output.print_json(
@@ -107,19 +112,29 @@ def list_(home: Home = None, as_json: Json = False) -> None:
 @app.command()
 def show(
     name: Annotated[str, typer.Argument(autocompletion=completion.campaign_names)],
+    plan: Annotated[
+        bool, typer.Option("--plan", help="Print the test plan that it was made from, letter by letter.")
+    ] = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
     """Show a campaign's states and pairs.
 
-    Example: sms campaign show wing-fatigue
+    Example: sms campaign show wing-fatigue; sms campaign show wing-fatigue --plan > again.toml
     """
     with bootstrap.services(home) as services, services.catalogue.reading() as session:
         row = campaigns.campaign_row(session, name)
         jobs = inquiry.counts(session, campaign=name)
+    if plan and not as_json:
+        if row.plan is None:
+            raise NotFound(f"campaign {name} was made by a program, not from a test plan")
+        sys.stdout.write(row.plan)
+        return
     campaign = campaigns.definition(row)
     if as_json:
-        output.print_json({"campaign": row.definition, "created_at": row.created_at, "jobs": jobs})
+        output.print_json(
+            {"campaign": row.definition, "created_at": row.created_at, "plan": row.plan, "jobs": jobs}
+        )
         return
     output.print_facts(
         {

@@ -5,7 +5,7 @@ Keys are the names of the records' fields, with angles in degrees (`..._deg`) in
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from math import radians
 from typing import Annotated, Any, TypeAlias
@@ -41,10 +41,13 @@ class CampaignPlan:
     calibration
         For a test on a virtual rig: its exact parameters. None for a real rig, which is calibrated by
         measurement, and for a calibration session, whose calibration is what it is to find.
+    text
+        The file, letter by letter.
     """
 
     campaign: Campaign
     calibration: Calibration | None
+    text: str = field(default="", compare=False)
 
 
 _Surface: TypeAlias = Annotated[

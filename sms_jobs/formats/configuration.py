@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -49,7 +50,7 @@ def load_campaign(path: Path) -> CampaignPlan:
     except UnicodeDecodeError as error:
         raise ConfigurationError(f"{path} is not UTF-8 text (byte {error.start}): save it as UTF-8") from None
     if path.suffix.lower() == ".xml":
-        return _plan(*parse_measurement_configuration(text, str(path)))
+        return _plan(*parse_measurement_configuration(text, str(path)), text)
     return parse_campaign(text, str(path))
 
 
@@ -65,13 +66,13 @@ def parse_campaign(text: str, source: str) -> CampaignPlan:
         content = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigurationError(f"{source} is not valid TOML: {error or 'nested too deeply'}") from None
-    return _plan(content, Places(source))
+    return _plan(content, Places(source), text)
 
 
-def _plan(content: dict[str, Any], places: Places) -> CampaignPlan:
-    """Return what the nested table of a file defines; `places` says where in the file its values stand."""
+def _plan(content: dict[str, Any], places: Places, text: str) -> CampaignPlan:
+    """Return what the nested table of a file defines; `places` says where in its text the values stand."""
     try:
-        return CampaignTable.model_validate(_tuples(content)).plan()
+        return replace(CampaignTable.model_validate(_tuples(content)).plan(), text=text)
     except ValidationError as error:
         first, *more = error.errors(include_url=False)
         rest = f" (and {len(more)} more)" if more else ""

@@ -23,9 +23,14 @@ from sms_jobs.records.sensors import Calibration
 
 
 def register_campaign(
-    catalogue: Catalogue, archive: Archive, campaign: Campaign, calibration: Calibration | None, now: datetime
+    catalogue: Catalogue,
+    archive: Archive,
+    campaign: Campaign,
+    calibration: Calibration | None,
+    now: datetime,
+    plan: str | None = None,
 ) -> None:
-    """Add a campaign and, if given, the calibration of its rig.
+    """Add a campaign and, if given, the calibration of its rig and the text of the file that defines both.
 
     Raises
     ------
@@ -41,7 +46,7 @@ def register_campaign(
     sealed = None if calibration is None else _seal(archive, calibration, now)
     try:
         with catalogue.writing() as session:
-            campaigns.add_campaign(session, campaign, now)
+            campaigns.add_campaign(session, campaign, now, plan)
             if calibration is not None and sealed is not None:
                 _index(session, archive, calibration, sealed, now)
     except Conflict:

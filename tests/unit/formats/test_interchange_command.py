@@ -112,3 +112,13 @@ def test_wrong_input_changes_nothing(arguments: tuple[str, ...], code: int, word
 
 def test_the_help_has_examples() -> None:
     assert "Example: sms calibration import intrinsics.yml" in sms("calibration", "import", "--help").stdout
+
+
+def test_the_plan_of_a_campaign_is_kept_letter_by_letter(made: Path, tmp_path: Path) -> None:
+    page = (Path(__file__).resolve().parents[3] / "docs" / "configuration.md").read_text(encoding="utf-8")
+    text = page.partition("```xml\n")[2].partition("```")[0].replace("plate 7", "Blech 7, 20 \u00b0C")
+    path = tmp_path / "plate.xml"
+    path.write_bytes(text.encode())
+    assert answer("campaign", "create", str(path), "--home", str(made))["pairs"] == ["C1P1", "C2P1"]
+    assert sms("campaign", "show", "plate-tension", "--plan", "--home", str(made)).stdout == text
+    assert answer("campaign", "show", "plate-tension", "--home", str(made))["plan"] == text
