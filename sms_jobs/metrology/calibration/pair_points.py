@@ -1,0 +1,50 @@
+"""What a pair's parameters make of its pixels: points, gaps, and sensors that have moved a little."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, ray_directions
+from sms_jobs.metrology.geometry.transforms import rotation_matrix
+
+Floats = NDArray[np.float64]
+Parameters: TypeAlias = tuple[Intrinsics, Pose]
+"""Inner parameters and pose of a sensor."""
+
+
+def lens_vector(intrinsics: Intrinsics) -> Floats:
+    """Return (fx, fy, cx, cy, k1, k2, p1, p2, k3)."""
+    return np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy, *intrinsics.distortion()])
+
+
+def moved_sensor(sensor: Parameters, step: Floats) -> Parameters:
+    """Return a sensor after a change of its 15 parameters; R <- exp([r]x) R, everything else is added."""
+    intrinsics, pose = sensor
+    values = lens_vector(intrinsics) + step[6:]
+    turned = rotation_matrix(step[:3]) @ pose.matrix()
+    return Intrinsics(*map(float, values)), Pose.from_arrays(turned, np.array(pose.translation) + step[3:6])
+
+
+def meet_rays(
+    camera: Parameters, projector: Parameters, camera_px: Floats, projector_px: Floats
+) -> tuple[Floats, Floats]:
+    """Return where rays come closest, on the camera's (n, 3) in mm, and the signed gaps (n,) in mm.
+
+    The same as `geometry.triangulation.triangulate` makes of the pixels of a whole image (thesis Fig. 12).
+    NaN outside a lens's valid field.
+    """
+    u, v = ray_directions(*camera, camera_px), ray_directions(*projector, projector_px)
+    normal = np.cross(u, v)
+    base = projector[1].centre() - camera[1].centre()
+    square = np.sum(normal * normal, axis=-1)
+    along = np.sum(np.cross(base, v) * normal, axis=-1) / square
+    return camera[1].centre() + along[..., None] * u, np.asarray(normal @ base / np.sqrt(square))
+
+
+def box_grid(low: Floats, high: Floats, per_side: int = 7) -> Floats:
+    """Return the points (per_side^3, 3) of a regular grid that fills a box, corners included."""
+    axes = [np.linspace(a, b, per_side) for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
