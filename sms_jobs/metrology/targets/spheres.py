@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
-from math import radians
+from math import degrees, pi, radians
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,6 +151,11 @@ def find_spheres(
     Raises `InvalidInput` for arrays that do not belong together; what the cloud itself lacks is told in
     `problems`.
     """
+    if select < 1 or not 0.0 < incidence_limit < 0.5 * pi:
+        raise InvalidInput(
+            "at least 1 point is selected, seen at an incidence between 0 and 90 degrees; "
+            f"not {select} points below {degrees(incidence_limit):g} degrees"
+        )
     sigma, looked_at = _checked(points, point_sigma, radius_mm, region, count, predicted, bar_length_mm)
     points = np.ascontiguousarray(points, dtype=np.float64)
     camera = np.asarray(camera_centre, dtype=np.float64)

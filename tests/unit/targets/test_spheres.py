@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import radians, sin
+from math import pi, radians, sin
 
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.calibration.pan_tilt import (
+    Stage,
+    label_special_poses,
+    predict_centres,
+    prediction_covariance,
+    stage_from_special_poses,
+)
+from sms_jobs.metrology.calibration.pan_tilt_refinement import (
+    refine_stage,
+    search_margin_mm,
+    sphere_regions,
+)
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, pixel_grid, project, ray_directions
 from sms_jobs.metrology.targets.sphere_fit import fit_sphere, ray_residuals, spread_pixels
 from sms_jobs.metrology.targets.sphere_votes import sphere_peaks
@@ -370,6 +382,10 @@ def test_arrays_that_do_not_belong_together_are_refused() -> None:
         find_spheres(points, np.ones((3, 3)), RADIUS, PINHOLE)
     with pytest.raises(InvalidInput, match="region"):
         find_spheres(points, 0.1, RADIUS, PINHOLE, region=np.ones((3, 3), dtype=bool))
+    with pytest.raises(InvalidInput, match="selected"):
+        find_spheres(points, 0.1, RADIUS, PINHOLE, select=0)
+    with pytest.raises(InvalidInput, match="incidence"):
+        find_spheres(points, 0.1, RADIUS, PINHOLE, incidence_limit=2.0)
     with pytest.raises(InvalidInput, match="above 0 mm"):
         find_spheres(points, 0.1, 0.0, PINHOLE)
     with pytest.raises(InvalidInput, match="predicted"):
@@ -388,3 +404,51 @@ def test_a_narrower_limit_of_incidence_takes_fewer_points(rng: np.random.Generat
         (sin(radians(40)) / sin(radians(60))) ** 2, abs=0.05
     )
     assert narrow.covariance[2, 2] > wide.covariance[2, 2]
+
+
+def test_three_special_poses_tell_where_to_look_in_the_others(rng: np.random.Generator) -> None:
+    towards_camera = np.array([[0.0, 0.1, 1.0], [0.1, 1.0, -0.1], [-1.0, 0.1, 0.0]])
+    rotation = np.linalg.svd(towards_camera)[0] @ np.linalg.svd(towards_camera)[2]  # the nearest rotation
+    bar = np.array([[120.0, 0.0, -180.0], [120.0, 0.0, 220.0]])
+    stage = Stage(rotation, np.array([5.0, 10.0, 60.0]), bar, None, 0.0, pi / 2)
+    sigma = 0.3
+
+    def cloud_of(pan: float, tilt: float) -> Floats:
+        first, second = predict_centres(stage, pan, tilt)
+        wall = nothing().plane(np.array([0.0, 0.0, 500.0]), np.array([0.2, 0.1, 1.0]))
+        return wall.sphere(first).sphere(second).cylinder(first, second, 10.0).points(sigma, rng)
+
+    angles = np.array([[0.0, 0.0], [0.7, 0.0], [0.0, -0.6]])
+    special = [find_spheres(cloud_of(*pose), sigma, RADIUS, PINHOLE, bar_length_mm=400.0) for pose in angles]
+    centres = np.array([[s.centre for s in search.spheres] for search in special])
+    covariances = np.array([[s.covariance for s in search.spheres] for search in special])
+    numbered = np.array([centres[0], *label_special_poses(*centres, 0.7, -0.6)])
+    for k in (1, 2):
+        if not np.array_equal(numbered[k], centres[k]):
+            covariances[k] = covariances[k, ::-1].copy()
+    centres = numbered
+    start, _ = stage_from_special_poses(*centres, 0.7, -0.6)
+    fit = refine_stage(start, angles, centres, covariances)
+    order = 1 if np.linalg.norm(centres[0, 0] - predict_centres(stage, 0, 0)[0]) < 1.0 else -1
+
+    for pan, tilt in ((-0.7, 0.5), (1.2, -0.4), (0.3, 0.6)):
+        predicted = predict_centres(fit.stage, pan, tilt)
+        margin = search_margin_mm(prediction_covariance(fit.stage, pan, tilt))
+        region = sphere_regions(CAMERA, POSE, (SIZE, SIZE), predicted, RADIUS, margin + 10.0)
+        search = find_spheres(
+            cloud_of(pan, tilt),
+            sigma,
+            RADIUS,
+            PINHOLE,
+            region=region,
+            predicted=predicted,
+            bar_length_mm=400.0,
+        )
+        assert search.problems == ()
+        assert search.searched_fraction < 0.05
+        true = predict_centres(stage, pan, tilt)[::order]
+        for sphere, centre in zip(search.spheres, true, strict=True):
+            off = sphere.centre - centre
+            # 1 in 10,000 of chi-square with 3 degrees is above 21.
+            assert off @ np.linalg.solve(sphere.covariance, off) < 21.0
+            assert sphere.off_prediction_mm < margin + 1.0
