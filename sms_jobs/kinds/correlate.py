@@ -183,10 +183,11 @@ def _state(
     cloud = inputs.read(shape_role, "cloud", PointCloud)
     if parameters.texture == "white":
         texture: NDArray[np.floating] = measurement.texture.astype(np.float64)
-        averaged = 1
+        noise = Noise(measurement.read_noise**2, measurement.gain)
     else:
-        texture = inputs.read(shape_role, "phase", PhaseMaps).mean_intensity
-        averaged = measurement.sequence.frames_per_exposure
+        phase = inputs.read(shape_role, "phase", PhaseMaps)
+        texture = phase.mean_intensity
+        noise = average_noise(measurement, phase, cloud.reason == Reason.VALID)
     regions = label_regions(
         cloud.xyz,
         cloud.reason == Reason.VALID,
@@ -195,8 +196,23 @@ def _state(
         minimum_area=parameters.minimum_region_area_px,
         threads=inputs.threads,
     )
-    noise = Noise(measurement.read_noise**2 / averaged, measurement.gain / averaged)
     return _State(texture, noise, cloud, regions)
+
+
+def average_noise(measurement: Measurement, phase: PhaseMaps, valid: NDArray[np.bool_]) -> Noise:
+    """Return the noise of the mean over the fringe frames, whose grey levels are those at exposure 1.
+
+    Where pixels have exposures of their own it is right for the valid ones together: too much for the dark
+    ones and too little for a highlight, which has the short exposures.
+    """
+    frames = measurement.sequence.frames_per_exposure
+    read_variance, gain = measurement.read_noise**2 / frames, measurement.gain / frames
+    if phase.exposure is None or not valid.any():
+        return Noise(read_variance, gain)
+    scale = 1.0 / phase.exposure[valid].astype(np.float64)
+    level = phase.mean_intensity[valid]
+    slope = float(np.mean(scale * level) / np.mean(level, dtype=np.float64))
+    return Noise(read_variance * float(np.mean(scale**2)), gain * slope)
 
 
 def _displacement_record(

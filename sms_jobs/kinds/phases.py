@@ -190,7 +190,7 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
         raise InvalidInput(f"method={parameters.method} needs a calibration; set method={UNWRAPPING}")
     sequence = measurement.sequence
     _, rows, columns = measurement.frames.shape
-    phase = PhaseMaps.unset(sequence.orientations_rad, rows, columns, bracketed=len(sequence.exposures) > 1)
+    phase = PhaseMaps.unset(sequence.orientations_rad, rows, columns, bracketed=sequence.exposures != (1.0,))
     reason = np.zeros((rows, columns), np.uint32)
     returns = None
     if parameters.returns > 1:

@@ -28,7 +28,7 @@ POINTS = ("point",)
 class PhaseMaps:
     """What temporal unwrapping or ranging says of every pixel, for each fringe orientation.
 
-    Grey levels are those at exposure 1. Of a single exposure `exposure` is None.
+    Grey levels are those at exposure 1. Where that is the only exposure, `exposure` is None.
     """
 
     orientations_rad: tuple[float, ...]
@@ -38,7 +38,7 @@ class PhaseMaps:
     phase_error: Single = array("rad", "rms residual of the phase against the fringe density", ORIENTED_IMAGE)
     mean_intensity: Single = array("count", "texture averaged over all fringe frames")
     exposure: Single | None = array(
-        "1", "exposure that was chosen of several, in units of the camera's own", default=None
+        "1", "exposure that was chosen, in units of the camera's own", default=None
     )
 
     @classmethod

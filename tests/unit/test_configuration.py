@@ -192,7 +192,7 @@ MISTAKES = [
     ("steps = 4", "steps = 2", "at least 3 phase steps, not 2"),
     ("[specimen]", "[[specimen]]", "specimen should be a table"),
     ("[scene.camera]", "[camera]", "the file has no key 'camera'"),
-    ("seed = 7", "seed = ", "is not valid TOML: Invalid value (at line 50"),
+    ("seed = 7", "seed = ", "is not valid TOML: Invalid value (at line 51"),
 ]
 
 
