@@ -39,7 +39,7 @@ class Plan(NamedTuple):
     order: NDArray[np.int64]
     weights: Single
     sums: Floats
-    overlaps: Single
+    overlaps: Floats
     grid: Grid
 
 

@@ -47,7 +47,7 @@ Single: TypeAlias = NDArray[np.float32]
 
 _FEW = 6  # pixels that are fitted one by one at less cost than a chunk of them together
 _STEPS, _MORE_STEPS = 4, 12  # of the fit of two returns, the latter for pixels that wait
-_NEAREST = 0.15  # bins; two returns nearer than this are not told apart here
+_NEAREST = 0.06  # bins; two returns nearer than this are not told apart here
 _CENTRED = 1.0  # step of omega, times s, at which one return is near enough to the middle of two
 
 
