@@ -123,6 +123,11 @@ def role_of(kind: str, state: str, pair: str) -> str:
     return f"{kind}/{state}/{pair}"
 
 
+def blur_name(camera: str) -> str:
+    """Return under what name a calibration tells the blur of a camera."""
+    return f"blur of {camera} [px]"
+
+
 def sensor_format(session: CalibrationSession, name: str) -> SensorFormat:
     """Return the size of a sensor's image; raise `InvalidInput` where the session does not tell it."""
     for sensor in session.sensors:
