@@ -84,7 +84,9 @@ def read_calibration(paths: Sequence[Path], given: Supplement) -> ImportedCalibr
     else:
         found = find_opencv_calibration(_together(texts), sources)
     digest = hashlib.sha256("".join(text for _, text in texts).encode()).hexdigest()
-    origin = f"imported from {', '.join(path.name for path, _ in texts)}, sha256 {digest[:16]}"
+    # A file's name may have bytes that are no text.
+    names = ", ".join(path.name for path, _ in texts).encode("utf-8", "replace").decode()
+    origin = f"imported from {names}, sha256 {digest[:16]}"
     return _completed(found, given, sources, found.origin or origin)
 
 

@@ -263,6 +263,8 @@ def _text(table: Table, key: str, source: str) -> str:
     value = _needed(table, key, source)
     if not isinstance(value, str):
         raise ConfigurationError(f"{key} of {source} should be text in quotes, not {value!r}")
+    if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
+        raise ConfigurationError(f"{key} of {source} has letters that no text has: {ascii(value[:40])}")
     return value
 
 

@@ -280,6 +280,15 @@ def test_a_file_that_says_everything_needs_no_names(calibration: Calibration, tm
     assert (other.rig.name, other.rig.sensors) == ("desk", calibration.rig.sensors)
 
 
+@pytest.mark.parametrize("letters", ["\\u0000", "\\ud800"])
+def test_letters_that_no_catalogue_holds_are_refused(letters: str, tmp_path: Path) -> None:
+    text = (WRONG / "sensor_that_is_missing.json").read_text(encoding="utf-8")
+    path = tmp_path / "rig.json"
+    path.write_text(text.replace("by hand", letters).replace('["C1"]', "[]"), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="origin of .* has letters that no text has"):
+        read_calibration([path], Supplement())
+
+
 REFUSALS = {
     "anchors.yml": "line 23: '&size [ 1280, 1024 ]' is YAML that OpenCV does not write",
     "another_root.xml": "its outermost element is <rig>, not <opencv_storage>",
