@@ -264,7 +264,7 @@ def _text(table: Table, key: str, source: str) -> str:
     if not isinstance(value, str):
         raise ConfigurationError(f"{key} of {source} should be text in quotes, not {value!r}")
     if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
-        raise ConfigurationError(f"{key} of {source} has letters that no text has: {ascii(value[:40])}")
+        raise ConfigurationError(f"{key} of {source} has letters that no text has: {value[:40]!a}")
     return value
 
 

@@ -285,7 +285,7 @@ def test_letters_that_no_catalogue_holds_are_refused(letters: str, tmp_path: Pat
     text = (WRONG / "sensor_that_is_missing.json").read_text(encoding="utf-8")
     path = tmp_path / "rig.json"
     path.write_text(text.replace("by hand", letters).replace('["C1"]', "[]"), encoding="utf-8")
-    with pytest.raises(ConfigurationError, match="origin of .* has letters that no text has"):
+    with pytest.raises(ConfigurationError, match=r"origin of .* has letters that no text has"):
         read_calibration([path], Supplement())
 
 
