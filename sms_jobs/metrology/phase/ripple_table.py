@@ -71,7 +71,8 @@ def ripple_table(response: Response, densities: Sequence[int], steps: int) -> Ri
     Notes
     -----
     measured = true + ripple(true), read backwards. It is the ripple of temporal unwrapping; ranging with
-    known origin solves sum B_t t Im[z_t exp(-i omega t)] = 0, the same to first order in the harmonics.
+    known origin solves sum B_t t Im[z_t exp(-i omega t)] = 0, the same to first order in the harmonics. It is
+    that of all densities: a pixel that lost some of them to saturation keeps a part of its own.
 
     Raises `MeasurementFailed` for a response so far from linear that two phase gradients look alike.
     """
