@@ -35,6 +35,7 @@ _MOST_OUTSIDE = 0.1  # part of the dots of a lattice that may lie outside the bo
 _AREA_TOLERANCE = 1.4
 _OUTLIER_SIGMAS = 6.0
 _LEAST_OUTLIER_PX = 0.1
+_CENTRE_ROUNDS = 2  # the view is fitted to centres that it corrects: each round leaves a hundredth
 _NEAR_PREDICTION = 0.15  # of a pitch
 
 
@@ -90,7 +91,9 @@ def _by_markers(board: DotBoard, place: Ints, flagged: NDArray[np.bool_]) -> tup
                 matched = int((is_marker & flagged).sum())
                 against = int((is_marker != flagged)[inside].sum())
                 found[key] = (matched, 2 * matched - against - int((~inside).sum()), moved)
-    likely = sorted((f for f in found.values() if f[0] >= _LEAST_MARKERS), key=lambda f: -f[1])
+    # Two markers can fit by chance, even in a mirror: then nothing may speak against them.
+    fitting = (f for f in found.values() if f[0] == 3 or (f[0] == _LEAST_MARKERS and f[1] == 2 * f[0]))
+    likely = sorted(fitting, key=lambda f: -f[1])
     if not likely:
         return f"{int(flagged.sum())} markers were seen among {len(place)} dots, not two that fit the board"
     if len(likely) > 1 and likely[1][1] == likely[0][1]:
@@ -247,9 +250,10 @@ def _finished(
             circles, place = circles.joined(more), np.concatenate([place, where])
     order = np.lexsort((place[:, 0], place[:, 1]))
     circles, place = circles.chosen(order), place[order]
-    view = fit_plane_view(_plane(board, place), circles.centre)
     # Of a ring the outer ellipse alone: its hole is smaller, hence weaker, and need not be concentric.
-    centre = circles.centre - centre_bias_of_view(view, _plane(board, place), _diameters(board, place))
+    plane, diameters, centre = _plane(board, place), _diameters(board, place), circles.centre
+    for _ in range(_CENTRE_ROUNDS):
+        centre = circles.centre - centre_bias_of_view(fit_plane_view(plane, centre), plane, diameters)
     covariance = circles.covariance
     return BoardPoints(
         place=place,

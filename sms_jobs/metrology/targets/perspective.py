@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import perm
 from typing import TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
+
 Floats: TypeAlias = NDArray[np.float64]
 
-_LEAST_POINTS_FOR_CUBIC = 30
-_LEAST_POINTS_FOR_QUADRATIC = 14
+_EDGE_POINTS = 24
+_DEGREES = ((60, 5), (30, 3), (14, 2))  # the bend's degree, by the least number of points that it needs
 
 
 @dataclass(frozen=True)
@@ -24,8 +27,8 @@ class PlaneView:
     homography
         (3, 3), from the plane in mm to the image in px.
     bend
-        (terms, 2), coefficients in px of the terms 1, x, y, x^2, xy, y^2, x^3, x^2 y, x y^2, y^3 in plane
-        coordinates that are shifted by `middle` and divided by `reach`; 0, 6 or 10 terms.
+        (terms, 2), coefficients in px of a polynomial of plane coordinates that are shifted by `middle` and
+        divided by `reach`: 1, x, y, x^2, xy, y^2, x^3, ...; of degree 5, 3 or 2, or none.
     middle
         (2,), in mm.
     reach
@@ -41,7 +44,7 @@ class PlaneView:
         """Return the images (n, 2) in px of points (n, 2) of the plane in mm."""
         straight = through_homography(self.homography, points)
         scaled = (points - self.middle) / self.reach
-        return np.asarray(straight + _terms(scaled, len(self.bend)) @ self.bend)
+        return np.asarray(straight + _terms(scaled, len(self.bend), 0, 0) @ self.bend)
 
     def jacobian(self, points: Floats) -> Floats:
         """Return d(image)/d(point), (n, 2, 2) in px/mm."""
@@ -51,33 +54,28 @@ class PlaneView:
         straight = numerator / p[:, 2, None, None] ** 2
         if not len(self.bend):
             return np.asarray(straight)
-        x, y = ((points - self.middle) / self.reach).T
-        zero, one = np.zeros_like(x), np.ones_like(x)
-        by_x = [zero, one, zero, 2 * x, y, zero, 3 * x * x, 2 * x * y, y * y, zero]
-        by_y = [zero, zero, one, zero, x, 2 * y, zero, x * x, 2 * x * y, 3 * y * y]
-        n = len(self.bend)
-        bent = [np.stack(d[:n], axis=-1) @ self.bend / self.reach for d in (by_x, by_y)]
+        scaled, n = (points - self.middle) / self.reach, len(self.bend)
+        bent = [_terms(scaled, n, *by) @ self.bend / self.reach for by in ((1, 0), (0, 1))]
         return np.asarray(straight + np.stack(bent, axis=-1))
 
     def curvature(self, points: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the second derivatives xx, xy, yy of the bend, each (n, 2) in px/mm^2."""
-        x, y = ((points - self.middle) / self.reach).T
-        zero, one = np.zeros_like(x), np.ones_like(x)
-        n, scale = len(self.bend), self.reach**2
-        by_xx = [zero, zero, zero, 2 * one, zero, zero, 6 * x, 2 * y, zero, zero]
-        by_xy = [zero, zero, zero, zero, one, zero, zero, 2 * x, 2 * y, zero]
-        by_yy = [zero, zero, zero, zero, zero, 2 * one, zero, zero, 2 * x, 6 * y]
-        if n == 0:
-            nothing = np.zeros((len(points), 2))
-            return nothing, nothing, nothing
-        xx, xy, yy = (np.stack(d[:n], axis=-1) @ self.bend / scale for d in (by_xx, by_xy, by_yy))
+        scaled, n = (points - self.middle) / self.reach, len(self.bend)
+        xx, xy, yy = (
+            np.asarray(_terms(scaled, n, *by) @ self.bend / self.reach**2) for by in ((2, 0), (1, 1), (0, 2))
+        )
         return xx, xy, yy
 
 
-def _terms(scaled: Floats, count: int) -> Floats:
+def _terms(scaled: Floats, count: int, by_x: int, by_y: int) -> Floats:
+    """Return derivatives (n, count) of the first monomials, `by_x` times by x and `by_y` times by y."""
     x, y = scaled.T
-    terms = [np.ones_like(x), x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3]
-    return np.stack(terms[:count], axis=-1) if count else np.empty((len(scaled), 0))
+    columns = np.zeros((len(scaled), count))
+    powers = [(degree - k, k) for degree in range(6) for k in range(degree + 1)]
+    for column, (a, b) in zip(columns.T, powers, strict=False):
+        if a >= by_x and b >= by_y:
+            column[:] = perm(a, by_x) * x ** (a - by_x) * perm(b, by_y) * y ** (b - by_y)
+    return columns
 
 
 def through_homography(homography: Floats, points: Floats) -> Floats:
@@ -98,7 +96,7 @@ def fit_plane_view(points: Floats, image: Floats) -> PlaneView:
 
     Returns
     -------
-    The view; its bend is quadratic from 14 points on, cubic from 30 on, else absent.
+    The view; its bend is quadratic from 14 points on, cubic from 30, quintic from 60, else absent.
     """
     found, _ = cv2.findHomography(points.astype(np.float64), image.astype(np.float64), 0)
     middle = np.asarray(points.mean(axis=0), dtype=np.float64)
@@ -108,11 +106,12 @@ def fit_plane_view(points: Floats, image: Floats) -> PlaneView:
         raise ValueError("a plane's view needs four points that are not on a line")
     homography = np.asarray(found, dtype=np.float64)
     count = len(points)
-    terms = 10 if count >= _LEAST_POINTS_FOR_CUBIC else 6 if count >= _LEAST_POINTS_FOR_QUADRATIC else 0
+    degree = next((degree for least, degree in _DEGREES if count >= least), -1)
+    terms = (degree + 1) * (degree + 2) // 2
     bend = np.zeros((terms, 2))
     if terms:
         left = image - through_homography(homography, points)
-        bend[:] = np.linalg.lstsq(_terms((points - middle) / reach, terms), left, rcond=1e-9)[0]
+        bend[:] = np.linalg.lstsq(_terms((points - middle) / reach, terms, 0, 0), left, rcond=1e-9)[0]
     return PlaneView(homography, bend, middle, reach)
 
 
@@ -194,6 +193,40 @@ def centre_bias_of_view(view: PlaneView, centres: Floats, diameters: Floats) -> 
     )
     shift *= (0.5 * np.asarray(diameters, np.float64))[:, None] ** 2 / 8.0
     return np.asarray(straight + (jacobian @ shift[:, :, None])[:, :, 0])
+
+
+def centre_bias_of_camera(intrinsics: Intrinsics, pose: Pose, points: Floats, diameters: Floats) -> Floats:
+    """Return `centre_bias` for a calibrated camera, its whole distortion included.
+
+    Points of each circle's edge are projected and an ellipse is fitted to them.
+
+    Parameters
+    ----------
+    intrinsics, pose
+        Of the camera; the pose maps the board's frame into the camera's.
+    points
+        (n, 3), centres on the board, in mm; z = 0.
+    diameters
+        (n,), in mm.
+
+    Returns
+    -------
+    (n, 2), centres of the ellipses minus images of the centres, in px.
+    """
+    turn = np.linspace(0.0, 2.0 * np.pi, _EDGE_POINTS, endpoint=False)
+    edge = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=-1)
+    radius = 0.5 * np.asarray(diameters, np.float64)
+    seen = project(intrinsics, pose, points[:, None, :] + radius[:, None, None] * edge)
+    middle = seen.mean(axis=1, keepdims=True)
+    size = np.abs(seen - middle).max(axis=(1, 2), keepdims=True)
+    x, y = np.moveaxis((seen - middle) / size, -1, 0)
+    design = np.stack([x * x, x * y, y * y, x, y], axis=-1)
+    normal = np.swapaxes(design, 1, 2) @ design
+    a, b, c, d, e = np.linalg.solve(normal, design.sum(axis=1)[:, :, None])[:, :, 0].T
+    # The centre of a x^2 + b xy + c y^2 + d x + e y = 1 is where its gradient vanishes.
+    pole = np.stack([b * e - 2.0 * c * d, b * d - 2.0 * a * e], axis=-1) / (4.0 * a * c - b * b)[:, None]
+    centre = middle[:, 0] + size[:, 0] * pole
+    return np.asarray(centre - project(intrinsics, pose, points))
 
 
 def ellipse_matrices(view: PlaneView, centres: Floats, diameters: Floats) -> Floats:
