@@ -1,0 +1,342 @@
+"""What changed between two calibrations of a rig, and whether it matters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR, SENSOR_PARAMETERS
+from sms_jobs.metrology.calibration.pair_points import Parameters, box_grid, lens_vector, meet_rays
+from sms_jobs.metrology.calibration.rigid_alignment import align_points, rigid_modes
+from sms_jobs.metrology.calibration.sensor_derivatives import point_derivatives
+from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.transforms import compose, rotation_vector, transform
+
+Floats = NDArray[np.float64]
+Relation: TypeAlias = Literal["independent", "updated"]
+Verdict: TypeAlias = Literal["unchanged", "harmless", "matters", "cannot tell"]
+
+_TOLD = 0.01  # of a variance: directions in which an update learnt less are left out of the test
+_ROUNDING = 1e-10
+
+
+@dataclass(frozen=True)
+class ParameterChange:
+    """One parameter of a sensor.
+
+    Attributes
+    ----------
+    sensor, parameter
+        Names; see `SENSOR_PARAMETERS`.
+    change
+        After less before, in rad, mm or px; of the rotation, the small turn from before to after.
+    sigma, z
+        Standard deviation of such a change where nothing happened, and the change in units of it; NaN where
+        it is not known, as for what was held fixed.
+    """
+
+    sensor: str
+    parameter: str
+    change: float
+    sigma: float
+    z: float
+
+
+@dataclass(frozen=True)
+class PairChange:
+    """What a pair makes of the same pixels with both calibrations, over the volume.
+
+    Attributes
+    ----------
+    camera, projector
+        Names.
+    points
+        Places of the volume that both sensors see.
+    rms_mm, largest_mm
+        Distance of the points by the two calibrations, each in its own world.
+    aligned_rms_mm, aligned_largest_mm
+        After the best rigid motion, the same for all pairs: what changes of shapes.
+    expected_rms_mm, expected_aligned_rms_mm
+        What the covariances let expect where nothing happened; NaN without them.
+    worst_place
+        (X, Y, Z) in mm of the largest distance after alignment.
+    """
+
+    camera: str
+    projector: str
+    points: int
+    rms_mm: float
+    largest_mm: float
+    aligned_rms_mm: float
+    aligned_largest_mm: float
+    expected_rms_mm: float
+    expected_aligned_rms_mm: float
+    worst_place: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class CalibrationComparison:
+    """What changed from one calibration to another.
+
+    Attributes
+    ----------
+    verdict, reason
+        "unchanged": the covariances explain it. "harmless": it is below the tolerance. "matters": it is
+        above. "cannot tell": it is above, but so is what the covariances let expect.
+    changes
+        Of all parameters of all sensors.
+    pairs
+        Of all pairs.
+    alignment
+        Brings points of the later world to those of the earlier.
+    turn_rad, shift_mm
+        Size of the alignment: its angle, and how far it moves the middle of the volume.
+    statistic, freedom, p_value
+        Chi-square of the change of all parameters together, and the probability of a larger one where
+        nothing happened; NaN without covariances.
+    """
+
+    verdict: Verdict
+    reason: str
+    changes: tuple[ParameterChange, ...]
+    pairs: tuple[PairChange, ...]
+    alignment: Pose
+    turn_rad: float
+    shift_mm: float
+    statistic: float
+    freedom: int
+    p_value: float
+
+
+@dataclass(frozen=True)
+class _Through:
+    """Points of one pair by both calibrations, and how the earlier ones move with all parameters."""
+
+    camera: str
+    projector: str
+    before: Floats
+    after: Floats
+    rows: Floats
+
+
+def compare_calibrations(
+    before: Mapping[str, Parameters],
+    after: Mapping[str, Parameters],
+    pairs: Sequence[tuple[str, str]],
+    volume: tuple[Floats, Floats],
+    *,
+    covariance_before: Floats | None = None,
+    covariance_after: Floats | None = None,
+    relation: Relation = "independent",
+    same_world: bool = True,
+    tolerance_mm: float,
+    false_alarm: float = 0.001,
+) -> CalibrationComparison:
+    """Say what changed between two calibrations, and whether it matters.
+
+    Parameters
+    ----------
+    before, after
+        Inner parameters and pose of every sensor, by name.
+    pairs
+        (camera, projector) that measure.
+    volume
+        Low and high corner, (3,) each in mm, in the world of `before`.
+    covariance_before, covariance_after
+        (15 s, 15 s) of the parameters of the s sensors in the order of `before`; both or none.
+    relation
+        Whether the later calibration is independent of the earlier, or began from it as prior knowledge:
+        then the covariance of the change is the difference, not the sum (Kalman's update).
+    same_world
+        Whether both are in one world by more than name. Otherwise the later one is brought into the world
+        of the earlier by the best rigid motion of points, and only inner parameters are tested.
+    tolerance_mm
+        Change of points, rms over the volume after alignment, from which on it matters.
+    false_alarm
+        Probability that calibrations that differ by chance are said to differ.
+
+    Raises
+    ------
+    InvalidInput
+        When the sensors are not the same, a covariance is of another size, or no place is seen by a pair.
+    """
+    names = list(before)
+    _check(before, after, covariance_before, covariance_after)
+    through = [_points_through(before, after, c, p, box_grid(*volume), names) for c, p in pairs]
+    alignment = align_points(
+        np.concatenate([t.after for t in through]), np.concatenate([t.before for t in through])
+    )
+    later = {n: after[n] if same_world else _carried(after[n], alignment) for n in names}
+    step = np.concatenate([parameter_change(before[n], later[n]) for n in names])
+    spread = _spread(covariance_before, covariance_after, relation)
+    used = np.tile(np.arange(PER_SENSOR) >= (0 if same_world else 6), len(names))
+    statistic, freedom = _statistic(step, spread, used, relation)
+    p_value = float(chi2.sf(statistic, freedom)) if freedom else float("nan")
+    middle = 0.5 * (np.asarray(volume[0]) + np.asarray(volume[1]))
+    found = _pair_changes(through, alignment, spread)
+    verdict, reason = _verdict(found, p_value, false_alarm, tolerance_mm)
+    return CalibrationComparison(
+        verdict,
+        reason,
+        _changes(names, step, None if spread is None else np.where(used, np.diag(spread), np.nan)),
+        found,
+        alignment,
+        float(np.linalg.norm(rotation_vector(alignment.matrix()))),
+        float(np.linalg.norm(transform(alignment, middle) - middle)),
+        statistic,
+        freedom,
+        p_value,
+    )
+
+
+def parameter_change(before: Parameters, after: Parameters) -> Floats:
+    """Return after less before of the 15 parameters of a sensor; R_after = exp([r]x) R_before."""
+    turn = rotation_vector(after[1].matrix() @ before[1].matrix().T)
+    shift = np.subtract(after[1].translation, before[1].translation)
+    return np.concatenate([turn, shift, lens_vector(after[0]) - lens_vector(before[0])])
+
+
+def _check(
+    before: Mapping[str, Parameters],
+    after: Mapping[str, Parameters],
+    covariance_before: Floats | None,
+    covariance_after: Floats | None,
+) -> None:
+    if set(before) != set(after):
+        odd = ", ".join(sorted(set(before) ^ set(after)))
+        raise InvalidInput(f"only one of the calibrations has {odd}: compare those of the same sensors")
+    if (covariance_before is None) != (covariance_after is None):
+        raise InvalidInput("only one of the two calibrations has a covariance: give both or none")
+    wanted = PER_SENSOR * len(before)
+    for covariance in (covariance_before, covariance_after):
+        if covariance is not None and covariance.shape != (wanted, wanted):
+            raise InvalidInput(
+                f"a covariance is {covariance.shape}, but {len(before)} sensors have {wanted} parameters: "
+                f"give {wanted} x {wanted}"
+            )
+
+
+def _points_through(
+    before: Mapping[str, Parameters],
+    after: Mapping[str, Parameters],
+    camera: str,
+    projector: str,
+    grid: Floats,
+    names: list[str],
+) -> _Through:
+    pixels = project(*before[camera], grid), project(*before[projector], grid)
+    moved, _ = meet_rays(after[camera], after[projector], *pixels)
+    seen = np.isfinite(moved).all(axis=1)
+    if seen.sum() < 3:
+        raise InvalidInput(f"{camera}{projector} sees {seen.sum()} places of the volume: check its corners")
+    rows = np.zeros((int(seen.sum()), 3, PER_SENSOR * len(names)))
+    own = point_derivatives(before[camera], before[projector], grid[seen])
+    for k, name in enumerate((camera, projector)):
+        at = PER_SENSOR * names.index(name)
+        rows[:, :, at : at + PER_SENSOR] = own[:, :, PER_SENSOR * k : PER_SENSOR * (k + 1)]
+    return _Through(camera, projector, grid[seen], moved[seen], rows)
+
+
+def _carried(sensor: Parameters, alignment: Pose) -> Parameters:
+    """Return a sensor in the world into which `alignment` brings its own."""
+    back = Pose.from_arrays(alignment.matrix().T, alignment.centre())
+    return sensor[0], compose(sensor[1], back)
+
+
+def _spread(before: Floats | None, after: Floats | None, relation: Relation) -> Floats | None:
+    """Return the covariance of a change where nothing happened."""
+    if before is None or after is None:
+        return None
+    return before + after if relation == "independent" else before - after
+
+
+def _statistic(
+    step: Floats, spread: Floats | None, used: NDArray[np.bool_], relation: Relation
+) -> tuple[float, int]:
+    """Return d^T C^-1 d over the directions that C has, and how many these are."""
+    if spread is None:
+        return float("nan"), 0
+    free = used & (np.diag(spread) > 0.0)
+    if not free.any():
+        return float("nan"), 0
+    sigma = np.sqrt(np.diag(spread)[free])
+    values, vectors = np.linalg.eigh(spread[np.ix_(free, free)] / np.outer(sigma, sigma))
+    some = values > (_ROUNDING if relation == "independent" else _TOLD) * values[-1]
+    along = vectors[:, some].T @ (step[free] / sigma)
+    return float(np.sum(along**2 / values[some])), int(some.sum())
+
+
+def _changes(names: Sequence[str], step: Floats, variance: Floats | None) -> tuple[ParameterChange, ...]:
+    found = []
+    for i, change in enumerate(step):
+        known = variance is not None and variance[i] > 0.0
+        sigma = float(np.sqrt(variance[i])) if variance is not None and known else float("nan")
+        name, parameter = names[i // PER_SENSOR], SENSOR_PARAMETERS[i % PER_SENSOR]
+        found.append(ParameterChange(name, parameter, float(change), sigma, float(change) / sigma))
+    return tuple(found)
+
+
+def _pair_changes(through: list[_Through], alignment: Pose, spread: Floats | None) -> tuple[PairChange, ...]:
+    modes, _ = np.linalg.qr(np.concatenate([rigid_modes(t.before) for t in through]).reshape(-1, 6))
+    rows = np.concatenate([t.rows for t in through]).reshape(len(modes), -1)
+    left = rows - modes @ (modes.T @ rows)
+    found, start = [], 0
+    for t in through:
+        plain = np.linalg.norm(t.after - t.before, axis=1)
+        aligned = np.linalg.norm(transform(alignment, t.after) - t.before, axis=1)
+        part = slice(start, start + 3 * len(plain))
+        start = part.stop
+        worst = t.before[np.argmax(aligned)]
+        found.append(
+            PairChange(
+                t.camera,
+                t.projector,
+                len(plain),
+                _rms(plain),
+                float(plain.max()),
+                _rms(aligned),
+                float(aligned.max()),
+                _expected(rows[part], spread),
+                _expected(left[part], spread),
+                (float(worst[0]), float(worst[1]), float(worst[2])),
+            )
+        )
+    return tuple(found)
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _expected(rows: Floats, spread: Floats | None) -> float:
+    """Return the expected rms distance of points whose coordinates have the derivatives `rows` (3 n, p)."""
+    if spread is None:
+        return float("nan")
+    total = float(np.sum((rows @ spread) * rows))
+    return float(np.sqrt(max(0.0, 3.0 * total / len(rows))))
+
+
+def _verdict(
+    pairs: tuple[PairChange, ...], p_value: float, false_alarm: float, tolerance: float
+) -> tuple[Verdict, str]:
+    worst = max(pairs, key=lambda p: p.aligned_rms_mm)
+    name, moved = worst.camera + worst.projector, worst.aligned_rms_mm
+    expected = worst.expected_aligned_rms_mm
+    above = moved > tolerance
+    said = f"points of {name} change by {moved:.3g} mm rms over the volume"
+    if p_value >= false_alarm:
+        if above:
+            return "cannot tell", (
+                f"{said}, above the tolerance of {tolerance:g} mm, but {expected:.3g} mm come "
+                "by chance: record more poses"
+            )
+        return "unchanged", f"{said}, as expected by chance ({expected:.3g} mm)"
+    if above:
+        return "matters", f"{said}, above the tolerance of {tolerance:g} mm: use the later calibration"
+    return "harmless", f"{said}, below the tolerance of {tolerance:g} mm"
