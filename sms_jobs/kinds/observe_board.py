@@ -96,6 +96,7 @@ def run(inputs: Inputs, parameters: ObserveBoardParameters, progress: Progress) 
         shown.camera.name,
         shown.projector.name,
         shown.name,
+        found.blur_px,
         refused,
         found.place[kept],
         found.point[kept],
@@ -120,6 +121,7 @@ def _statistics(observation: BoardObservation) -> dict[str, float]:
     statistics = {"points_count": float(count), "refused_count": float(sum(observation.refused.values()))}
     if count:
         statistics |= {
+            "blur_px": observation.blur_px,
             "camera_sigma_median_px": float(np.median(observation.camera_sigma_px)),
             "projector_sigma_median_px": float(np.median(observation.projector_sigma_px)),
         }

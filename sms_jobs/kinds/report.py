@@ -191,7 +191,7 @@ def run(inputs: Inputs, parameters: ReportParameters, progress: Progress) -> Ite
     sections.append(Section("Where this comes from", _origins(inputs.datasets)))
     document = html.page(f"Campaign {campaign.name}", [html.paragraph(_INTRODUCTION, faint=True)], sections)
     progress(1.0, "wrote the page")
-    yield DocumentOutput(inputs.subject, f"{campaign.name}-report.html", "text/html", _writer(document))
+    yield DocumentOutput(inputs.subject, f"{campaign.name}-report.html", "text/html", page_writer(document))
 
 
 def _best_pairs(inputs: Inputs, campaign: Campaign) -> dict[str, str]:
@@ -208,7 +208,9 @@ def _best_pairs(inputs: Inputs, campaign: Campaign) -> dict[str, str]:
     return best
 
 
-def _writer(document: str) -> Callable[[Path], None]:
+def page_writer(document: str) -> Callable[[Path], None]:
+    """Return what writes a page into a file."""
+
     def write(path: Path) -> None:
         path.write_text(document, encoding="utf-8")
 

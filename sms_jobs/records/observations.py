@@ -30,6 +30,8 @@ class BoardObservation:
         centre, not the centre of its image.
     camera_sigma_px, projector_sigma_px
         Standard deviations, in each direction.
+    blur_px
+        Standard deviation of the spot that a pixel of the camera sees; NaN where the board does not tell it.
     camera, projector
         Names of the sensors.
     refused
@@ -39,6 +41,7 @@ class BoardObservation:
     camera: str
     projector: str
     artefact: str
+    blur_px: float
     refused: dict[str, int]
     place: NDArray[np.int32] = array("1", "column and row on the board", _POINTS, ("column", "row"))
     point: NDArray[np.float64] = array("mm", "place on the board", _POINTS, ("x", "y", "z"))

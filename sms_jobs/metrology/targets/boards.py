@@ -263,6 +263,7 @@ def _finished(
         sigma_px=np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2)),
         ellipse_px=circles.centre,
         radius_px=np.sqrt(np.prod(semi_axes(circles.matrix)[0], axis=1)),
+        blur_px=float(np.median(circles.blur)),
         markers_seen=markers_seen,
         refused=refused,
     )

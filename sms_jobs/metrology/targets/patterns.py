@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import nan
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -111,6 +112,9 @@ class BoardPoints:
         (n, 2), centres of the ellipses, not corrected.
     radius_px
         (n,), geometric mean of an ellipse's semi-axes; 0 for the corners of a chessboard.
+    blur_px
+        Standard deviation of the blur of lens and pixel together, median over the dots; NaN where it is not
+        found, as of a chessboard.
     markers_seen
         Number of markers that were found; 0 for boards without them.
     refused
@@ -126,6 +130,7 @@ class BoardPoints:
     sigma_px: Floats
     ellipse_px: Floats
     radius_px: Floats
+    blur_px: float = nan
     markers_seen: int = 0
     refused: dict[str, int] = field(default_factory=dict)
     reason: str = ""
@@ -142,9 +147,8 @@ def not_found(reason: str, refused: dict[str, int]) -> BoardPoints:
         none(0),
         none((0, 2)),
         none(0),
-        0,
-        refused,
-        reason,
+        refused=refused,
+        reason=reason,
     )
 
 

@@ -1,0 +1,91 @@
+"""Calibrate: sensors, boards and poses of a ball bar in one adjustment, with the bar's length as scale."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from sms_jobs.kinds.calibrate_boards import CalibrateParameters, adjusted, read_boards
+from sms_jobs.kinds.kind import (
+    CALIBRATION,
+    Inputs,
+    Kind,
+    Need,
+    Output,
+    Progress,
+    Scope,
+)
+from sms_jobs.kinds.session_adjustment import Bars, Boards, Start, rigid_pose, start_from_last
+from sms_jobs.kinds.sessions import (
+    CALIBRATE,
+    CALIBRATE_BOARDS,
+    OBSERVATION,
+    OBSERVE_BAR,
+    OBSERVE_BOARD,
+    SessionPlan,
+    bar_states,
+    board_states,
+    observations_of,
+    role_of,
+    session_plan,
+)
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.observations import BarObservation
+from sms_jobs.records.sensors import Calibration
+
+
+def _subjects(campaign: Campaign) -> Iterable[Subject]:
+    return (Subject(campaign.name),) if bar_states(campaign) else ()
+
+
+def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+    boards = board_states(campaign)
+    yield from observations_of(campaign, OBSERVE_BOARD, boards)
+    yield from observations_of(campaign, OBSERVE_BAR, bar_states(campaign))
+    if boards:
+        yield Need("start", CALIBRATE_BOARDS, subject)
+    else:
+        yield Need("start", CALIBRATION, subject)
+
+
+def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> Iterator[Output]:
+    """Adjust boards and bar together, from what the boards alone gave."""
+    plan: SessionPlan = inputs.context
+    boards, bars = read_boards(inputs, plan), _read_bars(inputs, plan)
+    first = inputs.read("start", "calibration", Calibration)
+    start = _start(plan, first, boards)
+    progress(0.2, f"adjusting {len(bars)} poses of the bar and {len(boards)} of boards together")
+    origin = f"bundle adjustment of session {plan.name}"
+    yield from adjusted(inputs, plan, start, boards, bars, parameters, progress, origin)
+
+
+def _read_bars(inputs: Inputs, plan: SessionPlan) -> Bars:
+    found: dict[str, list[BarObservation]] = {}
+    for pose in plan.poses:
+        for pair in plan.pairs:
+            role = role_of(OBSERVE_BAR, pose.label, pair)
+            if role in inputs.datasets:
+                found.setdefault(pose.label, []).append(inputs.read(role, OBSERVATION, BarObservation))
+    return found
+
+
+def _start(plan: SessionPlan, first: Calibration, boards: Boards) -> Start:
+    """Return the first calibration as a start; its world stays that of the first board, if it had one."""
+    placed = start_from_last(first, None, None, boards)
+    if plan.session.starts_from == "last-calibration" or not boards:
+        return placed
+    world = next(p.label for p in plan.poses if p.label in boards)
+    poses = {**placed.boards, world: rigid_pose(plan.session.board_in_world)}
+    return Start(first.rig, poses, world, first.origin, {})
+
+
+KIND = Kind(
+    name=CALIBRATE,
+    summary="calibrate a rig from poses of a ball bar and of a board",
+    version=1,
+    scope=Scope.CAMPAIGN,
+    parameters=CalibrateParameters,
+    needs=_needs,
+    run=run,
+    subjects=_subjects,
+    context=session_plan,
+)
