@@ -32,8 +32,9 @@ def _grid(image: NDArray[np.uint8], columns: int, rows: int) -> Floats | None:
     quick = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
     found, corners = cv2.findChessboardCorners(image, size, flags=quick)
     if not found:
-        # Slower, and sees through blur and noise.
-        found, corners = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+        # Slower, and sees through blur, noise and squares that the board's edge cuts.
+        thorough = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
+        found, corners = cv2.findChessboardCornersSB(image, size, flags=thorough)
     if not found:
         return None
     grid = np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
