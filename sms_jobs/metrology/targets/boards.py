@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from sms_jobs.metrology.targets.circles import Circles, find_circles, refine_circles, semi_axes
 from sms_jobs.metrology.targets.lattice import lattice_places
 from sms_jobs.metrology.targets.patterns import (
-)
-from sms_jobs.metrology.targets.patterns import (
     BoardPoints,
     DotBoard,
     board_points,
