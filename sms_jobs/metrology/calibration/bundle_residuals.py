@@ -1,0 +1,457 @@
+"""Residuals of a bundle adjustment with analytic derivatives, and their normal equations, block by block.
+
+A block is a run of observations that share their parameters: points on one sphere seen by one pair, or
+points of one board pose seen by one sensor. Each block fills a small matrix of its own, so that the result
+does not depend on which thread computed it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.geometry.triangulation import undistorted
+
+Floats = NDArray[np.float64]
+
+SPHERE_SIZE = 34
+"""Parameters of a sphere block: 15 of the camera, 15 of the projector, the centre, the radius."""
+
+BOARD_SIZE = 22
+"""Parameters of a board block: 15 of the sensor, 6 of the board's pose, the scale of its pitch."""
+
+
+@kernel
+def _cross(a: Floats, b: Floats, result: Floats) -> None:
+    result[0] = a[1] * b[2] - a[2] * b[1]
+    result[1] = a[2] * b[0] - a[0] * b[2]
+    result[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def _dot(a: Floats, b: Floats) -> float:
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+@kernel
+def pin_hole(rotation: Floats, translation: Floats, result: Floats) -> None:
+    """Fill result (3,) with -R^T T, in mm."""
+    for i in range(3):
+        result[i] = -(
+            rotation[0, i] * translation[0]
+            + rotation[1, i] * translation[1]
+            + rotation[2, i] * translation[2]
+        )
+
+
+@kernel
+def ray(rotation: Floats, lens: Floats, pixel: Floats, inner: Floats, turn: Floats, v: Floats) -> bool:
+    """Follow a pixel's ray: its direction and how it changes with the lens; say whether the lens has one.
+
+    Fills `inner` (6,) as `undistorted` does; `turn` (2, 9) with d(x, y)/d(fx, fy, cx, cy, k1, k2, p1, p2,
+    k3) of the normalised point, by the implicit function theorem on the distortion; and v (3,) with the
+    direction in the world, R^T (x, y, 1).
+    """
+    if not undistorted(lens, pixel, inner):
+        return False
+    x, y = inner[0], inner[1]
+    r2 = x * x + y * y
+    u, w = (pixel[0] - lens[2]) / lens[0], (pixel[1] - lens[3]) / lens[1]
+    for i in range(2):
+        du, dv = inner[2 + 2 * i], inner[3 + 2 * i]
+        turn[i, 0], turn[i, 1], turn[i, 2], turn[i, 3] = -u * du, -w * dv, -du, -dv
+        a, b = -du * lens[0], -dv * lens[1]
+        radial = a * x + b * y
+        turn[i, 4], turn[i, 5], turn[i, 8] = radial * r2, radial * r2 * r2, radial * r2 * r2 * r2
+        turn[i, 6] = a * 2.0 * x * y + b * (r2 + 2.0 * y * y)
+        turn[i, 7] = a * (r2 + 2.0 * x * x) + b * 2.0 * x * y
+    for i in range(3):
+        v[i] = rotation[0, i] * x + rotation[1, i] * y + rotation[2, i]
+    return True
+
+
+@kernel
+def to_sensor(
+    rotation: Floats, translation: Floats, inner: Floats, turn: Floats, by: Floats, row: Floats
+) -> None:
+    """Turn the derivatives of a residual by a ray into those by the sensor's 15 parameters.
+
+    `by` (2, 3) holds the derivatives by the pin-hole and by the direction, in the world. With
+    R <- exp([r]x) R the pin-hole -R^T T moves by R^T (r x T - dT), and the direction R^T d by R^T (d x r).
+    """
+    cx, cy, cz, vx, vy, vz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(3):
+        cx += rotation[0, j] * by[0, j]
+        cy += rotation[1, j] * by[0, j]
+        cz += rotation[2, j] * by[0, j]
+        vx += rotation[0, j] * by[1, j]
+        vy += rotation[1, j] * by[1, j]
+        vz += rotation[2, j] * by[1, j]
+    x, y = inner[0], inner[1]
+    row[0] = translation[1] * cz - translation[2] * cy + vy - vz * y
+    row[1] = translation[2] * cx - translation[0] * cz + vz * x - vx
+    row[2] = translation[0] * cy - translation[1] * cx + vx * y - vy * x
+    row[3], row[4], row[5] = -cx, -cy, -cz
+    for k in range(9):
+        row[6 + k] = vx * turn[0, k] + vy * turn[1, k]
+
+
+@kernel
+def gap_change(u: Floats, v: Floats, base: Floats, by: Floats) -> float:
+    """Return the signed gap of two rays, and fill `by` (3, 3) with its derivatives by base, u and v.
+
+    The gap is epsilon_1 = b n / |n| with n = u x v and b from the first pin-hole to the second (thesis
+    Eq. (1.26)); with q = (b - gap n / |n|) / |n| it changes by q dn + n db / |n|.
+    """
+    n, q = np.empty(3), np.empty(3)
+    _cross(u, v, n)
+    length = np.sqrt(_dot(n, n))
+    gap = _dot(base, n) / length
+    for i in range(3):
+        by[0, i] = n[i] / length
+        q[i] = (base[i] - gap * by[0, i]) / length
+    _cross(v, q, by[1])
+    _cross(q, u, by[2])
+    return float(gap)
+
+
+@kernel
+def along_change(u: Floats, v: Floats, base: Floats, by: Floats) -> float:
+    """Return s of the first ray's point s u that is nearest the second, and its derivatives as `gap_change`.
+
+    s = (b x v) n / n^2 with n = u x v; NaN where the rays approach behind one of the pin-holes.
+    """
+    n, m, h, k = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    _cross(u, v, n)
+    square = _dot(n, n)
+    _cross(base, v, m)
+    s = _dot(m, n) / square
+    _cross(base, u, k)
+    if not (s > 0.0 and _dot(k, n) > 0.0):
+        return np.nan
+    for i in range(3):
+        h[i] = (m[i] - 2.0 * s * n[i]) / square
+    _cross(v, n, by[0])
+    _cross(v, h, by[1])
+    _cross(n, base, by[2])
+    _cross(h, u, k)
+    for i in range(3):
+        by[0, i] /= square
+        by[2, i] = by[2, i] / square + k[i]
+    return s
+
+
+@kernel
+def _add(row: Floats, size: int, weight: float, white: float, normal: Floats, gradient: Floats) -> None:
+    """Add one whitened residual to the lower triangle of `normal` (size, size) and to `gradient` (size,)."""
+    for i in range(size):
+        scaled = weight * row[i]
+        gradient[i] += scaled * white
+        for j in range(i + 1):
+            normal[i, j] += scaled * row[j]
+
+
+@kernel
+def _robust(first: float, second: float, scale: Floats, huber: float) -> tuple[float, float]:
+    """Return the cost and the weight of a pair of whitened residuals: half the square up to `huber`."""
+    distance = np.sqrt((first / scale[0]) ** 2 + (second / scale[1]) ** 2)
+    if distance <= huber:
+        return 0.5 * distance * distance, 1.0
+    return huber * (distance - 0.5 * huber), huber / distance
+
+
+@kernel
+def ray_distances(
+    rotation: Floats, translation: Floats, lens: Floats, pair: tuple[int, int], pixels: Floats, sphere: Floats
+) -> tuple[float, float]:
+    """Return the residuals in object space of one point, in mm: ray gap and distance to the sphere.
+
+    `pixels` (2, 2) are the camera's and the projector's, `sphere` (4,) centre and radius. The point P lies on
+    the camera's ray, nearest to the projector's; epsilon_1 is the distance of the rays (thesis Eq. (1.26))
+    and epsilon_2 = |P - S| - R (thesis Eq. (1.27)). NaN where the rays do not meet in front of both sensors.
+    """
+    inner, turn, direction, hole = np.empty(6), np.empty((2, 9)), np.empty((2, 3)), np.empty((2, 3))
+    by = np.empty((3, 3))
+    for k in range(2):
+        at = pair[k]
+        if not ray(rotation[at], lens[at], pixels[k], inner, turn, direction[k]):
+            return np.nan, np.nan
+        pin_hole(rotation[at], translation[at], hole[k])
+    base = hole[1] - hole[0]
+    gap = gap_change(direction[0], direction[1], base, by)
+    along = along_change(direction[0], direction[1], base, by)
+    square = 0.0
+    for i in range(3):
+        square += (hole[0, i] + along * direction[0, i] - sphere[i]) ** 2
+    return gap, np.sqrt(square) - sphere[3]
+
+
+@kernel
+def meet_sphere(c: Floats, u: Floats, radius: float, flattest: float, by: Floats) -> tuple[float, float]:
+    """Return where a ray s u meets a sphere about c, s, and the cosine of its incidence; fill derivatives.
+
+    `by` (3, 3) becomes ds/dc, ds/du and, at [2, 0], ds/dradius. With the distance d of the ray from the
+    centre, s = u c / u^2 - R root / |u| where root = sqrt(1 - d^2 / R^2) is the cosine. Below `flattest` the
+    root is continued by its tangent, so that rays that (still) miss the sphere have a place too; the cosine
+    is 0 for those.
+    """
+    across = np.empty(3)
+    uu = _dot(u, u)
+    middle, length = _dot(u, c) / uu, np.sqrt(uu)
+    for i in range(3):
+        across[i] = c[i] - middle * u[i]
+    square = 1.0 - _dot(across, across) / (radius * radius)
+    cosine = np.sqrt(square) if square > 0.0 else 0.0
+    root = cosine if cosine > flattest else 0.5 * (flattest + square / flattest)
+    turn = 1.0 / (max(cosine, flattest) * radius * length)
+    for i in range(3):
+        by[0, i] = u[i] / uu + turn * across[i]
+        by[1, i] = (c[i] - 2.0 * middle * u[i]) / uu - turn * middle * across[i]
+        by[1, i] += radius * root * u[i] / (length * uu)
+    by[2, 0] = -(root / length + turn * radius * (1.0 - square))
+    return middle - radius * root / length, cosine
+
+
+@kernel
+def sphere_rows(
+    rotation: Floats,
+    translation: Floats,
+    lens: Floats,
+    pair: tuple[int, int],
+    camera_px: Floats,
+    sphere: Floats,
+    flattest: float,
+    pixel: Floats,
+    rows: Floats,
+    along: Floats,
+) -> float:
+    """Find the projector's pixel that lights what a camera's pixel sees of a sphere; fill derivatives.
+
+    Fills `pixel` (2,), `rows` (2, 34) with its derivatives by the parameters, and `along` (2,) with its
+    direction along the camera's ray. Returns the cosine of the camera's ray with the surface; NaN where
+    there is no ray or where the sphere lies behind a sensor.
+    """
+    camera, projector = pair
+    inner, turn, u, hole, c = np.empty(6), np.empty((2, 9)), np.empty(3), np.empty(3), np.empty(3)
+    by_along, by, point, slope = np.empty((3, 3)), np.empty((2, 3)), np.empty(3), np.empty((2, 3))
+    if not ray(rotation[camera], lens[camera], camera_px, inner, turn, u):
+        return np.nan
+    pin_hole(rotation[camera], translation[camera], hole)
+    for i in range(3):
+        c[i] = sphere[i] - hole[i]
+    s, cosine = meet_sphere(c, u, sphere[3], flattest, by_along)
+    for i in range(3):
+        point[i] = hole[i] + s * u[i]
+    if not s > 0.0 or not project_rows(
+        rotation[projector], translation[projector], lens[projector], point, pixel, rows[:, 15:30], slope
+    ):
+        return np.nan
+    for k in range(2):
+        g = slope[k]
+        facing = _dot(g, u)
+        for i in range(3):
+            by[0, i] = g[i] - facing * by_along[0, i]
+            by[1, i] = s * g[i] + facing * by_along[1, i]
+            rows[k, 30 + i] = facing * by_along[0, i]
+        to_sensor(rotation[camera], translation[camera], inner, turn, by, rows[k, :15])
+        rows[k, 33] = facing * by_along[2, 0]
+        along[k] = facing
+    return cosine
+
+
+@kernel
+def sphere_block(
+    rotation: Floats,
+    translation: Floats,
+    lens: Floats,
+    pair: tuple[int, int],
+    sphere: Floats,
+    observed: Floats,
+    live: NDArray[np.bool_],
+    scale: Floats,
+    huber: float,
+    flattest: float,
+    found: Floats,
+    normal: Floats,
+    gradient: Floats,
+) -> float:
+    """Add the points of a block to its normal equations; return their cost.
+
+    `observed` (n, 5) holds camera and projector pixels and sigma; `scale` (2,) is the estimated over the
+    stated standard deviation of both types. `normal` (2, 34, 34), lower triangles, and `gradient` (2, 34)
+    are filled, one for each type, not yet divided by scale^2. `found` (n, 4) becomes the whitened residuals
+    of both types, the cosine of incidence and the weight. Points that are not live have weight 0; the cost
+    is infinite where a live one has no residual.
+
+    The residual is the way in the projector's image, over its sigma, that the observed pixel would have to
+    go for the rays to meet on the sphere: across the camera ray's image it closes the gap epsilon_1, along
+    it it brings the point onto the sphere, epsilon_2.
+    """
+    rows, along, pixel = np.zeros((2, SPHERE_SIZE)), np.empty(2), np.empty(2)
+    turned = np.zeros((2, SPHERE_SIZE))
+    cost = 0.0
+    for i in range(len(observed)):
+        cosine = sphere_rows(
+            rotation, translation, lens, pair, observed[i, :2], sphere, flattest, pixel, rows, along
+        )
+        found[i, 2], found[i, 3] = cosine, 0.0
+        length = np.sqrt(along[0] * along[0] + along[1] * along[1]) * observed[i, 4]
+        x, y = along[0] / length, along[1] / length
+        off_x, off_y = pixel[0] - observed[i, 2], pixel[1] - observed[i, 3]
+        first, second = x * off_y - y * off_x, x * off_x + y * off_y
+        if not (np.isfinite(cosine) and np.isfinite(first + second)):
+            cost = np.inf if live[i] else cost
+            found[i, 0] = found[i, 1] = np.nan
+            continue
+        found[i, 0], found[i, 1] = first, second
+        if not live[i]:
+            continue
+        own, weight = _robust(first, second, scale, huber)
+        cost += own
+        found[i, 3] = weight
+        for k in range(SPHERE_SIZE):
+            turned[0, k] = x * rows[1, k] - y * rows[0, k]
+            turned[1, k] = x * rows[0, k] + y * rows[1, k]
+        _add(turned[0], 30, weight, first, normal[0], gradient[0])
+        _add(turned[1], SPHERE_SIZE, weight, second, normal[1], gradient[1])
+    return cost
+
+
+@kernel
+def project_rows(
+    rotation: Floats,
+    translation: Floats,
+    lens: Floats,
+    world: Floats,
+    pixel: Floats,
+    rows: Floats,
+    slope: Floats,
+) -> bool:
+    """Project a point of the world; fill pixel (2,) and derivatives; say whether it is in front.
+
+    `rows` (2, 15) are the derivatives by the sensor's parameters, `slope` (2, 3) those by the point, in
+    px/mm in the world.
+    """
+    turned, inside = np.empty(3), np.empty(3)
+    for i in range(3):
+        turned[i] = rotation[i, 0] * world[0] + rotation[i, 1] * world[1] + rotation[i, 2] * world[2]
+        inside[i] = turned[i] + translation[i]
+    if not inside[2] > 0.0:
+        return False
+    x, y = inside[0] / inside[2], inside[1] / inside[2]
+    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slant = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
+    cross = x * y * slant + 2.0 * p1 * x + 2.0 * p2 * y
+    xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    pixel[0], pixel[1] = lens[0] * xd + lens[2], lens[1] * yd + lens[3]
+    dxx = radial + x * x * slant + 2.0 * p1 * y + 6.0 * p2 * x
+    dyy = radial + y * y * slant + 6.0 * p1 * y + 2.0 * p2 * x
+    for i in range(2):
+        f, own, mixed = lens[i], x if i == 0 else y, 2.0 * x * y
+        to_x, to_y = (dxx, cross) if i == 0 else (cross, dyy)
+        row = rows[i]
+        row[3], row[4] = f * to_x / inside[2], f * to_y / inside[2]
+        row[5] = -(row[3] * x + row[4] * y)
+        _cross(turned, row[3:6], row[0:3])
+        row[6], row[7], row[8], row[9] = 0.0, 0.0, 0.0, 0.0
+        row[6 + i], row[8 + i] = (xd if i == 0 else yd), 1.0
+        row[10], row[11], row[14] = f * own * r2, f * own * r2 * r2, f * own * r2 * r2 * r2
+        row[12] = f * (mixed if i == 0 else r2 + 2.0 * y * y)
+        row[13] = f * (r2 + 2.0 * x * x if i == 0 else mixed)
+        for k in range(3):
+            slope[i, k] = rotation[0, k] * row[3] + rotation[1, k] * row[4] + rotation[2, k] * row[5]
+    return True
+
+
+@kernel
+def board_rows(
+    rotation: Floats,
+    translation: Floats,
+    lens: Floats,
+    board: Floats,
+    point: Floats,
+    pixel: Floats,
+    rows: Floats,
+    slope: Floats,
+) -> bool:
+    """Project a point of a board; fill pixel (2,), rows (2, 22) and slope (2, 3); say whether it is in front.
+
+    `board` (3, 5) holds the board's rotation, translation and, at [0, 4], the scale of its pitch; `rows`
+    are the derivatives of the pixel by the parameters, `slope` those by the point in the world.
+    """
+    place, world = np.empty(3), np.empty(3)
+    for i in range(3):
+        place[i] = board[i, 0] * point[0] + board[i, 1] * point[1] + board[i, 2] * point[2]
+        world[i] = board[0, 4] * place[i] + board[i, 3]
+    if not project_rows(rotation, translation, lens, world, pixel, rows[:, :15], slope):
+        return False
+    for k in range(3):
+        world[k] = board[0, 4] * place[k]
+    for i in range(2):
+        g = slope[i]
+        _cross(world, g, rows[i, 15:18])
+        for k in range(3):
+            rows[i, 18 + k] = g[k]
+        rows[i, 21] = _dot(g, place)
+    return True
+
+
+@kernel
+def board_block(
+    rotation: Floats,
+    translation: Floats,
+    lens: Floats,
+    board: Floats,
+    observed: Floats,
+    live: NDArray[np.bool_],
+    point_sigma: float,
+    scale: float,
+    huber: float,
+    whitening: Floats,
+    found: Floats,
+    normal: Floats,
+    gradient: Floats,
+) -> float:
+    """Add the points of a board block to its normal equations; return their cost with the whitening given.
+
+    `observed` (n, 6) holds the point on the board, its pixel and sigma; `found` (n, 5) becomes the residual
+    (predicted less observed) in px, whitened, and the weight. The variance of a pixel is sigma^2 and what
+    `point_sigma`, in mm in each direction, makes of the board's own error. Otherwise as `sphere_block`.
+    """
+    rows, slope, pixel, both = np.empty((2, BOARD_SIZE)), np.empty((2, 3)), np.empty(2), np.empty(2)
+    cost = 0.0
+    both[0] = both[1] = scale
+    for i in range(len(observed)):
+        seen = board_rows(rotation, translation, lens, board, observed[i, :3], pixel, rows, slope)
+        found[i, 4] = 0.0
+        if not (seen and np.isfinite(pixel[0] + pixel[1])):
+            cost = np.inf if live[i] else cost
+            found[i, 0] = found[i, 1] = found[i, 2] = found[i, 3] = np.nan
+            continue
+        off_x, off_y = pixel[0] - observed[i, 3], pixel[1] - observed[i, 4]
+        if live[i]:
+            first = whitening[i, 0] * off_x
+            cost += _robust(first, whitening[i, 1] * off_x + whitening[i, 2] * off_y, both, huber)[0]
+        own, noise = point_sigma * point_sigma, observed[i, 5] * observed[i, 5]
+        xx = noise + own * _dot(slope[0], slope[0])
+        xy = own * _dot(slope[0], slope[1])
+        yy = noise + own * _dot(slope[1], slope[1])
+        a, c = 1.0 / np.sqrt(xx), 1.0 / np.sqrt(yy - xy * xy / xx)
+        b = -xy / xx * c
+        whitening[i, 0], whitening[i, 1], whitening[i, 2] = a, b, c
+        first, second = a * off_x, b * off_x + c * off_y
+        found[i, 0], found[i, 1], found[i, 2], found[i, 3] = off_x, off_y, first, second
+        if not live[i]:
+            continue
+        weight = _robust(first, second, both, huber)[1]
+        found[i, 4] = weight
+        for k in range(BOARD_SIZE):
+            rows[1, k] = b * rows[0, k] + c * rows[1, k]
+            rows[0, k] *= a
+        _add(rows[0], BOARD_SIZE, weight, first, normal, gradient)
+        _add(rows[1], BOARD_SIZE, weight, second, normal, gradient)
+    return cost
