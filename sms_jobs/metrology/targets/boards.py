@@ -201,7 +201,11 @@ def find_board(image: NDArray[np.generic], board: DotBoard, *, threads: int = 1)
     if len(which) < len(circles.centre):
         refused["not on a lattice"] = len(circles.centre) - len(which)
     if len(which) < _LEAST_DOTS:
-        return not_found(f"only {len(which)} dots in a lattice; at least {_LEAST_DOTS} are needed", refused)
+        return not_found(
+            f"{len(which)} of {len(circles.centre)} dots are in a lattice of {board.pitch_mm:g} mm with "
+            f"dots of {board.dot_diameter_mm:g} mm, {_LEAST_DOTS} are needed: check lengths and view",
+            refused,
+        )
     markers_seen = 0
     if board.markers is None:
         answer = _by_extent(board, lattice, circles.centre[which])

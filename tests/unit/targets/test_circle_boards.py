@@ -43,6 +43,34 @@ def test_every_turn_of_a_board_is_recognised(draughtsman: Any, rng: np.random.Ge
     assert np.abs(z).max() < 5.0
 
 
+@pytest.mark.parametrize(
+    ("px_per_mm", "blur", "noise", "tilt", "dark"),
+    [
+        (1.2, 0.6, 3.0, (0.4, -0.3), 40.0),  # radius of 3 px
+        (2.8, 2.5, 3.0, (0.4, -0.3), 40.0),  # out of focus
+        (2.8, 0.7, 20.0, (0.4, -0.3), 40.0),  # an eighth of the contrast
+        (2.8, 0.7, 3.0, (0.0, 1.2), 40.0),  # 69 degrees
+        (2.8, 0.7, 3.0, (0.4, -0.3), 150.0),  # grey ink
+    ],
+)
+def test_hard_views_are_found_and_rightly_judged(
+    draughtsman: Any,
+    rng: np.random.Generator,
+    px_per_mm: float,
+    blur: float,
+    noise: float,
+    tilt: tuple[float, float],
+    dark: float,
+) -> None:
+    view = draughtsman.view_of(320, 320, (40.0, 30.0), px_per_mm, turn=0.5, tilt=tilt)
+    image = draughtsman.draw(view, draughtsman.dots(RINGS), blur=blur, dark=dark)
+    found = find_board(image + rng.normal(0.0, noise, image.shape), RINGS)
+    assert (len(found.place), found.markers_seen) == (63, 3)
+    z = errors(found, view) / found.sigma_px[:, None]
+    # As in every turn; the covariances of oblique dots are far from round.
+    assert float(np.sqrt(np.mean(z**2))) == pytest.approx(1.0, abs=0.35)
+
+
 def test_larger_dots_are_markers_too(draughtsman: Any) -> None:
     view = draughtsman.view_of(320, 320, (40.0, 30.0), 2.8, turn=2.0, tilt=(0.4, -0.3))
     image = 240.0 - draughtsman.draw(view, draughtsman.dots(LARGER))
@@ -120,7 +148,7 @@ def test_a_mirror_image_is_not_taken_for_the_board(draughtsman: Any) -> None:
 def test_no_board_is_no_board(draughtsman: Any, rng: np.random.Generator) -> None:
     nothing = find_board(rng.normal(120.0, 3.0, (200, 240)), RINGS)
     assert len(nothing.place) == 0
-    assert "dots" in nothing.reason
+    assert "0 of 0 dots" in nothing.reason
     view = draughtsman.view_of(260, 320, (40.0, 30.0), 2.8)
     unmarked = find_board(draughtsman.draw(view, draughtsman.dots(PLAIN)), RINGS)
     assert "0 markers" in unmarked.reason
