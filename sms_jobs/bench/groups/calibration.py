@@ -1,0 +1,132 @@
+"""Calibration: the bundle adjustment's speed, held-out lengths, and whether it says what it is worth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from statistics import median
+
+import numpy as np
+
+from sms_jobs.bench.bar_session import TABLE_3, BarSession, Floats, Wanted, bar_session
+from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
+from sms_jobs.metrology.calibration.bundle_adjustment import adjust
+from sms_jobs.metrology.calibration.bundle_covariance import point_standard_deviation
+from sms_jobs.metrology.calibration.bundle_cross_validation import cross_validate
+from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
+from sms_jobs.metrology.calibration.bundle_result import Adjustment
+from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, ray_directions
+
+_WALL_TARGET_S = 1.5
+_HELD_OUT_TARGET = 1.0 / 20_000.0
+_Z_LIMITS = (0.8, 1.2)
+_REPEATS = 5
+_SEED = 1
+
+THESIS_SESSION = Wanted()
+"""25 poses x 2 spheres x 4 pairs x 500 points, and one pose of a board, which is the world."""
+
+MANY_SESSIONS = Wanted(
+    points=60, camera_pixels=512, angles=TABLE_3[::2], board_tilts=((0.0, 0.0, 0.0), (0.3, 0.0, 0.0))
+)
+"""What is calibrated again and again for the z-scores."""
+
+
+def warm_up() -> None:
+    """Compile what the adjustment uses."""
+    adjust(bar_session(MANY_SESSIONS, 0).problem)
+
+
+def point_errors(made: BarSession, found: Adjustment, grid: Floats) -> tuple[Floats, Floats]:
+    """Return errors (pairs, n, 3) of points (n, 3) due to a calibration, and what it says they are, in mm."""
+    errors, sigmas = [], []
+    for c, camera in enumerate(made.sensors):
+        for p, projector in enumerate(made.sensors):
+            if camera.name[0] != "C" or projector.name[0] != "P":
+                continue
+            seen = [project(s.intrinsics, s.pose, grid) for s in (camera, projector)]
+            own = [(found.sensors[k].intrinsics, found.sensors[k].pose) for k in (c, p)]
+            errors.append(_triangulated(own[0], own[1], seen[0], seen[1]) - grid)
+            sigmas.append(point_standard_deviation(found, camera.name, projector.name, grid))
+    return np.array(errors), np.array(sigmas)
+
+
+def _triangulated(
+    camera: tuple[Intrinsics, Pose], projector: tuple[Intrinsics, Pose], left: Floats, right: Floats
+) -> Floats:
+    """Return the points on the camera's rays nearest to the projector's, (n, 3) in mm."""
+    u, v = ray_directions(*camera, left), ray_directions(*projector, right)
+    base, n = projector[1].centre() - camera[1].centre(), np.cross(u, v)
+    along = np.sum(np.cross(base, v) * n, axis=1) / np.sum(n * n, axis=1)
+    return np.asarray(camera[1].centre() + along[:, None] * u)
+
+
+def _bundle(run: Run) -> Iterator[Found]:
+    wanted = replace(THESIS_SESSION, points=60) if run.quick else THESIS_SESSION
+    made = bar_session(wanted, _SEED)
+    run.say("calibration: the bundle adjustment")
+    options = BundleOptions(threads=run.threads)
+    found, taken, spent = adjust(made.problem, options), [], []
+    for _ in range(_REPEATS):
+        started, used = time.perf_counter(), time.process_time()
+        found = adjust(made.problem, options)
+        taken.append(time.perf_counter() - started)
+        spent.append(time.process_time() - used)
+    count = 2 * sum(len(p.sphere) for p in made.problem.bar_points)
+    board = 2 * sum(len(p.point) for p in made.problem.board_points)
+    wall = None if run.quick else median(taken)
+    yield Figure("bundle_200k_residuals_wall_s", wall, "s", _WALL_TARGET_S, "at most")
+    yield Figure("bundle_iterations", float(found.iterations), "1")
+    run.say("calibration: held-out poses")
+    held = cross_validate(made.problem, options, folds=5, start=found)
+    assert made.problem.volume is not None
+    diagonal = float(np.linalg.norm(made.problem.volume[1] - made.problem.volume[0]))
+    part = held.bar_rms_mm / diagonal
+    yield Figure("held_out_bar_over_diagonal", part, "1", _HELD_OUT_TARGET, "at most")
+    shortened = "; --quick, so without the wall time, which is that of 200 000" if run.quick else ""
+    yield Condition(
+        "bundle",
+        f"exact geometry and noise, no images: {len(made.problem.bar_poses)} poses of thesis Table 3, 2 "
+        "spheres of 30 mm radius 500 mm apart, 4 pairs of cameras of 1024 px and projectors of 1024 x 768 px "
+        f"as in the campaign top-hat-bending, {count} residuals of sphere points with "
+        f"{wanted.phase_sigma_px} px in the projector, {board} of a board with {wanted.dot_sigma_px} px; "
+        "start about 1e-3 rad, 2 mm, 0.3 % of the focal length and 3 px off; "
+        f"{int(found.free.sum())} unknowns, Huber weights, estimated variances and covariance; median of "
+        f"{_REPEATS}, {run.threads} threads, {median(spent):.2f} CPU-s{shortened}",
+    )
+    yield Condition(
+        "held_out_bar",
+        f"{len(held.bars)} bar poses, each held out once in 5 folds; rms length error "
+        f"{1e3 * held.bar_rms_mm:.1f} um over the volume's diagonal of {diagonal:.0f} mm",
+    )
+
+
+def _z_scores(run: Run) -> Iterator[Found]:
+    sessions = 8 if run.quick else 40
+    run.say(f"calibration: {sessions} calibrations for z-scores")
+    grid = np.stack(np.meshgrid(*[[-200.0, 0.0, 200.0]] * 3), axis=-1).reshape(-1, 3)
+    z, error = [], []
+    for seed in range(1, sessions + 1):
+        made = bar_session(MANY_SESSIONS, seed)
+        errors, sigmas = point_errors(made, adjust(made.problem), grid)
+        z.append(errors / sigmas)
+        error.append(errors)
+    score = float(np.sqrt(np.mean(np.square(z))))
+    yield Figure("z_score_rms", score, "1", _Z_LIMITS[1], "at most")
+    micrometres = 1e3 * float(np.sqrt(np.mean(np.square(error))))
+    yield Condition(
+        "z_score",
+        f"{sessions} sessions of 13 bar poses with 60 points a sphere and 2 board poses; errors due to the "
+        f"calibration of 27 points within +-200 mm, 4 pairs, {micrometres:.1f} um rms, over their predicted "
+        f"standard deviations; wanted between {_Z_LIMITS[0]} and {_Z_LIMITS[1]}",
+    )
+
+
+def measure(run: Run) -> Iterator[Found]:
+    """Yield the figures and their conditions."""
+    yield from _bundle(run)
+    yield from _z_scores(run)
+
+
+GROUP = Group("calibration", "speed and honesty of the bundle adjustment", warm_up, measure)
