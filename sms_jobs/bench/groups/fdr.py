@@ -49,7 +49,8 @@ def two_returns(pixels: int, bins: tuple[float, float], ratio: float = RATIO) ->
 def warm_up() -> None:
     """Compile what the rates use."""
     one_return(512).ranged()
-    two_returns(512, (1.0, 20.0)).ranged()
+    two_returns(512, (0.5, 20.0)).ranged()
+    one_return(2048).ranged(2)  # of so many, a few look like two at first and are fitted one by one
 
 
 def _rates(run: Run) -> Iterator[Found]:

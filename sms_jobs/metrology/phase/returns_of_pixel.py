@@ -31,7 +31,6 @@ from sms_jobs.metrology.phase.returns_fit import (
     copy_state,
     in_phase,
     in_quadrature,
-    inlined,
     power,
     refine,
     rotors,
@@ -60,7 +59,7 @@ def wrapped(angle: float) -> float:
     return float(angle - 2.0 * pi * np.rint(angle * (0.5 / pi)))
 
 
-@inlined
+@kernel
 def _offset_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
     """Return how far a peak of Re H lies from its highest sample, -0.5 .. 0.5 samples.
 
@@ -75,13 +74,13 @@ def _offset_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
     return float(offset if right > left else -offset)
 
 
-@inlined
+@kernel
 def start_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
     """Return omega of a peak of Re H between its samples."""
     return wrapped(pi / spectrum.shape[1] * (k + _offset_of_real_peak(spectrum, k, lane)))
 
 
-@inlined
+@kernel
 def height_of_real_peak(spectrum: Single, k: int, lane: int) -> float:
     """Return the height of a peak of Re H between its samples."""
     u = pi * _offset_of_real_peak(spectrum, k, lane)
@@ -250,7 +249,7 @@ def peel(
     """
     begin(work, 0, omega)
     if known_origin:
-        refine(1, left, j, weights, sums, m, first, 0.0, work, tables, rest, system)
+        refine(np.int64(1), left, j, weights, sums, m, first, 0.0, work, tables, rest, system)
         scatter, lever = sums[m, NTT], sums[m, VTT]
     else:
         work[0, AMPLITUDE, 0] = _climb_modulus(left, j, weights, m, first, work, tables) / sums[m, V]

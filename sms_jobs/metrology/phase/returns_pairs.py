@@ -257,8 +257,8 @@ def fit_two_each(
     """
     second, fast_second = state[SIZE:], fast[FAST:]
     for _ in range(steps):
-        set_rotors(first, 0, state, rotors, fast)
-        set_rotors(first, 2, second, rotors, fast_second)
+        set_rotors(first, np.int64(0), state, rotors, fast)
+        set_rotors(first, np.int64(2), second, rotors, fast_second)
         for t in range(0, x.shape[0], GROUP):
             _advance(x, y, t, weights, rotors, fast)
         _look_up(overlaps, state)
@@ -271,8 +271,8 @@ def fit_two_each(
             break
     _look_up(overlaps, state)
     _vary(sums[V], sums[VTT], state)
-    set_rotors(first, 0, state, rotors, fast)
-    set_rotors(first, 2, second, rotors, fast_second)
+    set_rotors(first, np.int64(0), state, rotors, fast)
+    set_rotors(first, np.int64(2), second, rotors, fast_second)
     flat_x, flat_y, flat_rotors = x.reshape(-1), y.reshape(-1), rotors.reshape(-1)
     for t in range(0, x.shape[0], GROUP):
         _remove(flat_x, flat_y, t, weights, flat_rotors, fast)

@@ -248,7 +248,7 @@ def _peel_pixel(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk, sweep: int, 
     )
     if sweep > 0:
         return
-    squares = _without(plan, chunk, m, j, i + 1, -1)
+    squares = _without(plan, chunk, m, j, i + 1, np.int64(-1))
     freedom = max(real_values(plan.first, lost.shape[0] - chunk.missing[j]) - 2.0 * (i + 1), 1.0)
     floor = max(chunk.variance[j], squares / freedom)
     score = chunk.states[j, AMPLITUDE, i] * chunk.sums[m, V]
@@ -293,7 +293,7 @@ def _find_by_peeling(plan: Plan, chunk: _Chunk) -> None:
     for j in range(LANES):
         if chunk.found[j] > 0:
             m = _weights_of(chunk.missing[j], chunk.lost, j, chunk.weights, chunk.sums)
-            chunk.squares[j] = _without(plan, chunk, m, j, chunk.found[j], -1)
+            chunk.squares[j] = _without(plan, chunk, m, j, chunk.found[j], np.int64(-1))
             copy_state(chunk.found[j], chunk.states, j, chunk.work, 0)
             spread(chunk.found[j], chunk.weights, chunk.sums, m, chunk.work, chunk.tables, chunk.left, j)
             copy_state(chunk.found[j], chunk.work, 0, chunk.states, j)
@@ -345,7 +345,7 @@ def _take_known(plan: Plan, columns: NDArray[np.int64], known: Floats, chunk: _C
             continue
         for k in range(chunk.states.shape[1]):
             chunk.states[j, k, 0] = known[k, columns[j]]
-        _without(plan, chunk, 0, j, 1, -1)
+        _without(plan, chunk, np.int64(0), j, np.int64(1), np.int64(-1))
         chunk.found[j] = 1
         chunk.squares[j] = known[chunk.states.shape[1], columns[j]]
         for t in range(chunk.x.shape[0]):

@@ -191,7 +191,7 @@ def _settle(plan: Plan, signal: Single, start: int, lanes: int, most: int, chunk
     wanted = _want_pairs(plan, count, chunk)
     if wanted > _FEW:
         load(signal, start, lanes, chunk.x, chunk.y)
-        if _settle_pairs(plan, count, _STEPS, chunk) > 0 and most > 2:
+        if _settle_pairs(plan, count, np.int64(_STEPS), chunk) > 0 and most > 2:
             _open_thirds(plan, count, chunk)
     elif wanted > 0:
         for j in range(LANES):
@@ -243,7 +243,7 @@ def _settle_waiting(plan: Plan, count: int, filled: int, most: int, chunk: Chunk
         chunk.best,
         chunk.where,
     )
-    if _settle_pairs(plan, count, _MORE_STEPS, chunk) > 0 and most > 2:
+    if _settle_pairs(plan, count, np.int64(_MORE_STEPS), chunk) > 0 and most > 2:
         _open_thirds(plan, count, chunk)
     for j in range(filled):
         if chunk.settled[j] == LATER:
@@ -278,20 +278,21 @@ def settle_row(
     count, columns, most = signal.shape[1], signal.shape[2], omega.shape[0]
     chunk = new_chunk(plan, count)
     waiting = beside(chunk)
-    still, filled = 0, 0
+    # Of these types from the start: Numba compiles what is called with a literal once more for that literal.
+    still, filled = np.int64(0), np.int64(0)
     for start in range(0, columns, LANES):
         lanes = min(LANES, columns - start)
         _begin(plan, start, lanes, planes[0, row], chunk)
         _settle(plan, signal, start, lanes, most, chunk)
         _open_lost(lost[count], lanes, most, chunk)
-        lane = 0
+        lane = np.int64(0)
         while lane < lanes:
             lane, filled = collect(signal, chunk, lane, lanes, waiting, filled)
             if filled == LANES:
                 _settle_waiting(plan, count, filled, most, waiting)
                 report(plan, waiting, count, filled, row, omega, maps, planes, flags)
                 still = hand_over(plan, waiting, filled, opened, still, known)
-                filled = 0
+                filled = np.int64(0)
         report(plan, chunk, count, lanes, row, omega, maps, planes, flags)
         still = hand_over(plan, chunk, lanes, opened, still, known)
     if filled > 0:

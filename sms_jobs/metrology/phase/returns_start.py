@@ -123,13 +123,13 @@ def start_close(
     """
     re, im = spectrum[0], spectrum[1]
     rows, middle = x.shape[0], _NODES // 2
-    set_rotors(first, 0, one, rotors, fast)
+    set_rotors(first, np.int64(0), one, rotors, fast)
     for t in range(0, rows, GROUP):
         _turn_back(x, y, t, weights, rotors, fast, re, im)
     values = np.empty((_NODES + 1, LANES), np.float32)
     for k in range(middle + 1):
-        _add_up(re, rows, grid.turns, 0, middle + k, values, middle + k)
-        _add_up(im, rows, grid.turns, 1, middle + k, values, _NODES)
+        _add_up(re, rows, grid.turns, np.int64(0), middle + k, values, middle + k)
+        _add_up(im, rows, grid.turns, np.int64(1), middle + k, values, _NODES)
         for j in range(LANES):
             even, odd = values[middle + k, j], values[_NODES, j]
             values[middle + k, j] = even + odd
