@@ -97,7 +97,14 @@ def fit_plane_view(points: Floats, image: Floats) -> PlaneView:
     Returns
     -------
     The view; its bend is quadratic from 14 points on, cubic from 30, quintic from 60, else absent.
+
+    Raises
+    ------
+    ValueError
+        Where there are fewer than four points, or all are on a line.
     """
+    if len(points) < 4:
+        raise ValueError("a plane's view needs four points that are not on a line")
     found, _ = cv2.findHomography(points.astype(np.float64), image.astype(np.float64), 0)
     middle = np.asarray(points.mean(axis=0), dtype=np.float64)
     reach = float(np.abs(points - middle).max())
