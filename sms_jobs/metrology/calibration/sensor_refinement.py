@@ -19,7 +19,6 @@ LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 _MOST_ITERATIONS = 60
 _CONVERGED = 1e-9  # relative change of the cost
-_HUBER = 3.0
 _REFUSED_BEYOND = 6.0
 _RAYLEIGH_MEDIAN = 1.1774
 _PLAUSIBLE = np.array([np.inf, np.inf, np.inf, np.inf, 1.0, 1.0, 0.1, 0.1, 1.0])
@@ -72,6 +71,7 @@ class _Problem:
     kept: list[Bools]
     basis: Floats  # (9, free): lens parameters by free ones
     scale: float
+    huber: float
 
 
 def _distances(seen: Sequence[SeenPoints], intrinsics: Intrinsics, poses: Sequence[Pose]) -> list[Floats]:
@@ -84,10 +84,10 @@ def _distances(seen: Sequence[SeenPoints], intrinsics: Intrinsics, poses: Sequen
 
 
 def _huber_cost(problem: _Problem, intrinsics: Intrinsics, poses: Sequence[Pose]) -> float:
-    total = 0.0
+    total, bend = 0.0, min(problem.huber, 1e150)  # squares of which are finite
     for distance, kept in zip(_distances(problem.seen, intrinsics, poses), problem.kept, strict=True):
         d = distance[kept] / problem.scale
-        total += float(np.sum(np.where(d <= _HUBER, 0.5 * d * d, _HUBER * (d - 0.5 * _HUBER))))
+        total += float(np.sum(np.where(d <= bend, 0.5 * d * d, bend * (d - 0.5 * bend))))
     lens = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy, *intrinsics.distortion()])
     held = np.inf > _PLAUSIBLE
     return total + float(0.5 * np.sum((lens[held] / _PLAUSIBLE[held]) ** 2))
@@ -108,7 +108,7 @@ def _normal_equations(
         off = (item.pixel[kept] - pixels) * weight[:, None]
         distance = np.linalg.norm(off, axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
-            robust = np.sqrt(np.where(distance > _HUBER, _HUBER / distance, 1.0))
+            robust = np.sqrt(np.where(distance > problem.huber, problem.huber / distance, 1.0))
         weight, off = weight * robust, (off * robust[:, None]).ravel()
         j_pose = (by_pose * weight[:, None, None]).reshape(-1, 6)
         j_lens = (by_lens * weight[:, None, None]).reshape(-1, 9) @ problem.basis
@@ -191,6 +191,7 @@ def refine_sensor(
     free: Sequence[str],
     square_pixels: bool = False,
     trusted: Sequence[Bools] | None = None,
+    huber: float = 3.0,
     refuse: bool = True,
 ) -> RefinedSensor:
     """Fit the inner parameters of a sensor, and the poses of rigid things that it saw, to their images.
@@ -207,6 +208,8 @@ def refine_sensor(
         Keep fy / fx at the ratio of the start.
     trusted
         Of each thing, (n,) the points to begin with; all by default.
+    huber
+        From how many robust standard deviations on a point pulls no harder; infinite for least squares.
     refuse
         In the end leave out those of all points, trusted or not, that are farther than 6 robust standard
         deviations from where they should be.
@@ -225,7 +228,7 @@ def refine_sensor(
     kept = [np.isfinite(d) for d in _distances(seen, intrinsics, placed)]
     if trusted is not None:
         kept = [k & t for k, t in zip(kept, trusted, strict=True)]
-    problem = _Problem(seen, kept, basis, 1.0)
+    problem = _Problem(seen, kept, basis, 1.0, huber)
     cost = 0.0
     for round_ in range(4):
         distances = _distances(seen, intrinsics, placed)

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.metrology.calibration.board_views import BoardView
+from sms_jobs.metrology.calibration.bundle_adjustment import adjust
+from sms_jobs.metrology.calibration.bundle_problem import BundleBoard
+from sms_jobs.metrology.calibration.initial_problem import board_problem
 from sms_jobs.metrology.calibration.initialisation import InitialCalibration, initialise
 from sms_jobs.metrology.calibration.planar_intrinsics import (
     intrinsics_from_homographies,
@@ -293,3 +296,21 @@ def test_refinement_agrees_with_an_independent_program(rng: np.random.Generator)
     np.testing.assert_allclose(
         found.lens_sigma[:4] * found.scale, sigma.ravel()[:4] / SIGMA * SIGMA, rtol=0.15
     )
+
+
+def test_an_adjustment_starts_from_first_values(rng: np.random.Generator) -> None:
+    boards = poses(8, rng)
+    views = views_of(boards, rng)
+    first = initialise(views, SIZES)
+    exact = BundleBoard("board", 0.0, 0.0)
+    found = adjust(board_problem(first, views, [exact], projectors=("P1",)))
+    assert [s.name for s in found.sensors] == ["C1", "C2", "P1"]
+    assert {r.type for r in found.rms} == {"board in camera", "board in projector"}
+    for sensor in found.sensors:
+        points = np.concatenate([transform(b, grid()) for b in boards])
+        off = project(sensor.intrinsics, sensor.pose, transform(inverse(boards[0]), points))
+        off -= project(LENSES[sensor.name], RIG[sensor.name], points)
+        # 6240 coordinates tell 69 parameters: sigma sqrt(69 / 6240) = 0.005 px, and three times that.
+        assert np.sqrt(np.mean(off**2)) < 0.016
+    with pytest.raises(InvalidInput, match="shows the board"):
+        board_problem(first, views, [exact, BundleBoard("other")])
