@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.calibration.bundle_covariance import point_jacobian
 from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.metrology.calibration.pair_points import Parameters, box_grid, lens_vector, meet_rays
 from sms_jobs.metrology.calibration.rigid_alignment import align_points, rigid_modes
-from sms_jobs.metrology.calibration.sensor_derivatives import point_derivatives
 from sms_jobs.metrology.geometry.camera import Pose, project
 from sms_jobs.metrology.geometry.transforms import compose, rotation_vector, transform
 
@@ -236,7 +236,7 @@ def _points_through(
     if seen.sum() < 3:
         raise InvalidInput(f"{camera}{projector} sees {seen.sum()} places of the volume: check its corners")
     rows = np.zeros((int(seen.sum()), 3, PER_SENSOR * len(names)))
-    own = point_derivatives(before[camera], before[projector], grid[seen])
+    own = point_jacobian(before[camera], before[projector], grid[seen])
     for k, name in enumerate((camera, projector)):
         at = PER_SENSOR * names.index(name)
         rows[:, :, at : at + PER_SENSOR] = own[:, :, PER_SENSOR * k : PER_SENSOR * (k + 1)]

@@ -1,4 +1,4 @@
-"""How images of points, and points and gaps of a pair's rays, change with the parameters of the sensors."""
+"""How images of points, and the gap of a pair's rays, change with the parameters of the sensors."""
 
 from __future__ import annotations
 
@@ -126,37 +126,3 @@ def gap_derivatives(
         axis=1,
     )
     return np.asarray(rows / np.linalg.norm(normal, axis=1, keepdims=True))
-
-
-def point_derivatives(
-    camera: tuple[Intrinsics, Pose], projector: tuple[Intrinsics, Pose], points: Floats
-) -> Floats:
-    """Return how points that a pair triangulates move with its parameters.
-
-    Parameters
-    ----------
-    camera, projector
-        The pair; the point is taken on the camera's ray.
-    points
-        (n, 3) in mm, where the rays meet; both pixels are held.
-
-    Returns
-    -------
-    (n, 3, 30) in mm per unit of each parameter, the camera's 15 first.
-
-    Notes
-    -----
-    From c + s u = c' + t v of pin-holes c, c' and rays u, v: with w = v x (u x v), to which v is
-    perpendicular, ds = w (dc' - dc - s du + t dv) / (w u), and d(point) = dc + ds u + s du.
-    """
-    points = np.asarray(points, dtype=np.float64)
-    u, by_u, by_hole = _ray_derivatives(*camera, points)
-    v, by_v, by_other = _ray_derivatives(*projector, points)
-    s, t = (transform(sensor[1], points)[:, 2, None, None] for sensor in (camera, projector))
-    w = np.cross(v, np.cross(u, v))
-    w /= np.sum(w * u, axis=1, keepdims=True)
-    own = by_hole + s * by_u
-    along = np.concatenate([-own, by_other + t * by_v], axis=2)
-    rows = u[:, :, None] * np.einsum("ni,nij->nj", w, along)[:, None, :]
-    rows[:, :, :15] += own
-    return np.asarray(rows)
