@@ -149,6 +149,11 @@ def calibration_view(session: Session, number: int) -> CalibrationView:
     raise NotFound(f"there is no calibration {number}; 'sms calibration list' shows them")
 
 
+def calibration_of_file(session: Session, file_id: int) -> int:
+    """Return the number of the calibration that lies in a file."""
+    return session.scalars(select(CalibrationRow.id).where(CalibrationRow.file_id == file_id)).one()
+
+
 def _views() -> Select[FileRow, str, str]:
     return (
         select(FileRow, CampaignRow.name, LoadStateRow.label)

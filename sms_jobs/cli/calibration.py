@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import search
-from sms_jobs.cli import calibration_files, output
+from sms_jobs.cli import calibration_files, completion, output
 from sms_jobs.cli.output import Home, Json
+from sms_jobs.errors import InvalidInput
+from sms_jobs.jobs import calibrations
+from sms_jobs.records.calibration import CalibrationQuality
+from sms_jobs.records.campaign import Subject
 from sms_jobs.records.sensors import Calibration
 
 app = typer.Typer(help="Calibrations of rigs.", no_args_is_help=True)
 app.command("export")(calibration_files.export)
 app.command("import")(calibration_files.import_)
+
+_FINDINGS = 6
 
 
 @app.command("list")
@@ -41,28 +49,37 @@ def list_(
 
 @app.command()
 def show(number: int, home: Home = None, as_json: Json = False) -> None:
-    """Show the parameters of every sensor of a calibration.
+    """Show the parameters of every sensor of a calibration, and what it is worth.
 
     Example: sms calibration show 1
     """
     with bootstrap.services(home) as services:
-        with services.catalogue.reading() as session:
-            view = search.calibration_view(session, number)
-        with services.archive.open(view.path) as dataset:
-            calibration = dataset.read("calibration", Calibration)
+        known = calibrations.known_calibration(services.catalogue, services.archive, number)
+    calibration = known.calibration
+    worth = {} if known.quality is None else _worth(calibration, known.quality)
     if as_json:
         output.print_json(
-            {"calibration": view, "sensors": calibration.rig.sensors, "volume": calibration.volume}
+            {
+                "calibration": number,
+                "rig": calibration.rig.name,
+                "valid_from": calibration.valid_from,
+                "origin": calibration.origin,
+                "path": known.path,
+                "sensors": calibration.rig.sensors,
+                "volume": calibration.volume,
+                "quality": worth or None,
+            }
         )
         return
     output.print_facts(
         {
-            "calibration": view.id,
-            "rig": view.rig,
-            "valid from": view.valid_from,
-            "origin": view.origin,
+            "calibration": number,
+            "rig": calibration.rig.name,
+            "valid from": calibration.valid_from,
+            "origin": calibration.origin,
             "volume diagonal [mm]": calibration.volume.diagonal_mm,
-            "file": view.path,
+            **worth,
+            "file": known.path,
         }
     )
     output.print_table(
@@ -80,3 +97,178 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
         ],
         empty="",
     )
+
+
+def _worth(calibration: Calibration, quality: CalibrationQuality) -> dict[str, str | float | int]:
+    """Return the few numbers by which a calibration is judged."""
+    held_out = quality.held_out_bar_rms_mm()
+    expected = quality.expected_sigma[np.isfinite(quality.expected_sigma)]
+    worth: dict[str, str | float | int] = {"world": quality.gauge, "warnings": len(quality.warnings)}
+    if np.isfinite(held_out):
+        worth["held-out bar lengths, rms [um]"] = round(1e3 * held_out, 3)
+        worth["of the volume's diagonal"] = f"1/{calibration.volume.diagonal_mm / held_out:,.0f}"
+    if expected.size:
+        worth["expected deviation of a point, median [um]"] = round(1e3 * float(np.median(expected)), 3)
+        worth["expected deviation of a point, largest [um]"] = round(1e3 * float(expected.max()), 3)
+    return worth
+
+
+@app.command()
+def certify(
+    session: Annotated[
+        str,
+        typer.Argument(help="Name of the calibration session.", autocompletion=completion.campaign_names),
+    ],
+    valid_from: Annotated[
+        str | None,
+        typer.Option(help="From when on it is used, with zone; from the session's beginning if not given."),
+    ] = None,
+    despite_warnings: Annotated[
+        bool, typer.Option("--despite-warnings", help="Take it into use though it has warnings.")
+    ] = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Take the calibration that a session gave into use.
+
+    Measurements of the rig from that time on are computed with it; results that were computed with an
+    older one show as stale in 'sms job explain', and are computed again when they are submitted.
+
+    Example: sms calibration certify hall-3-june --valid-from 2026-06-01T08:00:00+01:00
+    """
+    since = None if valid_from is None else _time(valid_from)
+    with bootstrap.services(home) as services:
+        number, new, calibration = calibrations.certify(
+            services.catalogue,
+            services.archive,
+            session,
+            since,
+            datetime.now(UTC),
+            despite_warnings=despite_warnings,
+        )
+    if as_json:
+        output.print_json({"calibration": number, "new": new, "valid_from": calibration.valid_from})
+        return
+    when = output.shown(calibration.valid_from)
+    output.say(
+        f"calibration {number} of rig {calibration.rig.name} is valid from {when} on"
+        if new
+        else f"it is in use already, as calibration {number}"
+    )
+
+
+def _time(text: str) -> datetime:
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        moment = None
+    if moment is None or moment.tzinfo is None:
+        raise InvalidInput(f"'{text}' is no time with a zone; write it like 2026-06-01T08:00:00+01:00")
+    return moment
+
+
+@app.command()
+def compare(
+    before: Annotated[int, typer.Argument(help="Number of the earlier calibration.")],
+    after: Annotated[int, typer.Argument(help="Number of the later one.")],
+    tolerance_mm: Annotated[
+        float | None,
+        typer.Option(
+            help="Change of points from which on it matters; what the earlier lets expect if not given.",
+            min=0.0,
+        ),
+    ] = None,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Say what changed between two calibrations of a rig, and whether it matters.
+
+    Example: sms calibration compare 1 2
+    """
+    with bootstrap.services(home) as services:
+        found, tolerance = calibrations.compare(
+            services.catalogue, services.archive, before, after, tolerance_mm
+        )
+    if as_json:
+        output.print_json({"tolerance_mm": tolerance, "comparison": found})
+        return
+    output.print_facts({"verdict": found.verdict, "because": found.reason, "tolerance [um]": 1e3 * tolerance})
+    output.print_table(
+        ["pair", "points move, rms [um]", "largest [um]", "aligned rms [um]", "aligned largest [um]"],
+        [
+            (
+                f"{p.camera}{p.projector}",
+                f"{1e3 * p.rms_mm:.2f}",
+                f"{1e3 * p.largest_mm:.2f}",
+                f"{1e3 * p.aligned_rms_mm:.2f}",
+                f"{1e3 * p.aligned_largest_mm:.2f}",
+            )
+            for p in found.pairs
+        ],
+        empty="",
+    )
+    told = sorted((c for c in found.changes if np.isfinite(c.z)), key=lambda c: abs(c.z), reverse=True)
+    output.print_table(
+        ["sensor", "parameter", "change", "in standard deviations"],
+        [(c.sensor, c.parameter, f"{c.change:.3g}", f"{c.z:.1f}") for c in told[:10]],
+        empty="no parameter's standard deviation is known",
+    )
+
+
+@app.command()
+def check(
+    tuples: Annotated[
+        list[str], typer.Argument(help="Tuples campaign/state/pair whose shape has been measured.")
+    ],
+    baseline_mm: Annotated[
+        float,
+        typer.Option(help="Systematic gap that is usual for this rig, from texture or defocus.", min=0.0),
+    ] = 0.01,
+    false_alarm: Annotated[
+        float,
+        typer.Option(
+            help="Probability that a calibration that holds is said to have drifted.", min=1e-9, max=0.5
+        ),
+    ] = 0.001,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Decide from ordinary measurements, by their ray gaps, whether the calibration still holds.
+
+    The exit code is 6 when one does not.
+
+    Example: sms calibration check wing-fatigue/S00/C1P1 wing-fatigue/S00/C2P2
+    """
+    now = datetime.now(UTC)
+    with bootstrap.services(home) as services:
+        found = [
+            calibrations.check(
+                services.catalogue,
+                services.archive,
+                Subject.parse(text),
+                now,
+                baseline_mm=baseline_mm,
+                false_alarm=false_alarm,
+            )
+            for text in tuples
+        ]
+    if as_json:
+        output.print_json_list(found)
+    else:
+        output.print_table(
+            ["tuple", "calibration", "verdict", "gap, rms [um]", "points off, rms [um]", "because"],
+            [
+                (
+                    f.subject,
+                    f.calibration,
+                    f.check.verdict,
+                    f"{1e3 * f.check.gap_rms_mm:.1f}",
+                    f"{1e3 * f.check.point_change_rms_mm:.1f}",
+                    f.check.reason,
+                )
+                for f in found
+            ],
+            empty="",
+        )
+    if any(f.check.verdict == "drifted" for f in found):
+        raise typer.Exit(_FINDINGS)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import getpass
 import socket
+from collections.abc import Mapping
 from datetime import datetime
+from typing import Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 import sms_jobs
-from sms_jobs.archive import Archive, Sealed
+from sms_jobs.archive import Archive, InputReference, Sealed
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CalibrationRow, FileRow
+from sms_jobs.catalogue.models import CalibrationRow, FileRow, ProvenanceRow
 from sms_jobs.errors import Conflict
 from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds import kind_named
@@ -57,18 +59,31 @@ def register_campaign(
 
 
 def register_calibration(
-    catalogue: Catalogue, archive: Archive, calibration: Calibration, now: datetime
+    catalogue: Catalogue,
+    archive: Archive,
+    calibration: Calibration,
+    now: datetime,
+    *,
+    inputs: tuple[InputReference, ...] = (),
+    beside: Mapping[str, Any] | None = None,
 ) -> tuple[int, bool]:
-    """Add a calibration of a rig that was made elsewhere.
+    """Add a calibration of a rig: one that was made elsewhere, or the result of a session.
+
+    Parameters
+    ----------
+    inputs
+        Files that it comes from.
+    beside
+        Records that are stored with it: its covariance, and what is known of its quality.
 
     Returns
     -------
     Its number in the catalogue, and whether it is new: the same calibration is entered once.
     """
-    sealed = _seal(archive, calibration, now)
+    sealed = _seal(archive, calibration, now, inputs, beside)
     try:
         with catalogue.writing() as session:
-            number = _index(session, archive, calibration, sealed, now)
+            number = _index(session, archive, calibration, sealed, now, inputs)
             path = session.scalar(
                 select(FileRow.path)
                 .join(CalibrationRow, CalibrationRow.file_id == FileRow.id)
@@ -80,18 +95,31 @@ def register_calibration(
     return number, path == sealed.path
 
 
-def _seal(archive: Archive, calibration: Calibration, now: datetime) -> Sealed:
+def _seal(
+    archive: Archive,
+    calibration: Calibration,
+    now: datetime,
+    inputs: tuple[InputReference, ...] = (),
+    beside: Mapping[str, Any] | None = None,
+) -> Sealed:
     return archive.seal_calibration(
         calibration,
         now,
         program_version=sms_jobs.__version__,
         host=socket.gethostname(),
         operator=getpass.getuser(),
+        inputs=inputs,
+        beside=beside,
     )
 
 
 def _index(
-    session: Session, archive: Archive, calibration: Calibration, sealed: Sealed, now: datetime
+    session: Session,
+    archive: Archive,
+    calibration: Calibration,
+    sealed: Sealed,
+    now: datetime,
+    inputs: tuple[InputReference, ...] = (),
 ) -> int:
     """Index a sealed calibration and return its number; the file of one that is known is discarded."""
     same = session.scalar(
@@ -112,4 +140,7 @@ def _index(
     )
     session.add(file)
     session.flush()
+    for given in inputs:
+        source = session.scalars(select(FileRow.id).where(FileRow.path == given.path)).one()
+        session.add(ProvenanceRow(output_id=file.id, role=given.role, input_id=source))
     return campaigns.add_calibration(session, calibration, file.id)
