@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns
-from sms_jobs.metrology.phase.returns_bound import two_return_bound
+from sms_jobs.metrology.phase.ranging.bound import two_return_bound
 from sms_jobs.metrology.phase.sequences import linear, ranging
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
 

@@ -25,7 +25,7 @@ from sms_jobs.metrology.phase.fourier_domain_ranging import range_returns, score
 from sms_jobs.metrology.phase.fringe_blur import transfer_of_sample
 from sms_jobs.metrology.phase.merged_returns import merged_sigma
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
-from sms_jobs.metrology.phase.returns_signal import Window
+from sms_jobs.metrology.phase.ranging.signal import Window
 from sms_jobs.metrology.phase.ripple_table import RippleTable, ripple_table
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
 from sms_jobs.records.campaign import Subject

@@ -9,7 +9,7 @@ import numpy as np
 
 from sms_jobs.bench.returns import Signals, found_near, pairs, rms, simulate, single_bound
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure
-from sms_jobs.metrology.phase.returns_bound import two_return_bound
+from sms_jobs.metrology.phase.ranging.bound import two_return_bound
 
 FRINGES = 64
 SIGNAL_TO_NOISE = 50.0

@@ -18,20 +18,20 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.compilation import in_row_blocks
-from sms_jobs.metrology.phase.returns_fit import fit_weights
-from sms_jobs.metrology.phase.returns_pairs import overlap_table
-from sms_jobs.metrology.phase.returns_plan import JOINT, MODULUS, ORIGINAL, Plan
-from sms_jobs.metrology.phase.returns_search import find_by_peeling, find_jointly
-from sms_jobs.metrology.phase.returns_settled import settle_row
-from sms_jobs.metrology.phase.returns_signal import (
+from sms_jobs.metrology.phase.ranging.fit import fit_weights
+from sms_jobs.metrology.phase.ranging.plan import JOINT, MODULUS, ORIGINAL, Plan
+from sms_jobs.metrology.phase.ranging.search import find_by_peeling, find_jointly
+from sms_jobs.metrology.phase.ranging.settled import settle_row
+from sms_jobs.metrology.phase.ranging.signal import (
     PADDING,
     Window,
     ranging_sequence,
     read_signal,
     window_weights,
 )
-from sms_jobs.metrology.phase.returns_start import grid
-from sms_jobs.metrology.phase.returns_transform import bit_reversal, transform_length, twiddles
+from sms_jobs.metrology.phase.ranging.start import grid
+from sms_jobs.metrology.phase.ranging.transform import bit_reversal, transform_length, twiddles
+from sms_jobs.metrology.phase.ranging.two_each import overlap_table
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]

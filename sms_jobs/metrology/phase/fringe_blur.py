@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.metrology.phase.fourier_domain_ranging import range_returns
-from sms_jobs.metrology.phase.returns_modulation import modulation_transfer
-from sms_jobs.metrology.phase.returns_signal import ranging_sequence
+from sms_jobs.metrology.phase.ranging.modulation import modulation_transfer
+from sms_jobs.metrology.phase.ranging.signal import ranging_sequence
 
 Floats = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from scipy.optimize import least_squares
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.phase.fourier_domain_ranging import Method, Returns, range_returns, score_threshold
-from sms_jobs.metrology.phase.returns_bound import omega_bounds, two_return_bound
-from sms_jobs.metrology.phase.returns_modulation import modulation_transfer
-from sms_jobs.metrology.phase.returns_signal import uniform_steps
+from sms_jobs.metrology.phase.ranging.bound import omega_bounds, two_return_bound
+from sms_jobs.metrology.phase.ranging.modulation import modulation_transfer
+from sms_jobs.metrology.phase.ranging.signal import uniform_steps
 
 Floats = NDArray[np.float64]
 

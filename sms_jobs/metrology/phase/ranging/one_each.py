@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import summing_kernel
-from sms_jobs.metrology.phase.returns_fit import UT, UTT, VTT, G, U, V, W
-from sms_jobs.metrology.phase.returns_transform import LANES
+from sms_jobs.metrology.phase.ranging.fit import UT, UTT, VTT, G, U, V, W
+from sms_jobs.metrology.phase.ranging.transform import LANES
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
@@ -232,7 +232,7 @@ def fit_one_each(
         Scratch, (densities up to a multiple of four groups, LANES) and (2 FAST,).
     """
     for _ in range(_STEPS):
-        set_rotors(first, np.int64(0), state, rotors, fast)
+        set_rotors(first, int(np.int64(0)), state, rotors, fast)
         for t in range(0, x.shape[0], GROUP):
             _advance(x, y, t, weights, rotors, fast)
         _move(sums[V], sums[VTT], count, state, fast)
@@ -241,7 +241,7 @@ def fit_one_each(
             largest = max(largest, abs(state[STEP_TIMES_S + j]))
         if largest < SMALL:
             break
-    set_rotors(first, np.int64(0), state, rotors, fast)
+    set_rotors(first, int(np.int64(0)), state, rotors, fast)
     flat_x, flat_y, flat_rotors = x.reshape(-1), y.reshape(-1), rotors.reshape(-1)
     for t in range(0, x.shape[0], GROUP):
         _remove(flat_x, flat_y, t, weights, flat_rotors, fast)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel
-from sms_jobs.metrology.phase import returns_lanes, returns_pairs
-from sms_jobs.metrology.phase.returns_fit import (
+from sms_jobs.metrology.phase.ranging import one_each, two_each
+from sms_jobs.metrology.phase.ranging.fit import (
     AMPLITUDE,
     COS,
     OMEGA,
@@ -22,10 +22,10 @@ from sms_jobs.metrology.phase.returns_fit import (
     V,
     inlined,
 )
-from sms_jobs.metrology.phase.returns_lanes import FALL, FAST, GROUP, SQUARES
-from sms_jobs.metrology.phase.returns_of_pixel import wrapped
-from sms_jobs.metrology.phase.returns_plan import Plan, real_values
-from sms_jobs.metrology.phase.returns_transform import LANES, real_peaks
+from sms_jobs.metrology.phase.ranging.of_pixel import wrapped
+from sms_jobs.metrology.phase.ranging.one_each import FALL, FAST, GROUP, SQUARES
+from sms_jobs.metrology.phase.ranging.plan import Plan, real_values
+from sms_jobs.metrology.phase.ranging.transform import LANES, real_peaks
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
@@ -35,7 +35,7 @@ OPEN, LATER, ONE, TWO = -1, -2, 1, 2
 
 
 class Chunk(NamedTuple):
-    """Buffers of a chunk of pixels: signal, transform, and states of `returns_lanes` and `returns_pairs`."""
+    """Buffers of a chunk of pixels: signal, transform, and states of `one_each` and `two_each`."""
 
     x: Single
     y: Single
@@ -64,8 +64,8 @@ def new_chunk(plan: Plan, count: int) -> Chunk:
         np.empty((2, plan.order.size, LANES), np.float32),
         np.empty(LANES, np.float32),
         np.empty(LANES, np.int32),
-        np.zeros(returns_lanes.SIZE),
-        np.zeros(returns_pairs.PAIR_SIZE),
+        np.zeros(one_each.SIZE),
+        np.zeros(two_each.PAIR_SIZE),
         np.zeros((plan.weights.shape[1], LANES), np.float32),
         np.zeros(2 * FAST, np.float32),
         np.zeros(LANES, np.bool_),
@@ -174,8 +174,8 @@ def _report(
     maps: Single,
 ) -> None:
     """Write a return, whose state begins at o, of pixel j; `cofactor` is the variance of a omega."""
-    a = state[o + returns_lanes.AMPLITUDE + j]
-    omega[rank, row, column] = wrapped(state[o + returns_lanes.OMEGA + j])
+    a = state[o + one_each.AMPLITUDE + j]
+    omega[rank, row, column] = wrapped(state[o + one_each.OMEGA + j])
     maps[0, rank, row, column] = np.sqrt(cofactor) / a
     maps[1, rank, row, column] = a
     maps[2, rank, row, column] = np.sqrt(max(-2.0 * state[o + FALL + j] / (a * lever), 0.0))
@@ -197,7 +197,7 @@ def report(
     v, vtt = plan.sums[V], plan.sums[VTT]
     lever = plan.sums[VT4] - vtt * vtt / v
     one, pair, settled, variance = chunk.one, chunk.pair, chunk.settled, chunk.variance
-    places, size, first, unit = chunk.column, returns_lanes.SIZE, plan.first, plan.unit
+    places, size, first, unit = chunk.column, one_each.SIZE, plan.first, plan.unit
     for j in range(lanes):
         found, column = settled[j], places[j]
         if found < 0:
@@ -212,8 +212,8 @@ def report(
             _report(0, lever, variance[j] / vtt, one, 0, j, row, column, omega, maps)
         if found == TWO:
             squares = pair[SQUARES + j]
-            stronger = pair[returns_lanes.AMPLITUDE + j] >= pair[size + returns_lanes.AMPLITUDE + j]
-            cofactor = variance[j] * pair[returns_pairs.VARIANCE + j]
+            stronger = pair[one_each.AMPLITUDE + j] >= pair[size + one_each.AMPLITUDE + j]
+            cofactor = variance[j] * pair[two_each.VARIANCE + j]
             _report(0, lever, cofactor, pair, 0 if stronger else size, j, row, column, omega, maps)
             _report(1, lever, cofactor, pair, size if stronger else 0, j, row, column, omega, maps)
         flags[0, row, column] = found
@@ -226,7 +226,7 @@ def report(
 def hand_over(
     plan: Plan, chunk: Chunk, lanes: int, opened: NDArray[np.int64], still: int, known: Floats
 ) -> int:
-    """Write columns and first returns of open pixels for `returns_search`; return how many there are."""
+    """Write columns and first returns of open pixels for `search`; return how many there are."""
     v, vtt = plan.sums[V], plan.sums[VTT]
     lever = plan.sums[VT4] - vtt * vtt / v
     one, settled, is_known, places = chunk.one, chunk.settled, chunk.known, chunk.column
@@ -238,7 +238,7 @@ def hand_over(
         still += 1
         known[AMPLITUDE, column] = 0.0
         if is_known[j]:
-            a, omega = one[returns_lanes.AMPLITUDE + j], one[returns_lanes.OMEGA + j]
+            a, omega = one[one_each.AMPLITUDE + j], one[one_each.OMEGA + j]
             known[OMEGA, column] = omega
             known[COS, column] = np.cos(omega)
             known[SIN, column] = np.sin(omega)

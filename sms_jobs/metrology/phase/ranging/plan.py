@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel
-from sms_jobs.metrology.phase.returns_start import Grid
+from sms_jobs.metrology.phase.ranging.start import Grid
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]

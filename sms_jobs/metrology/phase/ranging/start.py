@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel, summing_kernel
-from sms_jobs.metrology.phase.returns_fit import U
-from sms_jobs.metrology.phase.returns_lanes import (
+from sms_jobs.metrology.phase.ranging.fit import U
+from sms_jobs.metrology.phase.ranging.one_each import (
     AMPLITUDE,
     GROUP,
     OMEGA,
@@ -25,7 +25,7 @@ from sms_jobs.metrology.phase.returns_lanes import (
     TURN_S,
     set_rotors,
 )
-from sms_jobs.metrology.phase.returns_transform import LANES
+from sms_jobs.metrology.phase.ranging.transform import LANES
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
@@ -123,13 +123,13 @@ def start_close(
     """
     re, im = spectrum[0], spectrum[1]
     rows, middle = x.shape[0], _NODES // 2
-    set_rotors(first, np.int64(0), one, rotors, fast)
+    set_rotors(first, int(np.int64(0)), one, rotors, fast)
     for t in range(0, rows, GROUP):
         _turn_back(x, y, t, weights, rotors, fast, re, im)
     values = np.empty((_NODES + 1, LANES), np.float32)
     for k in range(middle + 1):
-        _add_up(re, rows, grid.turns, np.int64(0), middle + k, values, middle + k)
-        _add_up(im, rows, grid.turns, np.int64(1), middle + k, values, _NODES)
+        _add_up(re, rows, grid.turns, int(np.int64(0)), middle + k, values, middle + k)
+        _add_up(im, rows, grid.turns, int(np.int64(1)), middle + k, values, _NODES)
         for j in range(LANES):
             even, odd = values[middle + k, j], values[_NODES, j]
             values[middle + k, j] = even + odd

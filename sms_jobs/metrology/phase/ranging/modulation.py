@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
-from sms_jobs.metrology.phase.returns_signal import ranging_sequence, read_signal
+from sms_jobs.metrology.phase.ranging.signal import ranging_sequence, read_signal
 
 Floats = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel, summing_kernel
-from sms_jobs.metrology.phase.returns_fit import (
+from sms_jobs.metrology.phase.ranging.fit import (
     AMPLITUDE,
     OMEGA,
     SEARCH,
@@ -23,7 +23,7 @@ from sms_jobs.metrology.phase.returns_fit import (
     copy_state,
     power,
 )
-from sms_jobs.metrology.phase.returns_of_pixel import (
+from sms_jobs.metrology.phase.ranging.of_pixel import (
     add_jointly,
     height_of_real_peak,
     peel,
@@ -33,8 +33,8 @@ from sms_jobs.metrology.phase.returns_of_pixel import (
     start_of_real_peak,
     wrapped,
 )
-from sms_jobs.metrology.phase.returns_plan import MODULUS, ORIGINAL, Plan, is_worth_a_fit, real_values
-from sms_jobs.metrology.phase.returns_transform import LANES, modulus_peaks, real_peaks
+from sms_jobs.metrology.phase.ranging.plan import MODULUS, ORIGINAL, Plan, is_worth_a_fit, real_values
+from sms_jobs.metrology.phase.ranging.transform import LANES, modulus_peaks, real_peaks
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
@@ -248,7 +248,7 @@ def _peel_pixel(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk, sweep: int, 
     )
     if sweep > 0:
         return
-    squares = _without(plan, chunk, m, j, i + 1, np.int64(-1))
+    squares = _without(plan, chunk, m, j, i + 1, int(np.int64(-1)))
     freedom = max(real_values(plan.first, lost.shape[0] - chunk.missing[j]) - 2.0 * (i + 1), 1.0)
     floor = max(chunk.variance[j], squares / freedom)
     score = chunk.states[j, AMPLITUDE, i] * chunk.sums[m, V]
@@ -293,7 +293,7 @@ def _find_by_peeling(plan: Plan, chunk: _Chunk) -> None:
     for j in range(LANES):
         if chunk.found[j] > 0:
             m = _weights_of(chunk.missing[j], chunk.lost, j, chunk.weights, chunk.sums)
-            chunk.squares[j] = _without(plan, chunk, m, j, chunk.found[j], np.int64(-1))
+            chunk.squares[j] = _without(plan, chunk, m, j, chunk.found[j], int(np.int64(-1)))
             copy_state(chunk.found[j], chunk.states, j, chunk.work, 0)
             spread(chunk.found[j], chunk.weights, chunk.sums, m, chunk.work, chunk.tables, chunk.left, j)
             copy_state(chunk.found[j], chunk.work, 0, chunk.states, j)
@@ -345,7 +345,7 @@ def _take_known(plan: Plan, columns: NDArray[np.int64], known: Floats, chunk: _C
             continue
         for k in range(chunk.states.shape[1]):
             chunk.states[j, k, 0] = known[k, columns[j]]
-        _without(plan, chunk, np.int64(0), j, np.int64(1), np.int64(-1))
+        _without(plan, chunk, int(np.int64(0)), j, int(np.int64(1)), int(np.int64(-1)))
         chunk.found[j] = 1
         chunk.squares[j] = known[chunk.states.shape[1], columns[j]]
         for t in range(chunk.x.shape[0]):
@@ -399,7 +399,7 @@ def find_jointly(
     columns
         Which pixels.
     known
-        Their first return, of `returns_settled.settle_row`.
+        Their first return, of `settled.settle_row`.
     row, omega, maps, planes, flags
         Which row of (returns, rows, columns); of (3, returns, rows, columns): standard deviation, amplitude,
         width; of (3, rows, columns): the mean grey level, which is given, another, residual; and of

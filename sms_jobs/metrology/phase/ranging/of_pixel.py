@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel
-from sms_jobs.metrology.phase.returns_fit import (
+from sms_jobs.metrology.phase.ranging.fit import (
     AMPLITUDE,
     COS,
     NT,
@@ -249,7 +249,7 @@ def peel(
     """
     begin(work, 0, omega)
     if known_origin:
-        refine(np.int64(1), left, j, weights, sums, m, first, 0.0, work, tables, rest, system)
+        refine(int(np.int64(1)), left, j, weights, sums, m, first, 0.0, work, tables, rest, system)
         scatter, lever = sums[m, NTT], sums[m, VTT]
     else:
         work[0, AMPLITUDE, 0] = _climb_modulus(left, j, weights, m, first, work, tables) / sums[m, V]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import summing_kernel
-from sms_jobs.metrology.phase.returns_fit import UT, UTT, VTT, G, U, V, W
-from sms_jobs.metrology.phase.returns_lanes import (
+from sms_jobs.metrology.phase.ranging.fit import UT, UTT, VTT, G, U, V, W
+from sms_jobs.metrology.phase.ranging.one_each import (
     AMPLITUDE,
     FALL,
     FAST,
@@ -32,7 +32,7 @@ from sms_jobs.metrology.phase.returns_lanes import (
     TURN_S,
     set_rotors,
 )
-from sms_jobs.metrology.phase.returns_transform import LANES
+from sms_jobs.metrology.phase.ranging.transform import LANES
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
@@ -257,8 +257,8 @@ def fit_two_each(
     """
     second, fast_second = state[SIZE:], fast[FAST:]
     for _ in range(steps):
-        set_rotors(first, np.int64(0), state, rotors, fast)
-        set_rotors(first, np.int64(2), second, rotors, fast_second)
+        set_rotors(first, int(np.int64(0)), state, rotors, fast)
+        set_rotors(first, int(np.int64(2)), second, rotors, fast_second)
         for t in range(0, x.shape[0], GROUP):
             _advance(x, y, t, weights, rotors, fast)
         _look_up(overlaps, state)
@@ -271,8 +271,8 @@ def fit_two_each(
             break
     _look_up(overlaps, state)
     _vary(sums[V], sums[VTT], state)
-    set_rotors(first, np.int64(0), state, rotors, fast)
-    set_rotors(first, np.int64(2), second, rotors, fast_second)
+    set_rotors(first, int(np.int64(0)), state, rotors, fast)
+    set_rotors(first, int(np.int64(2)), second, rotors, fast_second)
     flat_x, flat_y, flat_rotors = x.reshape(-1), y.reshape(-1), rotors.reshape(-1)
     for t in range(0, x.shape[0], GROUP):
         _remove(flat_x, flat_y, t, weights, flat_rotors, fast)

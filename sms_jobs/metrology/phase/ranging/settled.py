@@ -2,7 +2,7 @@
 
 Pixels whose two returns are close or slow to converge wait for others like them and are fitted in chunks of
 their own. Whatever is not plain here (lost densities, three returns, no convergence) is left open for
-`returns_search`, with the first return where it is known.
+`search`, with the first return where it is known.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel
-from sms_jobs.metrology.phase import returns_lanes, returns_pairs
-from sms_jobs.metrology.phase.returns_chunk import (
+from sms_jobs.metrology.phase.ranging import one_each, two_each
+from sms_jobs.metrology.phase.ranging.chunk import (
     LATER,
     ONE,
     OPEN,
@@ -29,18 +29,18 @@ from sms_jobs.metrology.phase.returns_chunk import (
     new_chunk,
     report,
 )
-from sms_jobs.metrology.phase.returns_fit import SEARCH, VTT, G, N, V
-from sms_jobs.metrology.phase.returns_lanes import SQUARES, STEP_TIMES_S, fit_one_each
-from sms_jobs.metrology.phase.returns_of_pixel import (
+from sms_jobs.metrology.phase.ranging.fit import SEARCH, VTT, G, N, V
+from sms_jobs.metrology.phase.ranging.of_pixel import (
     CLOSE,
     height_of_real_peak,
     start_of_real_peak,
     wrapped,
 )
-from sms_jobs.metrology.phase.returns_pairs import fit_two_each, is_done
-from sms_jobs.metrology.phase.returns_plan import Plan, is_excessive, is_worth_a_fit, real_values
-from sms_jobs.metrology.phase.returns_start import start_close
-from sms_jobs.metrology.phase.returns_transform import LANES
+from sms_jobs.metrology.phase.ranging.one_each import SQUARES, STEP_TIMES_S, fit_one_each
+from sms_jobs.metrology.phase.ranging.plan import Plan, is_excessive, is_worth_a_fit, real_values
+from sms_jobs.metrology.phase.ranging.start import start_close
+from sms_jobs.metrology.phase.ranging.transform import LANES
+from sms_jobs.metrology.phase.ranging.two_each import fit_two_each, is_done
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
@@ -59,17 +59,17 @@ def _settle_ones(plan: Plan, count: int, chunk: Chunk) -> None:
     """
     one = chunk.one
     for j in range(LANES):
-        one[returns_lanes.OMEGA + j] = start_of_real_peak(chunk.spectrum, chunk.where[j], j)
+        one[one_each.OMEGA + j] = start_of_real_peak(chunk.spectrum, chunk.where[j], j)
     fit_one_each(chunk.x, chunk.y, count, plan.weights, plan.sums, plan.first, one, chunk.rotors, chunk.fast)
     v, vtt = plan.sums[V], plan.sums[VTT]
     free = real_values(plan.first, count) - 2.0
     square = plan.threshold * plan.threshold
     for j in range(LANES):
-        a = one[returns_lanes.AMPLITUDE + j]
+        a = one[one_each.AMPLITUDE + j]
         floor = max(chunk.variance[j], one[SQUARES + j] / free)
         width = count * np.sqrt(floor / (a * a * vtt))
         step = abs(one[STEP_TIMES_S + j])
-        small = step < max(returns_lanes.SMALL, min(4.0 * width, 4.0 * returns_lanes.SMALL))
+        small = step < max(one_each.SMALL, min(4.0 * width, 4.0 * one_each.SMALL))
         chunk.known[j] = small and a > 0.0 and a * a * v > square * floor
         if small:
             # A strong second return would count as noise of the first, and is looked for before that.
@@ -90,7 +90,7 @@ def _want_pairs(plan: Plan, count: int, chunk: Chunk) -> int:
         scale += plan.weights[SEARCH, t] * plan.weights[G, t]
     wanted = 0
     for j in range(LANES):
-        omega = chunk.one[returns_lanes.OMEGA + j]
+        omega = chunk.one[one_each.OMEGA + j]
         chunk.wanted[j] = False
         second, height = omega + 2.0, 0.0
         if chunk.settled[j] == ONE:
@@ -105,10 +105,10 @@ def _want_pairs(plan: Plan, count: int, chunk: Chunk) -> int:
             elif not chunk.known[j]:
                 chunk.settled[j] = 0
         wanted += 1 if chunk.wanted[j] else 0
-        chunk.pair[returns_lanes.OMEGA + j] = omega
-        chunk.pair[returns_lanes.AMPLITUDE + j] = chunk.one[returns_lanes.AMPLITUDE + j]
-        chunk.pair[returns_lanes.SIZE + returns_lanes.OMEGA + j] = second
-        chunk.pair[returns_lanes.SIZE + returns_lanes.AMPLITUDE + j] = max(height, 0.0) / scale
+        chunk.pair[one_each.OMEGA + j] = omega
+        chunk.pair[one_each.AMPLITUDE + j] = chunk.one[one_each.AMPLITUDE + j]
+        chunk.pair[one_each.SIZE + one_each.OMEGA + j] = second
+        chunk.pair[one_each.SIZE + one_each.AMPLITUDE + j] = max(height, 0.0) / scale
     return wanted
 
 
@@ -136,16 +136,16 @@ def _settle_pairs(plan: Plan, count: int, steps: int, chunk: Chunk) -> int:
     for j in range(LANES):
         if not chunk.wanted[j]:
             continue
-        first, second = pair[returns_lanes.OMEGA + j], pair[returns_lanes.SIZE + returns_lanes.OMEGA + j]
-        least = min(pair[returns_lanes.AMPLITUDE + j], pair[returns_lanes.SIZE + returns_lanes.AMPLITUDE + j])
-        one, gained = chunk.one[returns_lanes.AMPLITUDE + j], chunk.one[SQUARES + j] - pair[SQUARES + j]
+        first, second = pair[one_each.OMEGA + j], pair[one_each.SIZE + one_each.OMEGA + j]
+        least = min(pair[one_each.AMPLITUDE + j], pair[one_each.SIZE + one_each.AMPLITUDE + j])
+        one, gained = chunk.one[one_each.AMPLITUDE + j], chunk.one[SQUARES + j] - pair[SQUARES + j]
         floor = max(chunk.variance[j], pair[SQUARES + j] / max(free, 1.0))
         least_gain = plan.threshold * plan.threshold * floor
         chunk.settled[j] = LATER
         if (
             least > 0.0
             and abs(wrapped(second - first)) > (_NEAREST if chunk.near[j] else CLOSE) * 2.0 * pi / count
-            and is_done(pair[STEP_TIMES_S + j], pair[returns_pairs.GAIN + j], chunk.variance[j])
+            and is_done(pair[STEP_TIMES_S + j], pair[two_each.GAIN + j], chunk.variance[j])
         ):
             # What hides in much that is left is for others to find.
             if gained > least_gain and (chunk.known[j] or one * one * plan.sums[V] > least_gain):
@@ -191,7 +191,7 @@ def _settle(plan: Plan, signal: Single, start: int, lanes: int, most: int, chunk
     wanted = _want_pairs(plan, count, chunk)
     if wanted > _FEW:
         load(signal, start, lanes, chunk.x, chunk.y)
-        if _settle_pairs(plan, count, np.int64(_STEPS), chunk) > 0 and most > 2:
+        if _settle_pairs(plan, count, int(np.int64(_STEPS)), chunk) > 0 and most > 2:
             _open_thirds(plan, count, chunk)
     elif wanted > 0:
         for j in range(LANES):
@@ -243,7 +243,7 @@ def _settle_waiting(plan: Plan, count: int, filled: int, most: int, chunk: Chunk
         chunk.best,
         chunk.where,
     )
-    if _settle_pairs(plan, count, np.int64(_MORE_STEPS), chunk) > 0 and most > 2:
+    if _settle_pairs(plan, count, int(np.int64(_MORE_STEPS)), chunk) > 0 and most > 2:
         _open_thirds(plan, count, chunk)
     for j in range(filled):
         if chunk.settled[j] == LATER:
@@ -273,26 +273,26 @@ def settle_row(
         (7, columns), becomes the first return of these pixels: the rows of a state and the weighted sum of
         squares that it leaves; the amplitude is 0 where it is not known.
 
-    The other parameters are those of `returns_search.find_jointly`; those of settled pixels are written.
+    The other parameters are those of `search.find_jointly`; those of settled pixels are written.
     """
     count, columns, most = signal.shape[1], signal.shape[2], omega.shape[0]
     chunk = new_chunk(plan, count)
     waiting = beside(chunk)
     # Of these types from the start: Numba compiles what is called with a literal once more for that literal.
-    still, filled = np.int64(0), np.int64(0)
+    still, filled = int(np.int64(0)), int(np.int64(0))
     for start in range(0, columns, LANES):
         lanes = min(LANES, columns - start)
         _begin(plan, start, lanes, planes[0, row], chunk)
         _settle(plan, signal, start, lanes, most, chunk)
         _open_lost(lost[count], lanes, most, chunk)
-        lane = np.int64(0)
+        lane = int(np.int64(0))
         while lane < lanes:
             lane, filled = collect(signal, chunk, lane, lanes, waiting, filled)
             if filled == LANES:
                 _settle_waiting(plan, count, filled, most, waiting)
                 report(plan, waiting, count, filled, row, omega, maps, planes, flags)
                 still = hand_over(plan, waiting, filled, opened, still, known)
-                filled = np.int64(0)
+                filled = int(np.int64(0))
         report(plan, chunk, count, lanes, row, omega, maps, planes, flags)
         still = hand_over(plan, chunk, lanes, opened, still, known)
     if filled > 0:
