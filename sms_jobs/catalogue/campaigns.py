@@ -146,12 +146,16 @@ def time_of(session: Session, subject: Subject, now: datetime) -> datetime:
     )
 
 
-def newest_file(session: Session, source: str, subject: Subject) -> int | None:
-    """Return the newest measurement or result of a kind about a subject."""
+def newest_file(session: Session, source: str, subject: Subject, media_type: str) -> int | None:
+    """Return the newest file of a type that is a measurement or result of a kind about a subject."""
     query = (
         select(func.max(FileRow.id))
         .join(CampaignRow, CampaignRow.id == FileRow.campaign_id)
-        .where(FileRow.source == source, CampaignRow.name == subject.campaign)
+        .where(
+            FileRow.source == source,
+            FileRow.media_type == media_type,
+            CampaignRow.name == subject.campaign,
+        )
     )
     if subject.state is None:
         query = query.where(FileRow.state_id.is_(None))

@@ -186,6 +186,7 @@ def compare(
         _corners(old.calibration.volume),
         covariance_before=earlier if both else None,
         covariance_after=later if both else None,
+        relation="updated" if began_from_it else "independent",
         same_world=not began_from_it,
         tolerance_mm=tolerance_mm,
     )
@@ -225,7 +226,7 @@ def check(
     with catalogue.reading() as session:
         row = campaigns.campaign_row(session, subject.campaign)
         orientations = campaigns.definition(row).sequence
-        shape = campaigns.newest_file(session, "reconstruct", subject)
+        shape = campaigns.newest_file(session, "reconstruct", subject, DATASET_MEDIA_TYPE)
         at = campaigns.time_of(session, subject, now)
         file_id = campaigns.calibration_file(session, row.rig_id, at)
         if shape is None or file_id is None:

@@ -38,7 +38,6 @@ class ResolvedInput:
     source: str
     path: str
     content_hash: str
-    is_dataset: bool
 
 
 @dataclass(frozen=True)
@@ -86,11 +85,7 @@ def resolve_inputs(session: Session, job_id: str) -> tuple[ResolvedInput, ...]:
                 .where(DependencyRow.job_id == job_id, DependencyRow.role == edge.role)
                 .values(file_id=file.id)
             )
-        found.append(
-            ResolvedInput(
-                edge.role, edge.source, file.path, file.content_hash, file.media_type == DATASET_MEDIA_TYPE
-            )
-        )
+        found.append(ResolvedInput(edge.role, edge.source, file.path, file.content_hash))
     return tuple(found)
 
 
@@ -98,7 +93,10 @@ def _produced(session: Session, edge: DependencyRow) -> int | None:
     producer = session.get_one(JobRow, edge.producer_id)
     subject = Subject.parse(edge.subject)
     query = select(FileRow.id).where(
-        FileRow.job_id == (producer.reused_from or producer.id), FileRow.source == edge.source
+        FileRow.job_id == (producer.reused_from or producer.id),
+        FileRow.source == edge.source,
+        # A job may make documents for people besides: jobs need datasets.
+        FileRow.media_type == DATASET_MEDIA_TYPE,
     )
     if subject.pair is not None:
         query = query.where(FileRow.pair == subject.pair)

@@ -10,6 +10,7 @@ from datetime import datetime
 from sqlalchemy import insert, select
 from sqlalchemy.orm import Session
 
+from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.models import DependencyRow, EventRow, JobRow, OutboxRow
 from sms_jobs.jobs.planning import Existing, PlannedInput, PlannedJob, Request, covering, plan
@@ -67,7 +68,7 @@ def submit(
         elif (job_id := coming(need)) is not None:
             return Existing(job_id=job_id)
         else:
-            file_id = campaigns.newest_file(session, need.source, need.subject)
+            file_id = campaigns.newest_file(session, need.source, need.subject, DATASET_MEDIA_TYPE)
         return None if file_id is None else Existing(file_id=file_id)
 
     jobs = plan(campaign, requests, find)
