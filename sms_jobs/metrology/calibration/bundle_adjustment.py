@@ -22,6 +22,7 @@ from sms_jobs.metrology.calibration.bundle_checks import (
     check_determined,
     pose_warnings,
     prior_warnings,
+    weakest_in_words,
 )
 from sms_jobs.metrology.calibration.bundle_linear import inverse, solve
 from sms_jobs.metrology.calibration.bundle_normal import (
@@ -38,6 +39,7 @@ from sms_jobs.metrology.calibration.bundle_parameters import (
     Freedom,
     State,
     freedom,
+    inner_parameters,
     parameter_names,
     starting_state,
 )
@@ -64,7 +66,9 @@ Floats = NDArray[np.float64]
 _FEWEST_ON_SPHERE = 12
 _FEWEST_ON_BOARD = 6
 _ROUNDS = 4  # of leaving out and adjusting again; the second seldom changes anything
+_COARSE = 1e-2  # with principal points and distortion as they start: far off, they would run away
 _ROUGH = 1e-4  # relative cost at which it is worth looking for what to leave out
+_GOOD_ENOUGH = 1e-7  # when the iterations are used up: of a cost of 10 000, 0.05 standard deviations
 _LEAST_DAMPING = 1e-9
 _MOST_DAMPING = 1e6
 _SETTLED = 1e-3  # relative change of variance factors: a tenth of what 50 000 residuals tell of them
@@ -112,6 +116,10 @@ def adjust(problem: BundleProblem, options: BundleOptions | None = None) -> Adju
     packed = pack(problem)
     check_before(problem, packed)
     fit = _start(problem, packed, chosen)
+    whole = fit.freedom
+    fit.freedom = whole.without(inner_parameters(problem))
+    _descend(problem, packed, chosen, fit, _COARSE)
+    fit.freedom = whole
     _descend(problem, packed, chosen, fit, _ROUGH)
     for _ in range(_ROUNDS):
         live = _kept(fit.normal.observed, packed, fit.scale, chosen)
@@ -214,7 +222,7 @@ def _descend(
     problem: BundleProblem, packed: Packed, options: BundleOptions, fit: _Fit, tolerance: float
 ) -> None:
     """Bring the fit to the minimum with the observations that live."""
-    damping = _LEAST_DAMPING
+    damping, raised = _LEAST_DAMPING, 10.0
     absorbed = _absorbed(options, fit, _summed(fit, options)[0])
     while True:
         normal, gradient = _summed(fit, options)
@@ -227,23 +235,28 @@ def _descend(
         here = _cost(packed, options, fit, fit.normal)
         if gain <= tolerance * (here + 1.0) and (settled or tolerance >= _ROUGH):
             return
+        if fit.iterations >= options.most_iterations and gain <= _GOOD_ENOUGH * (here + 1.0):
+            return
         if fit.iterations >= options.most_iterations or damping > _MOST_DAMPING:
             check_determined(problem, fit.state, fit.freedom, normal)
             raise CalibrationFailed(
                 f"the bundle adjustment found no minimum in {fit.iterations} iterations (a step still "
-                f"promises {gain / (here + 1.0):.1e} of the cost, limit {tolerance:.0e}): start nearer, or "
-                "look for wrong points among the poses with the largest residuals"
+                f"promises {gain / (here + 1.0):.1e} of the cost, limit {tolerance:.0e}): start nearer, look "
+                "for wrong points, or mend what is known worst: "
+                + weakest_in_words(problem, fit.freedom, normal)
             )
         fit.iterations += 1
         moved = fit.state.moved(problem, fit.freedom.unfold(step))
         found = evaluate(problem, packed, moved, fit.live, fit.scale, options, fit.normal.observed)
-        if found.old_cost + found.prior_cost <= here * (1.0 + 1e-12):
+        gained = here - found.old_cost - found.prior_cost
+        if gained >= -1e-12 * here:
             fit.state, fit.normal = moved, found
-            damping = max(0.1 * damping, _LEAST_DAMPING)
+            # Only where the cost is as quadratic as it was taken for may the next step be bolder.
+            damping, raised = max((0.1 if gained > 0.5 * gain else 1.0) * damping, _LEAST_DAMPING), 10.0
         elif gain <= 1e-9 * (here + 1.0):
             return  # rounding decides whether so small a step gains anything
         else:
-            damping = max(100.0 * damping, 1e-4)
+            damping, raised = raised * damping, 10.0 * raised
 
 
 def _result(problem: BundleProblem, packed: Packed, options: BundleOptions, fit: _Fit) -> Adjustment:

@@ -138,8 +138,7 @@ def check_determined(
     names = tuple(s.name for s in problem.sensors)
 
     def words() -> str:
-        direction = weakest_direction(normal, np.arange(len(places)))
-        return described(direction, places, names) + _flatness(problem)
+        return weakest_in_words(problem, freedom, normal)
 
     found = inverse(normal)
     if found is None or np.max(np.diag(found) * np.diag(normal)) > _SINGULAR:
@@ -166,6 +165,15 @@ def check_determined(
     if worst > _REFUSED_PART * diagonal:
         raise CalibrationFailed(f"{told} (limit 1/{1 / _REFUSED_PART:.0f}): {words()}")
     return covariance, (f"{told} (wanted 1/{1 / _DOUBTED_PART:.0f}): {words()}",)
+
+
+def weakest_in_words(problem: BundleProblem, freedom: Freedom, normal: Floats) -> str:
+    """Say what the observations tell least of, and what to add."""
+    places = np.flatnonzero(freedom.free[: PER_SENSOR * len(problem.sensors)])
+    if not len(places):
+        return "all sensors are fixed; look at the artefacts' poses"
+    direction = weakest_direction(normal, np.arange(len(places)))
+    return described(direction, places, tuple(s.name for s in problem.sensors)) + _flatness(problem)
 
 
 def _worst_point(problem: BundleProblem, state: State, covariance: Floats) -> tuple[float, str, float]:

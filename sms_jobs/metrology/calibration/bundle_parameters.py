@@ -18,6 +18,7 @@ from sms_jobs.metrology.geometry.transforms import rotation_matrix
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.signedinteger]
 
 _POSE = SENSOR_PARAMETERS[:6]
 
@@ -96,6 +97,12 @@ class Freedom:
     free: Bools
     followers: tuple[tuple[int, int, float], ...]
 
+    def without(self, places: Ints) -> Freedom:
+        """Return the freedom with some parameters kept as they are."""
+        free = self.free.copy()
+        free[places] = False
+        return Freedom(free, self.followers)
+
     def fold(self, normal: Floats, gradient: Floats) -> tuple[Floats, Floats]:
         """Return the normal matrix and gradient of the free parameters alone."""
         if self.followers:
@@ -123,6 +130,13 @@ class Freedom:
             full[follower] = ratio * full[leader]
             full[:, follower] = ratio * full[:, leader]
         return full
+
+
+def inner_parameters(problem: BundleProblem) -> Ints:
+    """Return the places of all sensors' principal points and distortion."""
+    first = SENSOR_PARAMETERS.index("cx")
+    places = np.arange(PER_SENSOR * len(problem.sensors)).reshape(-1, PER_SENSOR)
+    return np.ascontiguousarray(places[:, first:]).ravel()
 
 
 def freedom(problem: BundleProblem, seen_board: Bools, seen_sphere: Bools) -> Freedom:
@@ -193,7 +207,9 @@ class State:
         board[:, :, 3] += poses[:, 3:]
         for pose, placed in enumerate(problem.board_poses):
             board[pose, 0, 4] += step[layout.board(placed.board)]
-        sphere[:, :, :3] += step[layout.centre(0, 0) : layout.bar(0)].reshape(-1, 2, 3)
+        sphere[:, :, :3] = _turned_bars(
+            sphere[:, :, :3], step[layout.centre(0, 0) : layout.bar(0)].reshape(-1, 2, 3)
+        )
         for pose, held in enumerate(problem.bar_poses):
             at = layout.bar(held.bar)
             sphere[pose, :, 3] += step[at + 1 : at + 3]
@@ -220,6 +236,24 @@ class State:
             if held.bar == bar:
                 return self.sphere[pose, :, 3].copy()
         return np.full(2, problem.bars[bar].radius_mm)
+
+
+def _turned_bars(centres: Floats, step: Floats) -> Floats:
+    """Return centres (poses, 2, 3) after a step: moved and turned by it, and as long as its first order says.
+
+    A bar that turns would grow in the second order; tied to its length within half a micrometre, it could
+    then take small steps only.
+    """
+    way = centres[:, 1] - centres[:, 0]
+    moved = centres + step
+    turned = moved[:, 1] - moved[:, 0]
+    length = np.linalg.norm(way, axis=1)
+    wanted = length + np.sum(way * (step[:, 1] - step[:, 0]), axis=1) / length
+    half = 0.5 * turned * (wanted / np.linalg.norm(turned, axis=1))[:, None]
+    middle = moved.mean(axis=1)
+    both = np.stack([middle - half, middle + half], axis=1)
+    # A bar of which one sphere was seen just moves.
+    return np.where(np.isfinite(both), both, moved)
 
 
 def sensor_arrays(sensors: tuple[tuple[Intrinsics, Pose], ...]) -> tuple[Floats, Floats, Floats]:

@@ -184,6 +184,15 @@ def test_the_truth_is_found_within_what_is_stated() -> None:
     assert found.cost == pytest.approx(0.5 * found.redundancy, rel=0.06)
 
 
+@pytest.mark.parametrize("start", [4.0, 6.0])
+def test_a_start_far_off_leads_to_the_same_minimum(start: float) -> None:
+    # 6e-3 rad, 12 mm and 20 px, every sensor another way: what a bad first guess leaves.
+    near, far = adjusted(5), adjust(bar_session(replace(SMALL, start=start), 5).problem)
+    # Both draw the same noise, and the start from the same numbers.
+    assert far.cost == pytest.approx(near.cost, rel=1e-6)
+    assert far.iterations < 40
+
+
 def test_threads_change_nothing() -> None:
     one = adjusted(1)
     two = adjust(session(1).problem, BundleOptions(threads=2))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -56,11 +57,11 @@ def test_a_single_bar_pose_is_refused() -> None:
         adjust(only(session().problem, (4,), ()))
 
 
-def test_bar_poses_in_one_plane_are_refused_and_the_plane_is_named() -> None:
+def test_bar_poses_in_one_plane_are_doubted_and_the_plane_is_named() -> None:
     angles = tuple((pan, 0.0) for pan in (-45.0, -20.0, 0.0, 20.0, 45.0))
     flat = Wanted(points=30, camera_pixels=512, angles=angles, board_tilts=())
-    with pytest.raises(CalibrationFailed, match=r"of [CP][12].*of one plane"):
-        adjust(session(flat).problem)
+    warnings = adjust(session(flat).problem).warnings
+    assert any(re.search(r"of [CP][12].* trade against each other.*of one plane", w) for w in warnings)
 
 
 def test_focal_length_and_distance_are_named_when_they_trade() -> None:
