@@ -34,7 +34,9 @@ def check_before(problem: BundleProblem, packed: Packed) -> None:
     if all(set(s.fixed) == set(SENSOR_PARAMETERS) for s in problem.sensors):
         return  # the artefacts alone are measured
     if problem.prior is not None:
-        return  # the sensors stand to each other as they did
+        known = np.diag(problem.prior.information).reshape(-1, PER_SENSOR)[:, :6]
+        if np.all(known > 0.0):
+            return  # the sensors stand to each other about as they did
     _check_connected(problem)
     boards = bool(problem.board_points)
     both = any({1, 2} <= set(np.unique(p.sphere)) for p in problem.bar_points)

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from sms_jobs.bench.bar_session import TABLE_3, BarSession, Wanted, bar_session
+from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.bundle_adjustment import adjust
 from sms_jobs.metrology.calibration.bundle_covariance import point_covariance, point_standard_deviation
 from sms_jobs.metrology.calibration.bundle_problem import (
@@ -315,22 +316,29 @@ def test_an_aspect_can_be_kept() -> None:
 def test_a_recalibration_on_site_combines_old_and_new() -> None:
     before = adjusted(1)
     free = before.free[:60]
-    information = np.zeros((60, 60))
-    information[np.ix_(free, free)] = np.linalg.inv(before.covariance[:60, :60][np.ix_(free, free)])
+    prior = SensorPrior.from_covariance(before.covariance[:60, :60])
     boards = session(9, Wanted(angles=(), camera_pixels=512, board_tilts=TILTS)).problem
     sensors = tuple(
         replace(old, intrinsics=new.intrinsics, pose=new.pose)
         for old, new in zip(boards.sensors, before.sensors, strict=True)
     )
-    problem = replace(boards, sensors=sensors, world_board=None, prior=SensorPrior(information))
+    problem = replace(boards, sensors=sensors, world_board=None, prior=prior)
     found = adjust(problem, PLAIN)
     assert found.gauge == "frame of the prior calibration"
     old, new = np.diag(before.covariance)[:60][free], np.diag(found.covariance)[:60][free]
     # Information adds up: nothing is known worse than before.
     assert np.all(new <= old * (1.0 + 1e-6))
     assert np.sum(new) < np.sum(old)
-    alone = replace(problem, board_points=problem.board_points[:1], prior=SensorPrior(1e6 * information))
+    alone = replace(
+        problem, board_points=problem.board_points[:1], prior=SensorPrior(1e6 * prior.information)
+    )
     kept = adjust(alone, PLAIN)
     # With a prior a thousand times as sharp, one view moves nothing by more than some thousandths.
     moved = [a.intrinsics.fx - b.intrinsics.fx for a, b in zip(kept.sensors, before.sensors, strict=True)]
     assert np.max(np.abs(moved) / np.sqrt(np.diag(before.covariance)[6:60:15])) < 0.01
+
+
+def test_a_prior_must_be_a_covariance() -> None:
+    tied = np.ones((15, 15))  # every parameter the same
+    with pytest.raises(InvalidInput, match="not positive definite"):
+        SensorPrior.from_covariance(tied)
