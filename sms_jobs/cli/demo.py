@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from enum import Enum
@@ -14,6 +14,7 @@ from math import sqrt
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from sqlalchemy.orm import Session
 
@@ -24,13 +25,15 @@ from sms_jobs.cli import output
 from sms_jobs.cli.output import Json
 from sms_jobs.cli.waiting import succeeded, unsuccessful, wait_for
 from sms_jobs.errors import JobFailed, SmsError
-from sms_jobs.jobs import inquiry
+from sms_jobs.jobs import calibrations, inquiry
+from sms_jobs.jobs.calibrations import KnownCalibration
 from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.jobs.submission import submit
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
+from sms_jobs.virtual_rig.sessions import calibration_session
 
 
 class Size(Enum):
@@ -45,43 +48,53 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for catalogue, archive and results.")] = Path("sms-demo"),
     as_json: Json = False,
 ) -> None:
-    """Measure a simulated bending test from fringe frames to strain, and compare with the exact truth.
+    """Calibrate a simulated rig and measure a bending test with it, and compare with the exact truth.
 
-    A top-hat profile is pushed out at its middle in three steps, seen by two cameras and lit by two
-    projectors. Run again in the same folder, every result is reused.
+    A board and a ball bar are shown to two cameras and two projectors in 31 poses. Then a top-hat profile
+    is pushed out at its middle in three steps. Run again in the same folder, every result is reused.
 
     Example: sms demo --size full --out /tmp/demo
     """
     started = time.monotonic()
     home = bootstrap.initialise(out.absolute()).home
-    name = f"top-hat-{size.value}"
-    calibration, campaign = top_hat_bending(name, size.value)
+    session, test = _campaigns(size)
     with bootstrap.services(home) as services:
-        _register(services, campaign, calibration)
+        for campaign in (session, test):
+            _register(services, campaign)
         with _service(home) as still_there:
-            with services.catalogue.writing() as session:
-                done = submit(session, name, [Request("acquire"), Request(PIPELINE)], datetime.now(UTC))
+            # The specimen is recorded while the rig is still being calibrated: its frames do not need that.
+            calibrating = _submit(services, session.name, [Request("acquire"), Request(PIPELINE)])
+            recording = _submit(services, test.name, [Request("acquire")])
             if not as_json:
+                count = len(calibrating) + len(recording)
                 output.say(
-                    f"campaign {name}: {len(done.job_ids)} jobs; the service's log is in {home / 'logs'}"
+                    f"calibrating the rig and recording {test.name}: {count} jobs; the service's log is in "
+                    f"{home / 'logs'}"
                 )
-            counted = wait_for(services.catalogue, done.job_ids, None, still_there=still_there)
-        with services.catalogue.reading() as session:
-            failures = unsuccessful(counted)
-            if failures:
-                first = inquiry.first_failure(session, done.job_ids)
-                raise JobFailed(f"{failures} jobs of the demo did not succeed; {first} --home {home}")
+            _succeed(services, [*calibrating, *recording], still_there, home)
+            number, _, calibration = calibrations.certify(
+                services.catalogue, services.archive, session.name, None, datetime.now(UTC)
+            )
+            measuring = _submit(services, test.name, [Request(PIPELINE)])
+            if not as_json:
+                output.say(f"calibration {number} is in use; measuring with it: {len(measuring)} jobs")
+            _succeed(services, measuring, still_there, home)
+        ids = [*calibrating, *recording, *measuring]
+        known = calibrations.known_calibration(services.catalogue, services.archive, number)
+        with services.catalogue.reading() as reading:
+            counted = inquiry.counts(reading, ids)
             summary = {
-                "campaign": name,
+                "campaign": test.name,
                 "home": str(home),
                 "jobs": {
                     "succeeded": succeeded(counted),
-                    "failed": failures,
-                    "reused": inquiry.reused(session, done.job_ids),
+                    "failed": unsuccessful(counted),
+                    "reused": inquiry.reused(reading, ids),
                 },
                 "seconds": round(time.monotonic() - started, 1),
-                **_accuracy(session, name, calibration),
-                **_products(session, services, name),
+                "calibration": _calibration(session, known),
+                **_accuracy(reading, test.name, calibration),
+                **_products(reading, services, test.name),
             }
     if as_json:
         output.print_json(summary)
@@ -89,11 +102,48 @@ def demo(
         _print_summary(summary)
 
 
-def _register(services: Services, campaign: Campaign, calibration: Calibration) -> None:
+def _campaigns(size: Size) -> tuple[Campaign, Campaign]:
+    """Return the calibration session of the rig, and the test that it measures."""
+    _, test = top_hat_bending(f"top-hat-{size.value}", size.value)
+    return calibration_session(f"calibration-{size.value}", size.value), test
+
+
+def _register(services: Services, campaign: Campaign) -> None:
     with services.catalogue.reading() as session:
         known = campaign.name in inquiry.campaign_names(session)
     if not known:
-        register_campaign(services.catalogue, services.archive, campaign, calibration, datetime.now(UTC))
+        register_campaign(services.catalogue, services.archive, campaign, None, datetime.now(UTC))
+
+
+def _submit(services: Services, campaign: str, requests: list[Request]) -> tuple[str, ...]:
+    with services.catalogue.writing() as session:
+        return submit(session, campaign, requests, datetime.now(UTC)).job_ids
+
+
+def _succeed(services: Services, ids: Sequence[str], still_there: Callable[[], None], home: Path) -> None:
+    """Wait for jobs; raise `JobFailed` unless all succeed."""
+    failures = unsuccessful(wait_for(services.catalogue, ids, None, still_there=still_there))
+    if failures:
+        with services.catalogue.reading() as session:
+            first = inquiry.first_failure(session, ids)
+        raise JobFailed(f"{failures} jobs of the demo did not succeed; {first} --home {home}")
+
+
+def _calibration(session: Campaign, known: KnownCalibration) -> dict[str, Any]:
+    """Return what the measured calibration is worth, and what it costs against the exact one."""
+    assert session.scene is not None
+    assert known.quality is not None
+    off = calibrations.deviation_from(session.scene.rig, known.calibration)
+    expected = known.quality.expected_sigma
+    return {
+        "number": known.number,
+        "session": session.name,
+        "poses": len(session.states),
+        "held_out_bar_rms_mm": known.quality.held_out_bar_rms_mm(),
+        "held_out_bar_relative": known.quality.held_out_bar_rms_mm() / known.calibration.volume.diagonal_mm,
+        "expected_point_rms_mm": float(np.sqrt(np.nanmean(expected**2))),
+        "point_error_rms_mm": float(np.sqrt(np.mean(np.square(list(off.values()))))),
+    }
 
 
 @contextmanager
@@ -184,6 +234,17 @@ def _print_summary(summary: dict[str, Any]) -> None:
         }
     )
     diagonal = summary["volume_diagonal_mm"]
+    calibration = summary["calibration"]
+    poses, session = calibration["poses"], calibration["session"]
+    off, expected = 1e3 * calibration["point_error_rms_mm"], 1e3 * calibration["expected_point_rms_mm"]
+    held_out, part = 1e3 * calibration["held_out_bar_rms_mm"], 1.0 / calibration["held_out_bar_relative"]
+    output.print_facts(
+        {
+            "calibration": f"{calibration['number']}, of session {session}: {poses} poses of board and ball bar",
+            "held-out bar lengths": f"{held_out:.1f} um rms, 1/{part:,.0f} of the volume's diagonal",
+            "what it costs": f"{off:.1f} um rms at points of the volume; {expected:.1f} um was to be expected",
+        }
+    )
     output.print_table(
         ["compared with exact truth", "rms error", "of the volume diagonal", "valid"],
         [

@@ -62,7 +62,7 @@ def print_line(value: Any) -> None:
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, empty: str) -> None:
     """Print a table that fits the terminal, or say on stderr that there is nothing."""
-    table = Table(*columns, box=None, pad_edge=False, header_style="bold")
+    table = Table(*(shown(column) for column in columns), box=None, pad_edge=False, header_style="bold")
     for row in rows:
         table.add_row(*(shown(cell) for cell in row))
     if table.row_count:
@@ -76,7 +76,7 @@ def print_facts(facts: dict[str, Any]) -> None:
     width = max(map(len, facts))
     for name, value in facts.items():
         # Not folded: paths and hashes are copied from here.
-        answer.print(f"[bold]{name:<{width}}[/bold]  {shown(value)}", soft_wrap=True)
+        answer.print(f"[bold]{shown(f'{name:<{width}}')}[/bold]  {shown(value)}", soft_wrap=True)
 
 
 def say(text: str) -> None:

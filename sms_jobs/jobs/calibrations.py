@@ -26,7 +26,7 @@ from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps, PointCloud
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.sensors import Box, Calibration, split_pair
+from sms_jobs.records.sensors import Box, Calibration, Rig, split_pair
 
 _HIDDEN_BY_DRIFT = Reason.LARGE_RAY_GAP | Reason.OUT_OF_VOLUME
 """Reasons for which a pixel is refused when a sensor has moved: a drift must not hide itself."""
@@ -152,6 +152,18 @@ def certify(
         beside={"uncertainty": found.uncertainty, "quality": found.quality},
     )
     return number, new, calibration
+
+
+def deviation_from(rig: Rig, calibration: Calibration) -> dict[str, float]:
+    """Return by how much points of each pair are off, rms over the volume in mm, if `rig` is the truth."""
+    found = compare_calibrations(
+        {s.name: (s.intrinsics, s.pose) for s in rig.sensors},
+        {s.name: (s.intrinsics, s.pose) for s in calibration.rig.sensors},
+        [split_pair(p) for p in rig.pairs()],
+        _corners(calibration.volume),
+        tolerance_mm=calibration.volume.diagonal_mm,
+    )
+    return {f"{p.camera}{p.projector}": p.rms_mm for p in found.pairs}
 
 
 def compare(

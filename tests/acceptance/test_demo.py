@@ -25,9 +25,10 @@ def first(folder: Path) -> Any:
 def test_it_says_what_it_did(first: Any) -> None:
     assert first["schema"] == 1
     assert first["campaign"] == "top-hat-small"
-    # 4 acquisitions, 16 shapes, 12 displacement and 12 strain fields, 3 merges, 3 exports of 6 files each,
-    # 16 assessments and the report.
-    assert first["jobs"] == {"succeeded": 67, "failed": 0, "reused": 0}
+    # Of the calibration: 31 poses recorded, 6 x 4 views of the board and 25 x 4 of the bar observed, and two
+    # adjustments. Of the test: 4 acquisitions, 16 shapes, 12 displacement and 12 strain fields, 3 merges,
+    # 3 exports of 6 files each, 16 assessments and the report.
+    assert first["jobs"] == {"succeeded": 157 + 67, "failed": 0, "reused": 0}
     assert Path(first["report"]).is_file()
     assert len(first["exports"]) == 18
     assert all(Path(path).is_file() for path in first["exports"])
@@ -45,10 +46,20 @@ def test_it_is_as_accurate_as_it_claims(first: Any) -> None:
     assert first["strain_rms_microstrain"] > 0
 
 
+def test_it_measures_with_a_calibration_that_proves_itself(first: Any) -> None:
+    calibration = first["calibration"]
+    # The target for lengths that took no part, and what the calibration says of itself: the error of points
+    # through the volume is one draw of about as many degrees of freedom as the gauge and the lenses have, so
+    # three times what is expected would be a wrong covariance.
+    assert calibration["held_out_bar_relative"] <= 1.0 / 20_000
+    assert calibration["point_error_rms_mm"] <= 3.0 * calibration["expected_point_rms_mm"]
+    assert calibration["expected_point_rms_mm"] <= first["volume_diagonal_mm"] / 100_000
+
+
 def test_again_in_the_same_folder_every_result_is_reused(first: Any, folder: Path) -> None:
     again = answer("demo", "--out", str(folder), timeout=300.0)
-    assert again["jobs"] == {"succeeded": 67, "failed": 0, "reused": 67}
-    for same in ("report", "exports", "shape_rms_mm", "displacement_rms_mm", "strain_rms_microstrain"):
+    assert again["jobs"] == {"succeeded": 224, "failed": 0, "reused": 224}
+    for same in ("calibration", "report", "exports", "shape_rms_mm", "displacement_rms_mm", "strain_rms_microstrain"):
         assert again[same] == first[same]
 
 
