@@ -240,9 +240,9 @@ def _print_summary(summary: dict[str, Any]) -> None:
     held_out, part = 1e3 * calibration["held_out_bar_rms_mm"], 1.0 / calibration["held_out_bar_relative"]
     output.print_facts(
         {
-            "calibration": f"{calibration['number']}, of session {session}: {poses} poses of board and ball bar",
+            "calibration": f"{calibration['number']}, of {session}: {poses} poses of board and ball bar",
             "held-out bar lengths": f"{held_out:.1f} um rms, 1/{part:,.0f} of the volume's diagonal",
-            "what it costs": f"{off:.1f} um rms at points of the volume; {expected:.1f} um was to be expected",
+            "what it costs": f"{off:.1f} um rms at points of the volume; {expected:.1f} um were expected",
         }
     )
     output.print_table(
