@@ -39,11 +39,16 @@ class FileView:
 
 @dataclass(frozen=True)
 class Ancestor:
-    """A file in a provenance tree, and what it was to the file below it."""
+    """A file in a provenance tree, and what it was to the file below it.
+
+    `told` says that the same file stands elsewhere in the tree with its inputs, which are left out here: a
+    calibration is an input of everything, and has hundreds of its own.
+    """
 
     role: str
     file: FileView
     inputs: tuple[Ancestor, ...]
+    told: bool
 
 
 def find_files(
@@ -94,14 +99,22 @@ def statistics(session: Session, file_id: int) -> dict[str, float]:
 
 
 def ancestry(session: Session, file: FileView) -> tuple[Ancestor, ...]:
-    """Return what a file was computed from, and so on back to what was measured."""
+    """Return what a file was computed from, and so on back to what was measured; each file's inputs once."""
+    return _ancestry(session, file, set())
+
+
+def _ancestry(session: Session, file: FileView, told: set[int]) -> tuple[Ancestor, ...]:
     rows = session.execute(
         select(ProvenanceRow.role, ProvenanceRow.input_id)
         .where(ProvenanceRow.output_id == file.id)
         .order_by(ProvenanceRow.role)
     )
-    parents = [(role, file_view(session, str(key))) for role, key in rows.all()]
-    return tuple(Ancestor(role, parent, ancestry(session, parent)) for role, parent in parents)
+    found = []
+    for role, key in rows.all():
+        parent, known = file_view(session, str(key)), key in told
+        told.add(key)
+        found.append(Ancestor(role, parent, () if known else _ancestry(session, parent, told), known))
+    return tuple(found)
 
 
 def files_of_job(session: Session, job_id: str) -> list[FileView]:

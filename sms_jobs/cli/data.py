@@ -22,6 +22,9 @@ app = typer.Typer(help="Measurements and results in the archive.", no_args_is_he
 
 File = Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")]
 
+_SHOWN_ALIKE = 8
+"""Inputs of one source that a tree shows one by one; a calibration has a hundred."""
+
 
 @app.command()
 def find(
@@ -104,7 +107,12 @@ def show(file: File, home: Home = None, as_json: Json = False) -> None:
 
 
 @app.command()
-def tree(file: File, home: Home = None, as_json: Json = False) -> None:
+def tree(
+    file: File,
+    whole: Annotated[bool, typer.Option("--all", help="Show every input, however many are alike.")] = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
     """Show what a file was computed from, back to what was measured.
 
     Example: sms data tree 17
@@ -116,7 +124,7 @@ def tree(file: File, home: Home = None, as_json: Json = False) -> None:
         output.print_json({"file": view, "inputs": inputs})
         return
     root = Tree(f"{view.source} {view.subject} ({view.id})")
-    _grow(root, inputs)
+    _grow(root, inputs, whole)
     output.answer.print(root)
 
 
@@ -178,9 +186,18 @@ def _refuse_existing(out: Path, force: bool) -> None:
         raise InvalidInput(f"the folder {out.parent} does not exist; make it first")
 
 
-def _grow(node: Tree, inputs: tuple[Ancestor, ...]) -> None:
+def _grow(node: Tree, inputs: tuple[Ancestor, ...], whole: bool) -> None:
+    """Add inputs to a tree; of many from one source only the first, unless the whole is wanted."""
+    by_source: dict[str, list[Ancestor]] = {}
     for ancestor in inputs:
-        child = node.add(
-            f"{ancestor.role}: {ancestor.file.source} {ancestor.file.subject} ({ancestor.file.id})"
-        )
-        _grow(child, ancestor.inputs)
+        by_source.setdefault(ancestor.file.source, []).append(ancestor)
+    for source, alike in by_source.items():
+        shown = alike if whole or len(alike) <= _SHOWN_ALIKE else alike[:1]
+        for ancestor in shown:
+            more = "; its inputs are shown elsewhere" if ancestor.told else ""
+            child = node.add(
+                f"{ancestor.role}: {ancestor.file.source} {ancestor.file.subject} ({ancestor.file.id}){more}"
+            )
+            _grow(child, ancestor.inputs, whole)
+        if len(shown) < len(alike):
+            node.add(f"and {len(alike) - 1} more of {source}; --all shows them")
