@@ -81,7 +81,7 @@ def _start(plan: SessionPlan, first: Calibration, boards: Boards) -> Start:
 KIND = Kind(
     name=CALIBRATE,
     summary="calibrate a rig from poses of a ball bar and of a board",
-    version=1,
+    version=2,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     needs=_needs,

@@ -191,15 +191,13 @@ def _expected(
     seen = [inputs.read(role, OBSERVATION, BarObservation) for role in _SPECIAL]
     if not all(np.isfinite(one.centre).all() for one in seen):
         return None, None
-    home, panned, tilted = (one.centre for one in seen)
+    home = seen[0].centre
     pan, tilt = shown.special_rad[1][0], shown.special_rad[2][1]
     try:
-        panned, tilted = label_special_poses(home, panned, tilted, pan, tilt)
+        panned, tilted = label_special_poses(home, seen[1].centre, seen[2].centre, pan, tilt)
         first, _ = stage_from_special_poses(home, panned, tilted, pan, tilt)
-        covariances = np.stack([one.centre_sigma[..., None] ** 2 * np.eye(3) for one in seen])
-        stage = refine_stage(
-            first, np.array(shown.special_rad), np.stack([home, panned, tilted]), covariances
-        ).stage
+        centres = np.stack([home, panned, tilted])
+        stage = refine_stage(first, np.array(shown.special_rad), centres, _covariances(seen, centres)).stage
     except (CalibrationFailed, InvalidInput):
         return None, None
     centres = predict_centres(stage, *shown.angles_rad)
@@ -208,6 +206,16 @@ def _expected(
         camera.intrinsics, camera.pose, (camera.rows, camera.columns), centres, shown.bar.radius_mm, margin
     )
     return centres, region
+
+
+def _covariances(seen: list[BarObservation], centres: Floats) -> Floats:
+    """Return the covariances (3, 2, 3, 3) of centres (3, 2, 3) that may be numbered otherwise than seen."""
+    found = np.empty((*centres.shape, 3))
+    for k, one in enumerate(seen):
+        as_seen = np.array_equal(one.centre, centres[k])
+        sigma = one.centre_sigma if as_seen else one.centre_sigma[::-1]
+        found[k] = sigma[..., None] ** 2 * np.eye(3)
+    return found
 
 
 def _observation(
@@ -259,7 +267,7 @@ def _observation(
         np.concatenate(numbers)[known],
         np.stack([column, row], axis=-1).astype(np.float64),
         np.ascontiguousarray(projected[known]),
-        maps.sigma[row, column].astype(np.float64),
+        np.ascontiguousarray(maps.sigma[:, row, column].T, dtype=np.float64),
         centre,
         centre_sigma,
     )
@@ -280,7 +288,7 @@ def _statistics(observation: BarObservation, search: SphereSearch) -> dict[str, 
 KIND = Kind(
     name=OBSERVE_BAR,
     summary="find the spheres of a ball bar and points on them",
-    version=1,
+    version=2,
     scope=Scope.TUPLE,
     parameters=ObserveBarParameters,
     needs=_needs,

@@ -28,7 +28,7 @@ class ProjectorMaps:
     pixel
         (2, rows, columns), x and y in projector pixels; NaN where the phase cannot be trusted.
     sigma
-        (rows, columns), its standard deviation in px, root mean square of both directions.
+        (2, rows, columns), standard deviations of x and y in px.
     """
 
     phase: PhaseMaps
@@ -50,4 +50,4 @@ def projector_maps(
         projector.columns,
         projector.rows,
     )
-    return ProjectorMaps(found.maps, pixel, np.sqrt(np.mean(np.square(sigma), axis=0)))
+    return ProjectorMaps(found.maps, pixel, sigma)

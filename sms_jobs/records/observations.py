@@ -64,7 +64,7 @@ class BarObservation:
     camera_px
         Centre of the camera's pixel.
     projector_px, projector_sigma_px
-        Its image in the projector, through the phase, and the standard deviation in each direction.
+        Its image in the projector, through the phase, and the standard deviations of both coordinates.
     centre, centre_sigma
         Of each sphere, with the calibration that the search started from; NaN where it was not seen.
     camera, projector
@@ -83,7 +83,9 @@ class BarObservation:
     sphere: NDArray[np.int32] = array("1", "number of the sphere", ("point",))
     camera_px: NDArray[np.float64] = array("px", "pixel of the camera", _POINTS, _PIXEL)
     projector_px: NDArray[np.float64] = array("px", "image in the projector", _POINTS, _PIXEL)
-    projector_sigma_px: NDArray[np.float64] = array("px", "standard deviation in the projector", ("point",))
+    projector_sigma_px: NDArray[np.float64] = array(
+        "px", "standard deviation in the projector", _POINTS, _PIXEL
+    )
     centre: NDArray[np.float64] = array("mm", "centre", ("sphere", "component"), ("X", "Y", "Z"))
     centre_sigma: NDArray[np.float64] = array(
         "mm", "standard deviation of the centre", ("sphere", "component"), ("X", "Y", "Z")

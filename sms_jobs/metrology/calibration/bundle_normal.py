@@ -91,16 +91,16 @@ def pack(problem: BundleProblem) -> Packed:
     """Sort the observations of a problem into blocks."""
     layout = Layout.of(problem)
     bars, boards, order, begins = [], [], [], []
-    bar_parts, board_parts = [np.empty((0, 5))], [np.empty((0, 6))]
+    bar_parts, board_parts = [np.empty((0, 6))], [np.empty((0, 6))]
     bar_index, board_index = [], []
     at = 0
     for item, seen in enumerate(problem.bar_points):
         place = np.empty(len(seen.sphere), np.int64)
+        sigma = np.broadcast_to(seen.sigma_px.reshape(len(place), -1), seen.projector_px.shape)
+        observed = np.column_stack([seen.camera_px, seen.projector_px, sigma]).astype(float)
         for sphere in (0, 1):
             chosen = np.flatnonzero(seen.sphere == sphere + 1)
-            bar_parts.append(
-                np.column_stack([seen.camera_px, seen.projector_px, seen.sigma_px]).astype(float)[chosen]
-            )
+            bar_parts.append(observed[chosen])
             place[chosen] = at + np.arange(len(chosen))
             index = np.concatenate(
                 [

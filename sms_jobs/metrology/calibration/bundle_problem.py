@@ -145,7 +145,8 @@ class BarPoints:
     camera_px
         (n, 2) centres of the camera's pixels, taken as exact.
     projector_px, sigma_px
-        (n, 2) their images in the projector and (n,) the standard deviation in each direction.
+        (n, 2) their images in the projector and the standard deviations of both coordinates, (n, 2), or (n,)
+        where they are equal.
     """
 
     pose: int

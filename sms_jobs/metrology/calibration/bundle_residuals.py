@@ -278,15 +278,15 @@ def sphere_block(
 ) -> float:
     """Add the points of a block to its normal equations; return their cost.
 
-    `observed` (n, 5) holds camera and projector pixels and sigma; `scale` (2,) is the estimated over the
-    stated standard deviation of both types. `normal` (2, 34, 34), lower triangles, and `gradient` (2, 34)
+    `observed` (n, 6) holds camera and projector pixels and the sigmas of the latter; `scale` (2,) is the
+    estimated over the stated standard deviation of both types. `normal` (2, 34, 34), lower triangles, and `gradient` (2, 34)
     are filled, one for each type, not yet divided by scale^2. `found` (n, 4) becomes the whitened residuals
     of both types, the cosine of incidence and the weight. Points that are not live have weight 0; the cost
     is infinite where a live one has no residual.
 
-    The residual is the way in the projector's image, over its sigma, that the observed pixel would have to
-    go for the rays to meet on the sphere: across the camera ray's image it closes the gap epsilon_1, along
-    it it brings the point onto the sphere, epsilon_2.
+    The residual is the way in the projector's image, with x and y in units of their sigmas, that the observed
+    pixel would have to go for the rays to meet on the sphere: across the camera ray's image it closes the gap
+    epsilon_1, along it it brings the point onto the sphere, epsilon_2.
     """
     rows, along, pixel = np.zeros((2, SPHERE_SIZE)), np.empty(2), np.empty(2)
     turned = np.zeros((2, SPHERE_SIZE))
@@ -296,9 +296,10 @@ def sphere_block(
             rotation, translation, lens, pair, observed[i, :2], sphere, flattest, pixel, rows, along
         )
         found[i, 2], found[i, 3] = cosine, 0.0
-        length = np.sqrt(along[0] * along[0] + along[1] * along[1]) * observed[i, 4]
-        x, y = along[0] / length, along[1] / length
-        off_x, off_y = pixel[0] - observed[i, 2], pixel[1] - observed[i, 3]
+        sx, sy = 1.0 / observed[i, 4], 1.0 / observed[i, 5]
+        length = np.sqrt((sx * along[0]) ** 2 + (sy * along[1]) ** 2)
+        x, y = sx * along[0] / length, sy * along[1] / length
+        off_x, off_y = sx * (pixel[0] - observed[i, 2]), sy * (pixel[1] - observed[i, 3])
         first, second = x * off_y - y * off_x, x * off_x + y * off_y
         if not (np.isfinite(cosine) and np.isfinite(first + second)):
             cost = np.inf if live[i] else cost
@@ -311,8 +312,9 @@ def sphere_block(
         cost += own
         found[i, 3] = weight
         for k in range(SPHERE_SIZE):
-            turned[0, k] = x * rows[1, k] - y * rows[0, k]
-            turned[1, k] = x * rows[0, k] + y * rows[1, k]
+            own_x, own_y = sx * rows[0, k], sy * rows[1, k]
+            turned[0, k] = x * own_y - y * own_x
+            turned[1, k] = x * own_x + y * own_y
         _add(turned[0], 30, weight, first, normal[0], gradient[0])
         _add(turned[1], SPHERE_SIZE, weight, second, normal[1], gradient[1])
     return cost
