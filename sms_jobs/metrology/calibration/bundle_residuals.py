@@ -279,10 +279,10 @@ def sphere_block(
     """Add the points of a block to its normal equations; return their cost.
 
     `observed` (n, 6) holds camera and projector pixels and the sigmas of the latter; `scale` (2,) is the
-    estimated over the stated standard deviation of both types. `normal` (2, 34, 34), lower triangles, and `gradient` (2, 34)
-    are filled, one for each type, not yet divided by scale^2. `found` (n, 4) becomes the whitened residuals
-    of both types, the cosine of incidence and the weight. Points that are not live have weight 0; the cost
-    is infinite where a live one has no residual.
+    estimated over the stated standard deviation of both types. `normal` (2, 34, 34), lower triangles, and
+    `gradient` (2, 34) are filled, one for each type, not yet divided by scale^2. `found` (n, 4) becomes the
+    whitened residuals of both types, the cosine of incidence and the weight. Points that are not live have
+    weight 0; the cost is infinite where a live one has no residual.
 
     The residual is the way in the projector's image, with x and y in units of their sigmas, that the observed
     pixel would have to go for the rays to meet on the sphere: across the camera ray's image it closes the gap
