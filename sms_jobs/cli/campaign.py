@@ -29,15 +29,20 @@ def create(
     example: Annotated[
         bool, typer.Option("--example", help="Print a plan to start from, and do nothing.")
     ] = False,
+    example_session: Annotated[
+        bool,
+        typer.Option("--example-session", help="Print the plan of a calibration session, and do nothing."),
+    ] = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Create a campaign from a test plan.
+    """Create a campaign, or a calibration session, from its plan.
 
     Example: sms campaign create --example > plan.toml; sms campaign create plan.toml
     """
-    if example:
-        sys.stdout.write(configuration.example_campaign())
+    if example or example_session:
+        text = configuration.example_session() if example_session else configuration.example_campaign()
+        sys.stdout.write(text)
         return
     if plan is None:
         raise InvalidInput(
