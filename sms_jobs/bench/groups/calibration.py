@@ -17,7 +17,8 @@ from sms_jobs.metrology.calibration.bundle_covariance import point_standard_devi
 from sms_jobs.metrology.calibration.bundle_cross_validation import cross_validate
 from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
 from sms_jobs.metrology.calibration.bundle_result import Adjustment
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, ray_directions
+from sms_jobs.metrology.calibration.pair_points import meet_rays
+from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.metrology.targets.spheres import find_spheres
 
 _WALL_TARGET_S = 1.5
@@ -52,19 +53,9 @@ def point_errors(made: BarSession, found: Adjustment, grid: Floats) -> tuple[Flo
                 continue
             seen = [project(s.intrinsics, s.pose, grid) for s in (camera, projector)]
             own = [(found.sensors[k].intrinsics, found.sensors[k].pose) for k in (c, p)]
-            errors.append(_triangulated(own[0], own[1], seen[0], seen[1]) - grid)
+            errors.append(meet_rays(own[0], own[1], seen[0], seen[1])[0] - grid)
             sigmas.append(point_standard_deviation(found, camera.name, projector.name, grid))
     return np.array(errors), np.array(sigmas)
-
-
-def _triangulated(
-    camera: tuple[Intrinsics, Pose], projector: tuple[Intrinsics, Pose], left: Floats, right: Floats
-) -> Floats:
-    """Return the points on the camera's rays nearest to the projector's, (n, 3) in mm."""
-    u, v = ray_directions(*camera, left), ray_directions(*projector, right)
-    base, n = projector[1].centre() - camera[1].centre(), np.cross(u, v)
-    along = np.sum(np.cross(base, v) * n, axis=1) / np.sum(n * n, axis=1)
-    return np.asarray(camera[1].centre() + along[:, None] * u)
 
 
 def _bundle(run: Run) -> Iterator[Found]:
