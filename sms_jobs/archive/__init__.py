@@ -3,13 +3,14 @@
 from sms_jobs.archive.archive import DATASET_MEDIA_TYPE, Archive
 from sms_jobs.archive.checking import Checker
 from sms_jobs.archive.dataset import ArchivedDataset
-from sms_jobs.archive.provenance import InputReference, Provenance, Sealed
+from sms_jobs.archive.provenance import Found, InputReference, Provenance, Sealed
 
 __all__ = [
     "DATASET_MEDIA_TYPE",
     "Archive",
     "ArchivedDataset",
     "Checker",
+    "Found",
     "InputReference",
     "Provenance",
     "Sealed",

@@ -18,15 +18,16 @@ from sms_jobs.archive import hdf5, layout
 from sms_jobs.archive.checking import Checker
 from sms_jobs.archive.dataset import ArchivedDataset, check_dataset, open_dataset
 from sms_jobs.archive.provenance import (
+    Found,
     InputReference,
     Provenance,
     Sealed,
     provenance_from_json,
     provenance_to_json,
 )
-from sms_jobs.archive.sealing import safe_file, sealing, sync
+from sms_jobs.archive.sealing import make_folders, safe_file, sealing, sync
 from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.campaign import CampaignDefinition, Subject
 from sms_jobs.records.sensors import Calibration
 
 DATASET_MEDIA_TYPE = "application/x-hdf5"
@@ -138,9 +139,38 @@ class Archive:
             host=host,
             operator=operator,
         )
+        return self._seal_next({"calibration": calibration, **(beside or {})}, provenance)
+
+    def seal_campaign(
+        self,
+        definition: CampaignDefinition,
+        created_at: datetime,
+        *,
+        program_version: str,
+        host: str,
+        operator: str,
+    ) -> Sealed:
+        """Store what a campaign is: a catalogue can then be rebuilt from the archive alone."""
+        provenance = Provenance(
+            kind="campaign",
+            kind_version=1,
+            subject=Subject(definition.campaign.name),
+            job_id="",
+            attempt=1,
+            created_at=created_at,
+            parameters={},
+            inputs=(),
+            program_version=program_version,
+            host=host,
+            operator=operator,
+        )
+        return self._seal_next({"campaign": definition}, provenance)
+
+    def _seal_next(self, records: Mapping[str, Any], provenance: Provenance) -> Sealed:
+        """Store what no job made under the first attempt whose name is free."""
         while self.path(layout.dataset_path(provenance)).exists():
             provenance = replace(provenance, attempt=provenance.attempt + 1)
-        return self.seal_dataset({"calibration": calibration, **(beside or {})}, provenance)
+        return self.seal_dataset(records, provenance)
 
     def open(self, path: str) -> AbstractContextManager[ArchivedDataset]:
         """Open a dataset file for reading.
@@ -156,12 +186,44 @@ class Archive:
 
     def document_provenance(self, path: str) -> Provenance:
         """Return how a document came about; raise `ArchiveCorrupt` when that is not known."""
+        return self._beside(path)[0]
+
+    def _beside(self, path: str) -> tuple[Provenance, str, str]:
+        """Return provenance, content hash and media type of a document, as they stand beside it."""
         beside = self.path(layout.sidecar(path))
         try:
-            about = json.loads(beside.read_bytes())["provenance"]
+            about = json.loads(beside.read_bytes())
+            version = int(about["format_version"])
+            told = about["provenance"], str(about["content_hash"]), str(about["media_type"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ArchiveCorrupt(f"the provenance of {path} is missing; restore {beside}") from error
-        return provenance_from_json(json.dumps(about), path)
+        if version > hdf5.FORMAT_VERSION:
+            raise FormatTooNew(
+                f"{path} has format version {version}, this program reads up to {hdf5.FORMAT_VERSION}; "
+                "install a newer sms_jobs"
+            )
+        return provenance_from_json(json.dumps(told[0]), path), *told[1:]
+
+    def examine(self, path: str, checker: Checker) -> Found:
+        """Read a whole file and return what it says of itself, which is all that is known of it.
+
+        Raises
+        ------
+        ArchiveCorrupt
+            When its contents are not those that it says were sealed.
+        FormatTooNew
+            When it was written by a newer version.
+        """
+        if layout.is_dataset(path):
+            self.verify(path, "", checker)
+            with self.open(path) as dataset:
+                provenance, content_hash = dataset.provenance, dataset.content_hash
+            media_type = DATASET_MEDIA_TYPE
+        else:
+            provenance, content_hash, media_type = self._beside(path)
+            self.verify(path, content_hash)
+        size = self.path(path).stat().st_size
+        return Found(Sealed(path, content_hash, size, media_type), provenance)
 
     def verify(self, path: str, content_hash: str, checker: Checker | None = None) -> None:
         """Read a whole file; raise `ArchiveCorrupt` unless its contents have that hash.
@@ -234,9 +296,30 @@ class Archive:
         file.with_name(layout.sidecar(file.name)).unlink(missing_ok=True)
         sync(file.parent)
 
+    def set_aside(self, path: str) -> str:
+        """Move a file, and a document's provenance with it, to where the archive does not look; return where.
+
+        It is never deleted: a person may look at it, and put it back.
+        """
+        source = self._new(path)
+        wanted = self.root / layout.SET_ASIDE / path
+        number = 1
+        while os.path.lexists(wanted):
+            number += 1
+            wanted = self.root / f"{layout.SET_ASIDE}-{number}" / path
+        make_folders(self.root, wanted.parent)
+        beside = source.with_name(layout.sidecar(source.name))
+        if beside.is_file():
+            beside.replace(wanted.with_name(layout.sidecar(wanted.name)))
+        source.replace(wanted)
+        sync(wanted.parent)
+        sync(source.parent)
+        return wanted.relative_to(self.root).as_posix()
+
     def _names(self, start: str = ".") -> Iterator[str]:
         """Yield the relative path of every file below a folder; links to folders are not followed."""
-        for folder, _, names in os.walk(self.path(start)):
+        for folder, inside, names in os.walk(self.path(start)):
+            inside[:] = [name for name in inside if not name.startswith(".")]
             inner = Path(folder).relative_to(self.root).as_posix()
             for name in names:
                 yield name if inner == "." else f"{inner}/{name}"

@@ -3,7 +3,7 @@
 `<campaign>/<state>/<pair>/<kind>-<time>-<job>-<attempt>.h5`, without the parts that the subject does not
 have; `<job>` is the beginning of the job's id. A document adds its own name: `...-<attempt>-<filename>`,
 and has its provenance beside it in `...-<attempt>-<filename>.provenance.json`. A file that is being written
-is called `.<name>.<whole job id>.tmp`.
+is called `.<name>.<whole job id>.tmp`. Folders that begin with a dot hold no part of the archive.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.records.campaign import RESERVED_NAME, Subject, checked_name
 
 CALIBRATIONS = RESERVED_NAME
+SET_ASIDE = ".set-aside"
 JOB_LETTERS = 8
 NO_JOB = "nojob"
 _JOB_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
@@ -120,6 +121,20 @@ def may_be_of(name: str, job_id: str) -> bool:
     """Say whether a file name may be that of a file that the job sealed; other jobs may begin alike."""
     found = _SEALED.fullmatch(name)
     return found is not None and found["job"] == short_job_id(job_id)
+
+
+def part(relative: str, key: str) -> str:
+    """Return the `kind`, `time`, `job` or `attempt` that the name of a sealed file shows."""
+    found = _SEALED.fullmatch(PurePosixPath(relative).name)
+    if found is None:
+        raise InvalidInput(f"'{relative}' is not the name of a sealed file")
+    return found[key]
+
+
+def fits(relative: str, provenance: Provenance) -> bool:
+    """Say whether a sealed file lies where its provenance wants it, under the name that follows from it."""
+    wanted = str(folder(provenance.subject) / stem(provenance))
+    return relative == f"{wanted}.h5" if is_dataset(relative) else relative.startswith(f"{wanted}-")
 
 
 def inside(root: Path, relative: str) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
 
@@ -55,6 +55,8 @@ class Provenance:
         Everything that was read.
     program_version, host, operator
         Version of `sms_jobs`, name of the computer, name of the person.
+    statistics
+        The numbers that the file can be found by, by name; all finite.
     """
 
     kind: str
@@ -68,6 +70,7 @@ class Provenance:
     program_version: str
     host: str
     operator: str
+    statistics: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,14 @@ class Sealed:
     content_hash: str
     size_bytes: int
     media_type: str
+
+
+@dataclass(frozen=True)
+class Found:
+    """A sealed file that was read as a whole, and what it says of itself."""
+
+    sealed: Sealed
+    provenance: Provenance
 
 
 _JSON = TypeAdapter(Provenance)

@@ -1,4 +1,7 @@
-"""Enters a campaign and the calibration of its rig: sealed first, then indexed, or neither."""
+"""Enters a campaign and the calibration of its rig: sealed first, then indexed, or neither.
+
+A campaign's definition is sealed too, so that a catalogue can be rebuilt from the archive alone.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +23,11 @@ from sms_jobs.errors import Conflict
 from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION
-from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.campaign import Campaign, CampaignDefinition
 from sms_jobs.records.sensors import Calibration
+
+CAMPAIGN = "campaign"
+"""The source of files that define campaigns."""
 
 
 def register_campaign(
@@ -45,17 +51,51 @@ def register_campaign(
         checked_parameters(kind_named(name), parameters)
     with catalogue.reading() as session:
         campaigns.refuse_taken_name(session, campaign.name)
-    sealed = None if calibration is None else _seal(archive, calibration, now)
+    definition = seal_definition(archive, CampaignDefinition(campaign, plan), now)
+    try:
+        sealed = None if calibration is None else _seal(archive, calibration, now)
+    except BaseException:
+        archive.discard(definition.path)
+        raise
     try:
         with catalogue.writing() as session:
             campaigns.add_campaign(session, campaign, now, plan)
+            index_definition(session, campaign.name, definition, now)
             if calibration is not None and sealed is not None:
                 _index(session, archive, calibration, sealed, now)
     except Conflict:
         # Somebody else was faster with the same name.
+        archive.discard(definition.path)
         if sealed is not None:
             archive.discard(sealed.path)
         raise
+
+
+def seal_definition(archive: Archive, definition: CampaignDefinition, now: datetime) -> Sealed:
+    """Store in the archive what a campaign is."""
+    return archive.seal_campaign(
+        definition,
+        now,
+        program_version=sms_jobs.__version__,
+        host=socket.gethostname(),
+        operator=getpass.getuser(),
+    )
+
+
+def index_definition(session: Session, name: str, sealed: Sealed, now: datetime) -> int:
+    """Index the sealed definition of a campaign that the catalogue knows; return the number of the file."""
+    file = FileRow(
+        source=CAMPAIGN,
+        path=sealed.path,
+        content_hash=sealed.content_hash,
+        size_bytes=sealed.size_bytes,
+        media_type=sealed.media_type,
+        created_at=now,
+        campaign_id=campaigns.campaign_row(session, name).id,
+    )
+    session.add(file)
+    session.flush()
+    return file.id
 
 
 def register_calibration(

@@ -14,8 +14,9 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -186,7 +187,8 @@ class Runner:
             operator=_operator(),
         )
         if isinstance(output, DatasetOutput):
-            return self.archive.seal_dataset(output.records, provenance)
+            numbers = {n: float(v) for n, v in output.statistics.items() if isfinite(v)}
+            return self.archive.seal_dataset(output.records, replace(provenance, statistics=numbers))
         return self.archive.seal_document(output.filename, output.media_type, output.write, provenance)
 
     def _fail(self, held: Claim, error: BaseException) -> None:

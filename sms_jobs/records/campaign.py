@@ -189,3 +189,19 @@ class Campaign:
                 return state
         known = ", ".join(s.label for s in self.states)
         raise InvalidInput(f"campaign {self.name} has no state {label}; it has {known}")
+
+
+@dataclass(frozen=True)
+class CampaignDefinition:
+    """What the archive keeps of a campaign, so that the catalogue can be rebuilt from it.
+
+    Attributes
+    ----------
+    campaign
+        As it was registered.
+    plan
+        The file that it was made from, letter by letter; None where it was made by a program.
+    """
+
+    campaign: Campaign
+    plan: str | None = None
