@@ -71,6 +71,14 @@ class CorrelateParameters(Parameters):
     subset_radius_px: int = Field(
         10, ge=3, le=100, description="a subset has (2 radius + 1)^2 pixels, less those of other regions"
     )
+    shape_order: Literal[0, 1, 2] = Field(
+        1,
+        description="how a subset may deform: 0 shift, 1 affine, 2 quadratic, which follows curved fields "
+        "and is noisier",
+    )
+    interpolation: Literal["cubic", "quintic"] = Field(
+        "quintic", description="B-spline between the pixels; the quintic has several times less bias"
+    )
     spacing_px: int = Field(4, ge=1, le=100, description="distance of the matched points")
     minimum_score: float = Field(
         0.8, gt=0.0, lt=1.0, description="least zero-normalised cross-correlation of a match"
@@ -134,9 +142,19 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     labels = np.where(interior, before.regions.labels, 0).astype(np.int32)
     progress(0.2, f"{len(before.regions.areas)} regions in the reference state")
     grid = match_grid(
-        prepare_images(before.texture, after.texture, labels, (before.noise, after.noise)),
+        prepare_images(
+            before.texture,
+            after.texture,
+            labels,
+            (before.noise, after.noise),
+            3 if parameters.interpolation == "cubic" else 5,
+        ),
         after.texture,
-        MatchSettings(parameters.subset_radius_px, parameters.minimum_subset_part),
+        MatchSettings(
+            parameters.subset_radius_px,
+            parameters.minimum_subset_part,
+            shape_order=parameters.shape_order,
+        ),
         GridSettings(parameters.spacing_px, parameters.minimum_score, parameters.maximum_sigma_px),
         SearchSettings(parameters.search_range_x_px, parameters.search_range_y_px),
         inputs.threads,
@@ -148,7 +166,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
             grid.x[matched],
             grid.y[matched],
             labels[grid.y[matched], grid.x[matched]],
-            grid.matches.warp[matched],
+            np.ascontiguousarray(grid.matches.warp[matched, :6]),
             grid.matches.sigma[matched],
         ),
         (before.cloud.xyz, before.cloud.covariance, before.regions.labels),
@@ -293,7 +311,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: _State)
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both shapes",
-    version=1,
+    version=2,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     needs=_needs,

@@ -14,9 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
-from sms_jobs.metrology.deformation.subsets import collect, deformed_sums, inside, reference_sums
-from sms_jobs.metrology.images.interpolation import (
+from sms_jobs.metrology.deformation.normal_matrix import invert
+from sms_jobs.metrology.deformation.shape_functions import (
+    PARAMETERS,
+    WARP,
+    ShapeOrder,
+    compose_inverse,
+    inside,
+    places,
+)
+from sms_jobs.metrology.deformation.subsets import collect, deformed_sums, reference_sums
+from sms_jobs.metrology.images.spline import (
     PADDING,
+    SplineOrder,
     spline_coefficients,
     spline_gradient,
     spline_values,
@@ -56,12 +66,15 @@ class MatchSettings:
         Rms movement of a subset's pixels, in px, that may be left when the iteration ends.
     iterations
         At most.
+    shape_order
+        Of the subsets' deformation: 0 shift, 1 affine, 2 quadratic.
     """
 
     radius: int = 16
     minimum_part: float = 0.2
     tolerance: float = 5e-4
     iterations: int = 20
+    shape_order: ShapeOrder = 1
 
 
 @dataclass(frozen=True)
@@ -74,6 +87,7 @@ class PreparedImages:
     coefficients: Floats
     labels: NDArray[np.int32]
     noise: tuple[Noise, Noise]
+    spline_order: SplineOrder
 
 
 @dataclass(frozen=True)
@@ -92,6 +106,7 @@ def prepare_images(
     deformed: NDArray[np.generic],
     labels: NDArray[np.int32],
     noise: tuple[Noise, Noise] = (Noise(0.0, 0.0), Noise(0.0, 0.0)),
+    spline_order: SplineOrder = 5,
 ) -> PreparedImages:
     """Interpolate the deformed image and differentiate the reference image.
 
@@ -103,103 +118,61 @@ def prepare_images(
         (rows, columns), continuous regions of the reference image, 0 for none.
     noise
         Of the reference and of the deformed image.
+    spline_order
+        Of the interpolation: 3, cubic, or 5, quintic.
     """
-    gradient_x, gradient_y = spline_gradient(spline_coefficients(reference))
+    gradient_x, gradient_y = spline_gradient(spline_coefficients(reference, spline_order), spline_order)
     return PreparedImages(
         np.ascontiguousarray(reference, dtype=np.float64),
         gradient_x,
         gradient_y,
-        spline_coefficients(deformed),
+        spline_coefficients(deformed, spline_order),
         np.ascontiguousarray(labels, dtype=np.int32),
         noise,
+        spline_order,
     )
 
 
 @kernel
-def _invert(
-    matrix: Floats,
-    inverse: Floats,
-) -> bool:
-    """Invert a positive definite 6 x 6 matrix by Cholesky's method; return False where it is not one.
-
-    It is scaled to a unit diagonal first, so "not one" means singular to a part in 10^9 whatever the units.
-    """
-    n = matrix.shape[0]
-    scale = np.empty(n)
-    for i in range(n):
-        if not matrix[i, i] > 0.0:
-            return False
-        scale[i] = 1.0 / np.sqrt(matrix[i, i])
-    lower = np.zeros((n, n))
-    for i in range(n):
-        for j in range(i + 1):
-            total = matrix[i, j] * scale[i] * scale[j]
-            for k in range(j):
-                total -= lower[i, k] * lower[j, k]
-            if i == j:
-                if not total > 1e-9:
-                    return False
-                lower[i, i] = np.sqrt(total)
-            else:
-                lower[i, j] = total / lower[j, j]
-    half = np.zeros((n, n))  # the inverse of `lower`
-    for i in range(n):
-        half[i, i] = 1.0 / lower[i, i]
-        for j in range(i):
-            total = 0.0
-            for k in range(j, i):
-                total -= lower[i, k] * half[k, j]
-            half[i, j] = total / lower[i, i]
-    for i in range(n):
-        for j in range(n):
-            total = 0.0
-            for k in range(max(i, j), n):
-                total += half[k, i] * half[k, j]
-            inverse[i, j] = total * scale[i] * scale[j]
-    return True
-
-
-@kernel
-def _compose_inverse(
-    warp: Floats,
-    step: Floats,
+def _eliminate_light(
+    count: int, f_mean: float, ff: float, terms: int, hessian: Floats, j1: Floats, jf: Floats
 ) -> None:
-    """Replace the warp W(p) by W(p) o W(step)^-1; both displacements, (u, ux, uy, v, vx, vy)."""
-    a = 1.0 + step[1]
-    b = step[2]
-    c = step[4]
-    d = 1.0 + step[5]
-    determinant = a * d - b * c
-    # The inverse step maps x to M (x - t), M = [[d, -b], [-c, a]] / determinant.
-    m00 = d / determinant
-    m01 = -b / determinant
-    m10 = -c / determinant
-    m11 = a / determinant
-    tx = -(m00 * step[0] + m01 * step[3])
-    ty = -(m10 * step[0] + m11 * step[3])
-    p00 = 1.0 + warp[1]
-    p01 = warp[2]
-    p10 = warp[4]
-    p11 = 1.0 + warp[5]
-    warp[0] += p00 * tx + p01 * ty
-    warp[3] += p10 * tx + p11 * ty
-    warp[1] = p00 * m00 + p01 * m10 - 1.0
-    warp[2] = p00 * m01 + p01 * m11
-    warp[4] = p10 * m00 + p11 * m10
-    warp[5] = p10 * m01 + p11 * m11 - 1.0
-
-
-@kernel
-def _eliminate_light(count: int, f_mean: float, ff: float, hessian: Floats, j1: Floats, jf: Floats) -> None:
     """Take from the slopes their parts along a constant and along the subset: no offset, no gain is left.
 
     `jf` becomes the sum of J (f - mean), `hessian` the normal matrix of the displacement alone.
     """
-    for i in range(6):
+    for i in range(terms):
         jf[i] -= f_mean * j1[i]
-    for i in range(6):
-        for j in range(6):
+    for i in range(terms):
+        for j in range(terms):
             hessian[i, j] -= j1[i] * j1[j] / count + jf[i] * jf[j] / ff
+
+
+@kernel
+def _invert_for(order: int, hessian: Floats, inverse: Floats) -> bool:
+    """Invert the normal matrix of the unknowns of an order; the inverse is zero for what is none."""
+    if order > 0:
+        return invert(hessian, inverse)
+    shift = np.array([[hessian[0, 0], hessian[0, 3]], [hessian[3, 0], hessian[3, 3]]])
+    inverted = np.empty((2, 2))
+    regular = invert(shift, inverted)
+    inverse[:] = 0.0
+    inverse[0, 0], inverse[0, 3] = inverted[0, 0], inverted[0, 1]
+    inverse[3, 0], inverse[3, 3] = inverted[1, 0], inverted[1, 1]
+    return regular
+
+
+@kernel
+def _movement(step: Floats, n: int, box: Ints, levels: Floats) -> float:
+    """Return the rms movement of a subset's pixels by a step, in px; at most, where it is quadratic."""
+    xx, yy = levels[2] / n, levels[3] / n
+    square = step[0] ** 2 + step[3] ** 2
+    square += (step[1] ** 2 + step[4] ** 2) * xx + (step[2] ** 2 + step[5] ** 2) * yy
+    left, top = max(abs(box[0]), abs(box[1])), max(abs(box[2]), abs(box[3]))
+    square += 0.25 * (step[6] ** 2 + step[9] ** 2) * xx * left**2
+    square += (step[7] ** 2 + step[10] ** 2) * xx * top**2
+    square += 0.25 * (step[8] ** 2 + step[11] ** 2) * yy * top**2
+    return float(np.sqrt(square))
 
 
 @kernel
@@ -208,32 +181,32 @@ def _refine(
     reference: tuple[float, float, Floats, Floats, Floats, Floats],
     coefficients: Floats,
     shape: tuple[int, int],
-    tolerance: float,
-    limit: int,
+    orders: tuple[int, int],
+    stop: tuple[float, int],
     p: Floats,
-    g: Floats,
+    room: tuple[Floats, Floats, Floats, Ints],
 ) -> tuple[int, int, float, float, float]:
     """Iterate a subset's warp `p`; return how it ended, the iterations, score, and mean and spread of g.
 
     `subset` is (x, y, count, dx, dy, f, gx, gy, box), `reference` (mean f, sum of (f - mean)^2, the inverse
-    of the normal matrix, sums of J, of J (f - mean), and of f, f^2, dx^2, dy^2).
+    of the normal matrix, sums of J, of J (f - mean), and of f, f^2, dx^2, dy^2), `orders` those of the shape
+    and of the spline, `stop` the tolerance and the most iterations.
     """
     cx, cy, n, dx, dy, f, gx, gy, box = subset
     f_mean, ff, inverse, j1, jf, levels = reference
-    jg = np.empty(6)
-    step = np.empty(6)
-    residual = np.empty(6)
+    g, s, t, first = room
+    order, spline = orders
+    terms = inverse.shape[0]
+    jg, step, residual = np.empty(WARP), np.zeros(WARP), np.empty(WARP)
     moments = np.empty(3)
-    affine = np.empty(6)
     u0, v0 = p[0], p[3]
     score, g_mean, gg = np.nan, np.nan, np.nan
-    for iteration in range(1, limit + 1):
+    for iteration in range(1, stop[1] + 1):
         if not inside(p, cx, cy, box[0], box[1], box[2], box[3], shape[0], shape[1], _REACH):
             return LEFT_IMAGE, iteration, score, g_mean, gg
-        affine[0], affine[1], affine[2] = cx + p[0], 1.0 + p[1], p[2]
-        affine[3], affine[4], affine[5] = cy + p[3], p[4], 1.0 + p[5]
-        spline_values(coefficients, n, dx, dy, affine, g)
-        deformed_sums(n, dx, dy, f, gx, gy, g, jg, moments)
+        places(p, order, cx, cy, coefficients.shape[1], n, dx, dy, first, s, t)
+        spline_values(coefficients, spline, n, first, s, t, g)
+        deformed_sums(n, dx, dy, f, gx, gy, g, order, jg, moments)
         g_mean = moments[0] / n
         gg = moments[1] - moments[0] * g_mean
         fg = moments[2] - moments[0] * f_mean
@@ -241,57 +214,43 @@ def _refine(
             break
         # The step takes from the residual what its square in the metric of the normal matrix is worth.
         gained = 0.0
-        for i in range(6):
+        for i in range(terms):
             residual[i] = (jg[i] - g_mean * j1[i] - fg / ff * jf[i]) * ff / fg
-        for i in range(6):
+        for i in range(terms):
             step[i] = 0.0
-            for j in range(6):
+            for j in range(terms):
                 step[i] += inverse[i, j] * residual[j]
             gained += step[i] * residual[i]
         score = min(np.sqrt(fg * fg / (ff * gg) + gained / ff), 1.0)
-        _compose_inverse(p, step)
+        compose_inverse(p, step)
         if not abs(p[0] - u0) + abs(p[3] - v0) < _WANDER:
             break
-        square = step[0] ** 2 + step[3] ** 2
-        square += (step[1] ** 2 + step[4] ** 2) * levels[2] / n
-        square += (step[2] ** 2 + step[5] ** 2) * levels[3] / n
-        movement = np.sqrt(square)
+        movement = _movement(step, n, box, levels)
         # Steps shrink at a rate that grows with the step itself (the spline bends over about a pixel) and
         # with what the two images do not share: that bounds what is left.
         rate = min(movement + _UNSHARED * (1.0 - score), 0.95)
-        if movement * rate < tolerance * (1.0 - rate):
+        if movement * rate < stop[0] * (1.0 - rate):
             return CONVERGED, iteration, score, g_mean, gg
     return NOT_CONVERGED, iteration, score, g_mean, gg
 
 
 @kernel
 def _match_block(
-    start: int,
-    stop: int,
-    reference: Floats,
-    gradient_x: Floats,
-    gradient_y: Floats,
-    coefficients: Floats,
-    labels: Labels,
-    noise: Floats,
-    x: Ints,
-    y: Ints,
-    radius: int,
-    minimum: int,
-    tolerance: float,
-    limit: int,
-    warp: Floats,
-    sigma: Floats,
-    score: Floats,
-    iterations: Labels,
-    ending: Labels,
-) -> None:
+    start: int, stop: int,
+    images: tuple[Floats, Floats, Floats, Floats, Labels], noise: Floats,
+    x: Ints, y: Ints, radius: int, minimum: int, orders: tuple[int, int], ends: tuple[float, int],
+    warp: Floats, sigma: Floats, score: Floats, iterations: Labels, ending: Labels,
+) -> None:  # fmt: skip
     """Match points start .. stop; `warp` holds the guesses and is overwritten."""
+    reference, gradient_x, gradient_y, coefficients, labels = images
     size = (2 * radius + 1) ** 2
     dx, dy, f = np.empty(size), np.empty(size), np.empty(size)
-    gx, gy, g = np.empty(size), np.empty(size), np.empty(size)
-    hessian, inverse = np.empty((6, 6)), np.empty((6, 6))
-    j1, jf, levels = np.empty(6), np.empty(6), np.empty(4)
+    gx, gy = np.empty(size), np.empty(size)
+    room = (np.empty(size), np.empty(size), np.empty(size), np.empty(size, dtype=np.int64))
+    terms = WARP if orders[0] > 1 else 6
+    unknowns = PARAMETERS[orders[0]] + 2  # and the light's gain and offset
+    hessian, inverse = np.empty((terms, terms)), np.empty((terms, terms))
+    j1, jf, levels = np.empty(WARP), np.empty(WARP), np.empty(4)
     box = np.empty(4, dtype=np.int64)
     for k in range(start, stop):
         p = warp[k]
@@ -299,23 +258,23 @@ def _match_block(
         if n < minimum:
             ending[k] = TOO_FEW_PIXELS
             continue
-        reference_sums(n, dx, dy, f, gx, gy, hessian, j1, jf, levels)
+        reference_sums(n, dx, dy, f, gx, gy, orders[0], hessian, j1, jf, levels)
         f_mean = levels[0] / n
         ff = levels[1] - levels[0] * f_mean
         variance = noise[0] + noise[1] * f_mean
-        _eliminate_light(n, f_mean, ff, hessian, j1, jf)
-        if not ff > 4.0 * n * variance or not _invert(hessian, inverse):
+        _eliminate_light(n, f_mean, ff, terms, hessian, j1, jf)
+        if not ff > 4.0 * n * variance or not _invert_for(orders[0], hessian, inverse):
             ending[k] = NO_TEXTURE
             continue
         subset = (x[k], y[k], n, dx, dy, f, gx, gy, box)
         sums = (f_mean, ff, inverse, j1, jf, levels)
         ending[k], iterations[k], score[k], g_mean, gg = _refine(
-            subset, sums, coefficients, labels.shape, tolerance, limit, p, g
+            subset, sums, coefficients, labels.shape, orders, ends, p, room
         )
         if ending[k] == CONVERGED:
             # Both images are noisy; what the fit leaves over counts where it is more than their noise.
             variance += ff / gg * (noise[2] + noise[3] * g_mean)
-            variance = max(variance, 2.0 * ff * (1.0 - score[k]) / max(n - 8, 1))
+            variance = max(variance, 2.0 * ff * (1.0 - score[k]) / max(n - unknowns, 1))
             sigma[k, 0] = np.sqrt(variance * inverse[0, 0])
             sigma[k, 1] = np.sqrt(variance * inverse[3, 3])
 
@@ -337,7 +296,8 @@ def match_points(
     x, y
         (n,), pixels of the reference image on a region.
     guess
-        (n, 6): u, du/dx, du/dy, v, dv/dx, dv/dy; in px, right to about a speckle's radius.
+        (n, 6): u, du/dx, du/dy, v, dv/dx, dv/dy; in px, right to about a speckle's radius. Or (n, 12), with
+        the second derivatives u,xx u,xy u,yy v,xx v,xy v,yy; only the second order takes them.
     settings
         Size of the subsets and when to stop.
     threads
@@ -345,33 +305,42 @@ def match_points(
 
     Returns
     -------
-    `warp` (n, 6) in the order of `guess`; `sigma` (n, 2), the standard deviations of u and v in px;
-    `score` (n,), the zero-normalised cross-correlation; `iterations` and `ending` (n,).
+    `warp` (n, 6), or (n, 12) of second order, in the order of `guess`; `sigma` (n, 2), the standard
+    deviations of u and v in px; `score` (n,), the zero-normalised cross-correlation; `iterations` and
+    `ending` (n,).
 
     Notes
     -----
-    Baker & Matthews 2004, Pan et al. 2013, with the first-order shape function of thesis Eq. (1.2). With
-    J the slopes of f, H = sum J J^T less the parts along 1 and f, the step is
-    (sum f^2 / sum f g) H^-1 sum J~ g and the covariance s^2 H^-1. s^2 is the sum of both images' noise
-    variances, or the residual's where that is larger. The noise model is the base since interpolation
-    smooths the residual (but not the match, which rests on slow grey level changes) by up to a third, and
-    the residual is what shows an affine subset that does not fit.
+    Baker & Matthews 2004, Pan et al. 2013, with the first-order shape function of thesis Eq. (1.2); the
+    second order as in Gao et al. 2015, the zeroth with the guess's gradients as they are. With J the
+    slopes of f, H = sum J J^T less the parts along 1 and f, the step is (sum f^2 / sum f g) H^-1 sum J~ g
+    and the covariance s^2 H^-1. s^2 is the sum of both images' noise variances, or the residual's where
+    that is larger. The noise model is the base since interpolation smooths the residual (but not the
+    match, which rests on slow grey level changes) by up to a third, and
+    the residual is what shows a subset whose shape does not fit.
     """
+    warp = np.zeros((len(x), WARP))
+    numbers = min(guess.shape[1], WARP if settings.shape_order == 2 else 6)
+    warp[:, :numbers] = guess[:, :numbers]
     result = Matches(
-        np.array(guess, dtype=np.float64),
+        warp if settings.shape_order == 2 else warp[:, :6],
         np.full((len(x), 2), np.nan),
         np.full(len(x), np.nan),
         np.zeros(len(x), dtype=np.int32),
         np.full(len(x), NOT_CONVERGED, dtype=np.int32),
     )
     noise = np.array([term for model in images.noise for term in (model.floor, model.slope)])
-    minimum = max(int(settings.minimum_part * (2 * settings.radius + 1) ** 2), 16)
+    minimum = max(
+        int(settings.minimum_part * (2 * settings.radius + 1) ** 2), 16, 3 * PARAMETERS[settings.shape_order]
+    )
+    pixels = (images.reference, images.gradient_x, images.gradient_y, images.coefficients, images.labels)
+    orders = (int(settings.shape_order), int(images.spline_order))
+    ends = (settings.tolerance, settings.iterations)
 
     def work(start: int, stop: int) -> None:
         _match_block(
-            start, stop, images.reference, images.gradient_x, images.gradient_y, images.coefficients,
-            images.labels, noise, x, y, settings.radius, minimum, settings.tolerance, settings.iterations,
-            result.warp, result.sigma, result.score, result.iterations, result.ending,
+            start, stop, pixels, noise, x, y, settings.radius, minimum, orders, ends,
+            warp, result.sigma, result.score, result.iterations, result.ending,
         )  # fmt: skip
 
     in_row_blocks(work, len(x), threads)

@@ -24,6 +24,7 @@ from sms_jobs.metrology.deformation.correlation import (
     match_points,
 )
 from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
+from sms_jobs.metrology.deformation.shape_functions import WARP, carried
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
@@ -111,14 +112,6 @@ def choose_seeds(labels: NDArray[np.int32], x: Ints, y: Ints, search: SearchSett
     return np.asarray(np.sort(order[first]))
 
 
-def _extrapolate(warp: Floats, dx: Floats, dy: Floats) -> Floats:
-    """Return affine displacements (n, 6) as seen from points (dx, dy) away, in px."""
-    moved = warp.copy()
-    moved[:, 0] += warp[:, 1] * dx + warp[:, 2] * dy
-    moved[:, 3] += warp[:, 4] * dx + warp[:, 5] * dy
-    return moved
-
-
 def _neighbours(node: Ints, region: NDArray[np.int32]) -> Ints:
     """Return the indices (n, 24) of each node's neighbours on its region, nearest first, -1 for none."""
     rows, columns = np.nonzero(node >= 0)
@@ -151,7 +144,7 @@ def match_grid(
     x, y, node = sample_grid(images.labels, grid.spacing)
     region = images.labels[y, x]
     found = Matches(
-        np.full((len(x), 6), np.nan),
+        np.full((len(x), WARP if settings.shape_order == 2 else 6), np.nan),
         np.full((len(x), 2), np.nan),
         np.full(len(x), np.nan),
         np.zeros(len(x), dtype=np.int32),
@@ -200,7 +193,7 @@ def match_grid(
         if len(pending) == 0:
             break
         started_from[pending] = quality[better]
-        attempt(pending, _extrapolate(found.warp[source], x[pending] - x[source], y[pending] - y[source]))
+        attempt(pending, carried(found.warp[source], x[pending] - x[source], y[pending] - y[source]))
     _reject_outliers(found, x, y, around, grid.outlier_ratio)
     return GridMatches(x, y, found)
 
@@ -217,12 +210,11 @@ def _reject_outliers(found: Matches, x: Ints, y: Ints, around: Ints, ratio: floa
     dx, dy = x[:, None] - x[near], y[:, None] - y[near]
     outside = np.zeros(len(x), dtype=bool)
     enough = good & (usable.sum(axis=1) >= 3)
+    there = carried(found.warp[near], dx, dy)
     for first, sigma in ((0, 0), (3, 1)):
-        warp = found.warp[near]
-        carried = warp[..., first] + warp[..., first + 1] * dx + warp[..., first + 2] * dy
-        carried = np.where(usable, carried, np.nan)[enough]
-        middle = np.nanmedian(carried, axis=1)
-        scatter = np.nanmedian(np.abs(carried - middle[:, None]), axis=1)
+        expected = np.where(usable, there[..., first], np.nan)[enough]
+        middle = np.nanmedian(expected, axis=1)
+        scatter = np.nanmedian(np.abs(expected - middle[:, None]), axis=1)
         least = np.maximum(_LEAST_SCATTER, found.sigma[enough, sigma])
         deviation = np.abs(found.warp[enough, first] - middle)
         outside[np.flatnonzero(enough)[deviation > ratio * np.maximum(scatter, least)]] = True

@@ -8,35 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel, summing_kernel
+from sms_jobs.metrology.deformation.shape_functions import inside
 
 Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]
 Ints: TypeAlias = NDArray[np.int64]
 
 _RIM = 5  # px at an image's border where reflection bends its spline: the effect falls by 0.43 a pixel
-
-
-@kernel
-def inside(
-    warp: Floats,
-    cx: int,
-    cy: int,
-    left: int,
-    right: int,
-    top: int,
-    bottom: int,
-    rows: int,
-    columns: int,
-    reach: float,
-) -> bool:
-    """Return whether a box about (cx, cy) is warped into the image, or at most `reach` px over its border."""
-    for x in (left, right):
-        for y in (top, bottom):
-            px = cx + x + warp[0] + warp[1] * x + warp[2] * y
-            py = cy + y + warp[3] + warp[4] * x + warp[5] * y
-            if not (px >= -reach and py >= -reach and px <= columns - 1 + reach and py <= rows - 1 + reach):
-                return False
-    return True
 
 
 @kernel
@@ -93,108 +71,136 @@ def collect(
     return count
 
 
-@kernel
-def _unpack_hessian(h: Floats, hessian: Floats) -> None:
-    """Fill the symmetric 6 x 6 matrix from the sums of gx gx, gx gy and gy gy with 1, dx, dy, dx^2 ..."""
-    for block, r, c0 in ((0, 0, 0), (1, 0, 3), (2, 3, 3)):
-        t = h[6 * block : 6 * block + 6]
-        hessian[r, c0] = t[0]
-        hessian[r, c0 + 1] = hessian[r + 1, c0] = t[1]
-        hessian[r, c0 + 2] = hessian[r + 2, c0] = t[2]
-        hessian[r + 1, c0 + 1] = t[3]
-        hessian[r + 1, c0 + 2] = hessian[r + 2, c0 + 1] = t[4]
-        hessian[r + 2, c0 + 2] = t[5]
-    for i in range(3):
-        for j in range(3):
-            hessian[3 + i, j] = hessian[j, 3 + i]
+@summing_kernel
+def _slope_sums(
+    count: int, weight: Floats, f: Floats, x: Floats, y: Floats, order: int, sums: Floats
+) -> None:
+    """Fill the sums of w, w x, w y, w f, w f x, w f y, and to second order of w x^2 .. and w f x^2 .."""
+    s = np.zeros(12)
+    for k in range(count):
+        w = weight[k]
+        wx = w * x[k]
+        wy = w * y[k]
+        s[0] += w
+        s[1] += wx
+        s[2] += wy
+        s[6] += w * f[k]
+        s[7] += wx * f[k]
+        s[8] += wy * f[k]
+    if order > 1:
+        for k in range(count):
+            xx = weight[k] * x[k] * x[k]
+            xy = weight[k] * x[k] * y[k]
+            yy = weight[k] * y[k] * y[k]
+            s[3] += xx
+            s[4] += xy
+            s[5] += yy
+            s[9] += xx * f[k]
+            s[10] += xy * f[k]
+            s[11] += yy * f[k]
+        for i in (3, 5, 9, 11):
+            s[i] *= 0.5
+    sums[:12] = s
 
 
 @summing_kernel
-def reference_sums(
-    count: int,
-    dx: Floats,
-    dy: Floats,
-    f: Floats,
-    gx: Floats,
-    gy: Floats,
-    hessian: Floats,
-    j1: Floats,
-    jf: Floats,
-    moments: Floats,
-) -> None:
-    """Fill the sums of J J^T, J and J f over a subset, and of f, f^2, dx^2, dy^2.
+def _product_sums(count: int, a: Floats, b: Floats, x: Floats, y: Floats, order: int, h: Floats) -> None:
+    """Fill the sums of a b x^i y^j, i + j up to 2 or to 4: (0, 0), (1, 0), (0, 1), (2, 0), (1, 1) .."""
+    s = np.zeros(15)
+    for k in range(count):
+        w = a[k] * b[k]
+        wx = w * x[k]
+        wy = w * y[k]
+        s[0] += w
+        s[1] += wx
+        s[2] += wy
+        s[3] += wx * x[k]
+        s[4] += wx * y[k]
+        s[5] += wy * y[k]
+    if order > 1:
+        for k in range(count):
+            w = a[k] * b[k]
+            xx = x[k] * x[k]
+            yy = y[k] * y[k]
+            wxx = w * xx
+            wyy = w * yy
+            wxy = w * x[k] * y[k]
+            s[6] += wxx * x[k]
+            s[7] += wxx * y[k]
+            s[8] += wyy * x[k]
+            s[9] += wyy * y[k]
+            s[10] += wxx * xx
+            s[11] += wxx * x[k] * y[k]
+            s[12] += wxx * yy
+            s[13] += wxy * yy
+            s[14] += wyy * yy
+    h[:] = s
 
-    J = (gx, gx dx, gx dy, gy, gy dx, gy dy).
-    """
-    h = np.zeros(18)
-    s = np.zeros(12)
+
+_X_POWER = np.array([0, 1, 0, 2, 1, 0])
+_Y_POWER = np.array([0, 0, 1, 0, 1, 2])
+_FACTOR = np.array([1.0, 1.0, 1.0, 0.5, 1.0, 0.5])  # of the terms of a shape function: x^2 / 2, y^2 / 2
+_PLACE_U = np.array([0, 1, 2, 6, 7, 8])  # of the terms of u in a warp, and of v
+_PLACE_V = np.array([3, 4, 5, 9, 10, 11])
+
+
+@kernel
+def _unpack(h: Floats, rows: Ints, columns: Ints, terms: int, hessian: Floats) -> None:
+    """Spread sums of x^i y^j, as `_product_sums` has them, over a block of the normal matrix."""
+    for m in range(terms):
+        for n in range(terms):
+            i, j = _X_POWER[m] + _X_POWER[n], _Y_POWER[m] + _Y_POWER[n]
+            value = h[(i + j) * (i + j + 1) // 2 + j] * _FACTOR[m] * _FACTOR[n]
+            hessian[rows[m], columns[n]] = value
+            hessian[columns[n], rows[m]] = value
+
+
+@summing_kernel
+def _levels(count: int, dx: Floats, dy: Floats, f: Floats, moments: Floats) -> None:
+    """Fill the sums of f, f^2, dx^2, dy^2."""
     m = np.zeros(4)
     for k in range(count):
-        x = dx[k]
-        y = dy[k]
-        v = f[k]
-        xx = x * x
-        xy = x * y
-        yy = y * y
-        p = gx[k]
-        q = gy[k]
-        a = p * p
-        b = p * q
-        c = q * q
-        h[0] += a
-        h[1] += a * x
-        h[2] += a * y
-        h[3] += a * xx
-        h[4] += a * xy
-        h[5] += a * yy
-        h[6] += b
-        h[7] += b * x
-        h[8] += b * y
-        h[9] += b * xx
-        h[10] += b * xy
-        h[11] += b * yy
-        h[12] += c
-        h[13] += c * x
-        h[14] += c * y
-        h[15] += c * xx
-        h[16] += c * xy
-        h[17] += c * yy
-        s[0] += p
-        s[1] += p * x
-        s[2] += p * y
-        s[3] += q
-        s[4] += q * x
-        s[5] += q * y
-        p *= v
-        q *= v
-        s[6] += p
-        s[7] += p * x
-        s[8] += p * y
-        s[9] += q
-        s[10] += q * x
-        s[11] += q * y
-        m[0] += v
-        m[1] += v * v
-        m[2] += xx
-        m[3] += yy
-    _unpack_hessian(h, hessian)
-    j1[:] = s[:6]
-    jf[:] = s[6:]
+        m[0] += f[k]
+        m[1] += f[k] * f[k]
+        m[2] += dx[k] * dx[k]
+        m[3] += dy[k] * dy[k]
     moments[:] = m
+
+
+@kernel
+def reference_sums(
+    count: int, dx: Floats, dy: Floats, f: Floats, gx: Floats, gy: Floats, order: int,
+    hessian: Floats, j1: Floats, jf: Floats, moments: Floats,
+) -> None:  # fmt: skip
+    """Fill the sums of J J^T, J and J f over a subset, and of f, f^2, dx^2, dy^2.
+
+    J are the slopes along the numbers of a warp: (gx, gx dx, gx dy, gy, gy dx, gy dy), and for the second
+    order (gx dx^2 / 2, gx dx dy, gx dy^2 / 2, gy dx^2 / 2, ..). `j1` and `jf` have room for 12.
+    """
+    terms = 6 if order > 1 else 3
+    h = np.empty(15)
+    _product_sums(count, gx, gx, dx, dy, order, h)
+    _unpack(h, _PLACE_U, _PLACE_U, terms, hessian)
+    _product_sums(count, gx, gy, dx, dy, order, h)
+    _unpack(h, _PLACE_U, _PLACE_V, terms, hessian)
+    _product_sums(count, gy, gy, dx, dy, order, h)
+    _unpack(h, _PLACE_V, _PLACE_V, terms, hessian)
+    _slope_sums(count, gx, f, dx, dy, order, h)
+    for m in range(terms):
+        j1[_PLACE_U[m]] = h[m]
+        jf[_PLACE_U[m]] = h[6 + m]
+    _slope_sums(count, gy, f, dx, dy, order, h)
+    for m in range(terms):
+        j1[_PLACE_V[m]] = h[m]
+        jf[_PLACE_V[m]] = h[6 + m]
+    _levels(count, dx, dy, f, moments)
 
 
 @summing_kernel
 def deformed_sums(
-    count: int,
-    dx: Floats,
-    dy: Floats,
-    f: Floats,
-    gx: Floats,
-    gy: Floats,
-    g: Floats,
-    jg: Floats,
-    moments: Floats,
-) -> None:
+    count: int, dx: Floats, dy: Floats, f: Floats, gx: Floats, gy: Floats, g: Floats, order: int,
+    jg: Floats, moments: Floats,
+) -> None:  # fmt: skip
     """Fill the sums of J g, and of g, g^2 and f g, over a subset."""
     s = np.zeros(9)
     for k in range(count):
@@ -211,4 +217,21 @@ def deformed_sums(
         s[7] += b * dx[k]
         s[8] += b * dy[k]
     moments[:] = s[:3]
-    jg[:] = s[3:]
+    jg[:6] = s[3:]
+    if order > 1:
+        q = np.zeros(6)
+        for k in range(count):
+            xx = dx[k] * dx[k]
+            xy = dx[k] * dy[k]
+            yy = dy[k] * dy[k]
+            a = gx[k] * g[k]
+            b = gy[k] * g[k]
+            q[0] += a * xx
+            q[1] += a * xy
+            q[2] += a * yy
+            q[3] += b * xx
+            q[4] += b * xy
+            q[5] += b * yy
+        for i in (0, 2, 3, 5):
+            q[i] *= 0.5
+        jg[6:] = q

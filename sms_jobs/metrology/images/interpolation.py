@@ -1,9 +1,7 @@
-"""Values between pixels: quintic B-splines for grey levels, region-limited cubics for measured fields.
+"""Measured fields between pixels, by cubics that never mix two regions.
 
-Grey levels are interpolated by a quintic B-spline, whose bias for speckle of a few pixels is several times
-smaller than the cubic's (thesis section 2.2.1 on interpolation bias). Measured fields end at the edges of
-their regions, so there a cubic is used only where all its 4 x 4 pixels belong to one region, and a plane
-fitted to the pixels of that region where they do not (thesis section 4.4.1).
+Measured fields end at the edges of their regions, so a cubic is used only where all its 4 x 4 pixels belong
+to one region, and a plane fitted to the pixels of that region where they do not (thesis section 4.4.1).
 """
 
 from __future__ import annotations
@@ -12,130 +10,11 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from sms_jobs.metrology.compilation import in_row_blocks, kernel, summing_kernel
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
 
 Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]
-
-PADDING = 8
-"""Pixels by which spline coefficients are continued on every side, by reflection."""
-
-_VALUE_TAPS = np.array([1.0, 26.0, 66.0, 26.0, 1.0]) / 120.0
-_SLOPE_TAPS = np.array([-1.0, -10.0, 0.0, 10.0, 1.0]) / 24.0
-_ONE, _TWO, _THREE, _FOUR, _FIVE = (np.uint64(i) for i in (1, 2, 3, 4, 5))
-
-
-def spline_coefficients(image: NDArray[np.generic]) -> Floats:
-    """Return the coefficients of the quintic B-spline through an image.
-
-    Parameters
-    ----------
-    image
-        (rows, columns), in grey levels.
-
-    Returns
-    -------
-    (rows + 2 PADDING, columns + 2 PADDING), the spline being continued by reflection at its border.
-    """
-    coefficients = ndimage.spline_filter(np.asarray(image, dtype=np.float64), order=5, mode="mirror")
-    return np.pad(coefficients, PADDING, mode="reflect")
-
-
-def spline_gradient(coefficients: Floats) -> tuple[Floats, Floats]:
-    """Return the slopes of a quintic B-spline at the pixels, along x and along y.
-
-    Parameters
-    ----------
-    coefficients
-        As `spline_coefficients` returns them, for an image of (rows, columns).
-
-    Returns
-    -------
-    Two arrays (rows, columns), in grey levels a pixel.
-    """
-    inner = np.s_[PADDING:-PADDING, PADDING:-PADDING]
-    along_x = ndimage.correlate1d(ndimage.correlate1d(coefficients, _SLOPE_TAPS, 1), _VALUE_TAPS, 0)
-    along_y = ndimage.correlate1d(ndimage.correlate1d(coefficients, _SLOPE_TAPS, 0), _VALUE_TAPS, 1)
-    return np.ascontiguousarray(along_x[inner]), np.ascontiguousarray(along_y[inner])
-
-
-@summing_kernel
-def spline_values(
-    coefficients: Floats,
-    count: int,
-    x: Floats,
-    y: Floats,
-    warp: Floats,
-    values: Floats,
-) -> None:
-    """Fill `values[:count]` with a quintic B-spline at affinely warped points.
-
-    Point k lies at column warp[0] + warp[1] x + warp[2] y and row warp[3] + warp[4] x + warp[5] y of the
-    image; at most `PADDING - 3` px outside it. `coefficients` come from `spline_coefficients`.
-
-    The index is unsigned so that no negative index needs a check, and the taps are written out so that
-    they stay in registers: together twice as fast as loops.
-    """
-    columns = np.uint64(coefficients.shape[1])
-    flat = coefficients.ravel()
-    for k in range(count):
-        px = warp[0] + warp[1] * x[k] + warp[2] * y[k] + PADDING
-        py = warp[3] + warp[4] * x[k] + warp[5] * y[k] + PADDING
-        ix = np.uint64(np.int64(px))
-        iy = np.uint64(np.int64(py))
-        s = px - ix
-        t = py - iy
-        s2 = s * s
-        s3 = s2 * s
-        s4 = s2 * s2
-        a5 = s4 * s
-        a0 = 1.0 - 5.0 * s + 10.0 * s2 - 10.0 * s3 + 5.0 * s4 - a5
-        a1 = 26.0 - 50.0 * s + 20.0 * s2 + 20.0 * s3 - 20.0 * s4 + 5.0 * a5
-        a2 = 66.0 - 60.0 * s2 + 30.0 * s4 - 10.0 * a5
-        a4 = 1.0 + 5.0 * s + 10.0 * s2 + 10.0 * s3 + 5.0 * s4 - 5.0 * a5
-        a3 = 120.0 - a0 - a1 - a2 - a4 - a5
-        s2 = t * t
-        s3 = s2 * t
-        s4 = s2 * s2
-        b5 = s4 * t
-        b0 = 1.0 - 5.0 * t + 10.0 * s2 - 10.0 * s3 + 5.0 * s4 - b5
-        b1 = 26.0 - 50.0 * t + 20.0 * s2 + 20.0 * s3 - 20.0 * s4 + 5.0 * b5
-        b2 = 66.0 - 60.0 * s2 + 30.0 * s4 - 10.0 * b5
-        b4 = 1.0 + 5.0 * t + 10.0 * s2 + 10.0 * s3 + 5.0 * s4 - 5.0 * b5
-        b3 = 120.0 - b0 - b1 - b2 - b4 - b5
-        p = (iy - _TWO) * columns + ix - _TWO
-        total = b0 * (
-            a0 * flat[p] + a1 * flat[p + _ONE] + a2 * flat[p + _TWO]
-            + a3 * flat[p + _THREE] + a4 * flat[p + _FOUR] + a5 * flat[p + _FIVE]
-        )  # fmt: skip
-        p += columns
-        total += b1 * (
-            a0 * flat[p] + a1 * flat[p + _ONE] + a2 * flat[p + _TWO]
-            + a3 * flat[p + _THREE] + a4 * flat[p + _FOUR] + a5 * flat[p + _FIVE]
-        )  # fmt: skip
-        p += columns
-        total += b2 * (
-            a0 * flat[p] + a1 * flat[p + _ONE] + a2 * flat[p + _TWO]
-            + a3 * flat[p + _THREE] + a4 * flat[p + _FOUR] + a5 * flat[p + _FIVE]
-        )  # fmt: skip
-        p += columns
-        total += b3 * (
-            a0 * flat[p] + a1 * flat[p + _ONE] + a2 * flat[p + _TWO]
-            + a3 * flat[p + _THREE] + a4 * flat[p + _FOUR] + a5 * flat[p + _FIVE]
-        )  # fmt: skip
-        p += columns
-        total += b4 * (
-            a0 * flat[p] + a1 * flat[p + _ONE] + a2 * flat[p + _TWO]
-            + a3 * flat[p + _THREE] + a4 * flat[p + _FOUR] + a5 * flat[p + _FIVE]
-        )  # fmt: skip
-        p += columns
-        total += b5 * (
-            a0 * flat[p] + a1 * flat[p + _ONE] + a2 * flat[p + _TWO]
-            + a3 * flat[p + _THREE] + a4 * flat[p + _FOUR] + a5 * flat[p + _FIVE]
-        )  # fmt: skip
-        values[k] = total / 14400.0
 
 
 @kernel

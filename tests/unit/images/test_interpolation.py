@@ -1,58 +1,11 @@
-"""Splines are those of SciPy, and fields are never interpolated across an edge."""
+"""Fields are never interpolated across an edge."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
-from sms_jobs.metrology.images.interpolation import (
-    PADDING,
-    interpolate_in_region,
-    spline_coefficients,
-    spline_gradient,
-    spline_values,
-)
-
-
-def values_at(image: np.ndarray, x: np.ndarray, y: np.ndarray, warp: np.ndarray) -> np.ndarray:
-    found = np.empty(len(x))
-    spline_values(spline_coefficients(image), len(x), x, y, warp, found)
-    return found
-
-
-def test_the_spline_is_scipys(rng: np.random.Generator) -> None:
-    image = rng.uniform(0.0, 4095.0, (40, 50))
-    x, y = rng.uniform(-15.0, 15.0, (2, 300))
-    warp = np.array([24.3, 1.01, -0.02, 19.6, 0.03, 0.98])
-    column, row = warp[0] + warp[1] * x + warp[2] * y, warp[3] + warp[4] * x + warp[5] * y
-    expected = ndimage.map_coordinates(image, [row, column], order=5, mode="mirror")
-    # Rounding: 36 products of numbers near 10^4.
-    np.testing.assert_allclose(values_at(image, x, y, warp), expected, atol=1e-9)
-
-
-def test_the_spline_goes_over_the_border_by_reflection(rng: np.random.Generator) -> None:
-    image = rng.uniform(0.0, 4095.0, (30, 30))
-    x = np.array([-4.5, -1.2, 33.9])
-    y = np.array([3.3, -4.1, 31.0])
-    expected = ndimage.map_coordinates(image, [y, x], order=5, mode="mirror")
-    found = values_at(image, x, y, np.array([0.0, 1.0, 0.0, 0.0, 0.0, 1.0]))
-    np.testing.assert_allclose(found, expected, atol=1e-9)
-    assert abs(x).max() - 29.0 < PADDING - 3
-
-
-def test_slopes_are_finite_differences_of_values(rng: np.random.Generator) -> None:
-    image = ndimage.gaussian_filter(rng.uniform(0.0, 4095.0, (40, 40)), 1.0)
-    along_x, along_y = spline_gradient(spline_coefficients(image))
-    x, y = (v.ravel().astype(np.float64) for v in np.meshgrid(np.arange(5, 35), np.arange(5, 35)))
-    h = 1e-3
-    at = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
-    dx = (values_at(image, x + h, y, at) - values_at(image, x - h, y, at)) / (2.0 * h)
-    dy = (values_at(image, x, y + h, at) - values_at(image, x, y - h, at)) / (2.0 * h)
-    inner = np.s_[5:35, 5:35]
-    # h^2 / 6 times a third derivative below 10^4, and rounding 10^-9 / h.
-    np.testing.assert_allclose(along_x[inner].ravel(), dx, atol=5e-3)
-    np.testing.assert_allclose(along_y[inner].ravel(), dy, atol=5e-3)
+from sms_jobs.metrology.images.interpolation import interpolate_in_region
 
 
 def test_inside_a_region_cubics_are_exact(rng: np.random.Generator) -> None:
