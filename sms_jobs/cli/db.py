@@ -1,17 +1,27 @@
-"""`sms db`: the catalogue's schema."""
+"""`sms db`: the catalogue's schema, its move to another database, and backups."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
 from sms_jobs import bootstrap
 from sms_jobs import settings as settings_file
-from sms_jobs.catalogue import schema
+from sms_jobs.catalogue import copying, schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
+from sms_jobs.jobs import backups
+from sms_jobs.jobs.backups import Progress
 
-app = typer.Typer(help="The catalogue's database.", no_args_is_help=True)
+app = typer.Typer(help="The catalogue's database, and backups.", no_args_is_help=True)
+
+_FINDINGS = 6
 
 
 @app.command()
@@ -42,4 +52,110 @@ def check(home: Home = None, as_json: Json = False) -> None:
         for difference in differences or [f"revision {revision}, no difference"]:
             output.answer.print(difference, markup=False)
     if differences:
-        raise typer.Exit(6)
+        raise typer.Exit(_FINDINGS)
+
+
+@app.command()
+def copy(
+    to_url: Annotated[
+        str,
+        typer.Argument(
+            help="An empty database: postgresql+psycopg://USER@HOST/NAME, or sqlite:////PATH. A password is "
+            "better left to ~/.pgpass, or the whole URL to the environment variable, where nobody sees it.",
+            envvar="SMS_COPY_TO_URL",
+            show_default=False,
+        ),
+    ],
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Copy the whole catalogue to another database, for example from SQLite to PostgreSQL.
+
+    The service must have ended. Nobody can write to the catalogue meanwhile. The target has all rows in the
+    end, or none. Nothing is changed in the source, and the archive stays where it is.
+
+    Example: sms db copy postgresql+psycopg://sms@db.example/sms
+    """
+    done = None
+    with bootstrap.services(home) as services, closing(Catalogue(to_url, create=True)) as target:
+        copying.require_idle(services.catalogue, datetime.now(UTC))
+        copying.prepare(target)
+        with output.progress_bar() as bar:
+            task = bar.add_task("copying", total=None)
+            for done in copying.copy(services.catalogue, target):
+                bar.update(task, description=f"copying {done.table}", completed=done.done, total=done.total)
+        into = target.describe()
+    rows = done.total if done else 0
+    if as_json:
+        output.print_json({"rows": rows, "to": into})
+    output.say(
+        f"copied {rows} rows to {into}; set database_url to it (in sms.toml, or SMS_DATABASE_URL) before "
+        "anything is written to the old catalogue, then run 'sms doctor'"
+    )
+
+
+@app.command()
+def backup(
+    folder: Annotated[Path, typer.Argument(help="Where to; every backup adds to what is there.")],
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Back up the catalogue and the files of the archive that it knows, while the service runs.
+
+    What an earlier backup has copied is not copied again. Settings are kept without URLs; logs are not kept.
+
+    Example: sms db backup /mnt/backup/sms
+    """
+    with bootstrap.services(home) as services:
+        steps = backups.back_up(
+            services.catalogue, services.archive, services.settings.home, folder, datetime.now(UTC)
+        )
+        facts = _followed("backing up", steps)
+    facts = {"snapshot": str(backups.snapshots(folder)[-1])} | facts
+    _tell(facts, as_json)
+
+
+@app.command()
+def restore(
+    folder: Annotated[Path, typer.Argument(help="Of the backup.")],
+    home: Annotated[Path, typer.Argument(help="The home to be made; must be empty or not there.")],
+    snapshot: Annotated[
+        str, typer.Option(help="Beginning of its name, like 20260301; the newest if not given.")
+    ] = "",
+    as_json: Json = False,
+) -> None:
+    """Make a home of its own, without servers, of a backup.
+
+    'sms archive verify' checks it; jobs that were running are recovered by 'sms up'; 'sms db copy' brings it
+    to PostgreSQL.
+
+    Example: sms db restore /mnt/backup/sms /data/sms-restored
+    """
+    home = home.expanduser().absolute()
+    _tell({"home": str(home)} | _followed("restoring", backups.restore(folder, home, snapshot)), as_json)
+
+
+def _followed(what: str, steps: Iterator[Progress]) -> dict[str, object]:
+    """Show how work comes on, and return what came of it."""
+    files = copied = total = 0
+    missing = []
+    with output.byte_bar() as bar:
+        task = bar.add_task(what, total=None)
+        for step in steps:
+            bar.update(task, completed=step.done_bytes, total=step.total_bytes)
+            files, copied, total = files + 1, copied + step.copied, step.total_bytes
+            if step.missing:
+                missing.append(step.missing)
+    return {"files": files, "bytes": total, "copied": copied, "missing": missing}
+
+
+def _tell(facts: dict[str, object], as_json: bool) -> None:
+    missing = facts["missing"]
+    if as_json:
+        output.print_json(facts)
+    else:
+        output.print_facts({name: value for name, value in facts.items() if name != "missing"})
+    if missing:
+        assert isinstance(missing, list)
+        output.say(f"{len(missing)} files are missing: {missing[0]}; see 'sms archive verify'")
+        raise typer.Exit(_FINDINGS)
