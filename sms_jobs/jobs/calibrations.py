@@ -16,6 +16,7 @@ from sms_jobs.catalogue.search import FileView
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.jobs.registration import register_calibration
 from sms_jobs.kinds.phases import sensor_pair
+from sms_jobs.kinds.session_adjustment import known_as
 from sms_jobs.kinds.sessions import CALIBRATE, CALIBRATE_BOARDS, bar_states
 from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR
 from sms_jobs.metrology.calibration.comparison import CalibrationComparison, compare_calibrations
@@ -181,7 +182,13 @@ def compare(
     InvalidInput
         They are not of the same sensors.
     """
-    old, new = (known_calibration(catalogue, archive, n) for n in (before, after))
+    return compared(*(known_calibration(catalogue, archive, n) for n in (before, after)), tolerance_mm)
+
+
+def compared(
+    old: KnownCalibration, new: KnownCalibration, tolerance_mm: float | None
+) -> tuple[CalibrationComparison, float]:
+    """Return what `compare` does, of calibrations that are at hand."""
     if tolerance_mm is None:
         tolerance_mm = old.calibration.volume.diagonal_mm / 50_000.0
         if old.quality is not None and np.isfinite(old.quality.expected_sigma).any():
@@ -190,7 +197,7 @@ def compare(
     names = [s.name for s in old.calibration.rig.sensors]
     earlier, later = old.covariance(names), new.covariance(names)
     both = earlier is not None and later is not None
-    began_from_it = new.quality is not None and "valid from" in new.quality.started_from
+    began_from_it = new.quality is not None and new.quality.started_from == known_as(old.calibration)
     comparison = compare_calibrations(
         old.parameters(),
         new.parameters(),
@@ -198,8 +205,9 @@ def compare(
         _corners(old.calibration.volume),
         covariance_before=earlier if both else None,
         covariance_after=later if both else None,
-        relation="updated" if began_from_it else "independent",
-        same_world=not began_from_it,
+        relation="lenses updated" if began_from_it else "independent",
+        # Each session has a world of its own, that of its first board or of its first sensor.
+        same_world=False,
         tolerance_mm=tolerance_mm,
     )
     return comparison, tolerance_mm

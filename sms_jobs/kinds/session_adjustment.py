@@ -150,7 +150,12 @@ def start_from_last(
                 quality.found[f"pitch scale of {name} [1]"],
                 quality.found[f"pitch scale of {name}, sigma [1]"],
             )
-    return Start(last.rig, poses, None, f"the calibration valid from {last.valid_from}", pitch, prior)
+    return Start(last.rig, poses, None, known_as(last), pitch, prior)
+
+
+def known_as(calibration: Calibration) -> str:
+    """Return how an adjustment that starts from a calibration names it."""
+    return f"the calibration valid from {calibration.valid_from}"
 
 
 def _lens_information(rig: Rig, uncertainty: CalibrationUncertainty) -> Floats:

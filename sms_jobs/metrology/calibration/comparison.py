@@ -19,11 +19,14 @@ from sms_jobs.metrology.geometry.camera import Pose, project
 from sms_jobs.metrology.geometry.transforms import compose, rotation_vector, transform
 
 Floats = NDArray[np.float64]
-Relation: TypeAlias = Literal["independent", "updated"]
+Relation: TypeAlias = Literal["independent", "updated", "lenses updated"]
 Verdict: TypeAlias = Literal["unchanged", "harmless", "matters", "cannot tell"]
 
+_CERTAIN = 4.0  # times the distance of points that is expected by chance
 _TOLD = 0.01  # of a variance: directions in which an update learnt less are left out of the test
 _ROUNDING = 1e-10
+_LEAST: dict[Relation, float] = {"independent": _ROUNDING, "updated": _TOLD, "lenses updated": 1e-6}
+"""Of the largest variance of a change: directions with less have none but for rounding."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,8 @@ class CalibrationComparison:
     ----------
     verdict, reason
         "unchanged": the covariances explain it. "harmless": it is below the tolerance. "matters": it is
-        above. "cannot tell": it is above, but so is what the covariances let expect.
+        above. "cannot tell": it is above, but so is what the covariances let expect. The reason names the
+        sensor whose change alone explains most.
     changes
         Of all parameters of all sensors.
     pairs
@@ -152,10 +156,11 @@ def compare_calibrations(
         (15 s, 15 s) of the parameters of the s sensors in the order of `before`; both or none.
     relation
         Whether the later calibration is independent of the earlier, or began from it as prior knowledge:
-        then the covariance of the change is the difference, not the sum (Kalman's update).
+        then the covariance of the change is the difference, not the sum (Kalman's update). "lenses updated":
+        it took over what was known of the inner parameters, and found anew where the sensors stand.
     same_world
         Whether both are in one world by more than name. Otherwise the later one is brought into the world
-        of the earlier by the best rigid motion of points, and only inner parameters are tested.
+        of the earlier by the best rigid motion of points, and what is left of changes is tested.
     tolerance_mm
         Change of points, rms over the volume after alignment, from which on it matters.
     false_alarm
@@ -175,16 +180,22 @@ def compare_calibrations(
     later = {n: after[n] if same_world else _carried(after[n], alignment) for n in names}
     step = np.concatenate([parameter_change(before[n], later[n]) for n in names])
     spread = _spread(covariance_before, covariance_after, relation)
-    used = np.tile(np.arange(PER_SENSOR) >= (0 if same_world else 6), len(names))
-    statistic, freedom = _statistic(step, spread, used, relation)
+    if spread is not None and not same_world:
+        left = _without_motion(np.concatenate([t.rows for t in through]), [before[n] for n in names])
+        spread = left @ spread @ left.T
+    whitened, taking = _whitened(step, spread, relation, 0 if same_world else 6)
+    statistic, freedom = float(np.sum(whitened**2)) if len(whitened) else float("nan"), len(whitened)
     p_value = float(chi2.sf(statistic, freedom)) if freedom else float("nan")
     middle = 0.5 * (np.asarray(volume[0]) + np.asarray(volume[1]))
     found = _pair_changes(through, alignment, spread)
     verdict, reason = _verdict(found, p_value, false_alarm, tolerance_mm)
+    if freedom and p_value < false_alarm:
+        suspect, part = _suspect(whitened, taking, names)
+        reason += f"; a change of {suspect} alone explains {part:.0%} of what the covariances do not"
     return CalibrationComparison(
         verdict,
         reason,
-        _changes(names, step, None if spread is None else np.where(used, np.diag(spread), np.nan)),
+        _changes(names, step, None if spread is None else np.diag(spread)),
         found,
         alignment,
         float(np.linalg.norm(rotation_vector(alignment.matrix()))),
@@ -253,23 +264,67 @@ def _spread(before: Floats | None, after: Floats | None, relation: Relation) -> 
     """Return the covariance of a change where nothing happened."""
     if before is None or after is None:
         return None
-    return before + after if relation == "independent" else before - after
+    if relation == "independent":
+        return before + after
+    if relation == "updated":
+        return before - after
+    shared = _shared(before, after)
+    return before + after - shared - shared.T
 
 
-def _statistic(
-    step: Floats, spread: Floats | None, used: NDArray[np.bool_], relation: Relation
-) -> tuple[float, int]:
-    """Return d^T C^-1 d over the directions that C has, and how many these are."""
-    if spread is None:
-        return float("nan"), 0
-    free = used & (np.diag(spread) > 0.0)
-    if not free.any():
-        return float("nan"), 0
+def _shared(before: Floats, after: Floats) -> Floats:
+    """Return the covariance of later with earlier parameters that have the lenses' prior in common.
+
+    A later x = C_x (C_l^-1 l + new observations) follows the earlier lenses l by C_x[:, l] C_l^-1, and these
+    have the covariance C[l, :] with all earlier parameters.
+    """
+    lens = np.flatnonzero((np.arange(len(before)) % PER_SENSOR >= 6) & (np.diag(before) > 0.0))
+    sigma = np.sqrt(np.diag(before)[lens])
+    own = before[np.ix_(lens, lens)] / np.outer(sigma, sigma)
+    return np.asarray((after[:, lens] / sigma) @ np.linalg.solve(own, before[lens] / sigma[:, None]))
+
+
+def _without_motion(rows: Floats, sensors: Sequence[Parameters]) -> Floats:
+    """Return what takes the best rigid motion of points out of a change of all parameters, (15 s, 15 s).
+
+    `rows` (n, 3, 15 s) are the derivatives of the points. A motion X' = X + w x X + v of the world turns a
+    sensor by -R w from the left and shifts it by -R v.
+    """
+    motion = np.zeros((PER_SENSOR * len(sensors), 6))
+    for i, (_, pose) in enumerate(sensors):
+        at = PER_SENSOR * i
+        motion[at : at + 3, :3] = motion[at + 3 : at + 6, 3:] = -pose.matrix()
+    flat = rows.reshape(-1, len(motion))
+    return np.asarray(np.eye(len(motion)) - motion @ np.linalg.lstsq(flat @ motion, flat, rcond=None)[0])
+
+
+def _whitened(
+    step: Floats, spread: Floats | None, relation: Relation, taken_out: int
+) -> tuple[Floats, Floats]:
+    """Return a change in the directions that its covariance has, in standard deviations, (k,), and what
+    takes other changes there, (k, 15 s); some directions may have been taken out.
+    """
+    free = np.zeros(len(step), np.bool_) if spread is None else np.diag(spread) > 0.0
+    if spread is None or free.sum() <= taken_out:
+        return np.empty(0), np.empty((0, len(step)))
     sigma = np.sqrt(np.diag(spread)[free])
     values, vectors = np.linalg.eigh(spread[np.ix_(free, free)] / np.outer(sigma, sigma))
-    some = values > (_ROUNDING if relation == "independent" else _TOLD) * values[-1]
-    along = vectors[:, some].T @ (step[free] / sigma)
-    return float(np.sum(along**2 / values[some])), int(some.sum())
+    some = values > _LEAST[relation] * values[-1]
+    some[:taken_out] = False
+    taking = np.zeros((int(some.sum()), len(step)))
+    taking[:, free] = vectors[:, some].T / np.sqrt(values[some])[:, None] / sigma
+    return taking @ step, taking
+
+
+def _suspect(whitened: Floats, taking: Floats, names: Sequence[str]) -> tuple[str, float]:
+    """Return the sensor whose change alone explains most, and which part of the chi-square it does."""
+    parts = []
+    for i in range(len(names)):
+        own, sizes, _ = np.linalg.svd(taking[:, PER_SENSOR * i : PER_SENSOR * (i + 1)], full_matrices=False)
+        own = own[:, sizes > _ROUNDING * sizes[0]]
+        parts.append(float(np.sum((own.T @ whitened) ** 2) / np.sum(whitened**2)))
+    most = int(np.argmax(parts))
+    return names[most], parts[most]
 
 
 def _changes(names: Sequence[str], step: Floats, variance: Floats | None) -> tuple[ParameterChange, ...]:
@@ -331,6 +386,11 @@ def _verdict(
     above = moved > tolerance
     said = f"points of {name} change by {moved:.3g} mm rms over the volume"
     if p_value >= false_alarm:
+        if above and moved > _CERTAIN * expected:
+            return "matters", (
+                f"{said}, above the tolerance of {tolerance:g} mm, where {expected:.3g} mm come by chance: "
+                "use the later calibration"
+            )
         if above:
             return "cannot tell", (
                 f"{said}, above the tolerance of {tolerance:g} mm, but {expected:.3g} mm come "
