@@ -182,7 +182,8 @@ def compare(
     InvalidInput
         They are not of the same sensors.
     """
-    return compared(*(known_calibration(catalogue, archive, n) for n in (before, after)), tolerance_mm)
+    old, new = (known_calibration(catalogue, archive, n) for n in (before, after))
+    return compared(old, new, tolerance_mm)
 
 
 def compared(

@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
-from sms_jobs.kinds.calibrate_boards import CalibrateParameters, adjusted, read_boards
+from sms_jobs.errors import CalibrationFailed
+from sms_jobs.kinds.calibrate_boards import (
+    LAST,
+    CalibrateParameters,
+    adjusted,
+    from_last,
+    read_boards,
+)
 from sms_jobs.kinds.kind import (
     CALIBRATION,
     Inputs,
@@ -15,6 +23,7 @@ from sms_jobs.kinds.kind import (
     Scope,
 )
 from sms_jobs.kinds.session_adjustment import Bars, Boards, Start, rigid_pose, start_from_last
+from sms_jobs.kinds.session_doubts import alike_numbered
 from sms_jobs.kinds.sessions import (
     CALIBRATE,
     CALIBRATE_BOARDS,
@@ -26,6 +35,7 @@ from sms_jobs.kinds.sessions import (
     board_states,
     observations_of,
     role_of,
+    session_of,
     session_plan,
 )
 from sms_jobs.records.campaign import Campaign, Subject
@@ -41,21 +51,28 @@ def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     boards = board_states(campaign)
     yield from observations_of(campaign, OBSERVE_BOARD, boards)
     yield from observations_of(campaign, OBSERVE_BAR, bar_states(campaign))
+    on_site = session_of(campaign).starts_from == "last-calibration"
     if boards:
         yield Need("start", CALIBRATE_BOARDS, subject)
-    else:
+    elif not on_site:
         yield Need("start", CALIBRATION, subject)
+    if on_site:
+        yield Need(LAST, CALIBRATION, subject)
 
 
 def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> Iterator[Output]:
     """Adjust boards and bar together, from what the boards alone gave."""
     plan: SessionPlan = inputs.context
-    boards, bars = read_boards(inputs, plan), _read_bars(inputs, plan)
-    first = inputs.read("start", "calibration", Calibration)
-    start = _start(plan, first, boards)
+    boards, (bars, exchanged) = read_boards(inputs, plan), alike_numbered(_read_bars(inputs, plan))
+    if not any(len(one.sphere) for seen in bars.values() for one in seen):
+        raise CalibrationFailed(
+            f"nobody saw a sphere of the bar in any of its {len(bars)} poses; record them again, or use the "
+            "calibration from boards alone in a session without a bar"
+        )
+    start = _start(inputs, plan, boards)
     progress(0.2, f"adjusting {len(bars)} poses of the bar and {len(boards)} of boards together")
     origin = f"bundle adjustment of session {plan.name}"
-    yield from adjusted(inputs, plan, start, boards, bars, parameters, progress, origin)
+    yield from adjusted(inputs, plan, start, boards, bars, parameters, progress, origin, exchanged)
 
 
 def _read_bars(inputs: Inputs, plan: SessionPlan) -> Bars:
@@ -68,14 +85,27 @@ def _read_bars(inputs: Inputs, plan: SessionPlan) -> Bars:
     return found
 
 
-def _start(plan: SessionPlan, first: Calibration, boards: Boards) -> Start:
-    """Return the first calibration as a start; its world stays that of the first board, if it had one."""
-    placed = start_from_last(first, None, None, boards)
-    if plan.session.starts_from == "last-calibration" or not boards:
-        return placed
+def _start(inputs: Inputs, plan: SessionPlan, boards: Boards) -> Start:
+    """Return the first calibration as a start; its world stays that of the first board, if it had one.
+
+    On site, lenses start from the last calibration, which says what is known of them.
+    """
+    first = inputs.read("start", "calibration", Calibration) if "start" in inputs.datasets else None
+    if LAST in inputs.datasets:
+        last = from_last(inputs, boards)
+        if first is None:
+            return last
+        poses = {s.name: s.pose for s in first.rig.sensors}
+        sensors = tuple(replace(s, pose=poses[s.name]) for s in last.rig.sensors)
+        placed = start_from_last(first, None, None, boards).boards
+        return replace(last, rig=replace(last.rig, sensors=sensors), boards=placed)
+    assert first is not None
+    found = start_from_last(first, None, None, boards)
+    if not boards:
+        return found
     world = next(p.label for p in plan.poses if p.label in boards)
-    poses = {**placed.boards, world: rigid_pose(plan.session.board_in_world)}
-    return Start(first.rig, poses, world, first.origin, {})
+    placed = {**found.boards, world: rigid_pose(plan.session.board_in_world)}
+    return replace(found, boards=placed, world=world, origin=first.origin)
 
 
 KIND = Kind(

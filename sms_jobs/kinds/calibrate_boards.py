@@ -34,11 +34,13 @@ from sms_jobs.kinds.session_adjustment import (
     calibration_of,
     problem_of,
     quality_of,
+    refusals,
     rigid_pose,
     start_from_last,
     start_of_rig,
     uncertainty_of,
 )
+from sms_jobs.kinds.session_doubts import doubts_of
 from sms_jobs.kinds.sessions import (
     CALIBRATE_BOARDS,
     OBSERVATION,
@@ -114,13 +116,14 @@ def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> 
     plan: SessionPlan = inputs.context
     boards = read_boards(inputs, plan)
     progress(0.1, "looking for first values")
-    start = _last(inputs, boards) if LAST in inputs.datasets else _from_nothing(plan, boards)
+    start = from_last(inputs, boards) if LAST in inputs.datasets else _from_nothing(plan, boards)
     progress(0.3, "adjusting all sensors and boards together")
     origin = f"boards of session {plan.name}"
     yield from adjusted(inputs, plan, start, boards, {}, parameters, progress, origin)
 
 
-def _last(inputs: Inputs, boards: Boards) -> Start:
+def from_last(inputs: Inputs, boards: Boards) -> Start:
+    """Return the start from the last calibration, and what it knew of the lenses."""
     names = inputs.datasets[LAST].names
     return start_from_last(
         inputs.read(LAST, "calibration", Calibration),
@@ -145,7 +148,10 @@ def _from_nothing(plan: SessionPlan, boards: Boards) -> Start:
         world_pose=world,
     )
     rig = start_of_rig(plan, {name: (s.intrinsics, s.pose) for name, s in found.sensors.items()})
-    return Start(rig, found.board_poses, world, "the boards, each sensor by itself", {})
+    usable = frozenset((v.view.sensor, v.view.pose) for v in found.views)
+    refused = refusals(r for r in found.refused if (r.sensor, r.pose) not in usable)
+    origin = "the boards, each sensor by itself"
+    return Start(rig, found.board_poses, world, origin, {}, usable=usable, refused=refused)
 
 
 def adjusted(
@@ -157,6 +163,7 @@ def adjusted(
     parameters: CalibrateParameters,
     progress: Progress,
     origin: str,
+    doubts: tuple[str, ...] = (),
 ) -> Iterator[Output]:
     """Adjust a session and yield the calibration with all that is known of it, and the page about it."""
     problem = problem_of(plan, start, boards, bars, parameters.fixed)
@@ -166,7 +173,8 @@ def adjusted(
     held_out = cross_validate(problem, options, parameters.folds, found)
     calibration = calibration_of(plan, start, found, origin)
     uncertainty = uncertainty_of(found)
-    quality = quality_of(plan, start, calibration, found, held_out, problem, boards, bars)
+    doubts = (*doubts, *doubts_of(start, boards, bars))
+    quality = quality_of(plan, start, calibration, found, held_out, problem, boards, bars, doubts)
     progress(0.9, "writing the page")
     records = {"calibration": calibration, "uncertainty": uncertainty, "quality": quality}
     yield DatasetOutput(inputs.subject, records, _statistics(calibration, quality))
@@ -196,7 +204,7 @@ def _statistics(calibration: Calibration, quality: CalibrationQuality) -> dict[s
 KIND = Kind(
     name=CALIBRATE_BOARDS,
     summary="calibrate a rig from poses of a board",
-    version=1,
+    version=2,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     needs=_needs,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.kinds.sessions import SessionPlan, blur_name
-from sms_jobs.metrology.calibration.board_views import BoardView
+from sms_jobs.metrology.calibration.board_views import BoardView, Refusal
 from sms_jobs.metrology.calibration.bundle_covariance import point_covariance
 from sms_jobs.metrology.calibration.bundle_cross_validation import CrossValidation
 from sms_jobs.metrology.calibration.bundle_problem import (
@@ -31,6 +31,7 @@ from sms_jobs.metrology.calibration.bundle_result import Adjustment
 from sms_jobs.metrology.calibration.homography import fit_homography
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.calibration.planar_intrinsics import pose_from_homography
+from sms_jobs.metrology.calibration.sensor_start import usable_views
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, undistort
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
@@ -66,6 +67,10 @@ class Start:
         Scale and relative standard deviation of boards whose pitch was found before, by name.
     prior
         What is known of the inner parameters.
+    usable
+        Sensors and poses whose views of a board show it.
+    refused
+        Why points of other views are left out, and how many.
     """
 
     rig: Rig
@@ -74,6 +79,17 @@ class Start:
     origin: str
     pitch: Mapping[str, tuple[float, float]]
     prior: SensorPrior | None = None
+    usable: frozenset[tuple[str, str]] = frozenset()
+    refused: Mapping[str, int] = field(default_factory=dict)
+
+
+def refusals(refused: Iterable[Refusal]) -> dict[str, int]:
+    """Return how many points of views were refused, by reason."""
+    counts: dict[str, int] = {}
+    for one in refused:
+        name = f"{one.sensor} in pose {one.pose}: {one.reason}"
+        counts[name] = counts.get(name, 0) + one.count
+    return counts
 
 
 def board_views(boards: Boards) -> list[BoardView]:
@@ -130,8 +146,9 @@ def start_from_last(
     """
     known = {s.name: s for s in last.rig.sensors}
     poses: dict[str, Pose] = {}
-    for view in board_views(boards):
-        if view.pose in poses or view.sensor not in known:
+    usable, refused = usable_views([v for v in board_views(boards) if v.sensor in known])
+    for view, _ in sorted(usable, key=lambda seen: -len(seen[0].point)):
+        if view.pose in poses:
             continue
         sensor = known[view.sensor]
         inner = sensor.intrinsics
@@ -150,7 +167,8 @@ def start_from_last(
                 quality.found[f"pitch scale of {name} [1]"],
                 quality.found[f"pitch scale of {name}, sigma [1]"],
             )
-    return Start(last.rig, poses, None, known_as(last), pitch, prior)
+    shown = frozenset((v.sensor, v.pose) for v, _ in usable)
+    return Start(last.rig, poses, None, known_as(last), pitch, prior, shown, refusals(refused))
 
 
 def known_as(calibration: Calibration) -> str:
@@ -190,10 +208,15 @@ def problem_of(
     number = {s.name: k for k, s in enumerate(start.rig.sensors)}
     board_names = tuple(dict.fromkeys(o.artefact for seen in boards.values() for o in seen))
     bar_names = tuple(dict.fromkeys(o.artefact for seen in bars.values() for o in seen))
-    views = [v for v in board_views(boards) if v.pose in start.boards]
+    views = [v for v in board_views(boards) if (v.sensor, v.pose) in start.usable and v.pose in start.boards]
     poses = list(dict.fromkeys(v.pose for v in views))
+    if start.world is not None and start.world not in poses:
+        raise CalibrationFailed(
+            f"no sensor shows the board in pose {start.world}, which is to be the world's frame; record it "
+            "again, or let the session begin with another pose"
+        )
     artefact_of = {p.label: p.artefact for p in plan.poses}
-    centres = {pose: _centres(seen) for pose, seen in bars.items()}
+    centres = {pose: middle_centres(seen) for pose, seen in bars.items()}
     bar_poses = [pose for pose, c in centres.items() if np.isfinite(c).any()]
     return BundleProblem(
         sensors,
@@ -258,7 +281,7 @@ def _corners(box: Box) -> tuple[Floats, Floats]:
     return np.array(box.low), np.array(box.high)
 
 
-def _centres(seen: Sequence[BarObservation]) -> Floats:
+def middle_centres(seen: Sequence[BarObservation]) -> Floats:
     """Return the middle of where pairs saw the spheres, (2, 3); NaN for one that none saw."""
     centres = np.stack([one.centre for one in seen])
     known = np.isfinite(centres.sum(axis=2))
@@ -311,11 +334,12 @@ def quality_of(
     problem: BundleProblem,
     boards: Boards,
     bars: Bars,
+    doubts: tuple[str, ...],
 ) -> CalibrationQuality:
-    """Return what an adjustment says of itself."""
+    """Return what an adjustment says of itself, and what there is to doubt besides."""
     place = box_grid(*_corners(calibration.volume), _GRID)
     sigma = np.stack([expected_sigma(calibration.rig, found, pair, place) for pair in plan.pairs])
-    refused = dict(found.refused)
+    refused = {**found.refused, **start.refused}
     every: list[BoardObservation | BarObservation] = [o for seen in boards.values() for o in seen]
     every += [o for seen in bars.values() for o in seen]
     for one in every:
@@ -334,7 +358,7 @@ def quality_of(
         rms_by_sensor={f"{r.name}, {r.type}": r.whitened for r in found.rms if r.of in ("sensor", "pair")},
         rms_by_pose={f"{r.name}, {r.type}": r.whitened for r in found.rms if r.of == "pose"},
         refused=refused,
-        warnings=(*found.warnings, *held_out.failed),
+        warnings=(*found.warnings, *held_out.failed, *doubts),
         bar_length_error_mm={b.pose: b.error_mm for b in held_out.bars},
         board_rms_px={b.pose: _both(b.camera_rms_px, b.projector_rms_px) for b in held_out.boards},
         found=_found(plan, found, boards),

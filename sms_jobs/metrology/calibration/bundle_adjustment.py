@@ -169,6 +169,11 @@ def _start(problem: BundleProblem, packed: Packed, options: BundleOptions) -> _F
     first = evaluate(problem, packed, state, nobody, scale, options, Observed.empty(packed))
     live = _kept(first.observed, packed, scale, replace(options, reject=np.inf))
     live, seen_board, seen_sphere = _enough(problem, packed, live)
+    if not (live.bar.any() or live.board.any()):
+        raise CalibrationFailed(
+            f"none of the {len(live.bar) + len(live.board)} points that were observed can be used: too few "
+            "rays meet on a sphere or a board; begin nearer, or check which sphere is which"
+        )
     state.sphere[~seen_sphere, :3] = np.nan
     if options.estimate_variances:
         scale = first_scale(first.observed, packed, live)
