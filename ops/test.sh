@@ -45,6 +45,10 @@ fi
 start_servers
 say "== servers: $SMS_TEST_POSTGRESQL_URL and $SMS_TEST_REDIS_URL"
 export CI="${CI:-true}"
+if [ $# = 0 ]; then
+    # As many processes as cores; a file's tests stay in one, since they share what is costly to make.
+    set -- -n auto --dist loadfile
+fi
 step "pytest" .venv/bin/python -m pytest "$@"
 if [ -n "$failed" ]; then
     die "these checks failed: ${failed#, } (after $SECONDS s)"

@@ -10,6 +10,7 @@ import os
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import urlsplit, urlunsplit
 
 import hypothesis
 import numpy as np
@@ -85,10 +86,14 @@ def redis_server_url() -> str:
 
 @pytest.fixture
 def redis_url(redis_server_url: str) -> Iterator[str]:
-    """The URL of a Redis database that is empty before and after the test."""
-    with redis.Redis.from_url(redis_server_url) as client:
+    """The URL of a Redis database that is empty before and after the test, and of this test process alone."""
+    process = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
+    parts = urlsplit(redis_server_url)
+    number = int(parts.path.strip("/") or "0") + int(process)
+    url = urlunsplit(parts._replace(path=f"/{number}"))
+    with redis.Redis.from_url(url) as client:
         client.flushdb()
         try:
-            yield redis_server_url
+            yield url
         finally:
             client.flushdb()
