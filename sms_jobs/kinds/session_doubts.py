@@ -81,7 +81,7 @@ def _flat(centres: np.ndarray) -> tuple[str, ...]:
     what = f"one line along ({named})" if line else f"one plane with the normal ({named})"
     off = extent[1 if line else 2]
     told = (
-        f"all spheres of the bar lie within {off:.2g} mm rms of {what}: its length tells nothing across it, nor "
-        "do poses that are held out; add poses of the bar at other pan and tilt angles"
+        f"all spheres of the bar lie within {off:.2g} mm rms of {what}: its length tells nothing across it, "
+        "nor do poses that are held out; add poses of the bar at other pan and tilt angles"
     )
     return (told,)
