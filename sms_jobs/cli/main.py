@@ -19,6 +19,7 @@ from sms_jobs.cli import (
     db,
     demo,
     job,
+    metrics,
     queue,
     schedule,
     service,
@@ -42,6 +43,7 @@ app.command("init")(service.init)
 app.command("up")(service.up)
 app.command("status")(service.status)
 app.command("doctor")(service.doctor)
+app.command("metrics")(metrics.metrics)
 app.command("bench")(bench.bench)
 app.command("study")(bench.study)
 app.add_typer(campaign.app, name="campaign")
