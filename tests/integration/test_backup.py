@@ -1,0 +1,173 @@
+"""A backup that is taken while jobs run becomes a home in which they go on."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Mapping
+from contextlib import closing
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from sqlalchemy import select
+from support.command import answer, service
+from support.homes import make_home
+from support.jobs import claim
+
+from sms_jobs import bootstrap
+from sms_jobs.archive import Archive
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import FileRow, JobRow
+from sms_jobs.errors import Conflict, InvalidInput, NotFound
+from sms_jobs.jobs import backups, inquiry, recovery, verification
+from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.submission import submit
+from sms_jobs.records.job import JobState
+
+ROOT = Path(__file__).resolve().parents[2]
+NOW = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
+
+
+def script(name: str, *arguments: object, environment: Mapping[str, str]) -> None:
+    """Run a script of `ops`, which must succeed."""
+    done = subprocess.run(
+        ["bash", str(ROOT / "ops" / name), *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env=os.environ | dict(environment),
+        stdin=subprocess.DEVNULL,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def back_up(services: Services, folder: Path, now: datetime) -> list[backups.Progress]:
+    return list(backups.back_up(services.catalogue, services.archive, services.settings.home, folder, now))
+
+
+def findings(home: Path) -> list[verification.Finding]:
+    """Compare a restored home's archive with its catalogue."""
+    archive = Archive(home / "archive")
+    with closing(Catalogue(f"sqlite:///{home / 'catalogue.sqlite'}")) as catalogue:
+        known = [c.finding for c in verification.check_known(catalogue, archive) if c.finding]
+        return known + list(verification.check_unknown(catalogue, archive))
+
+
+def submit_recording(services: Services) -> tuple[str, ...]:
+    with services.catalogue.writing() as session:
+        return submit(session, "plate", [Request("acquire")], datetime.now(UTC)).job_ids
+
+
+def test_every_snapshot_fits_its_files_whatever_jobs_seal_meanwhile(home: Path, tmp_path: Path) -> None:
+    make_home(home, {})
+    kept = tmp_path / "kept"
+    stood = []
+    with bootstrap.services(home) as services:
+        with service(home):
+            jobs = submit_recording(services)
+            while not stood or inquiry.still_active(stood[-1]):
+                with services.catalogue.reading() as session:
+                    stood.append(inquiry.counts(session, jobs))
+                back_up(services, kept, NOW + timedelta(seconds=len(stood)))
+        assert stood[-1] == {"succeeded": len(jobs)}
+    taken = backups.snapshots(kept)
+    assert len(taken) == len(stood)
+    # The first, the last, and some between: each has files of its own moment, and no others.
+    numbers = []
+    for snapshot in {taken[0], taken[len(taken) // 3], taken[2 * len(taken) // 3], taken[-1]}:
+        restored = tmp_path / snapshot.stem
+        numbers.append(len(list(backups.restore(kept, restored, snapshot.stem))))
+        assert findings(restored) == []
+    assert max(numbers) == len(set(backups_files(kept)))
+
+
+def backups_files(folder: Path) -> list[str]:
+    return list(Archive(folder / "archive").files())
+
+
+def test_a_job_that_was_running_is_recovered_after_the_scripts(
+    home: Path, tmp_path: Path, fresh_postgresql_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    environment = {"SMS_DATABASE_URL": fresh_postgresql_url}
+    make_home(home, environment)
+    (home / "sms.toml").write_text(
+        'lease_s = 2.0\n# database_url = "postgresql+psycopg://sms:secret@host/sms"\n', encoding="utf-8"
+    )
+    monkeypatch.setenv("SMS_DATABASE_URL", fresh_postgresql_url)
+    with bootstrap.services(home) as services:
+        jobs = submit_recording(services)
+        with services.catalogue.writing() as session:
+            recovery.register_worker(session, "w1", "another host", 1, ["acquisition"], 1, NOW)
+        held = claim(services.catalogue)
+        assert held is not None
+    kept, restored = tmp_path / "kept", tmp_path / "restored"
+    script("backup.sh", home, kept, environment=environment)
+    assert "secret" not in "".join(f.read_text() for f in (kept / "snapshots").glob("*.toml"))
+    script("restore.sh", kept, restored, environment=environment)
+    monkeypatch.delenv("SMS_DATABASE_URL")
+    assert (restored / "sms.toml").read_text(encoding="utf-8") == "lease_s = 2.0\n"
+    with bootstrap.services(restored) as services:
+        with services.catalogue.reading() as session:
+            assert session.get_one(JobRow, held.job_id).state is JobState.RUNNING
+        with service(restored):
+            assert answer("job", "wait", *jobs, "--home", str(restored))["jobs"] == {"succeeded": len(jobs)}
+        with services.catalogue.reading() as session:
+            told = [event.state for event in inquiry.events(session, held.job_id)]
+            assert told == ["queued", "running", "lost", "queued", "running", "succeeded"]
+    assert findings(restored) == []
+
+
+@pytest.fixture
+def plate(home: Path) -> Path:
+    """A home whose archive holds a definition or a calibration and nothing that was recorded."""
+    make_home(home, {})
+    return home
+
+
+def test_what_has_been_copied_is_not_copied_again(plate: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    with bootstrap.services(plate) as services:
+        first = back_up(services, kept, NOW)
+        again = back_up(services, kept, NOW + timedelta(days=1))
+        assert all(step.copied for step in first)
+        assert [step.path for step in again] == [step.path for step in first]
+        assert not any(step.copied for step in again)
+        assert first[-1].done_bytes == first[-1].total_bytes > 0
+        # A copy that was cut short, by whatever, is made whole.
+        cut = kept / "archive" / first[0].path
+        cut.chmod(0o644)
+        cut.write_bytes(cut.read_bytes()[:-1])
+        third = back_up(services, kept, NOW + timedelta(days=2))
+        assert [step.copied for step in third] == [step.path == first[0].path for step in third]
+        with pytest.raises(Conflict, match="already"):
+            back_up(services, kept, NOW)
+    list(backups.restore(kept, tmp_path / "restored"))
+    assert findings(tmp_path / "restored") == []
+
+
+def test_a_file_that_is_missing_is_told_and_the_others_are_kept(plate: Path, tmp_path: Path) -> None:
+    with bootstrap.services(plate) as services:
+        with services.catalogue.reading() as session:
+            path = session.scalars(select(FileRow.path)).first()
+        assert path is not None
+        services.archive.path(path).unlink()
+        steps = back_up(services, tmp_path / "kept", NOW)
+    assert [step.path for step in steps if step.missing] == [path]
+    assert backups.snapshots(tmp_path / "kept")
+
+
+def test_what_cannot_be_is_refused(plate: Path, tmp_path: Path) -> None:
+    with bootstrap.services(plate) as services:
+        with pytest.raises(InvalidInput, match="lies in the archive"):
+            back_up(services, plate / "archive" / "kept", NOW)
+        back_up(services, tmp_path / "kept", NOW)
+    before = sorted(plate.rglob("*"))
+    with pytest.raises(Conflict, match="not empty"):
+        list(backups.restore(tmp_path / "kept", plate))
+    assert sorted(plate.rglob("*")) == before
+    with pytest.raises(NotFound, match=r"1999\*"):
+        list(backups.restore(tmp_path / "kept", tmp_path / "new", "1999"))
+    assert not (tmp_path / "new").exists()
