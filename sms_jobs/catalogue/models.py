@@ -215,6 +215,15 @@ class ProvenanceRow(Table):
     input_id: Mapped[int] = mapped_column(ForeignKey("file.id"), index=True)
 
 
+class PinRow(Table):
+    """A file that stays whatever a policy says."""
+
+    __tablename__ = "pin"
+    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
+    reason: Mapped[str] = mapped_column(Text)
+    pinned_at: Mapped[datetime]
+
+
 class WorkerRow(Table):
     """A supervisor and the worker that it looks after."""
 

@@ -13,12 +13,15 @@ from sms_jobs import bootstrap
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue import search
 from sms_jobs.catalogue.search import Ancestor
-from sms_jobs.cli import completion, output
+from sms_jobs.cli import completion, output, pins
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.figures import plot_record
 
 app = typer.Typer(help="Measurements and results in the archive.", no_args_is_help=True)
+app.command("pin")(pins.pin)
+app.command("unpin")(pins.unpin)
+app.command("pins")(pins.pins)
 
 File = Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")]
 

@@ -1,0 +1,59 @@
+"""`sms data pin`, `unpin` and `pins`: files that no policy removes."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Annotated
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.catalogue import search
+from sms_jobs.cli import output
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.jobs import retention
+
+File = Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")]
+
+
+def pin(
+    file: File,
+    reason: Annotated[str, typer.Option(help="Why it is kept.")] = "",
+    home: Home = None,
+) -> None:
+    """Keep a file, and all that it was computed from, whatever `sms archive gc` is asked to remove.
+
+    Example: sms data pin 17 --reason "figure 4 of the paper"
+    """
+    with bootstrap.services(home) as services, services.catalogue.writing() as session:
+        view = search.file_view(session, file)
+        retention.pin(session, view.id, reason, datetime.now(UTC))
+    output.say(f"file {view.id} is pinned")
+
+
+def unpin(file: File, home: Home = None) -> None:
+    """Let a policy decide about a file again.
+
+    Example: sms data unpin 17
+    """
+    with bootstrap.services(home) as services, services.catalogue.writing() as session:
+        view = search.file_view(session, file)
+        retention.unpin(session, view.id)
+    output.say(f"file {view.id} is not pinned any more")
+
+
+def pins(home: Home = None, as_json: Json = False) -> None:
+    """Show the files that are pinned, and why.
+
+    Example: sms data pins
+    """
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        found = retention.pins(session)
+    if as_json:
+        output.print_json_list(found)
+        return
+    output.print_table(
+        ["file", "path", "reason", "since"],
+        [(p.file_id, p.path, p.reason, p.pinned_at) for p in found],
+        empty="no file is pinned",
+    )

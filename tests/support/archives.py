@@ -1,0 +1,175 @@
+"""A small archive that jobs have filled, and all that the catalogue says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import select, text
+from sqlalchemy.orm import aliased
+
+from sms_jobs.archive import Archive
+from sms_jobs.catalogue import schema
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import (
+    CalibrationRow,
+    CampaignRow,
+    ChannelRow,
+    DependencyRow,
+    FileRow,
+    JobRow,
+    LoadStateRow,
+    MeasurementRow,
+    ProvenanceRow,
+    ResultRow,
+    RigRow,
+    SensorRow,
+    SpecimenRow,
+    StatisticRow,
+    Table,
+)
+from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.runner import Runner
+from sms_jobs.jobs.submission import submit
+from sms_jobs.virtual_rig.campaigns import small_plate
+
+PLAN = "# the plan, letter by letter: \u00e4 \u2013 \U0001f527\r\n"
+
+
+class Clock:
+    """A second later whenever it is asked."""
+
+    def __init__(self) -> None:
+        self._ticks = count()
+
+    def __call__(self) -> datetime:
+        return datetime(2026, 3, 1, 12, 0, tzinfo=UTC) + timedelta(seconds=next(self._ticks), microseconds=7)
+
+
+def registered(catalogue: Catalogue, archive: Archive, clock: Clock, name: str = "plate") -> None:
+    """Register a campaign of two states and one pair, so that its jobs take little time."""
+    calibration, campaign = small_plate(name)
+    first = replace(campaign.states[0], load_n=0.0, channels={"temperature_C": 20.5})
+    campaign = replace(campaign, states=(first, *campaign.states[1:2]), pairs=campaign.pairs[:1])
+    register_campaign(catalogue, archive, campaign, calibration, clock(), PLAN)
+
+
+def run_jobs(
+    catalogue: Catalogue, archive: Archive, clock: Clock, requests: Iterable[Request], campaign: str = "plate"
+) -> tuple[str, ...]:
+    """Submit jobs and run them in this process."""
+    with catalogue.writing() as session:
+        done = submit(session, campaign, list(requests), clock())
+    runner = Runner(
+        catalogue, archive, "w1", "here", timedelta(hours=1), 1, Path(archive.root).parent / "logs", clock
+    )
+    (archive.root.parent / "logs").mkdir(exist_ok=True)
+    while runner.run_next(["cpu", "io", "acquisition"]):
+        pass
+    return done.job_ids
+
+
+def emptied(catalogue: Catalogue) -> None:
+    """Make a catalogue as it is when a home is new."""
+    Table.metadata.drop_all(catalogue.engine)
+    with catalogue.writing() as session:
+        session.execute(text("DROP TABLE alembic_version"))
+    schema.upgrade(catalogue)
+
+
+def everything(catalogue: Catalogue) -> dict[str, list[Any]]:
+    """Return all that a catalogue says of what lies in the archive, without numbers that are its own."""
+    output, given = aliased(FileRow), aliased(FileRow)
+    files = (
+        select(
+            FileRow.path,
+            FileRow.source,
+            FileRow.content_hash,
+            FileRow.size_bytes,
+            FileRow.media_type,
+            CampaignRow.name,
+            LoadStateRow.label,
+            FileRow.pair,
+            FileRow.job_id,
+            ResultRow.kind,
+            ResultRow.kind_version,
+            MeasurementRow.recorded_at,
+        )
+        .outerjoin(CampaignRow, CampaignRow.id == FileRow.campaign_id)
+        .outerjoin(LoadStateRow, LoadStateRow.id == FileRow.state_id)
+        .outerjoin(ResultRow, ResultRow.file_id == FileRow.id)
+        .outerjoin(MeasurementRow, MeasurementRow.file_id == FileRow.id)
+    )
+    queries = {
+        # The order counts: the newest of several results is the one with the highest number.
+        "files": files.order_by(FileRow.id),
+        "campaigns": select(
+            CampaignRow.name,
+            SpecimenRow.name,
+            SpecimenRow.material,
+            RigRow.name,
+            CampaignRow.created_at,
+            CampaignRow.plan,
+            CampaignRow.definition,
+        )
+        .join(SpecimenRow, SpecimenRow.id == CampaignRow.specimen_id)
+        .join(RigRow, RigRow.id == CampaignRow.rig_id)
+        .order_by(CampaignRow.id),
+        "states": select(
+            CampaignRow.name,
+            LoadStateRow.label,
+            LoadStateRow.position,
+            LoadStateRow.load_n,
+            LoadStateRow.displacement_mm,
+            LoadStateRow.time,
+        )
+        .join(CampaignRow, CampaignRow.id == LoadStateRow.campaign_id)
+        .order_by(CampaignRow.name, LoadStateRow.position),
+        "channels": select(LoadStateRow.label, ChannelRow.name, ChannelRow.value)
+        .join(LoadStateRow, LoadStateRow.id == ChannelRow.state_id)
+        .order_by(LoadStateRow.label, ChannelRow.name),
+        "sensors": select(RigRow.name, SensorRow.name, SensorRow.role, SensorRow.columns, SensorRow.rows)
+        .join(RigRow, RigRow.id == SensorRow.rig_id)
+        .order_by(RigRow.name, SensorRow.name),
+        "calibrations": select(
+            CalibrationRow.id, RigRow.name, FileRow.path, CalibrationRow.valid_from, CalibrationRow.origin
+        )
+        .join(RigRow, RigRow.id == CalibrationRow.rig_id)
+        .join(FileRow, FileRow.id == CalibrationRow.file_id)
+        .order_by(CalibrationRow.id),
+        "statistics": select(FileRow.path, StatisticRow.name, StatisticRow.value)
+        .join(FileRow, FileRow.id == StatisticRow.file_id)
+        .order_by(FileRow.path, StatisticRow.name),
+        "provenance": select(output.path, ProvenanceRow.role, given.path)
+        .join(output, output.id == ProvenanceRow.output_id)
+        .join(given, given.id == ProvenanceRow.input_id)
+        .order_by(output.path, ProvenanceRow.role),
+        "jobs": select(
+            JobRow.id,
+            JobRow.kind,
+            JobRow.kind_version,
+            JobRow.subject,
+            JobRow.parameters,
+            JobRow.queue,
+            JobRow.repeatable,
+            JobRow.state,
+            JobRow.attempts,
+            JobRow.reuse_key,
+        ).order_by(JobRow.id),
+        "dependencies": select(
+            DependencyRow.job_id,
+            DependencyRow.role,
+            DependencyRow.source,
+            DependencyRow.subject,
+            FileRow.path,
+        )
+        .outerjoin(FileRow, FileRow.id == DependencyRow.file_id)
+        .order_by(DependencyRow.job_id, DependencyRow.role),
+    }
+    with catalogue.reading() as session:
+        return {name: [tuple(row) for row in session.execute(query)] for name, query in queries.items()}
