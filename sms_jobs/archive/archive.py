@@ -258,6 +258,16 @@ class Archive:
             if job_id is not None:
                 yield relative, job_id
 
+    def provenance(self, path: str) -> Provenance | None:
+        """Return how a file came about; None when it does not tell."""
+        try:
+            if layout.is_dataset(path):
+                with self.open(path) as dataset:
+                    return dataset.provenance
+            return self.document_provenance(layout.without_sidecar(path))
+        except (ArchiveCorrupt, FormatTooNew):
+            return None
+
     def is_of_job(self, path: str, job_id: str) -> bool:
         """Tell whether a job sealed a file."""
         return layout.may_be_of(path.rsplit("/", 1)[-1], job_id) and self._job_of(path) == job_id
@@ -326,10 +336,5 @@ class Archive:
 
     def _job_of(self, relative: str) -> str | None:
         """Return the id of the job that sealed a file; None when the file does not tell."""
-        try:
-            if layout.is_dataset(relative):
-                with self.open(relative) as dataset:
-                    return dataset.provenance.job_id
-            return self.document_provenance(layout.without_sidecar(relative)).job_id
-        except (ArchiveCorrupt, FormatTooNew):
-            return None
+        provenance = self.provenance(relative)
+        return None if provenance is None else provenance.job_id

@@ -1,0 +1,387 @@
+"""Rebuilds the catalogue from the files of the archive alone, as far as files can tell.
+
+Files are taken in the order in which they were made, each after its inputs, and judged before they are
+entered: a file that is damaged, moved, or was left behind by a job that did not succeed, is refused with a
+reason. What the catalogue knows already is passed over, so that a run that was interrupted goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Literal, TypeAlias
+
+from sqlalchemy import select
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.orm import Session
+
+from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, Checker, Found, Provenance, layout
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import (
+    CalibrationRow,
+    CampaignRow,
+    FileRow,
+    LoadStateRow,
+    MeasurementRow,
+    ProvenanceRow,
+    ResultRow,
+    StatisticRow,
+)
+from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, SmsError
+from sms_jobs.jobs import past_jobs
+from sms_jobs.jobs.registration import CAMPAIGN
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+from sms_jobs.records.campaign import Campaign, CampaignDefinition, Subject
+from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.sensors import Calibration
+
+Outcome: TypeAlias = Literal["indexed", "incomplete", "refused", "no-campaign", "too-new"]
+
+_AT_ONCE = 500
+
+
+@dataclass(frozen=True)
+class Reindexed:
+    """What became of one file.
+
+    Attributes
+    ----------
+    outcome
+        indexed. incomplete: indexed, but an input that it names is not there. refused: not to be trusted, or
+        no output of its job. no-campaign: nothing says what its campaign is. too-new: a newer version wrote
+        it.
+    path, size_bytes
+        Of the file.
+    detail
+        A sentence; empty when there is nothing to say.
+    """
+
+    outcome: Outcome
+    path: str
+    size_bytes: int
+    detail: str = ""
+
+
+class _Refused(Exception):
+    """Why a file is not entered."""
+
+
+class _NoCampaign(Exception):
+    """Nothing says what the campaign of a file is."""
+
+
+@dataclass
+class _Archived:
+    """The archive as its names tell it, and what a dry run would have entered so far."""
+
+    archive: Archive
+    of_jobs: Mapping[tuple[str, str, str], Sequence[str]]
+    definitions: Mapping[str, str]
+    campaigns: dict[str, Campaign] = field(default_factory=dict)
+    hashes: dict[str, str] = field(default_factory=dict)
+
+
+def unknown_files(catalogue: Catalogue, archive: Archive) -> list[str]:
+    """Return the sealed files that the catalogue does not know, definitions of campaigns first, by age."""
+    sealed = sorted(archive.files(), key=_order)
+    known: set[str] = set()
+    with catalogue.reading() as session:
+        for start in range(0, len(sealed), _AT_ONCE):
+            some = sealed[start : start + _AT_ONCE]
+            known.update(session.scalars(select(FileRow.path).where(FileRow.path.in_(some))))
+    return [path for path in sealed if path not in known]
+
+
+def _order(path: str) -> tuple[bool, str, int, str]:
+    first = layout.part(path, "kind") != CAMPAIGN
+    return first, layout.part(path, "time"), int(layout.part(path, "attempt")), path
+
+
+def _job(path: str) -> tuple[str, str, str]:
+    return path.split("/", 1)[0], layout.part(path, "kind"), layout.part(path, "job")
+
+
+def reindex(
+    catalogue: Catalogue, archive: Archive, paths: Sequence[str], *, dry_run: bool = False
+) -> Iterator[Reindexed]:
+    """Enter files into the catalogue and tell of each what became of it.
+
+    All that was made within one second goes into one transaction, with the inputs that it has.
+
+    Parameters
+    ----------
+    paths
+        As `unknown_files` returns them.
+    dry_run
+        Say what would be done, and change nothing.
+    """
+    of_jobs: dict[tuple[str, str, str], list[str]] = {}
+    definitions: dict[str, str] = {}
+    for path in sorted(archive.files(), key=_order):
+        of_jobs.setdefault(_job(path), []).append(path)
+        if layout.part(path, "kind") == CAMPAIGN:
+            definitions[path.split("/", 1)[0]] = path
+    archived = _Archived(archive, of_jobs, definitions)
+    waiting = set(paths)
+    with Checker() as checker:
+        for _, group in groupby(paths, key=lambda path: _order(path)[:2]):
+            # A name tells the second in which a file was made, the file the rest.
+            seen = {path: _examined(archive, checker, path) for path in group if path in waiting}
+            ordered = _inputs_first(archive, checker, seen, waiting)
+            if dry_run:
+                with catalogue.reading() as session:
+                    done = [_entered(session, archived, one, dry_run=True) for one in ordered]
+            else:
+                with catalogue.writing() as session:
+                    done = [_entered(session, archived, one, dry_run=False) for one in ordered]
+            yield from done
+
+
+def _examined(archive: Archive, checker: Checker, path: str) -> Found | Reindexed:
+    try:
+        return archive.examine(path, checker)
+    except ArchiveCorrupt as error:
+        return Reindexed("refused", path, _size(archive, path), str(error))
+    except FormatTooNew as error:
+        return Reindexed("too-new", path, _size(archive, path), str(error))
+
+
+def _size(archive: Archive, path: str) -> int:
+    file = archive.path(path)
+    return file.stat().st_size if file.is_file() else 0
+
+
+def _inputs_first(
+    archive: Archive, checker: Checker, seen: dict[str, Found | Reindexed], waiting: set[str]
+) -> list[Found | Reindexed]:
+    """Order files by age, each after those of its inputs that wait to be entered; clocks may differ."""
+    ordered: list[Found | Reindexed] = []
+
+    def visit(path: str) -> None:
+        if path not in waiting:
+            return
+        waiting.remove(path)
+        one = seen[path] if path in seen else _examined(archive, checker, path)
+        if isinstance(one, Found):
+            for given in one.provenance.inputs:
+                visit(given.path)
+        ordered.append(one)
+
+    ages = {path: one.provenance.created_at for path, one in seen.items() if isinstance(one, Found)}
+    for path in sorted(seen, key=lambda p: (p not in ages, ages.get(p), p)):
+        visit(path)
+    return ordered
+
+
+def _entered(session: Session, archived: _Archived, one: Found | Reindexed, *, dry_run: bool) -> Reindexed:
+    if isinstance(one, Reindexed):
+        return one
+    path, size = one.sealed.path, one.sealed.size_bytes
+    try:
+        lacking = _judged(session, archived, one)
+        if not dry_run:
+            # Whole or not at all, and one that a database refuses spoils no other.
+            with session.begin_nested():
+                _enter(session, archived, one)
+    except _NoCampaign as error:
+        return Reindexed("no-campaign", path, size, str(error))
+    except (_Refused, SmsError) as error:
+        return Reindexed("refused", path, size, str(error))
+    except DBAPIError as error:
+        if error.connection_invalidated:
+            raise
+        return Reindexed("refused", path, size, f"the catalogue does not take it: {error.orig}")
+    archived.hashes[path] = one.sealed.content_hash
+    if lacking:
+        return Reindexed("incomplete", path, size, f"its input {lacking[0]}")
+    return Reindexed("indexed", path, size)
+
+
+def _judged(session: Session, archived: _Archived, one: Found) -> list[str]:
+    """Say what is wrong with the inputs of a file; raise `_Refused` when it is not to be entered."""
+    path, provenance = one.sealed.path, one.provenance
+    if not layout.fits(path, provenance):
+        raise _Refused(f"it says that it is {layout.stem(provenance)} of {provenance.subject}: it was moved")
+    if provenance.kind == CAMPAIGN:
+        _judge_definition(session, archived, one)
+    elif provenance.kind == CALIBRATION:
+        _judge_calibration(session, one)
+    else:
+        _judge_output(session, archived, one)
+    lacking = []
+    for given in provenance.inputs:
+        found = archived.hashes.get(given.path) or session.scalar(
+            select(FileRow.content_hash).where(FileRow.path == given.path)
+        )
+        if found is None:
+            lacking.append(f"{given.path} is not there; restore it from a backup")
+        elif found != given.content_hash:
+            lacking.append(f"{given.path} is not the one that it was made from")
+    return lacking
+
+
+def _judge_definition(session: Session, archived: _Archived, one: Found) -> None:
+    name, path = one.provenance.subject.campaign, one.sealed.path
+    if archived.definitions.get(name) != path:
+        raise _Refused(f"campaign {name} has a later definition in the archive")
+    with archived.archive.open(path) as dataset:
+        definition = dataset.read("campaign", CampaignDefinition)
+    row = session.scalar(select(CampaignRow).where(CampaignRow.name == name))
+    if row is not None:
+        if definition.campaign != campaigns.definition(row):
+            raise _Refused(f"the catalogue has another campaign {name}; only one of them can have the name")
+        known = select(FileRow.id).where(FileRow.campaign_id == row.id, FileRow.source == CAMPAIGN)
+        if session.scalar(known) is not None:
+            raise _Refused(f"campaign {name} has its definition in another file")
+    archived.campaigns[name] = definition.campaign
+
+
+def _judge_calibration(session: Session, one: Found) -> None:
+    number = session.scalar(
+        select(CalibrationRow.id)
+        .join(FileRow, FileRow.id == CalibrationRow.file_id)
+        .where(FileRow.source == CALIBRATION, FileRow.content_hash == one.sealed.content_hash)
+    )
+    if number is not None:
+        raise _Refused(f"the same calibration is number {number} of the catalogue")
+
+
+def _judge_output(session: Session, archived: _Archived, one: Found) -> None:
+    provenance, path = one.provenance, one.sealed.path
+    subject = provenance.subject
+    campaign = _campaign(session, archived, subject.campaign)
+    if campaign is None:
+        raise _NoCampaign(
+            f"the definition of campaign {subject.campaign} is neither in the catalogue nor in the archive; "
+            "create that campaign from its plan, then reindex again"
+        )
+    if subject.state is not None:
+        campaign.state(subject.state)
+    objection = past_jobs.objection(session, provenance, _newest_attempt(archived, path, provenance))
+    if objection is not None:
+        raise _Refused(objection)
+    newer = _newer(session, one)
+    if newer is not None:
+        # The newest is the one with the highest number: an old one must not come after it.
+        raise _Refused(f"the catalogue has a newer one about the same: file {newer}")
+
+
+def _newest_attempt(archived: _Archived, path: str, provenance: Provenance) -> int:
+    """Return the newest attempt of a job that has left files; names may be those of other jobs."""
+    newest = provenance.attempt
+    for other in archived.of_jobs.get(_job(path), ()):
+        if int(layout.part(other, "attempt")) > newest:
+            found = archived.archive.provenance(other)
+            if found is not None and found.job_id == provenance.job_id and layout.fits(other, found):
+                newest = found.attempt
+    return newest
+
+
+def _campaign(session: Session, archived: _Archived, name: str) -> Campaign | None:
+    if name not in archived.campaigns:
+        row = session.scalar(select(CampaignRow).where(CampaignRow.name == name))
+        if row is None:
+            return None
+        archived.campaigns[name] = campaigns.definition(row)
+    return archived.campaigns[name]
+
+
+def _newer(session: Session, one: Found) -> int | None:
+    if one.sealed.media_type != DATASET_MEDIA_TYPE:
+        return None
+    subject, source = one.provenance.subject, past_jobs.source_of(one.provenance)
+    number = campaigns.newest_file(session, source, subject, DATASET_MEDIA_TYPE)
+    newest = None if number is None else session.get_one(FileRow, number)
+    if newest is None or newest.job_id == one.provenance.job_id:
+        return None
+    return newest.id if newest.created_at > one.provenance.created_at else None
+
+
+def _enter(session: Session, archived: _Archived, one: Found) -> None:
+    provenance = one.provenance
+    if provenance.kind == CAMPAIGN:
+        _enter_definition(session, archived.archive, one)
+    elif provenance.kind == CALIBRATION:
+        file = _file_row(session, one, CALIBRATION)
+        with archived.archive.open(one.sealed.path) as dataset:
+            campaigns.add_calibration(session, dataset.read("calibration", Calibration), file.id)
+        _add_edges(session, one, file.id)
+    else:
+        campaign = archived.campaigns[provenance.subject.campaign]
+        past_jobs.tell_again(session, campaign, provenance)
+        file = _file_row(session, one, past_jobs.source_of(provenance))
+        _describe_output(session, archived.archive, one, file)
+        _add_edges(session, one, file.id)
+        past_jobs.make_reusable(session, campaign, provenance)
+
+
+def _enter_definition(session: Session, archive: Archive, one: Found) -> None:
+    name = one.provenance.subject.campaign
+    if session.scalar(select(CampaignRow.id).where(CampaignRow.name == name)) is None:
+        with archive.open(one.sealed.path) as dataset:
+            definition = dataset.read("campaign", CampaignDefinition)
+        campaigns.add_campaign(session, definition.campaign, one.provenance.created_at, definition.plan)
+    _file_row(session, one, CAMPAIGN)
+
+
+def _file_row(session: Session, one: Found, source: str) -> FileRow:
+    campaign_id, state_id, pair = (
+        (None, None, None) if source == CALIBRATION else _place(session, one.provenance.subject)
+    )
+    row = FileRow(
+        source=source,
+        path=one.sealed.path,
+        content_hash=one.sealed.content_hash,
+        size_bytes=one.sealed.size_bytes,
+        media_type=one.sealed.media_type,
+        created_at=one.provenance.created_at,
+        campaign_id=campaign_id,
+        state_id=state_id,
+        pair=pair,
+        job_id=one.provenance.job_id or None,
+    )
+    session.add(row)
+    session.flush()
+    return row
+
+
+def _place(session: Session, subject: Subject) -> tuple[int, int | None, str | None]:
+    campaign_id = campaigns.campaign_row(session, subject.campaign).id
+    if subject.state is None:
+        return campaign_id, None, None
+    state_id = session.scalar(
+        select(LoadStateRow.id).where(
+            LoadStateRow.campaign_id == campaign_id, LoadStateRow.label == subject.state
+        )
+    )
+    return campaign_id, state_id, subject.pair
+
+
+def _describe_output(session: Session, archive: Archive, one: Found, file: FileRow) -> None:
+    recorded_at = None
+    if file.source == MEASUREMENT and file.state_id is not None and file.pair is not None:
+        with archive.open(one.sealed.path) as dataset:
+            recorded_at = dataset.read(MEASUREMENT, Measurement).recorded_at
+        session.add(
+            MeasurementRow(file_id=file.id, state_id=file.state_id, pair=file.pair, recorded_at=recorded_at)
+        )
+    else:
+        session.add(
+            ResultRow(file_id=file.id, kind=one.provenance.kind, kind_version=one.provenance.kind_version)
+        )
+    session.add_all(
+        StatisticRow(file_id=file.id, name=name, value=value)
+        for name, value in one.provenance.statistics.items()
+    )
+
+
+def _add_edges(session: Session, one: Found, file_id: int) -> None:
+    for given in one.provenance.inputs:
+        source = session.scalar(
+            select(FileRow.id).where(FileRow.path == given.path, FileRow.content_hash == given.content_hash)
+        )
+        if source is not None:
+            session.add(ProvenanceRow(output_id=file_id, role=given.role, input_id=source))
+    session.flush()

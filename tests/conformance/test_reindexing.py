@@ -1,0 +1,145 @@
+"""A catalogue that is lost comes back from the archive alone, on both deployments."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+from support.archives import Clock, emptied, everything, registered, run_jobs
+from support.command import sms
+from support.deployments import Deployment
+from support.sealing import calibration, provenance
+
+from sms_jobs.archive import Archive
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.jobs import recovery, reindexing
+from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.registration import register_calibration
+from sms_jobs.jobs.reindexing import Reindexed
+from sms_jobs.records.campaign import Subject
+
+REQUESTS = [Request("acquire"), Request("pipeline")]
+
+
+@pytest.fixture
+def archive(deployment: Deployment) -> Archive:
+    return Archive(deployment.home / "archive")
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def shapes(catalogue: Catalogue, archive: Archive, clock: Clock) -> Archive:
+    """An archive with a campaign, its recordings and shapes."""
+    registered(catalogue, archive, clock)
+    run_jobs(catalogue, archive, clock, [*REQUESTS[:1], Request("reconstruct")])
+    return archive
+
+
+@pytest.fixture
+def filled(catalogue: Catalogue, archive: Archive, clock: Clock) -> Archive:
+    """An archive with a campaign, two calibrations, recordings, shapes and documents."""
+    registered(catalogue, archive, clock)
+    register_calibration(catalogue, archive, calibration(), clock())
+    run_jobs(catalogue, archive, clock, REQUESTS)
+    return archive
+
+
+def reindexed(catalogue: Catalogue, archive: Archive, *, dry_run: bool = False) -> list[Reindexed]:
+    paths = reindexing.unknown_files(catalogue, archive)
+    return list(reindexing.reindex(catalogue, archive, paths, dry_run=dry_run))
+
+
+def work_again(catalogue: Catalogue, clock: Clock) -> None:
+    with catalogue.writing() as session:
+        recovery.register_worker(session, "w1", "here", 1, ["cpu", "io", "acquisition"], 2, clock())
+
+
+def test_an_empty_catalogue_is_rebuilt_equal_to_the_old_one(
+    catalogue: Catalogue, filled: Archive, clock: Clock
+) -> None:
+    before = everything(catalogue)
+    assert {"campaign", "calibration", "measurement", "reconstruct", "export"} < {
+        f[1] for f in before["files"]
+    }
+    assert all(before.values())
+    emptied(catalogue)
+    rehearsed = reindexed(catalogue, filled, dry_run=True)
+    assert not any(everything(catalogue).values())
+    done = reindexed(catalogue, filled)
+    assert rehearsed == done
+    assert {one.outcome for one in done} == {"indexed"}
+    after = everything(catalogue)
+    for table, rows in before.items():
+        assert after[table] == rows, table
+    assert reindexed(catalogue, filled) == []
+    assert everything(catalogue) == after
+    # What was computed before the loss is reused after it.
+    work_again(catalogue, clock)
+    again = run_jobs(catalogue, filled, clock, REQUESTS)
+    with catalogue.reading() as session:
+        assert all(session.get_one(JobRow, job).reused_from for job in again)
+
+
+def test_an_interrupted_run_goes_on(catalogue: Catalogue, shapes: Archive) -> None:
+    before = everything(catalogue)
+    emptied(catalogue)
+    paths = reindexing.unknown_files(catalogue, shapes)
+    running = reindexing.reindex(catalogue, shapes, paths)
+    first = [next(running) for _ in range(len(paths) // 2)]
+    running.close()
+    rest = reindexed(catalogue, shapes)
+    # What was told before the interruption is not told again.
+    assert not {one.path for one in first} & {one.path for one in rest}
+    assert everything(catalogue) == before
+
+
+def test_what_is_not_to_be_trusted_is_refused_with_a_reason(
+    catalogue: Catalogue, shapes: Archive, deployment: Deployment
+) -> None:
+    catalogue_files = everything(catalogue)["files"]
+    measured = [f[0] for f in catalogue_files if f[1] == "measurement"]
+    made = [f[0] for f in catalogue_files if f[1] == "reconstruct"]
+    document = shapes.seal_document(
+        "field.csv", "text/csv", lambda path: path.write_text("1"), provenance(subject=Subject("plate"))
+    )
+    emptied(catalogue)
+    flipped = bytearray(shapes.path(measured[0]).read_bytes())
+    flipped[len(flipped) // 2] ^= 1
+    shapes.path(measured[0]).chmod(0o644)
+    shapes.path(measured[0]).write_bytes(flipped)
+    moved = made[1].replace("-1.h5", "-2.h5")
+    shutil.copy(shapes.path(made[1]), shapes.root / moved)
+    beside = shapes.path(document.path)
+    beside.with_name(f"{beside.name}.provenance.json").unlink()
+    told = {one.path: one for one in reindexed(catalogue, shapes)}
+    assert told[measured[0]].outcome == "refused"
+    assert told[moved].outcome == "refused"
+    assert "moved" in told[moved].detail
+    assert told[document.path].outcome == "refused"
+    assert "provenance" in told[document.path].detail
+    # The shape is whole: only what it was made from is lost, which is said.
+    assert told[made[0]].outcome == "incomplete"
+    assert measured[0] in told[made[0]].detail
+    # Nothing else suffers: not even the original of the copy that bears the name of a later attempt.
+    others = set(told) - {measured[0], moved, document.path, made[0]}
+    assert {told[path].outcome for path in others} == {"indexed"}
+    environment = deployment.environment
+    done = sms("archive", "reindex", "--home", str(deployment.home), environment=environment)
+    assert done.returncode == 6, done.stderr
+    assert "refused" in done.stdout
+
+
+def test_results_without_their_campaign_say_what_to_do(catalogue: Catalogue, shapes: Archive) -> None:
+    emptied(catalogue)
+    (definition,) = (p for p in shapes.files() if p.startswith("plate/campaign-"))
+    shapes.discard(definition)
+    told = reindexed(catalogue, shapes)
+    refused = [one for one in told if one.outcome == "refused"]
+    assert {one.path.split("/")[0] for one in told if one.outcome == "indexed"} == {"calibrations"}
+    assert refused
+    assert all("definition of campaign plate" in one.detail for one in refused)

@@ -1,0 +1,134 @@
+"""What `sms archive repair` mends, sets aside and leaves to a person, on both deployments."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from support.archives import Clock, everything, registered, run_jobs
+from support.command import sms
+from support.deployments import Deployment
+
+from sms_jobs.archive import Archive
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.jobs import repair, retention, verification
+from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.repair import Repair
+
+
+@pytest.fixture
+def archive(deployment: Deployment) -> Archive:
+    return Archive(deployment.home / "archive")
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def made(catalogue: Catalogue, archive: Archive, clock: Clock) -> Archive:
+    registered(catalogue, archive, clock)
+    run_jobs(catalogue, archive, clock, [Request("acquire"), Request("reconstruct")])
+    return archive
+
+
+def planned(catalogue: Catalogue, archive: Archive) -> list[Repair]:
+    checked = verification.check_known(catalogue, archive)
+    findings = [done.finding for done in checked if done.finding is not None]
+    findings += verification.check_unknown(catalogue, archive)
+    return repair.planned(catalogue, archive, findings)
+
+
+def on_disk(archive: Archive) -> dict[str, bytes]:
+    """Return the contents of all files that lie anywhere in the archive's folder."""
+    return {str(p.relative_to(archive.root)): p.read_bytes() for p in archive.root.rglob("*") if p.is_file()}
+
+
+def paths(catalogue: Catalogue, source: str) -> list[str]:
+    return [row[0] for row in everything(catalogue)["files"] if row[1] == source]
+
+
+def damage(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.chmod(0o644)
+    path.write_bytes(data)
+
+
+def test_nothing_is_lost_and_what_can_be_mended_is(
+    catalogue: Catalogue, made: Archive, clock: Clock, deployment: Deployment
+) -> None:
+    recorded, shapes = paths(catalogue, "measurement"), paths(catalogue, "reconstruct")
+    (definition,) = paths(catalogue, "campaign")
+    before = everything(catalogue)
+    # The catalogue forgets a shape; another is damaged, a recording is lost, a stranger and a half lie about.
+    with catalogue.writing() as session:
+        numbers = {row.path: row.file_id for row in retention.superseded(session)}
+        assert numbers == {}
+    forgotten, damaged, lost = shapes[0], shapes[1], recorded[1]
+    _forget(catalogue, forgotten)
+    damage(made.path(damaged))
+    made.discard(lost)
+    made.discard(definition)
+    stranger = recorded[0].replace("-1.h5", "-7.h5")
+    shutil.copy(made.path(recorded[0]), made.root / stranger)
+    half = f"plate/.{Path(recorded[0]).name}.0123456789abcdef.tmp"
+    (made.root / half).write_bytes(b"half")
+    contents = on_disk(made)
+    plan = planned(catalogue, made)
+    steps = {(one.path, one.problem): one for one in plan}
+    assert {key: one.step for key, one in steps.items()} == {
+        (forgotten, "unknown"): "index",
+        (stranger, "unknown"): "set-aside",
+        (half, "unfinished"): "set-aside",
+        (damaged, "corrupt"): "set-aside",
+        (lost, "missing"): "nothing",
+        (definition, "missing"): "seal-again",
+    }
+    assert "backup" in steps[lost, "missing"].then
+    assert steps[damaged, "corrupt"].then.startswith(
+        "sms job submit reconstruct -c plate --state S01 --pair "
+    )
+    # Planning has changed nothing, and the command alone does not either.
+    done = sms("archive", "repair", "--home", str(deployment.home), environment=deployment.environment)
+    assert done.returncode == 6, done.stderr
+    assert on_disk(made) == contents
+    assert repair.apply(catalogue, made, plan, clock()) == []
+    # Every byte is still somewhere.
+    kept = on_disk(made)
+    assert sorted(contents.values()) == sorted(v for v in kept.values() if v in set(contents.values()))
+    assert {Path(p).name for p in kept if p.startswith(".set-aside")} == {
+        Path(p).name for p in (stranger, half, damaged)
+    }
+    after = everything(catalogue)
+    for table in ("statistics", "provenance", "campaigns", "jobs"):
+        assert after[table] == before[table], table
+    # What is left needs a person: a recording from the backup, and a job.
+    left = planned(catalogue, made)
+    assert {(one.path, one.step) for one in left} == {(lost, "nothing"), (damaged, "nothing")}
+
+
+def test_a_damaged_result_that_a_newer_one_replaces_is_forgotten(
+    catalogue: Catalogue, made: Archive, clock: Clock
+) -> None:
+    damaged = paths(catalogue, "reconstruct")[1]
+    damage(made.path(damaged))
+    repair.apply(catalogue, made, planned(catalogue, made), clock())
+    # What was set aside is not reused.
+    run_jobs(catalogue, made, clock, [Request("reconstruct")])
+    (left,) = planned(catalogue, made)
+    assert (left.path, left.step) == (damaged, "forget")
+    repair.apply(catalogue, made, [left], clock())
+    assert planned(catalogue, made) == []
+    assert len(paths(catalogue, "reconstruct")) == 2
+
+
+def _forget(catalogue: Catalogue, path: str) -> None:
+    from sqlalchemy import select
+
+    from sms_jobs.catalogue.models import FileRow
+
+    with catalogue.writing() as session:
+        retention.forget(session, [session.scalars(select(FileRow.id).where(FileRow.path == path)).one()])
