@@ -1,0 +1,96 @@
+"""Pairs of speckle images whose every grey level is exact, whatever the displacement between them.
+
+Speckle is a sum of Gaussian blobs that are known at every real point: the deformed image shows, at each
+pixel, the reference point that is there, without any interpolation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Displacement = Callable[[Floats, Floats], tuple[Floats, Floats]]
+"""From points of the reference (x, y) to their displacement (u, v), all in px."""
+
+BLOB_PX = 1.8
+"""Standard deviation of a blob: at half the sampling rate its amplitude is 10^-7."""
+
+_REACH = 11  # px: a blob is exp(-18) there
+_MARGIN = 30  # px round the image, for what moves into it
+
+
+def speckle_pair(
+    size: int, displacement: Displacement, seed: int, contrast: float = 400.0
+) -> tuple[Floats, Floats]:
+    """Return a square reference image and the same speckle displaced, about a grey level of 2000.
+
+    `contrast` is the standard deviation of both; slopes of the displacement have to be below 0.1.
+    """
+    rng = np.random.default_rng(seed)
+    count = int((size + 2 * _MARGIN) ** 2 / 9.0)
+    x, y = rng.uniform(-_MARGIN, size + _MARGIN, (2, count))
+    height = rng.normal(size=count)
+    row, column = np.mgrid[0:size, 0:size].astype(np.float64)
+    reference = _stamped(size, (x, y), height, (column, row), (x, y))
+    # Which reference point a deformed pixel shows, by iteration.
+    a, b = column.copy(), row.copy()
+    for _ in range(25):
+        u, v = displacement(a, b)
+        a, b = column - u, row - v
+    u, v = displacement(x, y)
+    deformed = _stamped(size, (x, y), height, (a, b), (x + u, y + v))
+    scale = contrast / reference.std()
+    return 2000.0 + scale * reference, 2000.0 + scale * deformed
+
+
+def _stamped(
+    size: int,
+    blob: tuple[Floats, Floats],
+    height: Floats,
+    shows: tuple[Floats, Floats],
+    near: tuple[Floats, Floats],
+) -> Floats:
+    """Return the sum of blobs at the points that pixels show; each is near a place of the image."""
+    offset = np.arange(-_REACH, _REACH + 1)
+    grey = np.zeros(size * size)
+    block = 2000
+    for start in range(0, len(height), block):
+        part = np.s_[start : start + block]
+        column = np.rint(near[0][part]).astype(np.int64)[:, None, None] + offset
+        row = np.rint(near[1][part]).astype(np.int64)[:, None, None] + offset[:, None]
+        inside = (column >= 0) & (column < size) & (row >= 0) & (row < size)
+        index = np.where(inside, row * size + column, 0)
+        dx = shows[0].ravel()[index] - blob[0][part][:, None, None]
+        dy = shows[1].ravel()[index] - blob[1][part][:, None, None]
+        light = height[part][:, None, None] * np.exp(-0.5 * (dx * dx + dy * dy) / BLOB_PX**2)
+        grey += np.bincount(index[inside], light[inside], size * size)
+    return grey.reshape(size, size)
+
+
+def shift(u: float, v: float) -> Displacement:
+    """Return a translation."""
+    return lambda x, y: (np.full_like(x, u), np.full_like(y, v))
+
+
+def quadratic(size: int, curvature: float) -> Displacement:
+    """Return a field about the image's middle with every second derivative `curvature`, in 1 / px."""
+    middle = size / 2.0
+
+    def field(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        a, b = x - middle, y - middle
+        bend = 0.5 * curvature * (a * a + b * b)
+        return bend + curvature * a * b, bend - curvature * a * b
+
+    return field
+
+
+def halves(size: int, upper: float, lower: float, seed: int) -> tuple[Floats, Floats, NDArray[np.int32]]:
+    """Return a pair whose halves move along x by `upper` and `lower` px, and the labels 1 and 2 of them."""
+    labels = np.ones((size, size), np.int32)
+    labels[size // 2 :] = 2
+    reference, first = speckle_pair(size, shift(upper, 0.0), seed)
+    _, second = speckle_pair(size, shift(lower, 0.0), seed)
+    return reference, np.where(labels == 1, first, second), labels
