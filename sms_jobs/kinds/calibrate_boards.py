@@ -83,7 +83,7 @@ class CalibrateParameters(Parameters):
         le=100,
         description="in how many parts poses are held out, each once, and measured by the rest",
     )
-    figure_width_px: int = Field(640, ge=200, le=4000, description="width of the page's pictures")
+    figure_width_px: int = Field(640, ge=400, le=4000, description="width of the page's pictures")
 
     def options(self, threads: int) -> BundleOptions:
         """Return them as the adjustment takes them."""
