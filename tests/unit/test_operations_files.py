@@ -1,0 +1,173 @@
+"""Units, compose file and runbook: as far as they can be tried without the machines that they are for."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer.main
+
+from sms_jobs.cli.main import app
+
+ROOT = Path(__file__).resolve().parents[2]
+OPS = ROOT / "ops"
+UNITS = sorted(p for p in (OPS / "systemd").iterdir())
+TEXTS = [ROOT / "README.md", OPS / "runbook.md", ROOT / "docs" / "operations.md"]
+
+
+def commands_in(text: str) -> list[list[str]]:
+    """Return every `sms ...` of the code in a text, as words."""
+    code = re.findall(r"```\n(.*?)```", text, re.DOTALL) + re.findall(r"`([^`\n]+)`", text)
+    found = []
+    for block in code:
+        for line in block.splitlines():
+            line = line.partition(" #")[0]
+            # Behind a path, an account or an assignment it is the same command.
+            commands = re.findall(r"(?:^|[/(])sms ([a-z][^;&|')]*)", line)
+            found.extend(shlex.split(command) for command in commands)
+    return found
+
+
+@cache
+def whole() -> Any:
+    """Return the command line as one tree, which takes a while to build."""
+    return typer.main.get_command(app)
+
+
+def resolve(words: list[str]) -> tuple[Any, list[str], list[str]]:
+    """Return the command that some words name, its path, and the words that are left for it."""
+    command, path = whole(), []
+    while words and words[0] in getattr(command, "commands", {}):
+        command = command.commands[words[0]]
+        path, words = [*path, words[0]], words[1:]
+    return command, path, words
+
+
+@pytest.mark.parametrize("file", TEXTS, ids=lambda p: p.name)
+def test_every_command_that_is_named_exists(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    named = set()
+    for words in commands_in(file.read_text(encoding="utf-8")):
+        command, path, rest = resolve(words)
+        assert path, f"there is no 'sms {' '.join(words)}'"
+        if hasattr(command, "commands"):
+            assert rest in ([], ["..."]), f"there is no 'sms {' '.join(words)}'"
+        options = {o for p in command.params for o in (*p.opts, *p.secondary_opts)} | {"--help"}
+        for word in rest:
+            assert not word.startswith("-") or word in options, f"'sms {' '.join(words)}' has no {word}"
+        named.add(tuple(path))
+    assert len(named) > 3
+    for path in named:
+        whole().main([*path, "--help"], prog_name="sms", standalone_mode=False)
+        assert f"Usage: sms {' '.join(path)}" in capsys.readouterr().out
+
+
+def test_every_script_that_is_named_exists() -> None:
+    for file in TEXTS:
+        for name in re.findall(r"\bops/[\w./@-]*\w", file.read_text(encoding="utf-8")):
+            assert (ROOT / name).exists(), f"{file.name} names {name}"
+
+
+@pytest.mark.parametrize("script", ["backup.sh", "restore.sh"])
+def test_a_script_says_how_it_is_used(script: str) -> None:
+    done = subprocess.run(["bash", str(OPS / script)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"usage: bash ops/{script}")
+    assert subprocess.run(["bash", "-n", str(OPS / script)], check=False).returncode == 0
+
+
+def compose_lists() -> dict[str, list[str]]:
+    """Return the items below each key of the compose file, whose lists are one item a line."""
+    found: dict[str, list[str]] = {}
+    key = ""
+    for line in (OPS / "compose.yaml").read_text(encoding="utf-8").splitlines():
+        assert "\t" not in line
+        text = line.strip()
+        if text.startswith("- "):
+            found.setdefault(key, []).append(text[2:].strip("\"'"))
+        elif text.endswith(":") and not text.startswith("#"):
+            key = text[:-1]
+    return found
+
+
+def test_the_servers_are_for_this_machine_alone_and_lose_nothing() -> None:
+    lists = compose_lists()
+    assert sorted(lists["ports"]) == ["127.0.0.1:5432:5432", "127.0.0.1:6379:6379"]
+    arguments = " ".join(lists["command"])
+    assert "--appendonly yes" in arguments
+    assert "--maxmemory-policy noeviction" in arguments
+    assert len(lists["volumes"]) == 2
+    text = (OPS / "compose.yaml").read_text(encoding="utf-8")
+    assert "POSTGRES_PASSWORD_FILE: /run/secrets/postgresql_password" in text
+    assert not re.search(r"POSTGRES_PASSWORD:|--requirepass|network_mode|trust", text)
+    assert "secrets/" in (ROOT / ".gitignore").read_text(encoding="utf-8")
+
+
+def test_the_compose_file_is_understood_by_docker() -> None:
+    docker = shutil.which("docker")
+    if docker is None or subprocess.run([docker, "compose", "version"], capture_output=True).returncode:
+        pytest.skip("docker compose is not installed")
+    done = subprocess.run(
+        [docker, "compose", "-f", str(OPS / "compose.yaml"), "config", "--quiet"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def settings(unit: Path) -> dict[str, list[str]]:
+    """Return what a unit sets; a key may come several times."""
+    found: dict[str, list[str]] = {}
+    for line in unit.read_text(encoding="utf-8").splitlines():
+        if line and line[0] not in "#[":
+            key, _, value = line.partition("=")
+            found.setdefault(key, []).append(value)
+    return found
+
+
+@pytest.mark.parametrize("unit", [u for u in UNITS if u.suffix == ".service"], ids=lambda p: p.name)
+def test_a_unit_takes_no_more_than_it_needs(unit: Path) -> None:
+    found = settings(unit)
+    assert found["User"] == ["sms"]
+    assert found["NoNewPrivileges"] == ["yes"]
+    assert found["ProtectSystem"] == ["strict"]
+    assert found["CapabilityBoundingSet"] == [""]
+    # Numba writes machine code while it runs.
+    assert "MemoryDenyWriteExecute" not in found
+    assert not any("URL=" in value for value in found["Environment"])
+    (start,) = found["ExecStart"]
+    program, *words = start.split()
+    if program.endswith("/sms"):
+        _, path, _ = resolve(words)
+        assert path in (["up"], ["worker", "start"], ["metrics"])
+    if {"up", "start"} & set(words):
+        # Jobs may take 10 minutes to finish; systemd must not kill them before the supervisor would.
+        assert (found["KillMode"], found["TimeoutStopSec"]) == (["mixed"], ["11min"])
+        assert found["Restart"] == ["always"]
+
+
+def test_systemd_understands_the_units(tmp_path: Path) -> None:
+    analyze = shutil.which("systemd-analyze")
+    if analyze is None:
+        pytest.skip("systemd is not installed")
+    for unit in UNITS:
+        text = unit.read_text(encoding="utf-8")
+        # It looks whether the programs are there.
+        text = text.replace("/opt/sms/.venv/bin/sms", sys.executable).replace("/opt/sms", str(ROOT))
+        name = unit.name.replace("@.", "@cpu.")
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    done = subprocess.run(
+        [analyze, "verify", "--man=no", *map(str, sorted(tmp_path.iterdir()))],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    ours = [line for line in done.stderr.splitlines() if "sms" in line]
+    assert ours == []
