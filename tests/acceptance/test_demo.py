@@ -59,7 +59,14 @@ def test_it_measures_with_a_calibration_that_proves_itself(first: Any) -> None:
 def test_again_in_the_same_folder_every_result_is_reused(first: Any, folder: Path) -> None:
     again = answer("demo", "--out", str(folder), timeout=300.0)
     assert again["jobs"] == {"succeeded": 224, "failed": 0, "reused": 224}
-    for same in ("calibration", "report", "exports", "shape_rms_mm", "displacement_rms_mm", "strain_rms_microstrain"):
+    for same in (
+        "calibration",
+        "report",
+        "exports",
+        "shape_rms_mm",
+        "displacement_rms_mm",
+        "strain_rms_microstrain",
+    ):
         assert again[same] == first[same]
 
 
