@@ -37,6 +37,7 @@ _NEIGHBOURS = tuple(
 )
 _ATTEMPTS = 3  # times that a point is tried from ever better neighbours
 _LEAST_SCATTER = 0.01  # px, of neighbours: what first-order subsets may disagree by on a curved field
+_BLOCK = 1 << 15  # points whose neighbours are looked at together, for the memory's sake
 _SEED_SCORE = 0.4  # of an integer shift: a poor start, but the refinement judges it
 
 
@@ -178,9 +179,13 @@ def match_grid(
     zero = np.zeros_like(u)
     guess = np.stack([u, zero, zero, v, zero, zero], axis=1)
     likely = score >= _SEED_SCORE
-    attempt(seeds[likely], guess[likely])
+    fresh = seeds[likely]
+    attempt(fresh, guess[likely])
     while True:
-        pending = np.flatnonzero(~done & (attempts <= _ATTEMPTS))
+        # Only a point beside one that has just been matched can have a better start than before.
+        beside = np.zeros(len(x) + 1, dtype=bool)  # the last is that of no neighbour, -1
+        beside[around[fresh[done[fresh]]]] = True
+        pending = np.flatnonzero(beside[:-1] & ~done & (attempts <= _ATTEMPTS))
         near = around[pending]
         usable = (near >= 0) & done[near]
         scores = np.where(usable, found.score[near], -np.inf)
@@ -192,30 +197,34 @@ def match_grid(
         pending, source = pending[better], source[better]
         if len(pending) == 0:
             break
-        started_from[pending] = quality[better]
+        started_from[pending], fresh = quality[better], pending
         attempt(pending, carried(found.warp[source], x[pending] - x[source], y[pending] - y[source]))
-    _reject_outliers(found, x, y, around, grid.outlier_ratio)
+    outside = [
+        _outliers(found, x, y, around[start : start + _BLOCK, :8], start, grid.outlier_ratio)
+        for start in range(0, len(x), _BLOCK)
+    ]
+    found.ending[np.concatenate(outside)] = NOT_CONVERGED
     return GridMatches(x, y, found)
 
 
-def _reject_outliers(found: Matches, x: Ints, y: Ints, around: Ints, ratio: float) -> None:
-    """Mark points as not converged that contradict their neighbours.
+def _outliers(found: Matches, x: Ints, y: Ints, near: Ints, start: int, ratio: float) -> NDArray[np.bool_]:
+    """Return which of the points from `start` on, with their neighbours `near`, contradict these.
 
-    Normalised median test (Westerweel & Scarano 2005) on displacements that the neighbours' gradients
+    Normalised median test (Westerweel & Scarano 2005) on displacements that the neighbours' warps
     carry to the point; their scatter counts as at least the point's own standard deviation, and 0.01 px.
     """
+    own = np.s_[start : start + len(near)]
     good = found.ending == CONVERGED
-    near = around[:, :8]
     usable = (near >= 0) & good[near]
-    dx, dy = x[:, None] - x[near], y[:, None] - y[near]
-    outside = np.zeros(len(x), dtype=bool)
-    enough = good & (usable.sum(axis=1) >= 3)
-    there = carried(found.warp[near], dx, dy)
+    outside = np.zeros(len(near), dtype=bool)
+    enough = np.flatnonzero(good[own] & (usable.sum(axis=1) >= 3))
+    near, usable = near[enough], usable[enough]
+    there = carried(found.warp[near], x[own][enough, None] - x[near], y[own][enough, None] - y[near])
     for first, sigma in ((0, 0), (3, 1)):
-        expected = np.where(usable, there[..., first], np.nan)[enough]
+        expected = np.where(usable, there[..., first], np.nan)
         middle = np.nanmedian(expected, axis=1)
         scatter = np.nanmedian(np.abs(expected - middle[:, None]), axis=1)
-        least = np.maximum(_LEAST_SCATTER, found.sigma[enough, sigma])
-        deviation = np.abs(found.warp[enough, first] - middle)
-        outside[np.flatnonzero(enough)[deviation > ratio * np.maximum(scatter, least)]] = True
-    found.ending[outside] = NOT_CONVERGED
+        least = np.maximum(_LEAST_SCATTER, found.sigma[own][enough, sigma])
+        deviation = np.abs(found.warp[own][enough, first] - middle)
+        outside[enough[deviation > ratio * np.maximum(scatter, least)]] = True
+    return outside
