@@ -15,6 +15,10 @@ Floats: TypeAlias = NDArray[np.float64]
 Mask: TypeAlias = NDArray[np.bool_]
 
 _LEAST_OVERLAP = 0.5  # part of a template's pixels that must meet the searched image
+_NARROW = 48  # px: a range that is searched at once
+_COARSEST = 8  # px of the image in a pixel of the coarsest level
+_SURE = 0.5  # correlation from which on what was found from coarse to fine is taken
+_LEAST_PIXELS = 100  # of a template of a coarse level
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,8 @@ class SearchSettings:
     Attributes
     ----------
     range_x, range_y
-        Largest displacement looked for along the columns and the rows, in px.
+        Largest displacement looked for along the columns and the rows, in px. Beyond 48 px the search goes
+        from coarse to fine.
     template_radius
         Half the side of the sub-images, in px.
     spacing
@@ -106,6 +111,72 @@ def _patch(image: Floats, row: int, column: int, half_rows: int, half_columns: i
     return patch, inside
 
 
+def _factors(settings: SearchSettings) -> list[int]:
+    """Return how many pixels make one, level by level from the coarsest."""
+    factor = 1
+    while max(settings.range_x, settings.range_y) > _NARROW * factor and factor < _COARSEST:
+        factor *= 2
+    return [2**k for k in range(factor.bit_length() - 1, -1, -1)]
+
+
+def _coarse(image: Floats, factor: int) -> Floats:
+    """Return the means of squares of an image, less what is left over at its right and bottom."""
+    rows, columns = (n // factor for n in image.shape)
+    squares = image[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    return np.asarray(squares.mean(axis=(1, 3)))
+
+
+@dataclass(frozen=True)
+class _Level:
+    """Both images and the labels, `factor` pixels in one."""
+
+    factor: int
+    first: Floats
+    second: Floats
+    labels: Floats
+
+    def search(
+        self, x: int, y: int, label: float, about: tuple[int, int], reach: tuple[int, int], half: int
+    ) -> tuple[int, int, float]:
+        """Return the displacement near `about` within `reach`, both (u, v) in the level's pixels; its score.
+
+        The score is -1 where too little of the region is seen.
+        """
+        column, row = x // self.factor, y // self.factor
+        template, inside = _patch(self.first, row, column, half, half)
+        own, _ = _patch(self.labels, row, column, half, half)
+        inside &= own == label
+        if self.factor > 1 and np.count_nonzero(inside) < _LEAST_PIXELS:
+            return 0, 0, -1.0
+        u, v = about
+        searched, measured = _patch(self.second, row + v, column + u, half + reach[1], half + reach[0])
+        lagged = masked_correlation(template, inside, searched, measured)
+        down, right = np.unravel_index(int(np.argmax(lagged)), lagged.shape)
+        return u + int(right) - reach[0], v + int(down) - reach[1], float(lagged[down, right])
+
+
+def _from_coarse_to_fine(
+    levels: list[_Level], x: int, y: int, label: float, settings: SearchSettings
+) -> tuple[int, int, float]:
+    """Search the coarsest level that shows enough of the region, then two pixels about that on each finer.
+
+    Where that ends in no good match, the finest level is searched over the whole range.
+    """
+    finest, half = levels[-1], settings.template_radius
+    found, known = (0, 0, -1.0), False
+    for level in levels:
+        about, reach = (2 * found[0], 2 * found[1]), (2, 2)
+        if not known:
+            about = (0, 0)
+            reach = (-(-settings.range_x // level.factor), -(-settings.range_y // level.factor))
+        found = level.search(x, y, label, about, reach, half)
+        known = known if level is finest else found[2] > 0.0
+    if known and found[2] < _SURE:
+        at_once = finest.search(x, y, label, (0, 0), (settings.range_x, settings.range_y), half)
+        found = max(found, at_once, key=lambda one: one[2])
+    return found
+
+
 def seed_displacements(
     reference: NDArray[np.generic],
     deformed: NDArray[np.generic],
@@ -139,20 +210,19 @@ def seed_displacements(
     """
     first = np.asarray(reference, dtype=np.float64)
     second = np.asarray(deformed, dtype=np.float64)
-    u, v, score = np.zeros(len(x)), np.zeros(len(x)), np.full(len(x), -1.0)
     regions = labels.astype(np.float64)
-    half = settings.template_radius
+    levels = [
+        _Level(f, _coarse(first, f), _coarse(second, f), regions[f // 2 :: f, f // 2 :: f])
+        if f > 1
+        else _Level(1, first, second, regions)
+        for f in _factors(settings)
+    ]
+    u, v, score = np.zeros(len(x)), np.zeros(len(x)), np.full(len(x), -1.0)
 
     def work(start: int, stop: int) -> None:
         for k in range(start, stop):
-            template, inside = _patch(first, y[k], x[k], half, half)
-            label, _ = _patch(regions, y[k], x[k], half, half)
-            inside &= label == labels[y[k], x[k]]
-            searched, measured = _patch(second, y[k], x[k], half + settings.range_y, half + settings.range_x)
-            lagged = masked_correlation(template, inside, searched, measured)
-            row, column = np.unravel_index(int(np.argmax(lagged)), lagged.shape)
-            u[k], v[k] = column - settings.range_x, row - settings.range_y
-            score[k] = lagged[row, column]
+            label = regions[y[k], x[k]]
+            u[k], v[k], score[k] = _from_coarse_to_fine(levels, int(x[k]), int(y[k]), label, settings)
 
     in_row_blocks(work, len(x), threads, block=8)
     return u, v, score

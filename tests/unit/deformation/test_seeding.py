@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from scipy import ndimage
 
 from sms_jobs.metrology.deformation.seeding import SearchSettings, masked_correlation, seed_displacements
 
@@ -50,3 +52,40 @@ def test_regions_that_part_by_tens_of_pixels_are_followed(rng: np.random.Generat
     np.testing.assert_array_equal(v, [-7, 3])
     # Exact copies, but for template pixels whose counterpart was overwritten or left the image: none here.
     assert (score > 0.999).all()
+
+
+@pytest.mark.parametrize("blob_px", [1.0, 2.5])
+def test_a_wide_search_goes_from_coarse_to_fine_and_finds_the_same(
+    rng: np.random.Generator, blob_px: float
+) -> None:
+    wide = 1000.0 * ndimage.gaussian_filter(rng.normal(size=(420, 620)), blob_px)
+    reference = wide[100:320, 200:420]
+    labels = np.ones((220, 220), np.int32)
+    labels[:, 110:] = 2
+    # The left half goes 87 px right and 61 px down, the right one 96 px left and 40 px up.
+    deformed = 1000.0 * ndimage.gaussian_filter(rng.normal(size=(220, 220)), blob_px)
+    deformed[61:, 87:197] = reference[:159, :110]
+    deformed[:60, 14:124] = reference[40:100, 110:]
+    x, y = np.array([40, 70, 150]), np.array([60, 100, 70])
+    found = seed_displacements(reference, deformed, labels, x, y, SearchSettings(120, 90), threads=2)
+    np.testing.assert_array_equal(found[0], [87, 87, -96])
+    np.testing.assert_array_equal(found[1], [61, 61, -40])
+    # Exact copies, but for pixels of the left half that the right one has covered.
+    assert (found[2] > 0.7).all()
+    # A range that is searched at once finds the same.
+    once = seed_displacements(reference, deformed, labels, x[2:], y[2:], SearchSettings(96, 40))
+    assert once[0][0] == -96
+    assert once[1][0] == -40
+
+
+def test_a_region_too_small_for_coarse_levels_is_searched_finely(rng: np.random.Generator) -> None:
+    reference = ndimage.gaussian_filter(rng.normal(size=(200, 300)), 1.0)
+    labels = np.zeros((200, 300), np.int32)
+    labels[90:106, 40:56] = 3
+    deformed = ndimage.gaussian_filter(rng.normal(size=(200, 300)), 1.0)
+    deformed[50:66, 150:166] = reference[90:106, 40:56]
+    u, v, score = seed_displacements(
+        reference, deformed, labels, np.array([48]), np.array([98]), SearchSettings(130, 60)
+    )
+    assert (u[0], v[0]) == (110, -40)
+    assert score[0] > 0.999
