@@ -46,12 +46,15 @@ def test_whole_pixel_shifts_of_a_real_image_are_exact(shift: int, order: Literal
     assert error.std(axis=0).max() < 5e-4
 
 
-def test_open_hole_tension_agrees_with_an_independent_program() -> None:
+@pytest.mark.parametrize(("spline", "clear", "any_point"), [(3, 0.0012, 0.0028), (5, 0.0045, 0.006)])
+def test_open_hole_tension_agrees_with_an_independent_program(
+    spline: Literal[3, 5], clear: float, any_point: float
+) -> None:
     reference, deformed = (image(f"oht_cfrp_pair/oht_cfrp_{k}.bmp") for k in (0, 4))
     theirs = np.genfromtxt(
         FOLDER / "oht_cfrp_pair" / "oht_cfrp_4_fftcc_icgn1_r16.csv", delimiter=",", names=True
     )
-    images = prepare_images(reference, deformed, np.ones(reference.shape, np.int32))
+    images = prepare_images(reference, deformed, np.ones(reference.shape, np.int32), spline_order=spline)
     x, y = theirs["x"].astype(np.int64), theirs["y"].astype(np.int64)
     guess = np.zeros((len(x), 6))
     guess[:, 0], guess[:, 3] = theirs["u0"], theirs["v0"]
@@ -60,10 +63,14 @@ def test_open_hole_tension_agrees_with_an_independent_program() -> None:
     good = (theirs["ZNCC"] > 0.8) & (theirs["convergence"] < 1e-3)
     assert mine.sum() > good.sum() - 0.002 * len(x)
     both = mine & good
-    # They interpolate by a cubic with local coefficients, which with our algorithm gives their numbers to
-    # 0.0007 px; the rest of this is its bias at 0.4 px, which the quintic spline does not have.
-    for mine_at, their_at in ((found.warp[both, 0], theirs["u"]), (found.warp[both, 3], theirs["v"])):
-        assert np.sqrt(np.mean((mine_at - their_at[both]) ** 2)) < 0.006
+    # Their interpolation is a cubic with local coefficients, whose bias of +-0.0008 px over the fraction of a
+    # pixel is what is left beside our cubic, and 0.003 px beside the quintic, which does not have a cubic's.
+    # The points about the hole, a fiftieth of all, whose subsets show two things at once, differ by more.
+    sure = both & (found.sigma.max(axis=1) < 0.01)
+    assert sure.sum() > 0.97 * both.sum()
+    for mine_at, their_at in ((found.warp[:, 0], theirs["u"]), (found.warp[:, 3], theirs["v"])):
+        assert rms((mine_at - their_at)[sure]) < clear
+        assert rms((mine_at - their_at)[both]) < any_point
 
 
 def nodes(shape: tuple[int, int], rim: int, dx: int, dy: int) -> tuple[np.ndarray, np.ndarray]:
