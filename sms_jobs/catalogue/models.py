@@ -128,11 +128,11 @@ class LoadStateRow(Table):
     __table_args__ = (UniqueConstraint("campaign_id", "label"),)
     id: Mapped[int] = mapped_column(primary_key=True)
     campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"))
-    label: Mapped[str] = mapped_column(String(64))
+    label: Mapped[str] = mapped_column(String(64), index=True)
     position: Mapped[int]
     load_n: Mapped[float | None] = mapped_column(index=True)
     displacement_mm: Mapped[float | None]
-    time: Mapped[datetime | None]
+    time: Mapped[datetime | None] = mapped_column(index=True)
 
 
 class ChannelRow(Table):
@@ -149,7 +149,12 @@ class FileRow(Table):
     """A sealed file of the archive, whatever it holds."""
 
     __tablename__ = "file"
-    __table_args__ = (Index(None, "campaign_id", "source", "state_id", "pair", "id"),)
+    __table_args__ = (
+        Index(None, "campaign_id", "source", "state_id", "pair", "id"),
+        # In these, all that is equal lies in the order of ids, so that the newest are found first.
+        Index(None, "campaign_id", "source", "id"),
+        Index(None, "source", "id"),
+    )
     id: Mapped[int] = mapped_column(BigId, primary_key=True)
     source: Mapped[str] = mapped_column(String(32))
     """measurement, calibration, or the kind of job whose result it is."""
@@ -176,6 +181,15 @@ class CalibrationRow(Table):
     origin: Mapped[str] = mapped_column(Text)
 
 
+class CalibrationUseRow(Table):
+    """A file was computed with a calibration, directly or through what it was computed from."""
+
+    __tablename__ = "calibration_use"
+    __table_args__ = (Index(None, "file_id"),)
+    calibration_id: Mapped[int] = mapped_column(ForeignKey("calibration.id"), primary_key=True)
+    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
+
+
 class MeasurementRow(Table):
     """What one pair recorded at one state."""
 
@@ -184,7 +198,7 @@ class MeasurementRow(Table):
     file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
     state_id: Mapped[int] = mapped_column(ForeignKey("load_state.id"))
     pair: Mapped[str] = mapped_column(String(16))
-    recorded_at: Mapped[datetime]
+    recorded_at: Mapped[datetime] = mapped_column(index=True)
 
 
 class ResultRow(Table):
@@ -200,7 +214,7 @@ class StatisticRow(Table):
     """A number that a file can be found by."""
 
     __tablename__ = "statistic"
-    __table_args__ = (Index(None, "name", "value"),)
+    __table_args__ = (Index(None, "name", "value", "file_id"),)
     file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
     name: Mapped[str] = mapped_column(String(64), primary_key=True)
     value: Mapped[float]
@@ -351,6 +365,16 @@ class ScheduleFireRow(Table):
     schedule_id: Mapped[int] = mapped_column(ForeignKey("schedule.id"), primary_key=True)
     fire_time: Mapped[datetime] = mapped_column(primary_key=True)
     outcome: Mapped[str] = mapped_column(Text)
+
+
+class SavedQueryRow(Table):
+    """A question to the archive that somebody wants to ask again."""
+
+    __tablename__ = "saved_query"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(String(64), unique=True)
+    text: Mapped[str] = mapped_column(Text)
+    saved_at: Mapped[datetime]
 
 
 class LockRow(Table):

@@ -12,7 +12,7 @@ from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Sealed
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import campaigns, lineage
 from sms_jobs.catalogue.models import (
     DependencyRow,
     FileRow,
@@ -146,6 +146,7 @@ def add_outputs(
             if isfinite(value)
         )
         _add_provenance(session, held.job_id, file.id)
+        lineage.note_calibrations(session, file.id)
 
 
 def _add_provenance(session: Session, job_id: str, file_id: int) -> None:

@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 
 import sms_jobs
 from sms_jobs.archive import Archive, InputReference, Sealed
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import campaigns, lineage
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CalibrationRow, FileRow, ProvenanceRow
 from sms_jobs.errors import Conflict
@@ -183,4 +183,5 @@ def _index(
     for given in inputs:
         source = session.scalars(select(FileRow.id).where(FileRow.path == given.path)).one()
         session.add(ProvenanceRow(output_id=file.id, role=given.role, input_id=source))
+    lineage.note_calibrations(session, file.id)
     return campaigns.add_calibration(session, calibration, file.id)

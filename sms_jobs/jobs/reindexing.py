@@ -17,7 +17,7 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, Checker, Found, Provenance, layout
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import campaigns, lineage
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
     CalibrationRow,
@@ -384,4 +384,4 @@ def _add_edges(session: Session, one: Found, file_id: int) -> None:
         )
         if source is not None:
             session.add(ProvenanceRow(output_id=file_id, role=given.role, input_id=source))
-    session.flush()
+    lineage.note_calibrations(session, file_id)

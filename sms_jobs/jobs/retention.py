@@ -17,6 +17,7 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
     CalibrationRow,
+    CalibrationUseRow,
     DependencyRow,
     FileRow,
     JobRow,
@@ -176,7 +177,7 @@ def forget(session: Session, files: Collection[int]) -> None:
     for start in range(0, len(numbers), _AT_ONCE):
         some = numbers[start : start + _AT_ONCE]
         session.execute(delete(ProvenanceRow).where(ProvenanceRow.input_id.in_(some)))
-        for table in (StatisticRow, ResultRow, PinRow):
+        for table in (StatisticRow, ResultRow, PinRow, CalibrationUseRow):
             session.execute(delete(table).where(table.file_id.in_(some)))
         session.execute(delete(FileRow).where(FileRow.id.in_(some)))
 
