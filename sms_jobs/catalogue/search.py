@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
-from sqlalchemy import Select, select
+from sqlalchemy import ColumnElement, Select, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns
@@ -20,6 +22,8 @@ from sms_jobs.catalogue.models import (
     StatisticRow,
 )
 from sms_jobs.errors import NotFound
+
+_AT_ONCE = 1000
 
 
 @dataclass(frozen=True)
@@ -165,6 +169,16 @@ def calibration_view(session: Session, number: int) -> CalibrationView:
 def calibration_of_file(session: Session, file_id: int) -> int:
     """Return the number of the calibration that lies in a file."""
     return session.scalars(select(CalibrationRow.id).where(CalibrationRow.file_id == file_id)).one()
+
+
+def views_with(
+    session: Session, ids: Sequence[int], extra: Sequence[ColumnElement[Any]]
+) -> Iterator[tuple[FileView, tuple[Any, ...]]]:
+    """Yield the files of some numbers, each with further expressions about its row, in no certain order."""
+    for first in range(0, len(ids), _AT_ONCE):
+        query = _views().where(FileRow.id.in_(ids[first : first + _AT_ONCE])).add_columns(*extra)
+        for row in session.execute(query):
+            yield _view(*row[:3]), tuple(row[3:])
 
 
 def _views() -> Select[FileRow, str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -12,13 +12,17 @@ from rich.tree import Tree
 from sms_jobs import bootstrap
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue import search
+from sms_jobs.catalogue.finding import restricted
+from sms_jobs.catalogue.query_language import parse
 from sms_jobs.catalogue.search import Ancestor
-from sms_jobs.cli import completion, output, pins
+from sms_jobs.cli import completion, found_files, output, pins, saved_queries
+from sms_jobs.cli.found_files import After, As, Columns, Force, Format, Limit, Out, Wanted
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.figures import plot_record
 
 app = typer.Typer(help="Measurements and results in the archive.", no_args_is_help=True)
+app.add_typer(saved_queries.app, name="query")
 app.command("pin")(pins.pin)
 app.command("unpin")(pins.unpin)
 app.command("pins")(pins.pins)
@@ -31,6 +35,10 @@ _SHOWN_ALIKE = 8
 
 @app.command()
 def find(
+    query: Annotated[
+        str | None,
+        typer.Argument(help="What is wanted, in quotation marks: 'strain where load_kN > 1400'."),
+    ] = None,
     kind: Annotated[
         str | None, typer.Option(help="measurement, calibration, or the kind of a result.")
     ] = None,
@@ -42,29 +50,21 @@ def find(
     ] = None,
     state: Annotated[str | None, typer.Option(help="Only of this state.")] = None,
     pair: Annotated[str | None, typer.Option(help="Only of this pair.")] = None,
-    limit: Annotated[int, typer.Option(help="At most so many, the newest.", min=1, max=100_000)] = 50,
+    limit: Limit = 50,
+    after: After = None,
+    columns: Columns = None,
+    form: As = Format.TABLE,
+    out: Out = None,
+    force: Force = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Find measurements, results and calibrations, the newest first.
+    """Find measurements, results and calibrations, the newest first; docs/query.md has the language.
 
-    Example: sms data find --kind strain -c wing-fatigue --state S03
+    Example: sms data find 'strain where load_kN > 1400 and max_principal > 1e-3' -c wing-fatigue
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        files = search.find_files(
-            session, source=kind, campaign=campaign, state=state, pair=pair, limit=limit
-        )
-    if as_json:
-        output.print_json_list(files)
-        return
-    output.print_table(
-        ["file", "kind", "subject", "type", "size", "created"],
-        [
-            (f.id, f.source, f.subject, PurePosixPath(f.path).suffix, output.size(f.size_bytes), f.created_at)
-            for f in files
-        ],
-        empty="there is no such file",
-    )
+    asked = restricted(parse(query or ""), kind=kind, campaign=campaign, state=state, pair=pair)
+    found_files.tell(home, lambda _: asked, Wanted(limit, after, columns, form, out, force, as_json))
 
 
 @app.command()

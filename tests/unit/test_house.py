@@ -102,7 +102,8 @@ def test_every_declared_dependency_is_locked() -> None:
 
 def test_every_imported_package_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    requirements = project["dependencies"] + project["optional-dependencies"]["postgresql"]
+    extras = project["optional-dependencies"]
+    requirements = project["dependencies"] + extras["postgresql"] + extras["parquet"]
     declared = {re.split(r"[\[<>=~! ;]", r)[0].lower().replace("-", "_") for r in requirements}
     # Packages that are imported under another name, or that come with one that is declared.
     declared |= {"cv2", "serial", "kombu", "pydantic_core", "click"}

@@ -1,0 +1,457 @@
+"""Answers queries: conditions become SQL with bound values, and the files that meet them come by pages.
+
+Files are found the newest first, by walking an index in the order of their numbers, which is quick where
+many files meet the query. Where an index shows that few can, these alone are looked at (`_few`).
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any, NoReturn
+
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Double,
+    Integer,
+    Select,
+    and_,
+    exists,
+    false,
+    func,
+    literal,
+    not_,
+    or_,
+    select,
+    union_all,
+)
+from sqlalchemy.orm import Session, aliased
+
+from sms_jobs.catalogue import campaigns, search
+from sms_jobs.catalogue.models import CalibrationRow, CalibrationUseRow, CampaignRow, FileRow, LoadStateRow
+from sms_jobs.catalogue.query_fields import Field, Fields, Vocabulary, parameter_as
+from sms_jobs.catalogue.query_language import (
+    UNWRITTEN,
+    AllOf,
+    AnyOf,
+    Between,
+    Comparison,
+    Condition,
+    Membership,
+    Name,
+    Not,
+    Operator,
+    Query,
+    Test,
+    Value,
+    comparisons,
+    conjuncts,
+    refuse,
+)
+from sms_jobs.catalogue.search import FileView
+from sms_jobs.errors import InvalidInput, NotFound
+
+FEW = 4000
+"""Up to so many files are looked at one by one rather than walked over in order."""
+
+_COMPARED: dict[Operator, Callable[[Any, Any], ColumnElement[bool]]] = {
+    Operator.EQUAL: operator.eq,
+    Operator.UNEQUAL: operator.ne,
+    Operator.LESS: operator.lt,
+    Operator.AT_MOST: operator.le,
+    Operator.GREATER: operator.gt,
+    Operator.AT_LEAST: operator.ge,
+}
+_MEASUREMENT = "measurement"
+_ROUNDING = 1e-12
+"""Relative; a value that was converted from another unit may be off by so much."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A file, and what was asked about it, in the units of the question; None where it has no such value."""
+
+    file: FileView
+    values: dict[str, float | str | datetime | None]
+
+
+@dataclass(frozen=True)
+class Page:
+    """Some of the files that meet a query, the newest first.
+
+    Attributes
+    ----------
+    columns
+        Names of the values, in the order of the question.
+    next
+        What to go on after to get the next page; None on the last one.
+    """
+
+    columns: tuple[str, ...]
+    found: tuple[Found, ...]
+    next: int | None
+
+
+def find_page(
+    session: Session,
+    query: Query,
+    vocabulary: Vocabulary,
+    *,
+    columns: Sequence[str] | None = None,
+    after: int | None = None,
+    limit: int = 50,
+) -> Page:
+    """Return the files that meet a query.
+
+    Parameters
+    ----------
+    vocabulary
+        What the program knows besides the catalogue.
+    columns
+        What to tell of each file; what the query asks about if it is None.
+    after
+        `Page.next` of the page before.
+    limit
+        Of the page.
+
+    Raises
+    ------
+    InvalidInput
+        A name is not known, or it is compared with what it cannot be compared with.
+    NotFound
+        There is no such campaign or calibration.
+    """
+    _walk_indexes(session)
+    fields = Fields(session, vocabulary)
+    asked = _asked(fields, query, columns)
+    ids = session.scalars(statement(session, query, fields, after=after, limit=limit + 1)).all()
+    following = ids[limit - 1] if len(ids) > limit else None
+    return Page(tuple(asked), tuple(_told(session, ids[:limit], asked)), following)
+
+
+def restricted(
+    query: Query, *, kind: str | None, campaign: str | None, state: str | None, pair: str | None
+) -> Query:
+    """Return a query for those files alone that are of a kind, campaign, state and pair as well.
+
+    Raises
+    ------
+    InvalidInput
+        It asks for another kind already.
+    """
+    if kind is not None and query.kind is not None and query.kind.text != kind:
+        raise InvalidInput(
+            f"the query asks for {query.kind.text} and --kind for {kind}; leave one of them out"
+        )
+    given = {"campaign": campaign, "state": state, "pair": pair}
+    parts: list[Condition] = [
+        Comparison(Name(name, UNWRITTEN), Operator.EQUAL, Value(text, text, UNWRITTEN))
+        for name, text in given.items()
+        if text is not None
+    ]
+    parts += conjuncts(query.condition)
+    named = query.kind or (None if kind is None else Name(kind, UNWRITTEN))
+    return Query(query.text, named, AllOf(tuple(parts)) if parts else None)
+
+
+def check(session: Session, query: Query, vocabulary: Vocabulary) -> None:
+    """Raise what `find_page` would raise, without looking for anything."""
+    fields = Fields(session, vocabulary)
+    _Conditions(session, query, fields).all_of(query.condition)
+
+
+def statement(
+    session: Session, query: Query, fields: Fields, *, after: int | None = None, limit: int = 50
+) -> Select[int]:
+    """Return the statement that finds the numbers of the files, chosen by what the indexes show."""
+    if query.kind is not None:
+        fields.refuse_unknown_kind(query.kind, query.text)
+    conditions = _Conditions(session, query, fields)
+    found = select(FileRow.id).where(conditions.all_of(query.condition))
+    if query.kind is not None:
+        found = found.where(FileRow.source == query.kind.text)
+    number: ColumnElement[int] = FileRow.id.expression
+    few = _few(session, conditions.sources())
+    calibration = conditions.calibration()
+    if few is not None:
+        source, count = few
+        # The limit tells the database how few they are; files that come in meanwhile find room in it.
+        found = found.where(FileRow.id.in_(select(source.limit(2 * count + 100).subquery().c[0])))
+        _walk_indexes(session, sort=True)
+    elif calibration is not None:
+        # The index of its files is walked, in place of that of all files.
+        used = aliased(CalibrationUseRow)
+        found = found.join(used, used.file_id == FileRow.id).where(used.calibration_id == calibration)
+        number = used.file_id.expression
+    if after is not None:
+        found = found.where(number < after)
+    return found.order_by(number.desc()).limit(limit)
+
+
+def _walk_indexes(session: Session, *, sort: bool = False) -> None:
+    """Let PostgreSQL keep to indexes in this transaction, and to sorting what comes out of them or not.
+
+    It cannot know how many files meet a condition, guesses that they are few, and would then rather look at
+    all of them and sort than walk an index until a page is full.
+    """
+    if session.get_bind().dialect.name == "postgresql":
+        on = {"enable_seqscan": False, "enable_bitmapscan": False, "enable_sort": sort, "jit": False}
+        session.execute(select(*(func.set_config(n, "on" if v else "off", True) for n, v in on.items())))
+
+
+def _few(session: Session, sources: Sequence[Select[int]]) -> tuple[Select[int], int] | None:
+    """Return the source with the fewest files and their number, None if all have many."""
+    best = None
+    for source in sources:
+        # No more are counted than make a difference.
+        most = FEW if best is None else best[1]
+        counted = session.scalar(select(func.count()).select_from(source.limit(most + 1).subquery())) or 0
+        if counted <= most:
+            best = (source, counted)
+    return best
+
+
+class _Conditions:
+    """The conditions of a query as expressions about rows of `file`."""
+
+    def __init__(self, session: Session, query: Query, fields: Fields) -> None:
+        self._session = session
+        self._query = query
+        self._fields = fields
+        self._dialect = session.get_bind().dialect.name
+        self._known: set[int] = set()
+
+    def all_of(self, condition: Condition | None) -> ColumnElement[bool]:
+        return and_(True, *(self._expression(part) for part in conjuncts(condition)))
+
+    def sources(self) -> list[Select[int]]:
+        """Return selections of file numbers by an index; every file that is wanted is in each of them."""
+        return list(self._sources(self._query.condition))
+
+    def _sources(self, condition: Condition | None) -> Iterator[Select[int]]:
+        of_state = []
+        for part in conjuncts(condition):
+            if isinstance(part, AnyOf):
+                yield from self._union(part)
+            if not isinstance(part, Comparison | Membership | Between):
+                continue
+            field = self._field(part)
+            if field.type == "calibration":
+                yield from self._calibrated(part)
+            elif not _uses_index(part) or field.indexed is None:
+                continue
+            elif field.of_state:
+                of_state.append(self._test(part, field, field.indexed))
+            elif field.source is not None and (field.name != "time" or self._only_measurements()):
+                yield field.source.where(self._test(part, field, field.indexed))
+        if of_state:
+            held = select(FileRow.id).join(LoadStateRow, LoadStateRow.id == FileRow.state_id)
+            yield held.where(*of_state)
+
+    def _union(self, part: AnyOf) -> Iterator[Select[int]]:
+        branches = [next(self._sources(one), None) for one in part.conditions]
+        known = [b.subquery() for b in branches if b is not None]
+        if len(known) == len(branches):
+            yield select(union_all(*(select(k.c[0]) for k in known)).subquery().c[0])
+
+    def calibration(self) -> int | None:
+        """Return the calibration with which every file that is wanted was computed, if there is one."""
+        for part in conjuncts(self._query.condition):
+            if not isinstance(part, Comparison) or part.operator is not Operator.EQUAL:
+                continue
+            if self._field(part).type == "calibration":
+                return self._calibrations(part)[0]
+        return None
+
+    def _calibrated(self, part: Test) -> Iterator[Select[int]]:
+        if isinstance(part, Comparison) and part.operator is Operator.EQUAL:
+            (number,) = self._calibrations(part)
+            yield select(CalibrationUseRow.file_id).where(CalibrationUseRow.calibration_id == number)
+
+    def _only_measurements(self) -> bool:
+        return self._query.kind is not None and self._query.kind.text == _MEASUREMENT
+
+    def _field(self, part: Test) -> Field:
+        return self._fields.field(part.name, self._query.text)
+
+    def _expression(self, condition: Condition) -> ColumnElement[bool]:
+        if isinstance(condition, Not):
+            return not_(self._expression(condition.condition))
+        if isinstance(condition, AllOf):
+            return and_(*(self._expression(part) for part in condition.conditions))
+        if isinstance(condition, AnyOf):
+            return or_(*(self._expression(part) for part in condition.conditions))
+        field = self._field(condition)
+        if field.type == "campaign":
+            return self._campaign(condition)
+        if field.type == "calibration":
+            return self._calibration(condition)
+        if field.type == "parameter":
+            return self._test(condition, field, self._parameter(condition, field))
+        return self._test(condition, field, field.column)
+
+    def _test(self, part: Test, field: Field, column: ColumnElement[Any]) -> ColumnElement[bool]:
+        if isinstance(part, Membership):
+            return or_(*(self._compare(field, column, Operator.EQUAL, value) for value in part.values))
+        if isinstance(part, Between):
+            return and_(
+                self._compare(field, column, Operator.AT_LEAST, part.low),
+                self._compare(field, column, Operator.AT_MOST, part.high),
+            )
+        return self._compare(field, column, part.operator, part.value)
+
+    def _compare(
+        self, field: Field, column: ColumnElement[Any], sign: Operator, value: Value
+    ) -> ColumnElement[bool]:
+        kind = _parameter_type(value) if field.type == "parameter" else field.type
+        if sign is Operator.CONTAINS:
+            if kind not in ("text", "prefix"):
+                self._refuse(value, f"'{field.name}' has no text in it; ~ looks for a part of a text")
+            return column.icontains(value.text, autoescape=True)
+        if kind == "number":
+            return self._compare_number(field, column, sign, value)
+        if kind == "time":
+            return self._compare_time(field, column, sign, value)
+        if kind == "truth":
+            return _COMPARED[sign](column, value.text.lower() == "true")
+        if kind == "prefix" and sign in (Operator.EQUAL, Operator.UNEQUAL):
+            # Numbers of jobs are hexadecimal: nothing that begins so comes after "g".
+            begins = and_(column >= value.text.lower(), column < f"{value.text.lower()}g")
+            return begins if sign is Operator.EQUAL else not_(begins)
+        return _COMPARED[sign](column, value.text)
+
+    def _compare_number(
+        self, field: Field, column: ColumnElement[Any], sign: Operator, value: Value
+    ) -> ColumnElement[bool]:
+        if not isinstance(value.value, float):
+            self._refuse(value, f"'{field.name}' is a number, and '{value.text}' is none")
+        number = value.value * field.factor
+        if field.factor != 1.0 and sign in (Operator.EQUAL, Operator.UNEQUAL):
+            off = abs(number) * _ROUNDING
+            near = column.between(number - off, number + off)
+            return near if sign is Operator.EQUAL else not_(near)
+        # Whole numbers stay so where the column has such: an index on them knows no others.
+        whole = isinstance(column.type, Integer) and number.is_integer() and abs(number) < 2.0**53
+        return _COMPARED[sign](column, literal(int(number), BigInteger) if whole else literal(number, Double))
+
+    def _compare_time(
+        self, field: Field, column: ColumnElement[Any], sign: Operator, value: Value
+    ) -> ColumnElement[bool]:
+        """Compare times; a day is all the time from its midnight to the next."""
+        begin = value.value
+        if not isinstance(begin, datetime):
+            self._refuse(value, f"'{field.name}' is a time like 2026-05-01 or 2026-05-01T14:30")
+        if len(value.text) > len("2026-05-01"):
+            return _COMPARED[sign](column, begin)
+        try:
+            end = (datetime.fromisoformat(value.text) + timedelta(days=1)).astimezone()
+        except OverflowError:
+            self._refuse(value, "this day is too late")
+        within = and_(column >= begin, column < end)
+        return {
+            Operator.EQUAL: within,
+            Operator.UNEQUAL: not_(within),
+            Operator.LESS: column < begin,
+            Operator.AT_MOST: column < end,
+            Operator.GREATER: column >= end,
+            Operator.AT_LEAST: column >= begin,
+        }[sign]
+
+    def _parameter(self, part: Test, field: Field) -> ColumnElement[Any]:
+        values = _values(part)
+        kinds = {_parameter_type(value) for value in values}
+        if len(kinds) > 1:
+            self._refuse(values[-1], f"'{field.name}' is compared with values of different sorts")
+        return parameter_as(field, kinds.pop(), self._dialect)
+
+    def _campaign(self, part: Test) -> ColumnElement[bool]:
+        """Compare the campaign's number, on which the indexes of `file` begin."""
+        if isinstance(part, Comparison) and part.operator not in (Operator.EQUAL, Operator.UNEQUAL):
+            field = self._field(part)
+            wanted = self._test(part, Field("campaign", "text", field.column), CampaignRow.name.expression)
+            numbers = self._session.scalars(select(CampaignRow.id).where(wanted)).all()
+        else:
+            numbers = [campaigns.campaign_row(self._session, value.text).id for value in _values(part)]
+        if isinstance(part, Comparison) and part.operator is Operator.UNEQUAL:
+            return FileRow.campaign_id.not_in(numbers)
+        if not numbers:
+            return false()
+        return FileRow.campaign_id == numbers[0] if len(numbers) == 1 else FileRow.campaign_id.in_(numbers)
+
+    def _calibrations(self, part: Test) -> list[int]:
+        numbers = []
+        for value in _values(part):
+            number = value.value
+            if not isinstance(number, float) or not number.is_integer() or abs(number) >= 2.0**31:
+                self._refuse(value, "a calibration is asked for by its number")
+            numbers.append(int(number))
+            if numbers[-1] not in self._known and self._session.get(CalibrationRow, numbers[-1]) is None:
+                raise NotFound(f"there is no calibration {value.text}; 'sms calibration list' shows them")
+            self._known.add(numbers[-1])
+        return numbers
+
+    def _calibration(self, part: Test) -> ColumnElement[bool]:
+        """Whether a file was computed with one of some calibrations."""
+        plain = isinstance(part, Membership) or (
+            isinstance(part, Comparison) and part.operator in (Operator.EQUAL, Operator.UNEQUAL)
+        )
+        if not plain:
+            refuse(self._query.text, part.name.at, "a calibration is compared with =, != or in")
+        used = exists().where(
+            CalibrationUseRow.file_id == FileRow.id,
+            CalibrationUseRow.calibration_id.in_(self._calibrations(part)),
+        )
+        unwanted = isinstance(part, Comparison) and part.operator is Operator.UNEQUAL
+        return not_(used) if unwanted else used
+
+    def _refuse(self, value: Value, why: str) -> NoReturn:
+        refuse(self._query.text, value.at, why)
+
+
+def _uses_index(part: Test) -> bool:
+    return not isinstance(part, Comparison) or part.operator not in (Operator.CONTAINS, Operator.UNEQUAL)
+
+
+def _values(part: Test) -> tuple[Value, ...]:
+    if isinstance(part, Membership):
+        return part.values
+    return (part.low, part.high) if isinstance(part, Between) else (part.value,)
+
+
+def _parameter_type(value: Value) -> Any:
+    if isinstance(value.value, float):
+        return "number"
+    return "truth" if value.text.lower() in ("true", "false") else "text"
+
+
+def _asked(fields: Fields, query: Query, columns: Sequence[str] | None) -> dict[str, Field]:
+    """Return what to tell of each file: the columns that are wanted, or what the query compares."""
+    named = {c: fields.field(Name(c, 0), c) for c in columns or ()}
+    if columns is None:
+        for test in comparisons(query.condition):
+            if test.name.at == UNWRITTEN:
+                continue
+            named[test.name.text] = fields.field(test.name, query.text)
+    return {name: field for name, field in named.items() if field.type != "calibration"}
+
+
+def _told(session: Session, ids: Sequence[int], asked: dict[str, Field]) -> Iterator[Found]:
+    extra = [field.column.label(f"value_{place}") for place, field in enumerate(asked.values())]
+    by_id = {
+        file.id: Found(file, {n: _value(f, v) for (n, f), v in zip(asked.items(), values, strict=True)})
+        for file, values in search.views_with(session, ids, extra)
+    }
+    # One that was removed in the meantime is left out.
+    yield from (by_id[key] for key in ids if key in by_id)
+
+
+def _value(field: Field, value: Any) -> Any:
+    if field.type == "parameter":
+        value = (value or {}).get(field.parameter)
+        value = value if value is None or isinstance(value, bool | int | float | str) else str(value)
+    if field.factor == 1.0 or not isinstance(value, int | float):
+        return value
+    return value / field.factor

@@ -1,0 +1,304 @@
+"""What the names of a query mean: columns, readings, statistics and parameters, and the indexes they have.
+
+Every field is one expression about a row of `file`. What lies in another table is a subquery that finds one
+row by its key: no database can make more of it than that one look-up, so that the cost of a query is the
+number of files that are looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from functools import cache
+from typing import Any, Literal, NoReturn, TypeAlias
+
+from sqlalchemy import ColumnElement, Select, String, case, func, literal, select
+from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
+
+from sms_jobs.catalogue.models import (
+    CalibrationRow,
+    CampaignRow,
+    ChannelRow,
+    FileRow,
+    JobRow,
+    LoadStateRow,
+    MeasurementRow,
+    ResultRow,
+    RigRow,
+    SpecimenRow,
+    StatisticRow,
+)
+from sms_jobs.catalogue.quantities import in_other_units
+from sms_jobs.catalogue.query_language import Name, refuse
+
+Type: TypeAlias = Literal["number", "text", "time", "prefix", "campaign", "calibration", "parameter"]
+
+
+@dataclass(frozen=True)
+class Vocabulary:
+    """What the program knows besides the catalogue: its kinds, and the parameters of their jobs."""
+
+    kinds: frozenset[str] = frozenset()
+    parameters: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Field:
+    """Something that can be asked about a file.
+
+    Attributes
+    ----------
+    name
+        As it was asked for.
+    type
+        What it is compared with; a prefix is a text of which the beginning is enough.
+    column
+        Its value for a row of `file`.
+    factor
+        A value in the unit of `name` times this is one in the unit of the column.
+    source
+        Selects the numbers of files by an index on `indexed`; None where there is none.
+    indexed
+        The column that `source` has an index on.
+    of_state
+        `indexed` is a column of `load_state`.
+    parameter
+        The name of a parameter of jobs.
+    """
+
+    name: str
+    type: Type
+    column: ColumnElement[Any]
+    factor: float = 1.0
+    source: Select[int] | None = None
+    indexed: ColumnElement[Any] | None = None
+    of_state: bool = False
+    parameter: str = ""
+
+
+def _of(key: ColumnElement[bool], wanted: InstrumentedAttribute[Any]) -> ColumnElement[Any]:
+    return select(wanted).where(key).correlate(FileRow).scalar_subquery()
+
+
+def _state(name: str, column: InstrumentedAttribute[Any], type_: Type) -> Field:
+    value = _of(LoadStateRow.id == FileRow.state_id, column)
+    return Field(name, type_, value, indexed=column.expression, of_state=True)
+
+
+def _time() -> ColumnElement[Any]:
+    """When a measurement was recorded; of any other file, when its state was held."""
+    recorded = _of(MeasurementRow.file_id == FileRow.id, MeasurementRow.recorded_at)
+    return func.coalesce(recorded, _of(LoadStateRow.id == FileRow.state_id, LoadStateRow.time))
+
+
+def _rig() -> ColumnElement[Any]:
+    campaign, calibration = aliased(CampaignRow), aliased(CalibrationRow)
+    used = select(RigRow.name).join(campaign, campaign.rig_id == RigRow.id)
+    made = select(RigRow.name).join(calibration, calibration.rig_id == RigRow.id)
+    return func.coalesce(
+        used.where(campaign.id == FileRow.campaign_id).correlate(FileRow).scalar_subquery(),
+        made.where(calibration.file_id == FileRow.id).correlate(FileRow).scalar_subquery(),
+    )
+
+
+def _specimen() -> ColumnElement[Any]:
+    tested = select(SpecimenRow.name).join(CampaignRow, CampaignRow.specimen_id == SpecimenRow.id)
+    return tested.where(CampaignRow.id == FileRow.campaign_id).correlate(FileRow).scalar_subquery()
+
+
+@cache
+def _built_in(dialect: str) -> dict[str, Field]:
+    at = (func.instr if dialect == "sqlite" else func.strpos)(FileRow.pair, literal("P"))
+    campaign = _of(CampaignRow.id == FileRow.campaign_id, CampaignRow.name)
+    version = _of(ResultRow.file_id == FileRow.id, ResultRow.kind_version)
+    files = select(FileRow.id)
+    recorded = select(MeasurementRow.file_id)
+    fields = (
+        Field("file", "number", FileRow.id.expression),
+        Field("kind", "text", FileRow.source.expression),
+        Field("campaign", "campaign", campaign),
+        _state("state", LoadStateRow.label, "text"),
+        Field("pair", "text", FileRow.pair.expression),
+        Field("camera", "text", func.substr(FileRow.pair, 1, at - 1)),
+        Field("projector", "text", func.substr(FileRow.pair, at)),
+        _state("load_n", LoadStateRow.load_n, "number"),
+        _state("displacement_mm", LoadStateRow.displacement_mm, "number"),
+        Field("time", "time", _time(), source=recorded, indexed=MeasurementRow.recorded_at.expression),
+        Field(
+            "created",
+            "time",
+            FileRow.created_at.expression,
+            source=files,
+            indexed=FileRow.created_at.expression,
+        ),
+        Field("calibration", "calibration", FileRow.id.expression),
+        Field("version", "number", version),
+        Field("rig", "text", _rig()),
+        Field("specimen", "text", _specimen()),
+        Field("job", "prefix", FileRow.job_id.expression),
+        Field("path", "text", FileRow.path.expression),
+        Field("size_bytes", "number", FileRow.size_bytes.expression),
+    )
+    return {known.name: known for known in fields}
+
+
+_LONG = {"max": "maximum", "min": "minimum", "med": "median", "avg": "mean"}
+_SPACES = ("statistic", "channel", "param")
+_LISTED = 40
+
+
+class Fields:
+    """Finds what a name means in one catalogue."""
+
+    def __init__(self, session: Session, vocabulary: Vocabulary) -> None:
+        self._session = session
+        self._vocabulary = vocabulary
+        self._built_in = _built_in(session.get_bind().dialect.name)
+        self._names: dict[str, tuple[str, ...]] = {}
+
+    def field(self, name: Name, text: str) -> Field:
+        """Return what a name of a query means.
+
+        Raises
+        ------
+        InvalidInput
+            Nothing is called so; the message points at the place in `text` and names what there is.
+        """
+        space, dot, rest = name.text.partition(".")
+        if dot:
+            if space.lower() not in _SPACES:
+                refuse(
+                    text, name.at, f"'{space}.' has no meaning; there are {_listed(f'{s}.' for s in _SPACES)}"
+                )
+            look_up = {"statistic": self._statistic, "channel": self._channel, "param": self._parameter}
+            found = look_up[space.lower()](rest, name.text)
+        else:
+            found = self._plain(name.text)
+        if not isinstance(found, Field):
+            self._refuse(name, text, found, space.lower() if dot else "")
+        return found
+
+    def _refuse(self, name: Name, text: str, found: list[str], space: str) -> NoReturn:
+        if found:
+            refuse(text, name.at, f"'{name.text}' may mean {_listed(found)}; write which")
+        known = self.known(space)
+        near = get_close_matches(name.text.lower(), [k.lower() for k in known], n=1, cutoff=0.5)
+        hint = next((f"; did you mean '{k}'" for k in known if [k.lower()] == near), "")
+        more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
+        listed = f"there are {_listed(known[:_LISTED])}{more}" if known else "there are none of that sort yet"
+        refuse(text, name.at, f"nothing is called '{name.text}'{hint}; {listed}")
+
+    def refuse_unknown_kind(self, kind: Name, text: str) -> None:
+        """Raise `InvalidInput` where no file is, and none can become, of that kind."""
+        if kind.text in self._vocabulary.kinds or kind.text in self._distinct(FileRow.source):
+            return
+        known = sorted(self._vocabulary.kinds | set(self._distinct(FileRow.source)))
+        near = get_close_matches(kind.text, known, n=1, cutoff=0.5)
+        hint = f"; did you mean '{near[0]}'" if near else ""
+        refuse(text, kind.at, f"there is no kind '{kind.text}'{hint}; there are {_listed(known)}")
+
+    def known(self, space: str = "") -> list[str]:
+        """Return all names, or those behind `statistic.`, `channel.` or `param.`."""
+        names = [] if space else list(self._built_in)
+        if space in ("", "statistic"):
+            names += [f"{space}.{n}".lstrip(".") for n in self._distinct(StatisticRow.name)]
+        if space in ("", "channel"):
+            names += [f"channel.{n}" for n in self._distinct(ChannelRow.name)]
+        if space in ("", "param"):
+            names += [f"param.{n}" for n in sorted(self._vocabulary.parameters)]
+        return names
+
+    def _plain(self, name: str) -> Field | list[str]:
+        known = {n: f for n, f in self._built_in.items() if f.type == "number"}
+        if name.lower() in self._built_in:
+            return self._built_in[name.lower()]
+        for other, factor in in_other_units(name.lower()):
+            if other in known:
+                return replace(known[other], name=name, factor=factor)
+        found = self._statistic(name, name)
+        return found or self._channel(name, name)
+
+    def _statistic(self, name: str, written: str) -> Field | list[str]:
+        def made(stored: str, factor: float) -> Field:
+            value = _of(
+                (StatisticRow.file_id == FileRow.id) & (StatisticRow.name == stored), StatisticRow.value
+            )
+            rows = select(StatisticRow.file_id).where(StatisticRow.name == stored)
+            indexed = StatisticRow.value.expression
+            return Field(written, "number", value, factor, source=rows, indexed=indexed)
+
+        return self._stored(name, self._distinct(StatisticRow.name), made)
+
+    def _channel(self, name: str, written: str) -> Field | list[str]:
+        def made(stored: str, factor: float) -> Field:
+            value = _of(
+                (ChannelRow.state_id == FileRow.state_id) & (ChannelRow.name == stored), ChannelRow.value
+            )
+            rows = select(FileRow.id).join(ChannelRow, ChannelRow.state_id == FileRow.state_id)
+            rows = rows.where(ChannelRow.name == stored)
+            indexed = ChannelRow.value.expression
+            return Field(written, "number", value, factor, source=rows, indexed=indexed)
+
+        return self._stored(name, self._distinct(ChannelRow.name), made)
+
+    def _parameter(self, name: str, written: str) -> Field | list[str]:
+        def made(stored: str, factor: float) -> Field:
+            value = _of(JobRow.id == FileRow.job_id, JobRow.parameters)
+            return Field(written, "parameter", value, factor, parameter=stored)
+
+        return self._stored(name, tuple(sorted(self._vocabulary.parameters)), made)
+
+    def _stored(
+        self, name: str, stored: tuple[str, ...], made: Callable[[str, float], Field]
+    ) -> Field | list[str]:
+        """Return the one that is meant: exactly, in another unit, or the only one that begins so."""
+        if name in stored:
+            return made(name, 1.0)
+        lower = {s.lower(): s for s in stored}
+        first, _, rest = name.lower().partition("_")
+        long = f"{_LONG[first]}_{rest}" if first in _LONG and rest else name.lower()
+        for written in (name.lower(), long):
+            if written in lower:
+                return made(lower[written], 1.0)
+            for other, factor in in_other_units(written):
+                if other in lower:
+                    return made(lower[other], factor)
+        begun = [s for s in stored if s.lower().startswith(f"{long}_")]
+        return made(begun[0], 1.0) if len(begun) == 1 else begun
+
+    def _distinct(self, column: InstrumentedAttribute[str]) -> tuple[str, ...]:
+        """Return the different values of an indexed column: one look into the index for each."""
+        key = str(column)
+        if key not in self._names:
+            seen = select(func.min(column).label("name")).cte("seen", recursive=True)
+            other = aliased(column.class_)
+            own = getattr(other, column.key)
+            later = select(func.min(own)).where(own > seen.c.name).correlate(seen).scalar_subquery()
+            seen = seen.union_all(select(later).where(seen.c.name.is_not(None)))
+            found = self._session.scalars(select(seen.c.name).where(seen.c.name.is_not(None)))
+            self._names[key] = tuple(sorted(found))
+        return self._names[key]
+
+
+def parameter_as(kept: Field, type_: Literal["number", "text", "truth"], dialect: str) -> ColumnElement[Any]:
+    """Return a parameter of the job that made a file, None where it is of another type."""
+    document = JobRow.parameters
+    value = document[kept.parameter]
+    if dialect == "sqlite":
+        sort = func.json_type(document, literal(f'$."{kept.parameter}"', String))
+    else:
+        sort = func.json_typeof(value)
+    sorts: Mapping[str, tuple[tuple[str, ...], ColumnElement[Any]]] = {
+        "number": (("integer", "real", "number"), value.as_float()),
+        "text": (("text", "string"), value.as_string()),
+        "truth": (("true", "false", "boolean"), value.as_boolean()),
+    }
+    names, typed = sorts[type_]
+    # Reading a text as a number would be an error on PostgreSQL.
+    chosen = case((sort.in_(names), typed), else_=None)
+    return select(chosen).where(JobRow.id == FileRow.job_id).correlate(FileRow).scalar_subquery()
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(names)

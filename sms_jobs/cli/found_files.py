@@ -1,0 +1,201 @@
+"""How files that were found are printed: options and formats of `data find` and `data query run`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from itertools import chain
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.catalogue import finding
+from sms_jobs.catalogue.finding import Found, Page
+from sms_jobs.catalogue.query_fields import Vocabulary
+from sms_jobs.catalogue.query_language import Query
+from sms_jobs.catalogue.search import FileView
+from sms_jobs.cli import output
+from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.formats.row_tables import write_csv, write_parquet
+from sms_jobs.kinds import all_kinds
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+
+_PAGE = 1000
+"""Files that are fetched at once, however many are wanted."""
+
+
+class Format(StrEnum):
+    """How found files are told."""
+
+    TABLE = "table"
+    JSON = "json"
+    LINES = "lines"
+    CSV = "csv"
+    PARQUET = "parquet"
+
+
+Limit = Annotated[int, typer.Option(help="At most so many, the newest.", min=1, max=100_000)]
+After = Annotated[
+    int | None, typer.Option(help="Go on after this file: the 'next' of the page before.", min=1)
+]
+Columns = Annotated[
+    str | None,
+    typer.Option(help="What to tell of each file, with commas between: file,subject,load_kN,param.method."),
+]
+As = Annotated[
+    Format,
+    typer.Option(
+        "--format",
+        help="table; json with the key of the next page; lines of JSON; csv; parquet (a file).",
+    ),
+]
+Out = Annotated[Path | None, typer.Option("--out", "-o", help="File to write; the screen if not given.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
+
+_OF_FILE: dict[str, Callable[[FileView], Any]] = {
+    "file": lambda f: f.id,
+    "kind": lambda f: f.source,
+    "subject": lambda f: f.subject,
+    "type": lambda f: PurePosixPath(f.path).suffix,
+    "size": lambda f: output.size(f.size_bytes),
+    "created": lambda f: f.created_at,
+    "path": lambda f: f.path,
+    "size_bytes": lambda f: f.size_bytes,
+    "content_hash": lambda f: f.content_hash,
+    "job": lambda f: f.job_id,
+}
+_SHOWN = ("file", "kind", "subject", "type", "size", "created")
+_WRITTEN = ("file", "kind", "subject", "path", "size_bytes", "content_hash", "created", "job")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which of the files that meet a query are wanted, and how they are to be told."""
+
+    limit: int
+    after: int | None
+    columns: str | None
+    form: Format
+    out: Path | None
+    force: bool
+    as_json: bool
+
+
+def vocabulary() -> Vocabulary:
+    """Return the kinds and parameters that this version of the program knows."""
+    kinds = all_kinds().values()
+    return Vocabulary(
+        frozenset({MEASUREMENT, CALIBRATION} | {kind.makes or kind.name for kind in kinds}),
+        frozenset(name for kind in kinds for name in kind.parameters.model_fields),
+    )
+
+
+def tell(home: Path | None, ask: Callable[[bootstrap.Services], Query], wanted: Wanted) -> None:
+    """Find files and print or write them."""
+    _refuse(wanted)
+    names = None if wanted.columns is None else _split(wanted.columns)
+    extra = None if names is None else [name for name in names if name not in _OF_FILE]
+    with bootstrap.services(home) as services:
+        query = ask(services)
+        pages = _pages(services, query, extra, wanted)
+        first = next(pages)
+        found = chain([first], pages)
+        _tell(first, found, names, wanted)
+
+
+def _tell(first: Page, pages: Iterator[Page], names: list[str] | None, wanted: Wanted) -> None:
+    last = first.next
+
+    def files() -> Iterator[Found]:
+        nonlocal last
+        for page in pages:
+            last = page.next
+            yield from page.found
+
+    if wanted.as_json:
+        output.print_json_list(_object(one, names) for one in files())
+    elif wanted.form is Format.JSON:
+        told = [_object(one, names) for one in files()]
+        output.print_json({"files": told, "next": last})
+        return
+    elif wanted.form is Format.LINES:
+        for one in files():
+            output.print_line(_object(one, names))
+        output.print_json({"next": last})
+        return
+    elif wanted.form is Format.TABLE:
+        columns = names or [*_SHOWN, *(c for c in first.columns if c not in _SHOWN)]
+        output.print_table(columns, (_row(one, columns) for one in files()), empty="there is no such file")
+    else:
+        _write(wanted, names or [*_WRITTEN, *(c for c in first.columns if c not in _WRITTEN)], files())
+    if last is not None:
+        output.say(f"there are more; go on with --after {last}")
+
+
+def _pages(
+    services: bootstrap.Services, query: Query, columns: Sequence[str] | None, wanted: Wanted
+) -> Iterator[Page]:
+    left, after, known = wanted.limit, wanted.after, vocabulary()
+    while True:
+        with services.catalogue.reading() as session:
+            page = finding.find_page(
+                session, query, known, columns=columns, after=after, limit=min(left, _PAGE)
+            )
+        yield page
+        left, after = left - len(page.found), page.next
+        if left <= 0 or after is None:
+            return
+
+
+def _write(wanted: Wanted, columns: list[str], files: Iterator[Found]) -> None:
+    rows = (_row(one, columns) for one in files)
+    if wanted.out is None:
+        write_csv(sys.stdout, columns, rows)
+        return
+    if wanted.form is Format.PARQUET:
+        count = write_parquet(wanted.out, columns, rows)
+    else:
+        with wanted.out.open("w", encoding="utf-8", newline="") as stream:
+            count = write_csv(stream, columns, rows)
+    output.say(f"wrote {count} files into {wanted.out}")
+
+
+def _refuse(wanted: Wanted) -> None:
+    """Refuse what does not go together, before anything is looked for."""
+    if wanted.as_json and wanted.form is not Format.TABLE:
+        raise InvalidInput(f"--json and --format {wanted.form.value} cannot both be had; give one of them")
+    if wanted.out is None:
+        if wanted.form is Format.PARQUET:
+            raise InvalidInput("a Parquet file cannot be shown on a screen; say where to write it with --out")
+        return
+    if wanted.as_json or wanted.form not in (Format.CSV, Format.PARQUET):
+        raise InvalidInput("--out writes --format csv or --format parquet; the rest goes to the screen")
+    if wanted.out.exists() and not wanted.force:
+        raise Conflict(f"{wanted.out} exists already; give another name, or --force to replace it")
+    if not wanted.out.parent.is_dir():
+        raise InvalidInput(f"the folder {wanted.out.parent} does not exist; make it first")
+
+
+def _split(columns: str) -> list[str]:
+    names = list(dict.fromkeys(name.strip() for name in columns.split(",")))
+    if not all(names):
+        raise InvalidInput(f"--columns '{columns}' has an empty name; write them like file,subject,load_kN")
+    return names
+
+
+def _value(one: Found, name: str) -> Any:
+    return one.values[name] if name in one.values else _OF_FILE[name](one.file)
+
+
+def _row(one: Found, columns: Sequence[str]) -> list[Any]:
+    return [_value(one, name) for name in columns]
+
+
+def _object(one: Found, names: list[str] | None) -> dict[str, Any]:
+    if names is not None:
+        return {name: _value(one, name) for name in names}
+    return asdict(one.file) | ({"values": one.values} if one.values else {})
