@@ -261,11 +261,11 @@ def check(
     return CalibrationCheck(
         str(subject),
         number,
-        _checked(known, subject.pair, orientations, phase, cloud, baseline_mm, false_alarm, threads),
+        drift_of(known, subject.pair, orientations, phase, cloud, baseline_mm, false_alarm, threads),
     )
 
 
-def _checked(
+def drift_of(
     known: KnownCalibration,
     pair: str,
     sequence: FringeSequence,
@@ -275,6 +275,7 @@ def _checked(
     false_alarm: float,
     threads: int,
 ) -> DriftCheck:
+    """Return what `check` does, of a measurement and a calibration that are at hand."""
     names = list(split_pair(pair))
     camera, projector = (known.calibration.rig.sensor(n) for n in names)
     refused = (cloud.reason & ~np.uint32(_HIDDEN_BY_DRIFT)) != 0
