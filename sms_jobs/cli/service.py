@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import platform
 import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
 
+import h5py
 import typer
 
+import sms_jobs
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import schema
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import SmsError
-from sms_jobs.jobs import inquiry
+from sms_jobs.jobs import health, inquiry
 
 _ALIVE_WITHIN = timedelta(seconds=60)
 _FINDINGS = 6
@@ -92,41 +97,62 @@ def _facts(services: Services) -> dict[str, Any]:
 
 
 def doctor(home: Home = None, as_json: Json = False) -> None:
-    """Check catalogue, archive, messages, workers and disk; say what to do about each finding.
+    """Check catalogue, archive, messages, workers, clock and disk; say what to do about each finding.
 
     Example: sms doctor
     """
-    findings: list[dict[str, str]] = []
-
-    def check(what: str, finding: str | None) -> None:
-        findings.append({"check": what, "finding": finding or "ok"})
-
+    checks: list[_Check] = []
     try:
         with bootstrap.services(home) as services:
-            _check_services(services, check)
+            checks.append(_Check("home and catalogue", None, str(services.settings.home)))
+            checks += _checks(services)
     except SmsError as error:
-        check("home and catalogue", str(error))
-    bad = [f for f in findings if f["finding"] != "ok"]
+        checks.append(_Check("home and catalogue", str(error)))
+    bad = any(c.finding for c in checks)
     if as_json:
-        output.print_json({"healthy": not bad, "checks": findings})
+        shown = [{"check": c.check, "finding": c.finding or "ok", "found": c.found} for c in checks]
+        output.print_json({"healthy": not bad, "checks": shown})
     else:
-        output.print_table(["check", "finding"], [list(f.values()) for f in findings], empty="")
+        rows = [(c.check, c.finding or f"ok{c.found and ': '}{c.found}") for c in checks]
+        output.print_table(["check", "finding"], rows, empty="")
     if bad:
         raise typer.Exit(_FINDINGS)
 
 
-def _check_services(services: Services, check: Any) -> None:
-    from sms_jobs.workers.celery_app import broker_answers
+@dataclass(frozen=True)
+class _Check:
+    check: str
+    finding: str | None
+    found: str = ""
 
-    check("home and catalogue", None)
-    drift = schema.differences_from_models(services.catalogue)
-    check("schema", f"{len(drift)} differences from this version's: {drift[0]}" if drift else None)
-    check("messages", broker_answers(services.settings))
-    free = shutil.disk_usage(services.archive.root).free
-    little = f"only {output.size(free)} free at {services.archive.root}; make room"
-    check("disk", little if free < _LITTLE_ROOM_BYTES else None)
-    with services.catalogue.reading() as session:
-        alive = inquiry.workers(session, datetime.now(UTC) - _ALIVE_WITHIN)
-        waiting = inquiry.still_active(inquiry.counts(session))
-    idle = f"{waiting} jobs wait and no worker is alive; start one with 'sms up'"
-    check("workers", idle if waiting and not alive else None)
+
+def _checks(services: Services) -> Iterator[_Check]:
+    from sms_jobs.workers import broker
+
+    settings, catalogue, archive = services.settings, services.catalogue, services.archive
+    drift = schema.differences_from_models(catalogue)
+    with catalogue.reading() as session:
+        database = health.database_version(session)
+        pauses = health.pauses(session)
+        workers = health.workers(session, datetime.now(UTC))
+        alive = len(inquiry.workers(session, datetime.now(UTC) - _ALIVE_WITHIN))
+    yield _Check("versions", None, _versions(database))
+    yield _Check("schema", f"{len(drift)} differences from this version's: {drift[0]}" if drift else None)
+    yield _Check("place of the catalogue", health.database_on_network(catalogue), catalogue.describe())
+    yield _Check("clock", health.clock(catalogue, timedelta(seconds=settings.lease_s)))
+    what, finding = broker.examine(settings)
+    yield _Check("messages", finding, what)
+    yield _Check(
+        "archive", health.archive_writes(archive) or health.other_file_systems(archive), str(archive.root)
+    )
+    free = f"{output.size(shutil.disk_usage(archive.root).free)} free"
+    yield _Check("disk", health.room(archive.root, _LITTLE_ROOM_BYTES), free)
+    yield _Check("queues", pauses)
+    yield _Check("workers", workers, f"{alive} alive")
+
+
+def _versions(database: str) -> str:
+    return (
+        f"sms {sms_jobs.__version__}, Python {platform.python_version()}, HDF5 {h5py.version.hdf5_version}, "
+        f"{database}"
+    )
