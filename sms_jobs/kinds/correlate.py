@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from sms_jobs.metrology.deformation.correlation import MatchSettings, Noise, pre
 from sms_jobs.metrology.deformation.displacement import DenseDisplacement, ImagePoints, displacement_field
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, match_grid
 from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
 from sms_jobs.metrology.images.segmentation import ContinuousRegions, label_regions, pixel_footprint
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import (
@@ -71,8 +72,10 @@ class CorrelateParameters(Parameters):
     subset_radius_px: int = Field(
         10, ge=3, le=100, description="a subset has (2 radius + 1)^2 pixels, less those of other regions"
     )
-    shape_order: Literal[0, 1, 2] = Field(
+    shape_order: int = Field(
         1,
+        ge=0,
+        le=2,
         description="how a subset may deform: 0 shift, 1 affine, 2 quadratic, which follows curved fields "
         "and is noisier",
     )
@@ -153,7 +156,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         MatchSettings(
             parameters.subset_radius_px,
             parameters.minimum_subset_part,
-            shape_order=parameters.shape_order,
+            shape_order=cast(ShapeOrder, parameters.shape_order),
         ),
         GridSettings(parameters.spacing_px, parameters.minimum_score, parameters.maximum_sigma_px),
         SearchSettings(parameters.search_range_x_px, parameters.search_range_y_px),

@@ -79,6 +79,13 @@ def test_any_shape_order_and_spline_will_do(plate: Any, chosen: dict[str, Any]) 
         assert 0.7 < np.sqrt(np.mean((length[valid] / sigma[valid]) ** 2)) < 1.3
 
 
+def test_parameters_can_be_given_as_words() -> None:
+    assert CorrelateParameters.model_validate({"shape_order": "2", "interpolation": "cubic"}).shape_order == 2
+    for order in ("-1", "3"):
+        with pytest.raises(ValueError, match="shape_order"):
+            CorrelateParameters.model_validate({"shape_order": order})
+
+
 def test_threads_do_not_matter(plate: Any) -> None:
     subject = plate.subject("S01", PAIR)
     one, two = (plate.run(correlate.KIND, subject, threads=n) for n in (1, 2))
