@@ -114,7 +114,9 @@ def reindex(
             {"files": len(done), "indexed": entered, "bytes": size, "seconds": took, "not_well": bad}
         )
     else:
-        output.print_table(["outcome", "file", "why"], [(b.outcome, b.path, b.detail) for b in bad], empty="")
+        if bad:
+            rows = [(one.outcome, one.path, one.detail) for one in bad]
+            output.print_table(["outcome", "file", "why"], rows, empty="")
         output.say(
             f"{entered} of {len(done)} unknown files {'would be' if dry_run else 'are now'} in the catalogue "
             f"({output.size(size)} in {took:.1f} s)"

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import shutil
+from pathlib import Path
 
 import pytest
-from support.archives import Clock, emptied, everything, registered, run_jobs
+from support.archives import PLAN, Clock, emptied, everything, registered, run_jobs
 from support.command import sms
 from support.deployments import Deployment
 from support.sealing import calibration, provenance
@@ -17,7 +18,9 @@ from sms_jobs.jobs import recovery, reindexing
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.registration import register_calibration
 from sms_jobs.jobs.reindexing import Reindexed
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.campaign import Campaign, CampaignDefinition, Subject
+from sms_jobs.virtual_rig.campaigns import small_plate
+from sms_jobs.virtual_rig.sessions import small_session
 
 REQUESTS = [Request("acquire"), Request("pipeline")]
 
@@ -83,6 +86,16 @@ def test_an_empty_catalogue_is_rebuilt_equal_to_the_old_one(
     again = run_jobs(catalogue, filled, clock, REQUESTS)
     with catalogue.reading() as session:
         assert all(session.get_one(JobRow, job).reused_from for job in again)
+
+
+@pytest.mark.parametrize("campaign", [small_session("it"), small_plate("it")[1]], ids=["session", "test"])
+def test_a_campaign_is_read_as_it_was_sealed(tmp_path: Path, campaign: Campaign) -> None:
+    archive, definition = Archive(tmp_path), CampaignDefinition(campaign, PLAN)
+    sealed = archive.seal_campaign(
+        definition, Clock()(), program_version="0.1.0", host="here", operator="somebody"
+    )
+    with archive.open(sealed.path) as dataset:
+        assert dataset.read("campaign", CampaignDefinition) == definition
 
 
 def test_an_interrupted_run_goes_on(catalogue: Catalogue, shapes: Archive) -> None:
