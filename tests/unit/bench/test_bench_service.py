@@ -1,0 +1,47 @@
+"""The groups of the service: honest about what they leave out, and no job is claimed twice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sms_jobs.bench.figures import Condition, Figure, Run
+from sms_jobs.bench.groups import all_groups, archive, catalogue, jobs
+from sms_jobs.bench.servers import POSTGRESQL
+from sms_jobs.settings import load
+
+
+def said(text: str) -> None:
+    assert text
+
+
+def test_the_groups_are_found() -> None:
+    assert {"archive", "catalogue", "jobs"} <= all_groups().keys()
+
+
+def test_queries_among_a_few_files_are_no_figure_of_a_million(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(POSTGRESQL, raising=False)
+    found = list(catalogue.measure(Run(True, said, 1, home)))
+    figures = {f.name: f for f in found if isinstance(f, Figure)}
+    assert figures["find_1m_rows_ms"].value is None
+    conditions = {c.topic: c.text for c in found if isinstance(c, Condition)}
+    assert conditions["find_1m_rows"].startswith("20000 files")
+    assert POSTGRESQL in conditions["find_1m_rows_postgresql"]
+
+
+def test_the_archive_is_measured_and_its_figures_are_speeds(home: Path) -> None:
+    figures = [f for f in archive.measure(Run(True, said, 1, home)) if isinstance(f, Figure)]
+    assert all(f.value is not None and f.value > 0.0 for f in figures)
+    names = {"write_frames_mb_s", "read_slab_mb_s", "seal_50mb_ms", "verify_mb_s"}
+    assert names <= {f.name for f in figures}
+
+
+def test_workers_that_compete_claim_no_job_twice(home: Path) -> None:
+    jobs._register_long_test(home, 2)
+    with jobs.bootstrap.services(home) as services, services.catalogue.writing() as session:
+        jobs.submit(session, "long-test", [jobs.Request("acquire")], jobs.datetime.now(jobs.UTC))
+    # `_contended` raises where two workers hold the same job; there are three jobs, one a state.
+    assert jobs._contended(load(home).catalogue_url, 100) > 0.0
