@@ -25,7 +25,7 @@ class CalibrationUncertainty:
 
     sensors: tuple[str, ...]
     covariance: NDArray[np.float64] = array(
-        "1", "covariance of the parameters, in rad, mm and px", ("parameter", "parameter")
+        "1", "covariance of the parameters, in rad, mm and px", ("parameter", "by")
     )
 
 
