@@ -1,4 +1,8 @@
-"""`sms calibration`: the calibrations of rigs."""
+"""`sms calibration`: the calibrations of rigs.
+
+What computes with them is imported by the commands that need it: its kernels take a second, which every other
+command would wait for.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,6 @@ from sms_jobs.catalogue import search
 from sms_jobs.cli import calibration_files, completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
-from sms_jobs.jobs import calibrations
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.sensors import Calibration
@@ -53,6 +56,8 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
 
     Example: sms calibration show 1
     """
+    from sms_jobs.jobs import calibrations
+
     with bootstrap.services(home) as services:
         known = calibrations.known_calibration(services.catalogue, services.archive, number)
     calibration = known.calibration
@@ -136,6 +141,8 @@ def certify(
 
     Example: sms calibration certify hall-3-june --valid-from 2026-06-01T08:00:00+01:00
     """
+    from sms_jobs.jobs import calibrations
+
     since = None if valid_from is None else _time(valid_from)
     with bootstrap.services(home) as services:
         number, new, calibration = calibrations.certify(
@@ -185,6 +192,8 @@ def compare(
 
     Example: sms calibration compare 1 2
     """
+    from sms_jobs.jobs import calibrations
+
     with bootstrap.services(home) as services:
         found, tolerance = calibrations.compare(
             services.catalogue, services.archive, before, after, tolerance_mm
@@ -239,6 +248,8 @@ def check(
 
     Example: sms calibration check wing-fatigue/S00/C1P1 wing-fatigue/S00/C2P2
     """
+    from sms_jobs.jobs import calibrations
+
     now = datetime.now(UTC)
     with bootstrap.services(home) as services:
         found = [

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from enum import Enum
 from math import sqrt
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -25,8 +25,7 @@ from sms_jobs.cli import output
 from sms_jobs.cli.output import Json
 from sms_jobs.cli.waiting import succeeded, unsuccessful, wait_for
 from sms_jobs.errors import JobFailed, SmsError
-from sms_jobs.jobs import calibrations, inquiry
-from sms_jobs.jobs.calibrations import KnownCalibration
+from sms_jobs.jobs import inquiry
 from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.jobs.submission import submit
@@ -34,6 +33,9 @@ from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 from sms_jobs.virtual_rig.sessions import calibration_session
+
+if TYPE_CHECKING:
+    from sms_jobs.jobs.calibrations import KnownCalibration
 
 
 class Size(Enum):
@@ -55,6 +57,8 @@ def demo(
 
     Example: sms demo --size full --out /tmp/demo
     """
+    from sms_jobs.jobs import calibrations  # a second, which every other command would wait for
+
     started = time.monotonic()
     home = bootstrap.initialise(out.absolute()).home
     session, test = _campaigns(size)
@@ -131,6 +135,8 @@ def _succeed(services: Services, ids: Sequence[str], still_there: Callable[[], N
 
 def _calibration(session: Campaign, known: KnownCalibration) -> dict[str, Any]:
     """Return what the measured calibration is worth, and what it costs against the exact one."""
+    from sms_jobs.jobs import calibrations
+
     assert session.scene is not None
     assert known.quality is not None
     off = calibrations.deviation_from(session.scene.rig, known.calibration)
