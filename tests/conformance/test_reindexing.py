@@ -152,7 +152,7 @@ def test_results_without_their_campaign_say_what_to_do(catalogue: Catalogue, sha
     (definition,) = (p for p in shapes.files() if p.startswith("plate/campaign-"))
     shapes.discard(definition)
     told = reindexed(catalogue, shapes)
-    refused = [one for one in told if one.outcome == "refused"]
+    refused = [one for one in told if one.outcome == "no-campaign"]
     assert {one.path.split("/")[0] for one in told if one.outcome == "indexed"} == {"calibrations"}
     assert refused
     assert all("definition of campaign plate" in one.detail for one in refused)
