@@ -192,6 +192,7 @@ def test_nothing_becomes_nothing(empty: Catalogue, other: Catalogue) -> None:
     assert submit_pipeline(other)
 
 
+@pytest.mark.long
 def test_work_goes_on_in_the_copied_catalogue(home: Path, fresh_postgresql_url: str, redis_url: str) -> None:
     embedded: dict[str, str] = {}
     make_home(home, embedded)

@@ -61,6 +61,7 @@ def submit_recording(services: Services) -> tuple[str, ...]:
         return submit(session, "plate", [Request("acquire")], datetime.now(UTC)).job_ids
 
 
+@pytest.mark.long
 def test_every_snapshot_fits_its_files_whatever_jobs_seal_meanwhile(home: Path, tmp_path: Path) -> None:
     make_home(home, {})
     kept = tmp_path / "kept"
