@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 import pytest
-from sqlalchemy import text
+from sqlalchemy import select, text
 
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import SavedQueryRow
 from sms_jobs.errors import FormatTooNew
 
 
@@ -22,8 +25,13 @@ def test_a_difference_from_the_models_is_noticed(catalogue: Catalogue) -> None:
 
 
 def test_upgrading_again_changes_nothing(catalogue: Catalogue) -> None:
+    with catalogue.writing() as session:
+        session.add(SavedQueryRow(name="kept", text="strain", saved_at=datetime.now(UTC)))
     schema.upgrade(catalogue)
     schema.require_current(catalogue)
+    assert schema.differences_from_models(catalogue) == []
+    with catalogue.reading() as session:
+        assert session.scalars(select(SavedQueryRow.text)).all() == ["strain"]
 
 
 def test_a_newer_catalogue_is_refused_with_both_revisions_named(catalogue: Catalogue) -> None:
