@@ -14,8 +14,6 @@ from sms_jobs.records.fields import PhaseMaps, PointCloud, ReturnMaps
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 
-pytestmark = pytest.mark.long
-
 PLAN = """
 name = "mirror"
 rig = "virtual"
