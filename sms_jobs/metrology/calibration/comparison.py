@@ -25,6 +25,8 @@ Verdict: TypeAlias = Literal["unchanged", "harmless", "matters", "cannot tell"]
 _CERTAIN = 4.0  # times the distance of points that is expected by chance
 _TOLD = 0.01  # of a variance: directions in which an update learnt less are left out of the test
 _ROUNDING = 1e-10
+_ROUNDING_MM = 1e-9  # distance below which points agree
+_REWEIGHTINGS = 30
 _LEAST: dict[Relation, float] = {"independent": _ROUNDING, "updated": _TOLD, "lenses updated": 1e-6}
 """Of the largest variance of a change: directions with less have none but for rounding."""
 
@@ -64,7 +66,8 @@ class PairChange:
     rms_mm, largest_mm
         Distance of the points by the two calibrations, each in its own world.
     aligned_rms_mm, aligned_largest_mm
-        After the best rigid motion, the same for all pairs: what changes of shapes.
+        After the rigid motion of `CalibrationComparison.alignment`, the same for all pairs: what changes of
+        shapes.
     expected_rms_mm, expected_aligned_rms_mm
         What the covariances let expect where nothing happened; NaN without them.
     worst_place
@@ -98,7 +101,9 @@ class CalibrationComparison:
     pairs
         Of all pairs.
     alignment
-        Brings points of the later world to those of the earlier.
+        Brings points of the later world to those of the earlier: by least squares where chance explains the
+        change, otherwise with the least sum of the pairs' rms distances, so that the pairs with a sensor that
+        moved do not turn those without.
     turn_rad, shift_mm
         Size of the alignment: its angle, and how far it moves the middle of the volume.
     statistic, freedom, p_value
@@ -174,35 +179,27 @@ def compare_calibrations(
     names = list(before)
     _check(before, after, covariance_before, covariance_after)
     through = [_points_through(before, after, c, p, box_grid(*volume), names) for c, p in pairs]
-    alignment = align_points(
-        np.concatenate([t.after for t in through]), np.concatenate([t.before for t in through])
-    )
-    later = {n: after[n] if same_world else _carried(after[n], alignment) for n in names}
-    step = np.concatenate([parameter_change(before[n], later[n]) for n in names])
     spread = _spread(covariance_before, covariance_after, relation)
-    if spread is not None and not same_world:
-        left = _without_motion(np.concatenate([t.rows for t in through]), [before[n] for n in names])
-        spread = left @ spread @ left.T
-    whitened, taking = _whitened(step, spread, relation, 0 if same_world else 6)
-    statistic, freedom = float(np.sum(whitened**2)) if len(whitened) else float("nan"), len(whitened)
-    p_value = float(chi2.sf(statistic, freedom)) if freedom else float("nan")
+    test = _tested(before, after, through, [1.0] * len(through), spread, relation, same_world)
+    if test.p_value < false_alarm:
+        test = _tested(before, after, through, _robust_weights(through), spread, relation, same_world)
     middle = 0.5 * (np.asarray(volume[0]) + np.asarray(volume[1]))
-    found = _pair_changes(through, alignment, spread)
-    verdict, reason = _verdict(found, p_value, false_alarm, tolerance_mm)
-    if freedom and p_value < false_alarm:
-        suspect, part = _suspect(whitened, taking, names)
+    found = _pair_changes(through, test.weights, test.alignment, spread)
+    verdict, reason = _verdict(found, test.p_value, false_alarm, tolerance_mm)
+    if test.p_value < false_alarm:
+        suspect, part = _suspect(test.whitened, test.taking, names)
         reason += f"; a change of {suspect} alone explains {part:.0%} of what the covariances do not"
     return CalibrationComparison(
         verdict,
         reason,
-        _changes(names, step, None if spread is None else np.diag(spread)),
+        _changes(names, test.step, test.variance),
         found,
-        alignment,
-        float(np.linalg.norm(rotation_vector(alignment.matrix()))),
-        float(np.linalg.norm(transform(alignment, middle) - middle)),
-        statistic,
-        freedom,
-        p_value,
+        test.alignment,
+        float(np.linalg.norm(rotation_vector(test.alignment.matrix()))),
+        float(np.linalg.norm(transform(test.alignment, middle) - middle)),
+        float(np.sum(test.whitened**2)) if len(test.whitened) else float("nan"),
+        len(test.whitened),
+        test.p_value,
     )
 
 
@@ -254,6 +251,72 @@ def _points_through(
     return _Through(camera, projector, grid[seen], moved[seen], rows)
 
 
+@dataclass(frozen=True)
+class _Test:
+    """The change of all parameters in one world, and what of it chance does not explain.
+
+    The statistic does not depend on the motion that brings one world to the other, the rest does.
+    """
+
+    weights: Sequence[float]
+    alignment: Pose
+    step: Floats
+    variance: Floats | None
+    whitened: Floats
+    taking: Floats
+    p_value: float
+
+
+def _tested(
+    before: Mapping[str, Parameters],
+    after: Mapping[str, Parameters],
+    through: Sequence[_Through],
+    weights: Sequence[float],
+    spread: Floats | None,
+    relation: Relation,
+    same_world: bool,
+) -> _Test:
+    alignment = _alignment(through, weights)
+    later = {n: after[n] if same_world else _carried(after[n], alignment) for n in before}
+    step = np.concatenate([parameter_change(before[n], later[n]) for n in before])
+    left = np.eye(len(step)) if same_world else _without_motion(through, weights, list(before.values()))
+    if spread is not None:
+        spread = left @ spread @ left.T
+    whitened, taking = _whitened(step, spread, relation, 0 if same_world else 6)
+    p_value = float(chi2.sf(np.sum(whitened**2), len(whitened))) if len(whitened) else float("nan")
+    variance = None if spread is None else np.diag(spread)
+    return _Test(weights, alignment, step, variance, whitened, taking @ left, p_value)
+
+
+def _alignment(through: Sequence[_Through], weights: Sequence[float]) -> Pose:
+    """Return the motion of later points to earlier ones of least weighted squares; one weight a pair."""
+    after, before = (np.concatenate([getattr(t, k) for t in through]) for k in ("after", "before"))
+    return align_points(after, before, _for_each_point(through, weights))
+
+
+def _for_each_point(through: Sequence[_Through], weights: Sequence[float]) -> Floats:
+    return np.concatenate([np.full(len(t.before), w) for t, w in zip(through, weights, strict=True)])
+
+
+def _robust_weights(through: Sequence[_Through]) -> list[float]:
+    """Return the pairs' weights in the motion that leaves the least sum of their rms distances.
+
+    The best of the motions of all pairs and of each pair alone, improved by iteratively reweighted least
+    squares with weights 1 / rms (Weiszfeld's algorithm, with pairs for points).
+    """
+
+    def left(weights: Sequence[float]) -> list[float]:
+        motion = _alignment(through, weights)
+        return [_rms(np.linalg.norm(transform(motion, t.after) - t.before, axis=1)) for t in through]
+
+    starts = [np.ones(len(through)), *np.eye(len(through))]
+    distances = min((left(start.tolist()) for start in starts), key=sum)
+    for _ in range(_REWEIGHTINGS):
+        weights = [1.0 / max(d, _ROUNDING_MM) for d in distances]
+        distances = left(weights)
+    return weights
+
+
 def _carried(sensor: Parameters, alignment: Pose) -> Parameters:
     """Return a sensor in the world into which `alignment` brings its own."""
     back = Pose.from_arrays(alignment.matrix().T, alignment.centre())
@@ -284,17 +347,19 @@ def _shared(before: Floats, after: Floats) -> Floats:
     return np.asarray((after[:, lens] / sigma) @ np.linalg.solve(own, before[lens] / sigma[:, None]))
 
 
-def _without_motion(rows: Floats, sensors: Sequence[Parameters]) -> Floats:
+def _without_motion(
+    through: Sequence[_Through], weights: Sequence[float], sensors: Sequence[Parameters]
+) -> Floats:
     """Return what takes the best rigid motion of points out of a change of all parameters, (15 s, 15 s).
 
-    `rows` (n, 3, 15 s) are the derivatives of the points. A motion X' = X + w x X + v of the world turns a
-    sensor by -R w from the left and shifts it by -R v.
+    A motion X' = X + w x X + v of the world turns a sensor by -R w from the left and shifts it by -R v.
     """
     motion = np.zeros((PER_SENSOR * len(sensors), 6))
     for i, (_, pose) in enumerate(sensors):
         at = PER_SENSOR * i
         motion[at : at + 3, :3] = motion[at + 3 : at + 6, 3:] = -pose.matrix()
-    flat = rows.reshape(-1, len(motion))
+    root = np.sqrt(_for_each_point(through, weights))[:, None, None]
+    flat = (root * np.concatenate([t.rows for t in through])).reshape(-1, len(motion))
     return np.asarray(np.eye(len(motion)) - motion @ np.linalg.lstsq(flat @ motion, flat, rcond=None)[0])
 
 
@@ -337,10 +402,13 @@ def _changes(names: Sequence[str], step: Floats, variance: Floats | None) -> tup
     return tuple(found)
 
 
-def _pair_changes(through: list[_Through], alignment: Pose, spread: Floats | None) -> tuple[PairChange, ...]:
-    modes, _ = np.linalg.qr(np.concatenate([rigid_modes(t.before) for t in through]).reshape(-1, 6))
+def _pair_changes(
+    through: Sequence[_Through], weights: Sequence[float], alignment: Pose, spread: Floats | None
+) -> tuple[PairChange, ...]:
+    modes = np.concatenate([rigid_modes(t.before) for t in through]).reshape(-1, 6)
     rows = np.concatenate([t.rows for t in through]).reshape(len(modes), -1)
-    left = rows - modes @ (modes.T @ rows)
+    root = np.repeat(np.sqrt(_for_each_point(through, weights)), 3)[:, None]
+    left = rows - modes @ np.linalg.lstsq(root * modes, root * rows, rcond=None)[0]
     found, start = [], 0
     for t in through:
         plain = np.linalg.norm(t.after - t.before, axis=1)

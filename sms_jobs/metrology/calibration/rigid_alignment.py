@@ -11,18 +11,19 @@ from sms_jobs.metrology.geometry.camera import Pose
 Floats = NDArray[np.float64]
 
 
-def align_points(source: Floats, target: Floats) -> Pose:
+def align_points(source: Floats, target: Floats, weights: Floats | None = None) -> Pose:
     """Return the rigid motion that brings points (n, 3) nearest to others (n, 3), by least squares.
 
-    Arun et al. 1987, with the sign of Umeyama 1991, so that it is never a mirror. Raises `InvalidInput` for
-    fewer than 3 points.
+    Arun et al. 1987, with the sign of Umeyama 1991, so that it is never a mirror. Weights (n,) of the squared
+    distances are equal if not given. Raises `InvalidInput` for fewer than 3 points.
     """
     if source.shape != target.shape or len(source) < 3:
         raise InvalidInput(
             f"points {source.shape} and {target.shape} cannot be aligned: give 3 pairs or more"
         )
-    here, there = source.mean(axis=0), target.mean(axis=0)
-    u, _, v = np.linalg.svd((target - there).T @ (source - here))
+    share = np.full(len(source), 1.0 / len(source)) if weights is None else weights / weights.sum()
+    here, there = share @ source, share @ target
+    u, _, v = np.linalg.svd((target - there).T @ (share[:, None] * (source - here)))
     rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
     return Pose.from_arrays(rotation, there - rotation @ here)
 

@@ -186,3 +186,32 @@ def test_calibrations_that_cannot_be_compared_are_refused(rng: np.random.Generat
         compare_calibrations(
             RIG, RIG, PAIRS, (np.array([0, 0, -5e3]), np.array([1, 1, -4e3])), tolerance_mm=0.1
         )
+
+
+def test_a_sensor_that_moved_does_not_accuse_the_others(rng: np.random.Generator) -> None:
+    rig = RIG | {"P2": (RIG["P1"][0], moved_sensor(RIG["C1"], 20.0 * np.eye(15)[4])[1])}
+    motion = Pose.from_arrays(rotation_matrix(np.array([0.3, 0.1, -0.2])), np.array([50.0, -20.0, 10.0]))
+    turned = rig | {"P1": moved_sensor(rig["P1"], 4e-4 * np.eye(15)[1])}
+    after = {n: (i, compose(p, inverse(motion))) for n, (i, p) in turned.items()}
+    # Sensors known to a hundredth of a mm and a few microradian, in part together.
+    mix = rng.standard_normal((60, 120))
+    c = mix @ mix.T / np.outer(np.linalg.norm(mix, axis=1), np.linalg.norm(mix, axis=1))
+    sigma = np.tile(0.01 * SIGMA[:15], 4)
+    c *= np.outer(sigma, sigma)
+    found = compare_calibrations(
+        rig,
+        after,
+        [(camera, p) for camera in ("C1", "C2") for p in ("P1", "P2")],
+        VOLUME,
+        covariance_before=c,
+        covariance_after=c,
+        same_world=False,
+        tolerance_mm=0.05,
+    )
+    assert found.verdict == "matters"
+    assert "a change of P1 alone explains 100%" in found.reason
+    # Nothing else changed, and nothing was measured: what stayed is exact, to the rounding of millimetres.
+    stayed = [p for p in found.pairs if p.projector == "P2"]
+    assert max(p.aligned_largest_mm for p in stayed) < 1e-6
+    assert max(abs(ch.change) for ch in found.changes if ch.sensor != "P1") < 1e-6
+    assert min(p.aligned_rms_mm for p in found.pairs if p.projector == "P1") > 0.05
