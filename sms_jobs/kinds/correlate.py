@@ -31,6 +31,7 @@ from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, m
 from sms_jobs.metrology.deformation.seeding import SearchSettings
 from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
 from sms_jobs.metrology.images.segmentation import ContinuousRegions, label_regions, pixel_footprint
+from sms_jobs.metrology.images.spline import Interpolant
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import (
     DisplacementField,
@@ -79,8 +80,10 @@ class CorrelateParameters(Parameters):
         description="how a subset may deform: 0 shift, 1 affine, 2 quadratic, which follows curved fields "
         "and is noisier",
     )
-    interpolation: Literal["cubic", "quintic"] = Field(
-        "quintic", description="B-spline between the pixels; the quintic has several times less bias"
+    interpolation: Interpolant = Field(
+        "quintic",
+        description="B-spline between the pixels: the quintic has several times less bias than the cubic, "
+        "and the local cubic, through 4 x 4 pixels alone, is there to compare with other programs",
     )
     spacing_px: int = Field(4, ge=1, le=100, description="distance of the matched points")
     minimum_score: float = Field(
@@ -150,7 +153,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
             after.texture,
             labels,
             (before.noise, after.noise),
-            3 if parameters.interpolation == "cubic" else 5,
+            parameters.interpolation,
         ),
         after.texture,
         MatchSettings(

@@ -23,6 +23,7 @@ from sms_jobs.metrology.deformation.correlation import (
 from sms_jobs.metrology.deformation.matching import GridSettings, choose_seeds, match_grid, sample_grid
 from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
 from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
+from sms_jobs.metrology.images.spline import Interpolant
 
 Ints = NDArray[np.int64]
 
@@ -160,6 +161,7 @@ def _accuracy(run: Run) -> Iterator[Found]:
         f"{', '.join(map(str, shifts))} px along x and back along y; "
         f"first order, radius {RADIUS} px, {len(x)} points; the worst shift",
     )
+    yield from _interpolants(x, y, size)
     field = quadratic(size, _CURVATURE)
     truth = np.stack(field(x.astype(np.float64), y.astype(np.float64)), axis=1)
     images = labelled(*speckle_pair(size, field, 20))
@@ -172,6 +174,21 @@ def _accuracy(run: Run) -> Iterator[Found]:
         "finds the mean over its subset, second order the middle",
     )
     yield from _honesty(run)
+
+
+def _interpolants(x: Ints, y: Ints, size: int) -> Iterator[Found]:
+    truth = np.tile([0.25, -0.25], (len(x), 1))
+    pair = speckle_pair(size, shift(0.25, -0.25), 11)
+    others: tuple[Interpolant, ...] = ("cubic", "local-cubic")
+    for other in others:
+        images = prepare_images(*pair, np.ones((size, size), np.int32), interpolant=other)
+        bias = float(np.abs(errors(images, Points(x, y, truth), 1)[0].mean(axis=0)).max())
+        yield Figure(f"rigid_shift_bias_{other.replace('-', '_')}_px", bias, "px")
+    yield Condition(
+        "interpolants",
+        "the same shifted by 0.25 px, by other interpolants than the quintic; the local cubic is that of "
+        "other programs",
+    )
 
 
 def _honesty(run: Run) -> Iterator[Found]:

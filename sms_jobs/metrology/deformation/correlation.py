@@ -25,8 +25,9 @@ from sms_jobs.metrology.deformation.shape_functions import (
 )
 from sms_jobs.metrology.deformation.subsets import collect, deformed_sums, reference_sums
 from sms_jobs.metrology.images.spline import (
+    KERNEL_CODE,
     PADDING,
-    SplineOrder,
+    Interpolant,
     spline_coefficients,
     spline_gradient,
     spline_values,
@@ -87,7 +88,7 @@ class PreparedImages:
     coefficients: Floats
     labels: NDArray[np.int32]
     noise: tuple[Noise, Noise]
-    spline_order: SplineOrder
+    interpolant: Interpolant
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def prepare_images(
     deformed: NDArray[np.generic],
     labels: NDArray[np.int32],
     noise: tuple[Noise, Noise] = (Noise(0.0, 0.0), Noise(0.0, 0.0)),
-    spline_order: SplineOrder = 5,
+    interpolant: Interpolant = "quintic",
 ) -> PreparedImages:
     """Interpolate the deformed image and differentiate the reference image.
 
@@ -118,18 +119,18 @@ def prepare_images(
         (rows, columns), continuous regions of the reference image, 0 for none.
     noise
         Of the reference and of the deformed image.
-    spline_order
-        Of the interpolation: 3, cubic, or 5, quintic.
+    interpolant
+        Between the pixels of the deformed image; the slopes of the reference image are its own.
     """
-    gradient_x, gradient_y = spline_gradient(spline_coefficients(reference, spline_order), spline_order)
+    gradient_x, gradient_y = spline_gradient(spline_coefficients(reference, interpolant), interpolant)
     return PreparedImages(
         np.ascontiguousarray(reference, dtype=np.float64),
         gradient_x,
         gradient_y,
-        spline_coefficients(deformed, spline_order),
+        spline_coefficients(deformed, interpolant),
         np.ascontiguousarray(labels, dtype=np.int32),
         noise,
-        spline_order,
+        interpolant,
     )
 
 
@@ -189,8 +190,8 @@ def _refine(
     """Iterate a subset's warp `p`; return how it ended, the iterations, score, and mean and spread of g.
 
     `subset` is (x, y, count, dx, dy, f, gx, gy, box), `reference` (mean f, sum of (f - mean)^2, the inverse
-    of the normal matrix, sums of J, of J (f - mean), and of f, f^2, dx^2, dy^2), `orders` those of the shape
-    and of the spline, `stop` the tolerance and the most iterations.
+    of the normal matrix, sums of J, of J (f - mean), and of f, f^2, dx^2, dy^2), `orders` that of the shape
+    and the spline's code, `stop` the tolerance and the most iterations.
     """
     cx, cy, n, dx, dy, f, gx, gy, box = subset
     f_mean, ff, inverse, j1, jf, levels = reference
@@ -334,7 +335,7 @@ def match_points(
         int(settings.minimum_part * (2 * settings.radius + 1) ** 2), 16, 3 * PARAMETERS[settings.shape_order]
     )
     pixels = (images.reference, images.gradient_x, images.gradient_y, images.coefficients, images.labels)
-    orders = (int(settings.shape_order), int(images.spline_order))
+    orders = (int(settings.shape_order), KERNEL_CODE[images.interpolant])
     ends = (settings.tolerance, settings.iterations)
 
     def work(start: int, stop: int) -> None:

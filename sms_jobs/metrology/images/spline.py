@@ -1,12 +1,13 @@
 """Grey levels between pixels, by B-splines of third or fifth order.
 
 The quintic's bias for speckle of a few pixels is several times smaller than the cubic's (thesis section
-2.2.1 on interpolation bias); the cubic is the faster one and blurs noise less.
+2.2.1 on interpolation bias); the cubic is the faster one and blurs noise less. The local cubic, which knows
+4 x 4 pixels alone, is what other programs use: it is there to compare with them.
 """
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,50 +17,65 @@ from sms_jobs.metrology.compilation import kernel, summing_kernel
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
-SplineOrder: TypeAlias = Literal[3, 5]
+Interpolant: TypeAlias = Literal["quintic", "cubic", "local-cubic"]
+"""The quintic and cubic B-splines through an image, or cubic B-splines each through 4 x 4 pixels alone."""
+
+KERNEL_CODE: Final[dict[Interpolant, int]] = {"local-cubic": 0, "cubic": 3, "quintic": 5}
+"""What kernels know an interpolant by."""
 
 PADDING = 8
 """Pixels by which spline coefficients are continued on every side, by reflection."""
 
-_VALUE_TAPS = {3: np.array([1.0, 4.0, 1.0]) / 6.0, 5: np.array([1.0, 26.0, 66.0, 26.0, 1.0]) / 120.0}
-_SLOPE_TAPS = {3: np.array([-1.0, 0.0, 1.0]) / 2.0, 5: np.array([-1.0, -10.0, 0.0, 10.0, 1.0]) / 24.0}
+# Across and along: those of the local cubic are the grey level and its central difference of fourth order.
+_VALUE_TAPS: Final[dict[Interpolant, Floats]] = {
+    "local-cubic": np.ones(1),
+    "cubic": np.array([1.0, 4.0, 1.0]) / 6.0,
+    "quintic": np.array([1.0, 26.0, 66.0, 26.0, 1.0]) / 120.0,
+}
+_SLOPE_TAPS: Final[dict[Interpolant, Floats]] = {
+    "local-cubic": np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0,
+    "cubic": np.array([-1.0, 0.0, 1.0]) / 2.0,
+    "quintic": np.array([-1.0, -10.0, 0.0, 10.0, 1.0]) / 24.0,
+}
 _LONG_RUN = 12  # pixels from which on a run is worth the start of its own loop
 _ONE = np.uint64(1)
 
 
-def spline_coefficients(image: NDArray[np.generic], order: SplineOrder = 5) -> Floats:
+def spline_coefficients(image: NDArray[np.generic], interpolant: Interpolant = "quintic") -> Floats:
     """Return the coefficients of the B-spline through an image.
 
     Parameters
     ----------
     image
         (rows, columns), in grey levels.
-    order
-        3, cubic, or 5, quintic.
+    interpolant
+        Those of the local cubic are the grey levels themselves.
 
     Returns
     -------
     (rows + 2 PADDING, columns + 2 PADDING), the spline being continued by reflection at its border.
     """
-    coefficients = ndimage.spline_filter(np.asarray(image, dtype=np.float64), order=order, mode="mirror")
+    coefficients = np.asarray(image, dtype=np.float64)
+    if interpolant != "local-cubic":
+        coefficients = ndimage.spline_filter(coefficients, order=KERNEL_CODE[interpolant], mode="mirror")
     return np.pad(coefficients, PADDING, mode="reflect")
 
 
-def spline_gradient(coefficients: Floats, order: SplineOrder = 5) -> tuple[Floats, Floats]:
+def spline_gradient(coefficients: Floats, interpolant: Interpolant = "quintic") -> tuple[Floats, Floats]:
     """Return the slopes of a B-spline at the pixels, along x and along y.
 
     Parameters
     ----------
     coefficients
         As `spline_coefficients` returns them, for an image of (rows, columns).
-    order
-        Of the spline.
+    interpolant
+        The local cubic has a bend at the pixels; its slope there is the central difference of fourth order.
 
     Returns
     -------
     Two arrays (rows, columns), in grey levels a pixel.
     """
-    value, slope = _VALUE_TAPS[order], _SLOPE_TAPS[order]
+    value, slope = _VALUE_TAPS[interpolant], _SLOPE_TAPS[interpolant]
     inner = np.s_[PADDING:-PADDING, PADDING:-PADDING]
     along_x = ndimage.correlate1d(ndimage.correlate1d(coefficients, slope, 1), value, 0)
     along_y = ndimage.correlate1d(ndimage.correlate1d(coefficients, slope, 0), value, 1)
@@ -164,24 +180,37 @@ def _quintic_points(
         values[k] = total / 14400.0
 
 
+@kernel
+def _cubic_taps(a: float, local: bool) -> tuple[float, float, float, float]:
+    """Return six times the weights of four coefficients at 0 <= a <= 1 past the second, or of four pixels.
+
+    The local cubic is the spline through its four pixels whose coefficients repeat beyond them: with B the
+    matrix (5 1 0 0; 1 4 1 0; 0 1 4 1; 0 0 1 5) / 6 from coefficients to pixels, its weights are B^-1 c.
+    """
+    c0 = (1.0 - a) ** 3
+    c1 = 4.0 - 6.0 * a * a + 3.0 * a**3
+    c3 = a**3
+    c2 = 6.0 - c0 - c1 - c3
+    if not local:
+        return c0, c1, c2, c3
+    return (
+        (71.0 * c0 - 19.0 * c1 + 5.0 * c2 - c3) / 56.0,
+        (-19.0 * c0 + 95.0 * c1 - 25.0 * c2 + 5.0 * c3) / 56.0,
+        (5.0 * c0 - 25.0 * c1 + 95.0 * c2 - 19.0 * c3) / 56.0,
+        (-c0 + 5.0 * c1 - 19.0 * c2 + 71.0 * c3) / 56.0,
+    )
+
+
 @summing_kernel
 def _cubic_points(
-    flat: Floats, columns: int, start: int, stop: int, first: Ints, s: Floats, t: Floats, values: Floats
+    flat: Floats, columns: int, local: bool, count: int, first: Ints, s: Floats, t: Floats, values: Floats
 ) -> None:
     """Fill the values of a cubic at points anywhere, as `_quintic_points` does; `first` is the quintic's."""
     down = np.uint64(columns)
-    for index in range(start, stop):
+    for index in range(count):
         k = np.uint64(index)
-        a = s[k]
-        c0 = (1.0 - a) ** 3
-        c1 = 4.0 - 6.0 * a * a + 3.0 * a**3
-        c3 = a**3
-        c2 = 6.0 - c0 - c1 - c3
-        b = t[k]
-        d0 = (1.0 - b) ** 3
-        d1 = 4.0 - 6.0 * b * b + 3.0 * b**3
-        d3 = b**3
-        d2 = 6.0 - d0 - d1 - d3
+        c0, c1, c2, c3 = _cubic_taps(s[k], local)
+        d0, d1, d2, d3 = _cubic_taps(t[k], local)
         total = 0.0
         p0 = np.uint64(first[k]) + down + _ONE
         for c in (c0, c1, c2, c3):
@@ -195,9 +224,9 @@ def _cubic_points(
 
 @kernel
 def spline_values(
-    coefficients: Floats, order: int, count: int, first: Ints, s: Floats, t: Floats, values: Floats
+    coefficients: Floats, code: int, count: int, first: Ints, s: Floats, t: Floats, values: Floats
 ) -> None:
-    """Fill `values[:count]` with a spline of third or fifth order.
+    """Fill `values[:count]` with the spline that kernels know by `code`.
 
     Point k lies s[k] columns and t[k] rows, 0 .. 1, past the coefficient two rows below and two columns right
     of number first[k] of `coefficients`, counted row by row. In images that are hardly turned most
@@ -205,8 +234,8 @@ def spline_values(
     """
     columns = coefficients.shape[1]
     flat = coefficients.ravel()
-    if order == 3:
-        _cubic_points(flat, columns, 0, count, first, s, t, values)
+    if code != 5:
+        _cubic_points(flat, columns, code == 0, count, first, s, t, values)
         return
     scattered = 0  # where the points begin that no run has taken
     start = 0

@@ -19,6 +19,7 @@ from sms_jobs.metrology.deformation.correlation import (
 )
 from sms_jobs.metrology.deformation.matching import GridSettings, match_grid
 from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.images.spline import Interpolant
 
 FOLDER = Path(__file__).resolve().parents[4] / "shared" / "data" / "dic"
 
@@ -46,25 +47,34 @@ def test_whole_pixel_shifts_of_a_real_image_are_exact(shift: int, order: Literal
     assert error.std(axis=0).max() < 5e-4
 
 
-@pytest.mark.parametrize(("spline", "clear", "any_point"), [(3, 0.0012, 0.0028), (5, 0.0045, 0.006)])
+@pytest.mark.parametrize(
+    ("interpolant", "clear", "any_point"),
+    [("local-cubic", 0.0002, 0.0008), ("cubic", 0.0012, 0.0028), ("quintic", 0.0045, 0.006)],
+)
 def test_open_hole_tension_agrees_with_an_independent_program(
-    spline: Literal[3, 5], clear: float, any_point: float
+    interpolant: Interpolant, clear: float, any_point: float
 ) -> None:
+    """OpenCorr's first-order result, which rests on the local cubic: with that, the required 0.001 px.
+
+    Our default stays the quintic, which differs by 0.004 and 0.005 px, all of it the local cubic's bias:
+    `test_the_quintic_has_less_bias_than_the_cubics` has the truth to compare both with.
+    """
     reference, deformed = (image(f"oht_cfrp_pair/oht_cfrp_{k}.bmp") for k in (0, 4))
     theirs = np.genfromtxt(
         FOLDER / "oht_cfrp_pair" / "oht_cfrp_4_fftcc_icgn1_r16.csv", delimiter=",", names=True
     )
-    images = prepare_images(reference, deformed, np.ones(reference.shape, np.int32), spline_order=spline)
+    images = prepare_images(reference, deformed, np.ones(reference.shape, np.int32), interpolant=interpolant)
     x, y = theirs["x"].astype(np.int64), theirs["y"].astype(np.int64)
     guess = np.zeros((len(x), 6))
     guess[:, 0], guess[:, 3] = theirs["u0"], theirs["v0"]
-    found = match_points(images, x, y, guess, MatchSettings(radius=16))
+    # At the default tolerance 0.0010 and 0.0009 px are left, here 0.0006 and 0.0008.
+    found = match_points(images, x, y, guess, MatchSettings(radius=16, tolerance=1e-5), threads=2)
     mine = (found.ending == CONVERGED) & (found.score > 0.8)
     good = (theirs["ZNCC"] > 0.8) & (theirs["convergence"] < 1e-3)
+    if interpolant == "local-cubic":
+        assert mine.sum() >= good.sum()
     assert mine.sum() > good.sum() - 0.002 * len(x)
     both = mine & good
-    # Their interpolation is a cubic with local coefficients, whose bias of +-0.0008 px over the fraction of a
-    # pixel is what is left beside our cubic, and 0.003 px beside the quintic, which does not have a cubic's.
     # The points about the hole, a fiftieth of all, whose subsets show two things at once, differ by more.
     sure = both & (found.sigma.max(axis=1) < 0.01)
     assert sure.sum() > 0.97 * both.sum()

@@ -7,24 +7,33 @@ from typing import Literal
 import numpy as np
 import pytest
 from scipy import ndimage
+from scipy.interpolate import BSpline
 
-from sms_jobs.metrology.images.spline import PADDING, spline_coefficients, spline_gradient, spline_values
+from sms_jobs.metrology.images.spline import (
+    KERNEL_CODE,
+    PADDING,
+    Interpolant,
+    spline_coefficients,
+    spline_gradient,
+    spline_values,
+)
 
-Order = Literal[3, 5]
-orders = pytest.mark.parametrize("order", [3, 5])
+Order = Literal["cubic", "quintic"]
+orders = pytest.mark.parametrize("order", ["cubic", "quintic"])
+DEGREE = {"cubic": 3, "quintic": 5}
 
 
-def values_at(image: np.ndarray, x: np.ndarray, y: np.ndarray, order: Order = 5) -> np.ndarray:
+def values_at(image: np.ndarray, x: np.ndarray, y: np.ndarray, order: Interpolant = "quintic") -> np.ndarray:
     coefficients = spline_coefficients(image, order)
     column, row = (np.floor(v).astype(np.int64) for v in (x, y))
     first = (row + PADDING - 2) * coefficients.shape[1] + column + PADDING - 2
     found = np.empty(len(x))
-    spline_values(coefficients, order, len(x), first, x - column, y - row, found)
+    spline_values(coefficients, KERNEL_CODE[order], len(x), first, x - column, y - row, found)
     return found
 
 
 def expected_at(image: np.ndarray, x: np.ndarray, y: np.ndarray, order: Order) -> np.ndarray:
-    return ndimage.map_coordinates(image, [y, x], order=order, mode="mirror")
+    return ndimage.map_coordinates(image, [y, x], order=DEGREE[order], mode="mirror")
 
 
 @orders
@@ -68,3 +77,33 @@ def test_slopes_are_finite_differences_of_values(rng: np.random.Generator, order
     # h^2 / 6 times a third derivative below 10^4 (where a cubic's jumps, the mean), and rounding 10^-9 / h.
     np.testing.assert_allclose(along_x[inner].ravel(), dx, atol=5e-3)
     np.testing.assert_allclose(along_y[inner].ravel(), dy, atol=5e-3)
+
+
+def local_cubic(pixels: np.ndarray, a: float) -> float:
+    """Return the cubic B-spline through four pixels whose outer coefficients repeat, past the second by a."""
+    row = np.array([[5.0, 1.0, 0.0, 0.0], [1.0, 4.0, 1.0, 0.0], [0.0, 1.0, 4.0, 1.0], [0.0, 0.0, 1.0, 5.0]])
+    coefficients = np.linalg.solve(row / 6.0, pixels)
+    return float(BSpline.basis_element([-2, -1, 0, 1, 2])(a - np.array([-1.0, 0.0, 1.0, 2.0])) @ coefficients)
+
+
+def test_the_local_cubic_is_a_spline_through_sixteen_pixels(rng: np.random.Generator) -> None:
+    image = rng.uniform(0.0, 4095.0, (20, 20))
+    x, y = rng.uniform(2.0, 16.0, (2, 50))
+    expected = []
+    for px, py in zip(x, y, strict=True):
+        left, top = int(px) - 1, int(py) - 1
+        rows = [local_cubic(image[top + j, left : left + 4], px - int(px)) for j in range(4)]
+        expected.append(local_cubic(np.array(rows), py - int(py)))
+    # Rounding: 16 products of numbers near 10^4.
+    np.testing.assert_allclose(values_at(image, x, y, "local-cubic"), expected, atol=1e-9)
+
+
+def test_slopes_of_the_local_cubic_are_those_of_a_quartic(rng: np.random.Generator) -> None:
+    """The central difference of fourth order is exact for a polynomial of that order."""
+    y, x = np.mgrid[0:12, 0:12] / 10.0
+    image = 1.0 + x - 2.0 * y + x**4 - 3.0 * x**2 * y**2 + 0.5 * y**3
+    along_x, along_y = spline_gradient(spline_coefficients(image, "local-cubic"), "local-cubic")
+    inner = np.s_[2:-2, 2:-2]
+    # Rounding: eight products near 10 over 12.
+    np.testing.assert_allclose(along_x[inner], (0.1 * (1.0 + 4.0 * x**3 - 6.0 * x * y**2))[inner], atol=1e-12)
+    np.testing.assert_allclose(along_y[inner], (0.1 * (1.5 * y**2 - 2.0 - 6.0 * x**2 * y))[inner], atol=1e-12)
