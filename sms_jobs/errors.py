@@ -101,3 +101,21 @@ class OverLimit(Cancelled):
 
 class LeaseLost(SmsError):
     """Another worker holds the job now; this attempt's outputs are discarded."""
+
+
+class InstrumentError(SmsError):
+    """An instrument does not do what it was told; a person has to look at it."""
+
+    exit_code = 7
+
+
+class LinkLost(InstrumentError):
+    """An instrument does not answer, or not in words that can be understood: a cable, its power, its settings."""
+
+
+class LimitExceeded(InstrumentError):
+    """An instrument was told to go where it must not, or stopped there."""
+
+
+class FrameLost(InstrumentError):
+    """A camera did not deliver a frame that was triggered; the pattern can be shown again."""
