@@ -52,7 +52,8 @@ def change(
     leaving
         Narrows the states that may be left; by default all that the transition table allows.
     fence
-        When given, the change is made only if no newer attempt has begun.
+        Of an attempt that ends: the change is made only if no newer one has begun and the job still runs. One
+        that was given up as lost may have been decided upon, without a newer attempt.
     columns
         Further columns to set.
     """
@@ -64,7 +65,7 @@ def change(
         .returning(JobRow.attempts, JobRow.queue)
     )
     if fence is not None:
-        statement = statement.where(JobRow.fence == fence)
+        statement = statement.where(JobRow.fence == fence, JobRow.state == JobState.RUNNING)
     changed = session.execute(statement).one_or_none()
     if changed is None:
         return False
@@ -228,7 +229,9 @@ def ask_to_stop(session: Session, job_id: str, end: JobState, now: datetime, rea
 
 
 def retry(session: Session, job_id: str, now: datetime) -> int:
-    """Give a job that ended without success another chance, and with it all that was skipped for it.
+    """Give a job that ended without success another chance, and with it all that was skipped for it alone.
+
+    What needs another job besides that did not succeed stays skipped until that one is retried too.
 
     Returns
     -------
@@ -266,11 +269,17 @@ def retry(session: Session, job_id: str, now: datetime) -> int:
     count = 1
     level = [job_id]
     while level:
+        hopeless = exists().where(
+            DependencyRow.job_id == JobRow.id,
+            producer.id == DependencyRow.producer_id,
+            producer.state.in_(UNSUCCESSFUL),
+        )
         skipped = session.scalars(
             select(JobRow.id)
             .where(
                 JobRow.id.in_(select(DependencyRow.job_id).where(DependencyRow.producer_id.in_(level))),
                 JobRow.state == JobState.SKIPPED,
+                ~hopeless,
             )
             .order_by(JobRow.id)
         ).all()

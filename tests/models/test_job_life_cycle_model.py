@@ -1,0 +1,531 @@
+"""The life of jobs, driven at random against a model that is simple enough to be believed.
+
+The model holds what anybody could keep on paper: who needs whom, where each job stands, whose claim is the
+newest. After every step it is compared with the catalogue, with the table of transitions and with the
+events. The deep form takes some minutes for ten thousand steps:
+
+    bash ops/test.sh -m long tests/models/test_job_life_cycle_model.py
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
+from typing import Any, ClassVar
+
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    Bundle,
+    RuleBasedStateMachine,
+    consumes,
+    initialize,
+    invariant,
+    multiple,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+from sqlalchemy import delete, event, select, update
+from support.deployments import Deployment
+from support.jobs import NOW, add_calibration_file
+
+from sms_jobs.archive import DATASET_MEDIA_TYPE, Sealed
+from sms_jobs.catalogue import campaigns, schema
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import DependencyRow, EventRow, FileRow, JobRow, OutboxRow, Table
+from sms_jobs.errors import Cancelled, Conflict, LeaseLost, NotFound, OverLimit
+from sms_jobs.jobs import doorbell, indexing, lifecycle, queues, recovery, reuse
+from sms_jobs.jobs.indexing import SealedOutput
+from sms_jobs.jobs.lifecycle import Claim
+from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.submission import submit
+from sms_jobs.kinds import kind_named
+from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.job import ACTIVE, TRANSITIONS, UNSUCCESSFUL, JobState
+from sms_jobs.virtual_rig.campaigns import small_plate
+
+LEASE = timedelta(seconds=30)
+BUDGET = 2
+"""Crashes; fewer than in life, so that few steps exhaust it."""
+HOSTS = {"w1": "here", "w2": "there"}
+QUEUES = ["cpu", "io", "acquisition"]
+WORK = [["acquire"], ["acquire", "reconstruct"], ["reconstruct", "correlate"], ["acquire", "pipeline"]]
+
+
+def campaign() -> Campaign:
+    """Return a campaign of two states and two pairs: all its jobs are fifteen or so."""
+    whole = small_plate("plate")[1]
+    return replace(whole, states=whole.states[:2], pairs=whole.pairs[:2])
+
+
+@dataclass
+class Job:
+    """What the model knows of a job."""
+
+    kind: str
+    subject: Subject
+    producers: frozenset[str]
+    state: JobState
+    repeatable: bool
+    use_cache: bool
+    fence: int = 0
+    crashes: int = 0
+    stop: JobState | None = None
+    worker: str = ""
+    lease_until: datetime = NOW
+
+
+@dataclass
+class Process:
+    """A process that runs, or ran, a job."""
+
+    claim: Claim
+    worker: str
+    lives: bool = True
+    pid: int = field(default=0)
+
+
+class JobLives(RuleBasedStateMachine):
+    """Submits, claims, ends, loses, cancels, retries and orders jobs at random."""
+
+    catalogue: ClassVar[Catalogue]
+
+    processes = Bundle("processes")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now = NOW
+        self.jobs: dict[str, Job] = {}
+        self.by_pid: dict[int, Process] = {}
+        self.paused: set[str] = set()
+        self.draining: set[str] = set()
+        self.outbox: Counter[str] = Counter()
+        self.files: set[str] = set()
+        self.told: dict[str, list[tuple[JobState, int]]] = {}
+        self.last_event = 0
+
+    @initialize()
+    def begin(self) -> None:
+        with self.catalogue.writing() as session:
+            for table in reversed(Table.metadata.sorted_tables):
+                session.execute(delete(table))
+            campaigns.add_campaign(session, campaign(), NOW)
+            add_calibration_file(session, "plate")
+            for worker, host in HOSTS.items():
+                recovery.register_worker(session, worker, host, 1, QUEUES, 2, NOW)
+
+    # --- what the model does -------------------------------------------------------------------------
+
+    def lives(self, pid: int, before: datetime) -> bool:
+        return self.by_pid[pid].lives
+
+    def is_live(self, process: Process) -> bool:
+        job = self.jobs[process.claim.job_id]
+        return job.state is JobState.RUNNING and job.fence == process.claim.fence
+
+    def dependents(self, job_id: str) -> list[str]:
+        return [other for other, job in self.jobs.items() if job_id in job.producers]
+
+    def go(self, job_id: str, state: JobState) -> None:
+        """Bring a job to a state, and those that depend on it to where they then belong."""
+        self.jobs[job_id].state = state
+        if state is JobState.QUEUED:
+            self.outbox[job_id] += 1
+        for other in self.dependents(job_id):
+            job = self.jobs[other]
+            if job.state is not JobState.WAITING:
+                continue
+            if state in UNSUCCESSFUL:
+                self.go(other, JobState.SKIPPED)
+            elif all(self.jobs[p].state is JobState.SUCCEEDED for p in job.producers):
+                self.go(other, JobState.QUEUED)
+
+    # --- steps ---------------------------------------------------------------------------------------
+
+    @rule(
+        kinds=st.sampled_from(WORK),
+        part=st.booleans(),
+        priority=st.integers(0, 2),
+        use_cache=st.booleans(),
+        real=st.booleans(),
+    )
+    @precondition(lambda self: len(self.jobs) < 45)
+    def submit(self, kinds: list[str], part: bool, priority: int, use_cache: bool, real: bool) -> None:
+        states = (campaign().states[0].label,) if part else ()
+        requests = [Request(kind, states=states) for kind in kinds]
+        try:
+            with self.catalogue.writing() as session:
+                done = submit(session, "plate", requests, self.now, priority=priority, use_cache=use_cache)
+                if real:
+                    # As a recording on a real rig, which cannot be asked for twice.
+                    recordings = JobRow.id.in_(done.job_ids), JobRow.kind == "acquire"
+                    session.execute(update(JobRow).where(*recordings).values(repeatable=False))
+        except NotFound:
+            return
+        with self.catalogue.reading() as session:
+            rows = {row.id: row for row in session.scalars(select(JobRow).where(JobRow.id.in_(done.job_ids)))}
+            edges = session.scalars(select(DependencyRow).where(DependencyRow.job_id.in_(done.job_ids))).all()
+        for job_id in done.job_ids:
+            producers = frozenset(e.producer_id for e in edges if e.job_id == job_id and e.producer_id)
+            # Each needs only what comes before it, or what was on its way already.
+            assert all(p in self.jobs and self.jobs[p].state in ACTIVE for p in producers)
+            row = rows[job_id]
+            first = JobState.WAITING if producers else JobState.QUEUED
+            subject = Subject.parse(row.subject)
+            self.jobs[job_id] = Job(row.kind, subject, producers, first, row.repeatable, row.use_cache)
+            self.outbox[job_id] += first is JobState.QUEUED
+
+    @rule(target=processes, worker=st.sampled_from(sorted(HOSTS)), queue=st.sampled_from([None, *QUEUES]))
+    def claim(self, worker: str, queue: str | None) -> Any:
+        wanted = QUEUES if queue is None else [queue]
+        with self.catalogue.reading() as session:
+            line = session.execute(
+                select(JobRow.id, JobRow.queue, JobRow.priority, JobRow.position).where(
+                    JobRow.state == JobState.QUEUED, JobRow.queue.in_(wanted)
+                )
+            ).all()
+        may_run = [row for row in line if row.queue not in self.paused and worker not in self.draining]
+        pid = len(self.by_pid) + 1
+        with self.catalogue.writing() as session:
+            held = lifecycle.claim(session, wanted, worker, pid, self.now, LEASE)
+        if held is None:
+            assert not may_run
+            return multiple()
+        best = min((-row.priority, row.position) for row in may_run)
+        assert best in [(-row.priority, row.position) for row in may_run if row.id == held.job_id]
+        job = self.jobs[held.job_id]
+        assert held.fence > job.fence
+        job.state, job.fence, job.worker = JobState.RUNNING, held.fence, worker
+        job.lease_until = self.now + LEASE
+        self.by_pid[pid] = process = Process(held, worker, pid=pid)
+        with self.catalogue.writing() as session:
+            # Whatever it needs is there, each of its inputs once.
+            inputs = indexing.resolve_inputs(session, held.job_id)
+        assert len({one.role for one in inputs}) == len(inputs) >= len(job.producers)
+        return process
+
+    @rule(process=processes)
+    def succeed(self, process: Process) -> None:
+        held, job, was_live = process.claim, self.jobs[process.claim.job_id], self.is_live(process)
+        key, kind = f"{held.kind} {held.subject}", kind_named(held.kind)
+        outputs = self.outputs(held)
+        with self.catalogue.writing() as session:
+            earlier = reuse.earlier_success(session, key) if held.use_cache and held.repeatable else None
+            reused = None if earlier is None else earlier[0]
+            done = lifecycle.succeed(session, held, self.now, "done", reuse_key=key, reused_from=reused)
+            if done and earlier is None:
+                indexing.add_outputs(session, held, kind, outputs, self.now)
+        assert done == was_live
+        if done:
+            self.go(held.job_id, JobState.SUCCEEDED)
+            if earlier is None:
+                self.files.update(one.file.path for one in outputs)
+            else:
+                assert self.jobs[earlier[0]].state is JobState.SUCCEEDED
+                assert (job.use_cache, job.repeatable) == (True, True)
+
+    def outputs(self, held: Claim) -> list[SealedOutput]:
+        """Return what a job makes: a recording, files of all pairs; every other, one."""
+        subjects = [held.subject]
+        if kind_named(held.kind).makes == MEASUREMENT:
+            subjects = [replace(held.subject, pair=pair) for pair in campaign().pairs]
+        return [
+            SealedOutput(
+                subject,
+                Sealed(f"{subject}/{held.kind}-{held.job_id}-{held.attempt}.h5", "0", 1, DATASET_MEDIA_TYPE),
+                {},
+                self.now if len(subjects) > 1 else None,
+            )
+            for subject in subjects
+        ]
+
+    @rule(process=processes, end=st.sampled_from([JobState.FAILED, JobState.QUEUED]))
+    def fail(self, process: Process, end: JobState) -> None:
+        """Fail for good, or for the moment."""
+        held, was_live = process.claim, self.is_live(process)
+        with self.catalogue.writing() as session:
+            done = lifecycle.change(session, held.job_id, end, self.now, "no light", fence=held.fence)
+        assert done == was_live
+        if done:
+            self.go(held.job_id, end)
+
+    @rule(process=processes)
+    def report(self, process: Process) -> None:
+        """Reach a checkpoint, and stop where that was asked for."""
+        held, job = process.claim, self.jobs[process.claim.job_id]
+        try:
+            with self.catalogue.writing() as session:
+                lifecycle.report_progress(session, held, 0.5, "half")
+        except LeaseLost:
+            assert not self.is_live(process)
+        except (Cancelled, OverLimit) as error:
+            end = JobState.FAILED if isinstance(error, OverLimit) else JobState.CANCELLED
+            assert self.is_live(process)
+            assert job.stop is end
+            with self.catalogue.writing() as session:
+                assert lifecycle.change(session, held.job_id, end, self.now, "asked", fence=held.fence)
+            self.go(held.job_id, end)
+        else:
+            assert self.is_live(process)
+            assert job.stop is None
+
+    @rule(process=consumes(processes))
+    def die(self, process: Process) -> None:
+        process.lives = False
+
+    @rule(process=processes)
+    def freeze(self, process: Process) -> None:
+        """Let its lease run out while it lives on: it does not know, and may speak up later."""
+        if self.is_live(process):
+            self.now = max(self.now, self.jobs[process.claim.job_id].lease_until) + timedelta(seconds=1)
+
+    @rule(seconds=st.integers(1, 40))
+    def wait(self, seconds: int) -> None:
+        self.now += timedelta(seconds=seconds)
+
+    @rule(worker=st.sampled_from(sorted(HOSTS)))
+    def beat(self, worker: str) -> None:
+        with self.catalogue.writing() as session:
+            recovery.beat(session, worker, self.now, LEASE, self.lives)
+        for process in self.by_pid.values():
+            if process.lives and process.worker == worker and self.is_live(process):
+                self.jobs[process.claim.job_id].lease_until = self.now + LEASE
+
+    @rule(host=st.sampled_from(["here", "there", "elsewhere"]))
+    def recover(self, host: str) -> None:
+        gone = [
+            process.claim.job_id
+            for process in self.by_pid.values()
+            if self.is_live(process)
+            and (
+                self.jobs[process.claim.job_id].lease_until < self.now
+                or (HOSTS[process.worker] == host and not process.lives)
+            )
+        ]
+        with self.catalogue.writing() as session:
+            lost = recovery.recover(session, self.now, host, BUDGET, self.lives)
+        assert sorted(lost) == sorted(gone)
+        for job_id in lost:
+            job = self.jobs[job_id]
+            job.crashes += 1
+            if job.stop is not None:
+                self.go(job_id, job.stop)
+            elif not job.repeatable:
+                self.go(job_id, JobState.NEEDS_OPERATOR)
+            else:
+                self.go(job_id, JobState.QUARANTINED if job.crashes >= BUDGET else JobState.QUEUED)
+
+    @precondition(lambda self: self.jobs)
+    @rule(data=st.data(), limit=st.booleans())
+    def stop(self, data: st.DataObject, limit: bool) -> None:
+        """Cancel a job, or find that it takes too much."""
+        job_id = data.draw(st.sampled_from(list(self.jobs)), label="job")
+        job, end = self.jobs[job_id], JobState.FAILED if limit else JobState.CANCELLED
+        with self.catalogue.writing() as session:
+            if limit:
+                done = lifecycle.ask_to_stop(session, job_id, end, self.now, "took too much")
+            else:
+                done = lifecycle.cancel(session, job_id, self.now)
+        if job.state is JobState.RUNNING:
+            assert done
+            job.stop = job.stop or end
+            return
+        assert done == (not limit and JobState.CANCELLED in TRANSITIONS[job.state])
+        if done:
+            self.go(job_id, JobState.CANCELLED)
+
+    @precondition(lambda self: any(job.state in UNSUCCESSFUL for job in self.jobs.values()))
+    @rule(data=st.data())
+    def retry(self, data: st.DataObject) -> None:
+        ended = [i for i, job in self.jobs.items() if job.state in UNSUCCESSFUL]
+        job_id = data.draw(st.sampled_from(ended), label="job")
+        job = self.jobs[job_id]
+        states = [self.jobs[p].state for p in job.producers]
+        if job.state is JobState.SKIPPED or any(state in UNSUCCESSFUL for state in states):
+            with self.catalogue.writing() as session, pytest.raises(Conflict):
+                lifecycle.retry(session, job_id, self.now)
+            return
+        with self.catalogue.writing() as session:
+            count = lifecycle.retry(session, job_id, self.now)
+        job.crashes, job.stop = 0, None
+        ready = all(state is JobState.SUCCEEDED for state in states)
+        self.go(job_id, JobState.QUEUED if ready else JobState.WAITING)
+        assert count == 1 + self.bring_back(job_id)
+
+    def bring_back(self, job_id: str) -> int:
+        """Let what was skipped wait again, unless something else that it needs has not succeeded."""
+        count = 0
+        for other in self.dependents(job_id):
+            job = self.jobs[other]
+            if job.state is JobState.SKIPPED and not any(
+                self.jobs[p].state in UNSUCCESSFUL for p in job.producers
+            ):
+                job.state = JobState.WAITING
+                count += 1 + self.bring_back(other)
+        return count
+
+    @rule(queue=st.sampled_from(QUEUES))
+    def pause_or_resume(self, queue: str) -> None:
+        with self.catalogue.writing() as session:
+            if queue in self.paused:
+                assert queues.resume(session, queue)
+            else:
+                queues.pause(session, queue, "the hall is in use", self.now)
+        self.paused ^= {queue}
+
+    @rule(worker=st.sampled_from(sorted(HOSTS)))
+    @precondition(lambda self: not self.draining)
+    def drain(self, worker: str) -> None:
+        with self.catalogue.writing() as session:
+            recovery.drain(session, worker)
+        self.draining.add(worker)
+
+    @precondition(lambda self: self.jobs)
+    @rule(data=st.data(), to=st.sampled_from(["front", "back", 0, 5]))
+    def order(self, data: st.DataObject, to: Any) -> None:
+        """Move jobs, or rank them."""
+        some = data.draw(st.sets(st.sampled_from(list(self.jobs)), min_size=1, max_size=4), label="jobs")
+        before = self.line()
+        mine = [job for job in before if job in some]
+        if isinstance(to, int):
+            with self.catalogue.writing() as session:
+                assert queues.set_priority(session, sorted(some), to) == len(mine)
+            return
+        with self.catalogue.writing() as session:
+            if not mine:
+                with pytest.raises(Conflict):
+                    queues.move(session, sorted(some), to)
+                return
+            assert queues.move(session, sorted(some), to) == len(mine)
+        rest = [job for job in before if job not in some]
+        assert self.line() == (mine + rest if to == "front" else rest + mine)
+
+    def line(self) -> list[str]:
+        """Return the jobs that have yet to begin, in the order in which they would."""
+        query = select(JobRow.id).where(JobRow.state.in_((JobState.WAITING, JobState.QUEUED)))
+        with self.catalogue.reading() as session:
+            return list(session.scalars(query.order_by(JobRow.priority.desc(), JobRow.position)))
+
+    @rule()
+    def ring(self) -> None:
+        """Send the messages that are due."""
+        with self.catalogue.writing() as session:
+            due = doorbell.unsent(session)
+            doorbell.sent(session, due, self.now)
+        assert Counter(job_id for _, job_id, _ in due) == self.outbox
+        self.outbox.clear()
+
+    # --- what holds after every step ---------------------------------------------------------------------
+
+    @invariant()
+    def the_catalogue_says_what_the_model_says(self) -> None:
+        with self.catalogue.reading() as session:
+            rows = session.execute(
+                select(JobRow.id, JobRow.state, JobRow.fence, JobRow.attempts, JobRow.crashes, JobRow.stop_as)
+            ).all()
+            files = session.scalars(select(FileRow.path).where(FileRow.job_id.is_not(None))).all()
+            makers = set(session.scalars(select(FileRow.job_id).where(FileRow.job_id.is_not(None))))
+            due = session.scalars(select(OutboxRow.job_id)).all()
+        if not self.jobs:
+            return
+        assert {row.id: (row.state, row.fence, row.crashes) for row in rows} == {
+            job_id: (job.state, job.fence, job.crashes) for job_id, job in self.jobs.items()
+        }
+        assert all(row.fence == row.attempts for row in rows)
+        assert all(row.stop_as is self.jobs[row.id].stop for row in rows)
+        # Outputs are registered once, and only those of jobs that have succeeded.
+        assert sorted(files) == sorted(self.files)
+        assert all(self.jobs[job_id].state is JobState.SUCCEEDED for job_id in makers)
+        # No message is lost, whoever crashes: one for every time that a job was queued.
+        assert Counter(due) == self.outbox
+
+    @invariant()
+    def a_job_stands_where_what_it_needs_puts_it(self) -> None:
+        for job in self.jobs.values():
+            needed = [self.jobs[p].state for p in job.producers]
+            if job.state is JobState.WAITING:
+                assert not any(state in UNSUCCESSFUL for state in needed)
+                assert not all(state is JobState.SUCCEEDED for state in needed)
+            elif job.state is JobState.SKIPPED:
+                assert any(state in UNSUCCESSFUL for state in needed)
+            elif job.state is not JobState.CANCELLED:
+                assert all(state is JobState.SUCCEEDED for state in needed)
+
+    @invariant()
+    def no_job_is_run_by_two(self) -> None:
+        live = Counter(p.claim.job_id for p in self.by_pid.values() if self.is_live(p))
+        running = {job_id for job_id, job in self.jobs.items() if job.state is JobState.RUNNING}
+        assert live == Counter(running)
+
+    @invariant()
+    def events_tell_the_same_story(self) -> None:
+        if not self.jobs:
+            return
+        with self.catalogue.reading() as session:
+            new = session.execute(
+                select(EventRow.id, EventRow.job_id, EventRow.state, EventRow.attempt)
+                .where(EventRow.id > self.last_event)
+                .order_by(EventRow.id)
+            ).all()
+        for number, job_id, state, attempt in new:
+            self.last_event = number
+            story = self.told.setdefault(job_id, [])
+            if story:
+                assert state in TRANSITIONS[story[-1][0]], (job_id, story, state)
+            else:
+                assert state in (JobState.WAITING, JobState.QUEUED)
+            story.append((state, attempt))
+        for job_id, job in self.jobs.items():
+            assert self.told[job_id][-1][0] is job.state
+            begun = [attempt for state, attempt in self.told[job_id] if state is JobState.RUNNING]
+            assert begun == list(range(1, job.fence + 1))
+
+
+@pytest.fixture(params=["embedded", "grown"])
+def machine(request: pytest.FixtureRequest, home: Any) -> Iterator[type[JobLives]]:
+    """The machine on either deployment."""
+    urls = {}
+    if request.param == "grown":
+        urls["SMS_DATABASE_URL"] = request.getfixturevalue("fresh_postgresql_url")
+    opened = Deployment(request.param, home, urls).catalogue(create=True)
+    if opened.dialect == "sqlite":
+        event.listen(opened.engine, "connect", _without_waiting_for_the_disk)
+    schema.upgrade(opened)
+    try:
+        yield type("JobLivesOnce", (JobLives,), {"catalogue": opened})
+    finally:
+        opened.close()
+
+
+def _without_waiting_for_the_disk(connection: Any, _record: Any) -> None:
+    connection.execute("PRAGMA synchronous = OFF")
+
+
+QUIET = [HealthCheck.too_slow, HealthCheck.filter_too_much, HealthCheck.data_too_large]
+
+
+def test_jobs_live_as_the_model_says(machine: type[JobLives]) -> None:
+    examples = 10 if machine.catalogue.dialect == "sqlite" else 3
+    run_state_machine_as_test(  # type: ignore[no-untyped-call]
+        machine, settings=settings(max_examples=examples, stateful_step_count=50, suppress_health_check=QUIET)
+    )
+
+
+@pytest.mark.long
+def test_jobs_live_as_the_model_says_for_long(machine: type[JobLives]) -> None:
+    examples = 400 if machine.catalogue.dialect == "sqlite" else 100
+    run_state_machine_as_test(  # type: ignore[no-untyped-call]
+        machine,
+        settings=settings(
+            max_examples=examples,
+            stateful_step_count=120,
+            suppress_health_check=QUIET,
+            derandomize=False,
+            report_multiple_bugs=False,
+        ),
+    )
