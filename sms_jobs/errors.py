@@ -110,11 +110,15 @@ class InstrumentError(SmsError):
 
 
 class LinkLost(InstrumentError):
-    """An instrument does not answer, or not in words that can be understood: a cable, its power, its settings."""
+    """An instrument does not answer, or only noise comes back: its cable, power, port or settings."""
 
 
 class LimitExceeded(InstrumentError):
     """An instrument was told to go where it must not, or stopped there."""
+
+
+class DeviceFault(InstrumentError):
+    """An instrument answers, and says that it failed or refuses: a servo, a voltage, an unknown command."""
 
 
 class FrameLost(InstrumentError):
