@@ -27,7 +27,7 @@ from sms_jobs.kinds.kind import (
 from sms_jobs.metrology.deformation import correlation, displacement
 from sms_jobs.metrology.deformation.correlation import MatchSettings, Noise, prepare_images
 from sms_jobs.metrology.deformation.displacement import DenseDisplacement, ImagePoints, displacement_field
-from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, match_grid
+from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, Method, match_grid
 from sms_jobs.metrology.deformation.seeding import SearchSettings
 from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
 from sms_jobs.metrology.images.segmentation import ContinuousRegions, label_regions, pixel_footprint
@@ -69,6 +69,17 @@ class CorrelateParameters(Parameters):
         "fringe-average",
         description="image that is matched: the white frame, or the mean of all fringe frames, in which the "
         "fringes cancel and the camera's noise is lower by the square root of their number",
+    )
+    method: Method = Field(
+        "gauss-newton",
+        description="how a point is matched: by subsets that deform or, to compare with, by the thesis's peak of "
+        "the cross-correlation (fourier-newton), a shift that is pulled towards whole pixels by up to a fifth "
+        "of one and so asks for a maximum-sigma-px of about 0.3",
+    )
+    regions: Literal["measured", "none"] = Field(
+        "measured",
+        description="whether subsets end at the discontinuities of the measured shape, or, as in plain image "
+        "correlation, know none: then they hold whatever is in their square",
     )
     subset_radius_px: int = Field(
         10, ge=3, le=100, description="a subset has (2 radius + 1)^2 pixels, less those of other regions"
@@ -144,8 +155,8 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     sensor = inputs.read("calibration", "calibration", Calibration).rig.sensor(camera)
     before = _state(inputs, "reference", "reference_measurement", sensor, parameters)
     after = _state(inputs, "deformed", "measurement", sensor, parameters)
-    interior = _interior(before.regions.labels, parameters.edge_margin_px)
-    labels = np.where(interior, before.regions.labels, 0).astype(np.int32)
+    interior = _interior(before.regions.labels, parameters)
+    labels = _matched_labels(before.regions.labels, interior, parameters)
     progress(0.2, f"{len(before.regions.areas)} regions in the reference state")
     grid = match_grid(
         prepare_images(
@@ -161,7 +172,12 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
             parameters.minimum_subset_part,
             shape_order=cast(ShapeOrder, parameters.shape_order),
         ),
-        GridSettings(parameters.spacing_px, parameters.minimum_score, parameters.maximum_sigma_px),
+        GridSettings(
+            parameters.spacing_px,
+            parameters.minimum_score,
+            parameters.maximum_sigma_px,
+            method=parameters.method,
+        ),
         SearchSettings(parameters.search_range_x_px, parameters.search_range_y_px),
         inputs.threads,
     )
@@ -171,7 +187,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         ImagePoints(
             grid.x[matched],
             grid.y[matched],
-            labels[grid.y[matched], grid.x[matched]],
+            before.regions.labels[grid.y[matched], grid.x[matched]],
             np.ascontiguousarray(grid.matches.warp[matched, :6]),
             grid.matches.sigma[matched],
         ),
@@ -192,11 +208,22 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     )
 
 
-def _interior(labels: NDArray[np.int32], margin: int) -> NDArray[np.bool_]:
-    """Return which pixels have their region all round them, up to `margin` px away."""
-    size = 2 * margin + 1
+def _interior(labels: NDArray[np.int32], parameters: CorrelateParameters) -> NDArray[np.bool_]:
+    """Return which pixels have their region all round them, up to the edge margin, if there are regions."""
+    if parameters.regions == "none":
+        return np.asarray(labels > 0)
+    size = 2 * parameters.edge_margin_px + 1
     same = ndimage.minimum_filter(labels, size) == ndimage.maximum_filter(labels, size)
     return np.asarray(same & (labels > 0))
+
+
+def _matched_labels(
+    labels: NDArray[np.int32], interior: NDArray[np.bool_], parameters: CorrelateParameters
+) -> NDArray[np.int32]:
+    """Return which pixels are matched together: those of a region, or, without regions, the whole image."""
+    if parameters.regions == "none":
+        return np.ones_like(labels)
+    return np.where(interior, labels, 0).astype(np.int32)
 
 
 def _state(
@@ -212,15 +239,27 @@ def _state(
         phase = inputs.read(shape_role, "phase", PhaseMaps)
         texture = phase.mean_intensity
         noise = average_noise(measurement, phase, cloud.reason == Reason.VALID)
+    valid = cloud.reason == Reason.VALID
+    if parameters.regions == "none":
+        return _State(texture, noise, cloud, _one_region(valid))
     regions = label_regions(
         cloud.xyz,
-        cloud.reason == Reason.VALID,
+        valid,
         np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64)),
         pixel_footprint(cloud.xyz, sensor.intrinsics, sensor.pose),
         minimum_area=parameters.minimum_region_area_px,
         threads=inputs.threads,
     )
     return _State(texture, noise, cloud, regions)
+
+
+def _one_region(valid: NDArray[np.bool_]) -> ContinuousRegions:
+    """Return all that has a shape as a single region."""
+    if not valid.any():
+        return ContinuousRegions(np.zeros(valid.shape, np.int32), np.zeros(0, np.int64), np.zeros((0, 2)))
+    y, x = np.nonzero(valid)
+    centroid = np.array([[x.mean(), y.mean()]])
+    return ContinuousRegions(valid.astype(np.int32), np.array([valid.sum()]), centroid)
 
 
 def average_noise(measurement: Measurement, phase: PhaseMaps, valid: NDArray[np.bool_]) -> Noise:
@@ -317,7 +356,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: _State)
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both shapes",
-    version=2,
+    version=3,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     needs=_needs,

@@ -7,7 +7,7 @@ sum of squared differences, f(x) = a g(W(x)) + b, with the gain a and offset b e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -85,6 +85,7 @@ class PreparedImages:
     reference: Floats
     gradient_x: Floats
     gradient_y: Floats
+    deformed: Floats
     coefficients: Floats
     labels: NDArray[np.int32]
     noise: tuple[Noise, Noise]
@@ -100,6 +101,23 @@ class Matches:
     score: Floats
     iterations: NDArray[np.int32]
     ending: NDArray[np.int32]
+
+
+def blank_matches(count: int, numbers: int) -> Matches:
+    """Return room for matches at `count` points, whose warps have 6 or 12 numbers: none has converged."""
+    return Matches(
+        np.full((count, numbers), np.nan),
+        np.full((count, 2), np.nan),
+        np.full(count, np.nan),
+        np.zeros(count, dtype=np.int32),
+        np.full(count, NOT_CONVERGED, dtype=np.int32),
+    )
+
+
+def least_pixels(settings: MatchSettings) -> int:
+    """Return how many pixels a subset must have to be matched."""
+    whole = (2 * settings.radius + 1) ** 2
+    return max(int(settings.minimum_part * whole), 16, 3 * PARAMETERS[settings.shape_order])
 
 
 def prepare_images(
@@ -127,6 +145,7 @@ def prepare_images(
         np.ascontiguousarray(reference, dtype=np.float64),
         gradient_x,
         gradient_y,
+        np.ascontiguousarray(deformed, dtype=np.float64),
         spline_coefficients(deformed, interpolant),
         np.ascontiguousarray(labels, dtype=np.int32),
         noise,
@@ -323,17 +342,10 @@ def match_points(
     warp = np.zeros((len(x), WARP))
     numbers = min(guess.shape[1], WARP if settings.shape_order == 2 else 6)
     warp[:, :numbers] = guess[:, :numbers]
-    result = Matches(
-        warp if settings.shape_order == 2 else warp[:, :6],
-        np.full((len(x), 2), np.nan),
-        np.full(len(x), np.nan),
-        np.zeros(len(x), dtype=np.int32),
-        np.full(len(x), NOT_CONVERGED, dtype=np.int32),
-    )
+    blank = blank_matches(len(x), 0)
+    result = replace(blank, warp=warp if settings.shape_order == 2 else warp[:, :6])
     noise = np.array([term for model in images.noise for term in (model.floor, model.slope)])
-    minimum = max(
-        int(settings.minimum_part * (2 * settings.radius + 1) ** 2), 16, 3 * PARAMETERS[settings.shape_order]
-    )
+    minimum = least_pixels(settings)
     pixels = (images.reference, images.gradient_x, images.gradient_y, images.coefficients, images.labels)
     orders = (int(settings.shape_order), KERNEL_CODE[images.interpolant])
     ends = (settings.tolerance, settings.iterations)

@@ -8,7 +8,7 @@ result is the same however many threads share it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +21,19 @@ from sms_jobs.metrology.deformation.correlation import (
     Matches,
     MatchSettings,
     PreparedImages,
+    blank_matches,
     match_points,
 )
+from sms_jobs.metrology.deformation.fourier_newton import match_by_cross_correlation
 from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
 from sms_jobs.metrology.deformation.shape_functions import WARP, carried
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
 
+Method: TypeAlias = Literal["gauss-newton", "fourier-newton"]
+
+_REFINEMENT = {"gauss-newton": match_points, "fourier-newton": match_by_cross_correlation}
 _NEIGHBOURS = tuple(
     sorted(
         ((j, i) for j in range(-2, 3) for i in range(-2, 3) if (j, i) != (0, 0)),
@@ -64,12 +69,15 @@ class GridSettings:
         Largest standard deviation of u or v that is accepted, in px.
     outlier_ratio
         Largest deviation from the neighbours, in units of their own scatter.
+    method
+        How each point is matched: see `match_points` and `match_by_cross_correlation`.
     """
 
     spacing: int = 4
     minimum_score: float = 0.8
     maximum_sigma: float = 0.05
     outlier_ratio: float = 6.0
+    method: Method = "gauss-newton"
 
 
 def sample_grid(labels: NDArray[np.int32], spacing: int) -> tuple[Ints, Ints, Ints]:
@@ -144,13 +152,8 @@ def match_grid(
     """
     x, y, node = sample_grid(images.labels, grid.spacing)
     region = images.labels[y, x]
-    found = Matches(
-        np.full((len(x), WARP if settings.shape_order == 2 else 6), np.nan),
-        np.full((len(x), 2), np.nan),
-        np.full(len(x), np.nan),
-        np.zeros(len(x), dtype=np.int32),
-        np.full(len(x), NOT_CONVERGED, dtype=np.int32),
-    )
+    with_bends = settings.shape_order == 2 and grid.method == "gauss-newton"
+    found = blank_matches(len(x), WARP if with_bends else 6)
     if len(x) == 0:
         return GridMatches(x, y, found)
     around = _neighbours(node, region)
@@ -159,7 +162,7 @@ def match_grid(
     done = np.zeros(len(x), dtype=bool)
 
     def attempt(points: Ints, guess: Floats) -> None:
-        result = match_points(images, x[points], y[points], guess, settings, threads)
+        result = _REFINEMENT[grid.method](images, x[points], y[points], guess, settings, threads)
         with np.errstate(invalid="ignore"):
             sure = (result.score >= grid.minimum_score) & (result.sigma.max(axis=1) <= grid.maximum_sigma)
         good = (result.ending == CONVERGED) & sure

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from sms_jobs.kinds import correlate
 from sms_jobs.kinds.correlate import CorrelateParameters
@@ -77,6 +78,31 @@ def test_any_shape_order_and_spline_will_do(plate: Any, chosen: dict[str, Any]) 
     # As for the first order; a shift alone disagrees with a plate that bends, and says less than that.
     if chosen.get("shape_order") != 0:
         assert 0.7 < np.sqrt(np.mean((length[valid] / sigma[valid]) ** 2)) < 1.3
+
+
+def test_the_peak_of_the_correlation_will_do_for_a_comparison(plate: Any) -> None:
+    """A tenth of a pixel is 0.14 mm here; the pull towards whole pixels is in what is stated."""
+    parameters = CorrelateParameters(spacing_px=6, method="fourier-newton", maximum_sigma_px=0.3)
+    output = plate.run(correlate.KIND, plate.subject("S01", PAIR), parameters)
+    length, sigma, expected = errors(plate, output.records["displacement"])
+    valid = (output.records["displacement"].reason == Reason.VALID) & expected
+    assert valid.sum() > 0.9 * expected.sum()
+    assert 0.014 < np.sqrt(np.mean(length[valid] ** 2)) < 0.3
+    # The pull is the same for neighbours and does not scatter: it is told to within a factor of two.
+    assert 0.5 < np.sqrt(np.mean((length[valid] / sigma[valid]) ** 2)) < 2.0
+
+
+def test_without_regions_one_piece_is_matched_as_with_them(plate: Any) -> None:
+    parameters = CorrelateParameters(spacing_px=6, regions="none")
+    output = plate.run(correlate.KIND, plate.subject("S01", PAIR), parameters)
+    field, matches = output.records["displacement"], output.records["matches"]
+    length, _, expected = errors(plate, field)
+    # What lies beside the plate is matched too, and spoils subsets that see it, a radius into the plate.
+    assert matches.region.min() == 0
+    inner = ndimage.binary_erosion(expected, iterations=12)
+    assert (field.reason[inner] == Reason.VALID).mean() > 0.95
+    good = inner & (field.reason == Reason.VALID)
+    assert np.sqrt(np.mean(length[good] ** 2)) < plate.calibration.volume.diagonal_mm / 10_000
 
 
 def test_parameters_can_be_given_as_words() -> None:
