@@ -72,9 +72,9 @@ class CorrelateParameters(Parameters):
     )
     method: Method = Field(
         "gauss-newton",
-        description="how a point is matched: by subsets that deform or, to compare with, by the thesis's peak of "
-        "the cross-correlation (fourier-newton), a shift that is pulled towards whole pixels by up to a fifth "
-        "of one and so asks for a maximum-sigma-px of about 0.3",
+        description="how a point is matched: by subsets that deform or, to compare with, by the thesis's peak "
+        "of the cross-correlation (fourier-newton), a shift that is pulled towards whole pixels by up to a "
+        "fifth of one and so asks for a maximum-sigma-px of about 0.3",
     )
     regions: Literal["measured", "none"] = Field(
         "measured",
