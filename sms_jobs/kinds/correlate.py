@@ -72,8 +72,8 @@ class CorrelateParameters(Parameters):
     )
     method: Method = Field(
         "gauss-newton",
-        description="how a point is matched: by subsets that deform or, to compare with, by the thesis's peak "
-        "of the cross-correlation (fourier-newton), a shift that is pulled towards whole pixels by up to a "
+        description="how a point is matched: by subsets that deform or, to compare with, by the peak of the "
+        "thesis's cross-correlation (fourier-newton), a shift that is pulled towards whole pixels by up to a "
         "fifth of one and so asks for a maximum-sigma-px of about 0.3",
     )
     regions: Literal["measured", "none"] = Field(
