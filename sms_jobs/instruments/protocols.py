@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,3 +25,153 @@ class Recorder(Protocol):
         does not have.
         """
         ...
+
+
+class Clock(Protocol):
+    """Time that goes on, so that tests with simulators need not wait for it."""
+
+    def monotonic(self) -> float:
+        """Return seconds since some moment; never goes back."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        ...
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One image as a camera delivered it.
+
+    Attributes
+    ----------
+    number
+        The camera's own count of its frames: a gap is a frame that was lost on the way.
+    time_s
+        When it was exposed, by the clock of the rig.
+    image
+        (rows, columns), uint8 or uint16.
+    """
+
+    number: int
+    time_s: float
+    image: NDArray[Any]
+
+
+@dataclass(frozen=True)
+class CameraFacts:
+    """What does not change about a camera.
+
+    Attributes
+    ----------
+    columns, rows
+        Of its image, in pixels.
+    dtype
+        "uint8" or "uint16".
+    full_scale
+        Grey level at which it saturates.
+    gain, read_noise
+        Noise model in grey levels, see `Measurement`.
+    """
+
+    columns: int
+    rows: int
+    dtype: str
+    full_scale: int
+    gain: float
+    read_noise: float
+
+
+class Camera(Protocol):
+    """A camera that takes one frame for each trigger."""
+
+    @property
+    def facts(self) -> CameraFacts:
+        """What does not change about it."""
+        ...
+
+    def arm(self, exposure: float) -> None:
+        """Make ready to be triggered, with an exposure in units of the camera's own."""
+        ...
+
+    def trigger(self) -> None:
+        """Take a frame, where no trigger controller does so by wire."""
+        ...
+
+    def read(self, timeout_s: float) -> Frame:
+        """Return the oldest frame that was not read; raise `FrameLost` or `LinkLost` when none comes."""
+        ...
+
+    def disarm(self) -> None:
+        """Stop taking frames, whatever state it is in."""
+        ...
+
+
+class Projector(Protocol):
+    """A projector that shows one pattern after the other."""
+
+    def load(self, sequence: FringeSequence) -> None:
+        """Make ready for the patterns of a sequence."""
+        ...
+
+    def show(self, number: int) -> None:
+        """Show a pattern, counted from 0 as in `sequence.patterns()`; it is on when this returns."""
+        ...
+
+    def white(self) -> None:
+        """Show full brightness; it is on when this returns."""
+        ...
+
+    def dark(self) -> None:
+        """Show nothing, whatever state it is in."""
+        ...
+
+
+class Channel(Protocol):
+    """A load cell or any other source of one number."""
+
+    @property
+    def unit(self) -> str:
+        """Unit of its values."""
+        ...
+
+    def read(self) -> float:
+        """Return the present value; raise `LinkLost` when none comes."""
+        ...
+
+
+class Stage(Protocol):
+    """A pan-tilt stage."""
+
+    def move(self, pan_rad: float, tilt_rad: float) -> None:
+        """Go there and return when it stands still; raise `LimitExceeded` where it must not go."""
+        ...
+
+    def angles(self) -> tuple[float, float]:
+        """Return pan and tilt as the stage reads them, in rad."""
+        ...
+
+    def home(self) -> None:
+        """Go home the way it came, so that the cable uncoils."""
+        ...
+
+    def stop(self) -> None:
+        """Stand still at once."""
+        ...
+
+
+class Trigger(Protocol):
+    """What makes the cameras of a rig expose together."""
+
+    def fire(self, cameras: Mapping[str, Camera]) -> None:
+        """Expose all of them."""
+        ...
+
+
+class SoftwareTrigger:
+    """Triggers the cameras one after the other over their own links."""
+
+    def fire(self, cameras: Mapping[str, Camera]) -> None:
+        """Expose all of them."""
+        for camera in cameras.values():
+            camera.trigger()

@@ -1,0 +1,430 @@
+"""Projectors in turn, all of their cameras at once: how a state is recorded with instruments.
+
+Frames go to the spool as they come, so that a set that breaks off loses nothing of what was complete. What
+is wrong with a set is found while the specimen is still held: a frame that a camera did not deliver is
+taken again at once, and a set that is saturated or dark as often as the order allows.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import FrameLost, InstrumentError, InvalidInput
+from sms_jobs.instruments.protocols import (
+    Camera,
+    Channel,
+    Clock,
+    Frame,
+    Projector,
+    SoftwareTrigger,
+    Stage,
+    Trigger,
+)
+from sms_jobs.instruments.spool import Spooled, SpooledFrames, SpoolHeader, SpoolWriter
+from sms_jobs.metrology.phase.recording_quality import recording_quality
+from sms_jobs.records.measurement import FringeSequence, Measurement
+from sms_jobs.records.recording import InterruptedRecording, Recording, Verdict
+from sms_jobs.records.sensors import split_pair
+
+FRAME_TIMEOUT_S = 5.0
+_TRIES = 3
+"""How often a pattern is projected before a camera that misses it is given up."""
+_SYNC_EVERY_S = 1.0
+_LOOKED_AT = 4
+"""Every so manieth row and column is looked at for the verdict."""
+_WAITING_FRAMES = 4
+"""Of each camera that may wait for the disk."""
+_FRAMES = ".frames"
+_INTERRUPTED = ".interrupted"
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class ConnectedRig:
+    """The instruments of a rig, connected.
+
+    Attributes
+    ----------
+    name
+        Of the rig.
+    cameras, projectors
+        By name: C1, ..., P1, ...
+    clock, now
+        Time that goes on, and time of day with zone.
+    trigger
+        What makes the cameras expose.
+    channels
+        Scalar readings, by name.
+    stage
+        That carries a calibration artefact; None where there is none.
+    """
+
+    name: str
+    cameras: Mapping[str, Camera]
+    projectors: Mapping[str, Projector]
+    clock: Clock
+    now: Callable[[], datetime]
+    trigger: Trigger = field(default_factory=SoftwareTrigger)
+    channels: Mapping[str, Channel] = field(default_factory=dict)
+    stage: Stage | None = None
+
+    def read_channels(self) -> dict[str, float]:
+        """Return what every channel reads now."""
+        return {name: channel.read() for name, channel in self.channels.items()}
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a set must not have.
+
+    Attributes
+    ----------
+    saturated_fraction
+        Most of the lit region that may be saturated.
+    lit_fraction
+        Least part of the image that must be lit.
+    recordings
+        How often a set may be recorded until it keeps the limits; the last is kept as it is.
+    """
+
+    saturated_fraction: float = 0.02
+    lit_fraction: float = 0.05
+    recordings: int = 2
+
+
+def record_state(
+    rig: ConnectedRig,
+    pairs: Sequence[str],
+    sequence: FringeSequence,
+    spool: Path,
+    limits: Limits,
+    progress: Callable[[float, str], None],
+) -> None:
+    """Record every pair of a state into the spool; pairs that are there already are left alone.
+
+    Parameters
+    ----------
+    pairs
+        Such as C1P1, in order of their projectors.
+    spool
+        Folder of the job; it holds one file a pair afterwards, see `finished` and `recorded`.
+    progress
+        Told a fraction and a few words; may raise to stop the recording, which leaves the projectors dark.
+
+    Raises
+    ------
+    InvalidInput
+        When the rig does not have a sensor of a pair.
+    InstrumentError
+        When an instrument gives up; complete frames stay in the spool.
+    StorageFull
+        When the spool's disk is full.
+    """
+    spool.mkdir(parents=True, exist_ok=True)
+    _set_aside_interrupted(spool)
+    by_projector = _by_projector(rig, [p for p in pairs if not is_finished(spool, p)])
+    with ExitStack() as stack:
+        for projector in rig.projectors.values():
+            stack.callback(_quietly, projector.dark)
+        for camera in rig.cameras.values():
+            stack.callback(_quietly, camera.disarm)
+        for number, (name, cameras) in enumerate(by_projector.items()):
+
+            def part(fraction: float, words: str, number: int = number) -> None:
+                progress((number + fraction) / len(by_projector), words)
+
+            for attempt in range(1, limits.recordings + 1):
+                doubts = _Set(rig, name, cameras, sequence, spool, attempt).record(limits, part)
+                for words in doubts:
+                    logger.warning("%s", words)
+                if not doubts:
+                    break
+
+
+def is_finished(spool: Path, pair: str) -> bool:
+    """Say whether a whole set of a pair is in the spool."""
+    return _facts_path(spool, pair).is_file()
+
+
+def recorded(spool: Path, pair: str, sequence: FringeSequence) -> tuple[Measurement, Recording]:
+    """Return a finished set; its frames are read from the spool as they are asked for."""
+    facts = json.loads(_facts_path(spool, pair).read_text(encoding="utf-8"))
+    file = Spooled(spool / facts["file"])
+    told = file.header.about
+    numbers, times = file.numbers_and_times(file.complete)
+    measurement = Measurement(
+        file.header.recorded_at,
+        sequence,
+        told["full_scale"],
+        told["gain"],
+        told["read_noise"],
+        file.frame(sequence.frames).astype(np.uint16),
+        SpooledFrames(file, sequence.frames),
+    )
+    return measurement, Recording(
+        told["rig"],
+        Verdict(**{**facts["verdict"], "doubts": tuple(facts["verdict"]["doubts"])}),
+        facts["retaken"],
+        facts["recordings"],
+        told["channels"],
+        facts["channels"],
+        numbers=numbers,
+        times_s=times,
+    )
+
+
+def interrupted(spool: Path, sequence: FringeSequence) -> Iterator[tuple[str, InterruptedRecording]]:
+    """Yield the pairs and sets of earlier attempts that broke off after one complete frame or more."""
+    for path in sorted(spool.glob(f"*{_INTERRUPTED}")):
+        file = Spooled(path)
+        count = min(file.complete, sequence.frames)
+        if count:
+            numbers, times = file.numbers_and_times(count)
+            full_scale = file.header.about["full_scale"]
+            pair = path.name.split(".")[0]
+            yield (
+                pair,
+                InterruptedRecording(
+                    file.header.recorded_at, sequence, full_scale, numbers, times, SpooledFrames(file, count)
+                ),
+            )
+
+
+@dataclass
+class _Set:
+    """One set: a projector's patterns, seen by its cameras."""
+
+    rig: ConnectedRig
+    projector: str
+    cameras: tuple[str, ...]
+    sequence: FringeSequence
+    spool: Path
+    attempt: int
+    _retaken: int = 0
+    _next_number: dict[str, int] = field(default_factory=dict)
+
+    def record(self, limits: Limits, progress: Callable[[float, str], None]) -> tuple[str, ...]:
+        """Record the set and return what is wrong with it, in words."""
+        rig, sequence = self.rig, self.sequence
+        begun, channels = rig.now(), rig.read_channels()
+        zero = rig.clock.monotonic()
+        projector = rig.projectors[self.projector]
+        projector.load(sequence)
+        with ExitStack() as stack:
+            writers = {
+                camera: stack.enter_context(self._writer(camera, begun, channels)) for camera in self.cameras
+            }
+            done, total = 0, sequence.frames + 1
+            for exposure in sequence.exposures:
+                self._arm(exposure)
+                looked_at = exposure == min(sequence.exposures)  # the others may saturate
+                for pattern in range(sequence.frames_per_exposure):
+                    self._take(partial(projector.show, pattern), writers, zero, looked_at)
+                    done += 1
+                    progress(done / total, f"recording {self.projector}: frame {done} of {total}")
+            self._arm(1.0)
+            self._take(projector.white, writers, zero, looked_at=False)
+            projector.dark()
+        doubts: list[str] = []
+        after = rig.read_channels()
+        for camera in self.cameras:
+            doubts += self._finish(camera, writers[camera].saturated, after, limits)
+        return tuple(doubts)
+
+    def _arm(self, exposure: float) -> None:
+        for camera in self.cameras:
+            self.rig.cameras[camera].arm(exposure)
+
+    def _writer(self, camera: str, begun: datetime, channels: dict[str, float]) -> _Writer:
+        facts = self.rig.cameras[camera].facts
+        about = {
+            "rig": self.rig.name,
+            "full_scale": facts.full_scale,
+            "gain": facts.gain,
+            "read_noise": facts.read_noise,
+            "channels": channels,
+        }
+        header = SpoolHeader(begun, facts.rows, facts.columns, facts.dtype, self.sequence.frames + 1, about)
+        return _Writer(_new_path(self.spool, camera + self.projector), header, self.rig.clock)
+
+    def _take(
+        self, show: Callable[[], None], writers: Mapping[str, _Writer], zero: float, looked_at: bool
+    ) -> None:
+        """Show a pattern and keep what every camera sees of it; show it again when one misses it."""
+        for tries in range(1, _TRIES + 1):
+            show()
+            try:
+                frames = self._frames()
+                break
+            except FrameLost as error:
+                if tries == _TRIES:
+                    raise InstrumentError(
+                        f"{error}, {_TRIES} times one after the other; check the camera's link"
+                    ) from error
+                logger.warning("%s; the pattern is shown again", error)
+                self._retaken += 1
+        for camera, frame in frames.items():
+            writers[camera].append(frame.number, frame.time_s - zero, frame.image, looked_at)
+
+    def _frames(self) -> dict[str, Frame]:
+        """Trigger all cameras and return what they deliver; raise `FrameLost` when one delivers nothing."""
+        cameras = {name: self.rig.cameras[name] for name in self.cameras}
+        self.rig.trigger.fire(cameras)
+        frames, lost = {}, None
+        for name, camera in cameras.items():  # all are read, so that none is a frame behind afterwards
+            try:
+                frames[name] = camera.read(FRAME_TIMEOUT_S)
+            except FrameLost as error:
+                lost = error
+                self._next_number.pop(name, None)  # the camera may have counted the lost frame, or not
+                continue
+            expected = self._next_number.get(name, frames[name].number)
+            self._next_number[name] = frames[name].number + 1
+            if frames[name].number != expected:
+                lost = FrameLost(f"camera {name} went from frame {expected - 1} to {frames[name].number}")
+        if lost is not None:
+            raise lost
+        return frames
+
+    def _finish(
+        self, camera: str, saturated: NDArray[np.bool_], channels: dict[str, float], limits: Limits
+    ) -> list[str]:
+        """Judge a camera's set and mark it as finished; return what is wrong with it."""
+        pair = camera + self.projector
+        path = _newest(self.spool, pair)
+        verdict = _judged(Spooled(path), self.sequence, saturated)
+        doubts = _doubts(pair, verdict, limits)
+        facts = {
+            "file": path.name,
+            "verdict": vars(replace(verdict, doubts=tuple(doubts))),
+            "retaken": self._retaken,
+            "recordings": self.attempt,
+            "channels": channels,
+        }
+        marker = _facts_path(self.spool, pair)
+        beside = marker.with_suffix(".new")
+        beside.write_text(json.dumps(facts), encoding="utf-8")
+        before = json.loads(marker.read_text(encoding="utf-8"))["file"] if marker.is_file() else None
+        beside.replace(marker)
+        if before is not None:
+            (self.spool / before).unlink()
+        return doubts
+
+
+class _Writer:
+    """Writes frames from a thread of its own, so that the next pattern need not wait for the disk."""
+
+    def __init__(self, path: Path, header: SpoolHeader, clock: Clock) -> None:
+        self._file = SpoolWriter(path, header)
+        self._clock = clock
+        self._synced = clock.monotonic()
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="spool")
+        self._pending: deque[Future[None]] = deque()
+        self._full_scale = header.about["full_scale"]
+        self.saturated = np.zeros((header.rows, header.columns), np.bool_)[::_LOOKED_AT, ::_LOOKED_AT]
+
+    def append(self, number: int, time_s: float, image: NDArray[Any], looked_at: bool) -> None:
+        """Have a frame written and looked at; raise `StorageFull` when one before could not be."""
+        while len(self._pending) >= _WAITING_FRAMES:
+            self._pending.popleft().result()
+        if looked_at:
+            self.saturated |= image[::_LOOKED_AT, ::_LOOKED_AT] >= self._full_scale
+        self._pending.append(self._thread.submit(self._file.append, number, time_s, image))
+        if self._clock.monotonic() > self._synced + _SYNC_EVERY_S:
+            self._synced = self._clock.monotonic()
+            self._pending.append(self._thread.submit(self._file.sync))
+
+    def __enter__(self) -> _Writer:
+        return self
+
+    def __exit__(self, *problem: object) -> None:
+        try:
+            while self._pending:
+                self._pending.popleft().result()
+        finally:
+            self._thread.shutdown()
+            self._file.close()
+
+
+def _judged(file: Spooled, sequence: FringeSequence, saturated: NDArray[np.bool_]) -> Verdict:
+    """Judge a finished set by its first fringes, on some of their pixels."""
+    patterns = list(sequence.patterns())
+    first = next(i for i, (_, density, _) in enumerate(patterns) if density)
+    steps = np.stack([file.frame(first + k)[::_LOOKED_AT, ::_LOOKED_AT] for k in range(sequence.steps)])
+    told = file.header.about
+    quality = recording_quality(steps, saturated, told["full_scale"], told["gain"], told["read_noise"])
+    return Verdict(quality.lit_fraction, quality.saturated_fraction, quality.modulation)
+
+
+def _doubts(pair: str, verdict: Verdict, limits: Limits) -> list[str]:
+    doubts = []
+    if verdict.saturated_fraction > limits.saturated_fraction:
+        doubts.append(
+            f"{pair}: {verdict.saturated_fraction:.0%} of the lit region is saturated, allowed is "
+            f"{limits.saturated_fraction:.0%}"
+        )
+    if verdict.lit_fraction < limits.lit_fraction:
+        doubts.append(
+            f"{pair}: fringes stand out in {verdict.lit_fraction:.0%} of the image, wanted is "
+            f"{limits.lit_fraction:.0%}"
+        )
+    return doubts
+
+
+def _by_projector(rig: ConnectedRig, pairs: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return the cameras of each projector, both in the order of the pairs."""
+    found: dict[str, tuple[str, ...]] = {}
+    for pair in pairs:
+        camera, projector = split_pair(pair)
+        for name, known in ((camera, rig.cameras), (projector, rig.projectors)):
+            if name not in known:
+                raise InvalidInput(
+                    f"rig {rig.name} has no {name} for the pair {pair}; it has "
+                    f"{', '.join([*rig.cameras, *rig.projectors])}"
+                )
+        found[projector] = (*found.get(projector, ()), camera)
+    return found
+
+
+def _set_aside_interrupted(spool: Path) -> None:
+    """Mark the files of sets that broke off, so that nobody takes them for more than they are."""
+    kept = {json.loads(p.read_text(encoding="utf-8"))["file"] for p in spool.glob("*.json")}
+    for path in spool.glob(f"*{_FRAMES}"):
+        if path.name not in kept:
+            path.rename(path.with_suffix(_INTERRUPTED))
+
+
+def _facts_path(spool: Path, pair: str) -> Path:
+    return spool / f"{pair}.json"
+
+
+def _files(spool: Path, pair: str) -> list[Path]:
+    return sorted(spool.glob(f"{pair}.[0-9]*"))
+
+
+def _new_path(spool: Path, pair: str) -> Path:
+    return spool / f"{pair}.{len(_files(spool, pair)) + 1:03d}{_FRAMES}"
+
+
+def _newest(spool: Path, pair: str) -> Path:
+    return _files(spool, pair)[-1]
+
+
+def _quietly(what: Callable[[], None]) -> None:
+    """Do what is to be done at the end; a lost link must not hide why the recording ended."""
+    with suppress(InstrumentError):
+        what()

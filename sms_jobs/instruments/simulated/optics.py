@@ -1,0 +1,186 @@
+"""Simulated cameras and projectors in one hall: what a projector shows is what the cameras see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import FrameLost, LinkLost
+from sms_jobs.instruments.protocols import CameraFacts, Clock, Frame
+from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.optical_instruments import OpticalFault
+from sms_jobs.records.scene import Deformation, PanTilt, Scene, Simulation
+from sms_jobs.virtual_rig.rendering import Noise, Rendering, render
+
+_WHITE = -1
+_FLASH = 2.0
+"""What a lamp adds, in units of full scale: nothing else is left to be seen."""
+
+
+@dataclass
+class Hall:
+    """The room in which the instruments of a virtual rig stand, and what stands before them.
+
+    Attributes
+    ----------
+    scene
+        The sensors as they truly are, and the specimen or the artefact.
+    state, deformation
+        Label of the load state, and what it does to the specimen.
+    clock
+        The time in the room.
+    stage_angles
+        Where the stage that carries the artefact truly is, in rad; without one the angles of the deformation
+        hold.
+    threads
+        For rendering.
+    """
+
+    scene: Scene
+    state: str
+    deformation: tuple[Deformation, ...]
+    clock: Clock
+    stage_angles: Callable[[], tuple[float, float]] | None = None
+    threads: int = 1
+    _lit: tuple[str, FringeSequence, int] | None = None
+    _seen: dict[tuple[object, ...], Rendering] = field(default_factory=dict)
+
+    def light(self, projector: str, sequence: FringeSequence, number: int) -> None:
+        """Have a projector show a pattern, or white."""
+        self._lit = projector, sequence, number
+
+    def darken(self, projector: str) -> None:
+        """Have a projector show nothing."""
+        if self._lit is not None and self._lit[0] == projector:
+            self._lit = None
+
+    def view(self, camera: str, exposure: float) -> NDArray[Any]:
+        """Return what a camera sees now."""
+        if self._lit is None:
+            rows, columns = self._size(camera)
+            return np.zeros((rows, columns), np.uint16)
+        projector, sequence, number = self._lit
+        rendering = self._rendering(camera, projector, sequence)
+        if number == _WHITE:
+            return rendering.texture
+        place = sequence.exposures.index(exposure) * sequence.frames_per_exposure + number
+        return rendering.frames.frame(place)
+
+    def _size(self, camera: str) -> tuple[int, int]:
+        sensor = self.scene.rig.sensor(camera)
+        return sensor.rows, sensor.columns
+
+    def _rendering(self, camera: str, projector: str, sequence: FringeSequence) -> Rendering:
+        """Return the frames of a pair; what was seen from one place is kept while nothing moves."""
+        deformation = self._present_deformation()
+        key = (camera, projector, sequence, deformation)
+        if key not in self._seen:
+            # Those of another projector or pose will not be asked for again.
+            self._seen = {k: v for k, v in self._seen.items() if k[1:] == key[1:]}
+            simulation = Simulation(self.scene, camera, projector, deformation, self.state)
+            self._seen[key] = render(simulation, sequence, threads=self.threads)
+        return self._seen[key]
+
+    def _present_deformation(self) -> tuple[Deformation, ...]:
+        if self.stage_angles is None:
+            return self.deformation
+        stage = PanTilt(*self.stage_angles())
+        return tuple(stage if isinstance(d, PanTilt) else d for d in self.deformation)
+
+
+@dataclass
+class SimulatedProjector:
+    """A projector of the virtual rig."""
+
+    name: str
+    hall: Hall
+    settle_s: float = 0.0
+    _sequence: FringeSequence = field(default_factory=FringeSequence)
+
+    def load(self, sequence: FringeSequence) -> None:
+        """Make ready for the patterns of a sequence."""
+        self._sequence = sequence
+
+    def show(self, number: int) -> None:
+        """Show a pattern; it is on when this returns."""
+        self.hall.light(self.name, self._sequence, range(self._sequence.frames_per_exposure)[number])
+        self.hall.clock.sleep(self.settle_s)
+
+    def white(self) -> None:
+        """Show full brightness."""
+        self.hall.light(self.name, self._sequence, _WHITE)
+        self.hall.clock.sleep(self.settle_s)
+
+    def dark(self) -> None:
+        """Show nothing."""
+        self.hall.darken(self.name)
+
+
+@dataclass
+class SimulatedCamera:
+    """A camera of the virtual rig, with faults on demand."""
+
+    name: str
+    hall: Hall
+    faults: tuple[OpticalFault, ...] = ()
+    _exposure: float | None = None
+    _triggers: int = 0
+    _number: int = 0
+    _waiting: list[Frame] = field(default_factory=list)
+    _flashes: int = 0
+
+    @property
+    def facts(self) -> CameraFacts:
+        """What does not change about it."""
+        sensor, noise = self.hall.scene.rig.sensor(self.name), Noise.of(self.hall.scene.camera)
+        read_noise = (noise.read_noise**2 + 1.0 / 12.0) ** 0.5  # with the rounding to whole grey levels
+        return CameraFacts(sensor.columns, sensor.rows, "uint16", noise.full_scale, noise.gain, read_noise)
+
+    def arm(self, exposure: float) -> None:
+        """Make ready to be triggered."""
+        self._plugged_in()
+        self._exposure = exposure
+        self._waiting.clear()
+
+    def trigger(self) -> None:
+        """Take a frame; a camera that is not armed takes none."""
+        self._triggers += 1
+        if self._exposure is None or self._has("unplugged"):
+            return
+        self._number += 1
+        if any(f.frame == self._triggers for f in self._here("dropped-frame")):
+            return
+        image = self.hall.view(self.name, self._exposure)
+        if any(f.frame == self._triggers for f in self._here("flash")):
+            self._flashes = 3
+        if self._flashes:
+            self._flashes -= 1
+            noise = Noise.of(self.hall.scene.camera)
+            image = np.minimum(image + _FLASH * noise.full_scale, noise.full_scale).astype(np.uint16)
+        self._waiting.append(Frame(self._number, self.hall.clock.monotonic(), image))
+
+    def read(self, timeout_s: float) -> Frame:
+        """Return the oldest frame that was not read."""
+        self._plugged_in()
+        if not self._waiting:
+            self.hall.clock.sleep(timeout_s)
+            raise FrameLost(f"camera {self.name} delivered no frame within {timeout_s:g} s of its trigger")
+        return self._waiting.pop(0)
+
+    def disarm(self) -> None:
+        """Stop taking frames."""
+        self._exposure = None
+
+    def _here(self, fault: str) -> list[OpticalFault]:
+        return [f for f in self.faults if f.fault == fault and f.state in ("", self.hall.state)]
+
+    def _has(self, fault: str) -> bool:
+        return any(self._triggers >= f.frame for f in self._here(fault))
+
+    def _plugged_in(self) -> None:
+        if self._has("unplugged"):
+            raise LinkLost(f"camera {self.name} does not answer; check its cable and its power")
