@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, cpu_seconds
-from sms_jobs.bench.speckle_pairs import Floats, halves, quadratic, shift, speckle_pair
+from sms_jobs.bench.half_and_half import HALVES, match_halves
+from sms_jobs.bench.speckle_pairs import Floats, quadratic, shift, speckle_pair
 from sms_jobs.metrology.deformation.correlation import (
     CONVERGED,
     Matches,
@@ -32,7 +33,6 @@ _NOISE = 10.0  # grey levels, a fortieth of the speckle's contrast
 _STRETCH = 0.002
 _CURVATURE = 2e-4  # 1 / px
 _EDGE_ERROR = 0.05  # px from which a point counts as spoilt by an edge
-_HALVES = tuple((0.2 * k, 0.4 * k) for k in range(1, 9))  # px, as in thesis Fig. 37
 _RATE_TARGETS: tuple[tuple[ShapeOrder, float], ...] = ((1, 20_000.0), (2, 10_000.0))
 
 
@@ -218,35 +218,20 @@ def _honesty(run: Run) -> Iterator[Found]:
 
 def _edges(run: Run) -> Iterator[Found]:
     run.say("dic: the half-and-half subset")
-    size, middle = 128, 64
-    y = np.repeat(np.arange(middle - 24, middle + 24), size // 4 - 12)
-    x = np.tile(np.arange(24, size - 24, 4), 48)
-    squares: dict[bool, list[Floats]] = {True: [], False: []}
-    for k, (upper, lower) in enumerate(_HALVES):
-        reference, deformed, labels = halves(size, upper, lower, 40 + k)
-        truth = np.stack([np.where(y < middle, upper, lower), np.zeros(len(y))], axis=1)
-        for parted in (True, False):
-            images = prepare_images(reference, deformed, labels if parted else np.ones_like(labels))
-            found = matched(images, Points(x, y, truth), 1)
-            error = np.sum((found.warp[:, [0, 3]] - truth) ** 2, axis=1)
-            squares[parted].append(np.where(found.ending == CONVERGED, error, np.nan))
-    rms = {
-        p: np.sqrt(np.nanmean(np.stack(s).reshape(len(_HALVES), 48, -1), axis=(0, 2)))
-        for p, s in squares.items()
-    }
-    found_part = {p: float(np.isfinite(s).mean()) for p, s in squares.items()}
-    near = np.s_[24 - RADIUS : 24 + RADIUS]
+    found = {parted: match_halves(parted=parted, radius=RADIUS) for parted in (True, False)}
+    near = np.abs(found[True].distance) < RADIUS
     for parted, name in ((True, ""), (False, "_without_regions")):
-        value = float(np.sqrt(np.mean(rms[parted][near] ** 2)))
+        value = float(np.sqrt(np.mean(found[parted].rms()[near] ** 2)))
         yield Figure(f"half_and_half_rms{name}_px", value, "px", 0.01 if parted else None, "at most")
     for parted, name in ((True, ""), (False, "_without_regions")):
-        width = float(np.count_nonzero(rms[parted] > _EDGE_ERROR))
+        width = float(np.count_nonzero(found[parted].rms() > _EDGE_ERROR))
         yield Figure(f"edge_width{name}_px", width, "px", 1.0 if parted else None, "at most")
     yield Condition(
         "half_and_half",
-        f"thesis Fig. 35-37: halves of one image move along x by {_HALVES[0]} .. {_HALVES[-1]} px, no noise, "
+        f"thesis Fig. 35-37: halves of one image move along x by {HALVES[0]} .. {HALVES[-1]} px, no noise, "
         f"first order, radius {RADIUS} px, within {RADIUS} px of the edge; of the points, "
-        f"{found_part[True]:.1%} converge with regions and {found_part[False]:.1%} without; thesis 0.05 px",
+        f"{found[True].found().mean():.1%} converge with regions and {found[False].found().mean():.1%} "
+        "without; thesis 0.05 px",
     )
     yield Condition(
         "edge_width",

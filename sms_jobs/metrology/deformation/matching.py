@@ -7,8 +7,9 @@ result is the same however many threads share it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,12 @@ Ints: TypeAlias = NDArray[np.int64]
 
 Method: TypeAlias = Literal["gauss-newton", "fourier-newton"]
 
-_REFINEMENT = {"gauss-newton": match_points, "fourier-newton": match_by_cross_correlation}
+REFINEMENT: Final[dict[Method, Callable[..., Matches]]] = {
+    "gauss-newton": match_points,
+    "fourier-newton": match_by_cross_correlation,
+}
+"""The function behind each method."""
+
 _NEIGHBOURS = tuple(
     sorted(
         ((j, i) for j in range(-2, 3) for i in range(-2, 3) if (j, i) != (0, 0)),
@@ -162,7 +168,7 @@ def match_grid(
     done = np.zeros(len(x), dtype=bool)
 
     def attempt(points: Ints, guess: Floats) -> None:
-        result = _REFINEMENT[grid.method](images, x[points], y[points], guess, settings, threads)
+        result = REFINEMENT[grid.method](images, x[points], y[points], guess, settings, threads)
         with np.errstate(invalid="ignore"):
             sure = (result.score >= grid.minimum_score) & (result.sigma.max(axis=1) <= grid.maximum_sigma)
         good = (result.ending == CONVERGED) & sure
