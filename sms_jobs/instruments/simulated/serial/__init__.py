@@ -1,0 +1,1 @@
+"""Serial devices that are simulated behind their bytes, with faults on purpose."""
