@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations, pairwise, product
-from math import gcd, pi
+from math import cos, gcd, inf, pi, sin
 from typing import Any
 
 import numpy as np
@@ -101,26 +101,44 @@ class PhaseGradient:
     ambiguous: NDArray[np.bool_]
 
 
+@dataclass(frozen=True)
+class CoarseGradient:
+    """What is known of the phase gradient before any fringe is looked at, as from a Gray code.
+
+    Attributes
+    ----------
+    omega
+        (rows, columns) in rad per fringe; NaN where it is not known.
+    half_width
+        Largest distance of the true value from `omega`, in rad per fringe: half a stripe of the code.
+    """
+
+    omega: Floats
+    half_width: float
+
+
 @lru_cache(maxsize=64)
-def unwrapping_plan(densities: tuple[int, ...]) -> Plan:
+def unwrapping_plan(densities: tuple[int, ...], known_coarsely: bool = False) -> Plan:
     """Plan how to unwrap a list of densities so that the least certain step is as certain as can be.
 
     The prediction of rung s from rung r has the error c_s - (d_s / d_r) c_r in units of the phase noise,
     c being the factors of the phases and d the rung's density. From the rungs of one fringe, which need no
-    prediction, the path to each density is the one with the smallest largest error.
+    prediction, the path to each density is the one with the smallest largest error. Where omega is
+    `known_coarsely` from elsewhere, paths begin at the lowest density.
 
     Raises `InvalidInput` for a list that leaves omega ambiguous within -pi .. pi.
     """
     t = np.array(densities, dtype=np.float64)
     rungs = _candidates(densities)
     d = rungs @ t
-    start = np.flatnonzero(d == 1.0)
+    start = np.array([t.argmin()]) if known_coarsely else np.flatnonzero(d == 1.0)
     if not start.size:
         raise InvalidInput(_why_ambiguous(densities))
     noise = np.sum(rungs * rungs, axis=1)
     worst = np.full(d.size, np.inf)
     worst[start] = 0.0
-    tie = np.where(d == 1.0, noise, np.inf)
+    tie = np.full(d.size, np.inf)
+    tie[start] = noise[start]
     below = np.full(d.size, -1)
     left = np.ones(d.size, dtype=bool)
     top = np.arange(len(densities))
@@ -263,7 +281,8 @@ def _unwrap_rows(
     densities: Floats,
     rungs: tuple[NDArray[np.int64], NDArray[np.int64], Floats, NDArray[np.int64], Floats, NDArray[np.int64]],
     camera: tuple[int, float, float],
-    amplification: float,
+    limits: tuple[float, float],
+    coarse: Floats,
     start: int,
     omega: Floats,
     maps: Single,
@@ -272,11 +291,14 @@ def _unwrap_rows(
     """Unwrap a block of rows, frames (densities * q, block, columns), into whole maps from row `start` on.
 
     omega is (rows, columns); maps (4, rows, columns) are sigma, modulation, phase error and mean; flags
-    (2, rows, columns) the densities in the fit, and 1 where the fringe orders are ambiguous.
+    (2, rows, columns) the densities in the fit, and 1 where the fringe orders are ambiguous. `weights` are
+    (densities, 2, q), `limits` the amplification and the largest correction of `coarse`, which predicts the
+    lowest rungs; (0, 0) for no prediction.
     """
     first, second, factors, below, rung_density, top = rungs
     full_scale, gain, read_noise = camera
-    n, q, columns = densities.size, weights.shape[1], frames.shape[2]
+    amplification, furthest = limits
+    n, q, columns = densities.size, weights.shape[2], frames.shape[2]
     phase, power = np.empty((n, columns)), np.empty((n, columns))
     climbed = np.zeros((rung_density.size + 1, columns))  # the last stays 0: no prediction
     quadratures, moments = np.empty((2, columns)), np.empty((4, columns))
@@ -291,8 +313,8 @@ def _unwrap_rows(
             for k in range(q):
                 add_frame(
                     frames[i * q + k, block_row],
-                    weights[0, k],
-                    weights[1, k],
+                    weights[i, 0, k],
+                    weights[i, 1, k],
                     quadratures[0],
                     quadratures[1],
                     total,
@@ -301,6 +323,8 @@ def _unwrap_rows(
             for k in range(q):
                 mark_saturated(frames[i * q + k, block_row], full_scale, power[i])
         worst[:] = 0.0
+        if coarse.size:
+            climbed[rung_density.size] = coarse[row]
         for m in range(rung_density.size):
             _climb(
                 climbed[below[m]],
@@ -328,8 +352,29 @@ def _unwrap_rows(
         _finish(moments, squares, omega[row], maps[:3, row], total, q, min(2, n))
         for j in range(columns):
             spread = amplification * np.sqrt(2.0 / q * total[j]) / maps[1, row, j]
-            lost = worst[1, j] > _AMBIGUOUS or _GUESS * spread > pi
+            lost = worst[1, j] > _AMBIGUOUS or _GUESS * spread > pi or worst[0, j] > furthest
             flags[1, row, j] = 1 if lost else 0
+
+
+def _turned_weights(steps: int, offsets: tuple[float, ...]) -> Floats:
+    """Return the weights of every density, (densities, 2, q), that take an offset off its phase."""
+    cosine, sine = stepping_weights(steps)
+    turned = [(c * cosine + s * sine, c * sine - s * cosine) for c, s in ((cos(o), sin(o)) for o in offsets)]
+    return np.array(turned)
+
+
+def _furthest_correction(expected: float) -> float:
+    """Return the largest correction of a coarse prediction that is believed, in rad; raise for too coarse.
+
+    Half way between what a true code needs and pi, beyond which a fringe order is wrong; a tenth of a fringe
+    order stays out at least, where a stripe as wide as a fringe may have been misread.
+    """
+    if expected > pi * (1.0 + 1e-9):
+        raise InvalidInput(
+            f"a stripe of the code is {expected / pi:.3g} times as wide as a fringe, but may be as wide "
+            "at most: give finer code patterns, or a lower fringe density"
+        )
+    return min(0.5 * (pi + expected), 0.9 * pi)
 
 
 def unwrap(
@@ -340,6 +385,8 @@ def unwrap(
     full_scale: int,
     gain: float,
     read_noise: float,
+    offsets: tuple[float, ...] = (),
+    coarse: CoarseGradient | None = None,
     threads: int = 1,
 ) -> PhaseGradient:
     """Find the phase gradient of every pixel from the frames of one orientation.
@@ -358,6 +405,10 @@ def unwrap(
     gain, read_noise
         Noise model: variance = read_noise^2 + gain * grey level, in grey levels; taken at the mean level,
         which is exact in the mean over the phase (for q >= 4 at every phase).
+    offsets
+        What each density's pattern adds to the phase omega t, in rad; none if empty.
+    coarse
+        What a code beside the fringes tells: the densities need not be unambiguous then.
     threads
         Number of threads; the result does not depend on it.
 
@@ -373,16 +424,24 @@ def unwrap(
     of (sigma / B)^2, since the noise of B_t is independent of that of phi_t. Then
     sigma_omega = sigma sqrt(2 / q) / sqrt(sum B_t^2 t^2), or sigma / (B sqrt(q / 2 sum t^2)) for one B.
 
-    Raises `InvalidInput` for fewer than three steps, for an ambiguous list, and for a wrong number of frames.
+    A coarse gradient of half width h predicts the phase of the lowest density t to within h t, which must be
+    at most pi; a correction well beyond, or close to pi, is an ambiguity.
+
+    Raises `InvalidInput` for fewer than three steps, for an ambiguous list, for a wrong number of frames or
+    offsets, and for a code that is coarser than the fringes.
     """
-    plan = unwrapping_plan(densities)
-    weights = stepping_weights(steps)
+    plan = unwrapping_plan(densities, coarse is not None)
+    weights = _turned_weights(steps, offsets or (0.0,) * len(densities))
+    furthest = inf if coarse is None else _furthest_correction(coarse.half_width * min(densities))
     if len(frames) != len(densities) * steps:
         raise InvalidInput(
             f"{len(densities)} fringe densities of {steps} steps make {len(densities) * steps} frames, "
             f"not {len(frames)}: check the fringe sequence"
         )
+    if len(weights) != len(densities):
+        raise InvalidInput(f"{len(densities)} fringe densities have as many offsets, not {len(weights)}")
     rows, columns = frames.shape[1:]
+    predicted = np.empty((0, columns)) if coarse is None else np.nan_to_num(coarse.omega)
     omega = np.empty((rows, columns))
     maps = np.empty((4, rows, columns), np.float32)
     flags = np.empty((2, rows, columns), np.uint8)
@@ -396,7 +455,8 @@ def unwrap(
             np.array(densities, dtype=np.float64),
             rungs,
             camera,
-            plan.amplification,
+            (plan.amplification, furthest),
+            predicted,
             start,
             omega,
             maps,
@@ -405,6 +465,7 @@ def unwrap(
 
     in_row_blocks(work, rows, threads, block=16)
     least = min(2, len(densities))
-    return PhaseGradient(
-        omega, maps[0], maps[1], maps[2], maps[3], flags[0], flags[0] < least, flags[1].astype(bool)
-    )
+    ambiguous = flags[1].astype(bool)
+    if coarse is not None:
+        ambiguous |= np.isnan(coarse.omega)
+    return PhaseGradient(omega, maps[0], maps[1], maps[2], maps[3], flags[0], flags[0] < least, ambiguous)

@@ -1,0 +1,141 @@
+"""Gray code: stripes are read back, and unwrap fringes that alone are ambiguous."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.phase.gray_code import UNREAD, gradient_of_stripes, gray_pattern, read_stripes
+from sms_jobs.metrology.phase.temporal_unwrapping import unwrap, unwrapping_plan
+
+COLUMNS = 1920
+MEAN, MODULATION = 100.0, 60.0
+
+
+def seen(columns: NDArray[np.float64], bits: int, stripes: float) -> NDArray[np.float64]:
+    """Return the patterns of a code at projector pixels, (bits, 1, pixels), in grey levels."""
+    stripe = np.floor((columns + 0.5) / COLUMNS * stripes).astype(int)
+    bright = np.stack([gray_pattern(stripe, b, bits) for b in range(bits)])
+    return np.where(bright, MEAN + MODULATION, MEAN - MODULATION)[:, None, :]
+
+
+def fringes(
+    columns: NDArray[np.float64], densities: tuple[int, ...], steps: int, offsets: tuple[float, ...]
+) -> NDArray[np.float64]:
+    omega = 2.0 * pi * (columns + 0.5 - COLUMNS / 2) / COLUMNS
+    return np.stack(
+        [
+            MEAN + MODULATION * np.cos(omega * t + offset + 2.0 * pi * k / steps)
+            for t, offset in zip(densities, offsets, strict=True)
+            for k in range(steps)
+        ]
+    )[:, None, :]
+
+
+@given(bits=st.integers(1, 16), stripe=st.integers(0, 2**16 - 1))
+def test_a_stripe_is_read_as_itself_and_differs_from_the_next_in_one_pattern(bits: int, stripe: int) -> None:
+    stripe %= 2**bits
+    here, there = (np.array([gray_pattern(s, b, bits) for b in range(bits)]) for s in (stripe, stripe + 1))
+    frames = np.where(here, 200.0, 20.0)[:, None, None]
+    assert read_stripes(frames, np.full((1, 1), 110.0), 5.0)[0, 0] == stripe
+    if stripe + 1 < 2**bits:
+        assert (here != there).sum() == 1
+
+
+def test_one_doubtful_bit_is_read_and_two_are_not() -> None:
+    frames = np.array([200.0, 111.0, 20.0])[:, None, None]
+    assert read_stripes(frames, np.full((1, 1), 110.0), 5.0)[0, 0] != UNREAD
+    frames[2] = 108.0
+    assert read_stripes(frames, np.full((1, 1), 110.0), 5.0)[0, 0] == UNREAD
+
+
+@pytest.mark.parametrize(("bits", "stripes", "density"), [(6, 64.0, 32), (5, 32.0, 32), (7, 96.0, 40)])
+def test_the_code_gives_the_fringe_order(
+    bits: int, stripes: float, density: int, rng: np.random.Generator
+) -> None:
+    columns = np.sort(rng.uniform(0.0, COLUMNS - 1.0, 5000))
+    code = seen(columns, bits, stripes) + rng.normal(0.0, 1.0, (bits, 1, columns.size))
+    frames = np.rint(fringes(columns, (density,), 12, (0.0,)) + rng.normal(0.0, 1.0, (12, 1, columns.size)))
+    stripe = read_stripes(code, frames.mean(axis=0), 4.0)
+    found = unwrap(
+        frames.astype(np.uint8),
+        (density,),
+        12,
+        full_scale=255,
+        gain=0.0,
+        read_noise=1.0,
+        coarse=gradient_of_stripes(stripe, stripes),
+    )
+    truth = 2.0 * pi * (columns + 0.5 - COLUMNS / 2) / COLUMNS
+    # Noise of 1 and rounding (1/12) in 12 frames of modulation 60: 0.0071 rad a phase; 6 sigma.
+    assert np.abs(found.omega[0] - truth)[~found.ambiguous[0]].max() < 6.0 * 0.0071 / density
+    # Where a stripe is as wide as a fringe, a tenth of the fringe at its borders is given up.
+    assert found.ambiguous.mean() < (0.15 if stripes == density else 0.001)
+
+
+def test_how_far_off_a_stripe_may_be_read() -> None:
+    columns = np.arange(30.0, 1800.0)
+    frames = fringes(columns, (32,), 12, (0.0,))
+    stripe = np.floor((columns + 0.5) / COLUMNS * 64).astype(np.int32)[None]
+    wrong = gradient_of_stripes(stripe + 2, 64.0)  # by a whole fringe
+    right = gradient_of_stripes(stripe, 64.0)
+    settings = {"full_scale": 255, "gain": 0.0, "read_noise": 1.0}
+    whole = unwrap(frames.astype(np.uint16), (32,), 12, coarse=right, **settings)
+    assert not whole.ambiguous.any()
+    # Off by a fringe it follows the code: fringes of one density alone cannot tell.
+    off = unwrap(frames.astype(np.uint16), (32,), 12, coarse=wrong, **settings)
+    assert np.abs(off.omega - whole.omega - 2.0 * pi / 32)[~off.ambiguous].max() < 1e-6
+    # A border that is read a fifth of a stripe, 6 pixels, off its place costs nothing.
+    beside = np.floor((columns + 6.5) / COLUMNS * 64).astype(np.int32)[None]
+    near = unwrap(frames.astype(np.uint16), (32,), 12, coarse=gradient_of_stripes(beside, 64.0), **settings)
+    assert not near.ambiguous.any()
+    assert np.abs(near.omega - whole.omega).max() < 1e-6
+    # Half a fringe off, corrections fill pi / 2 .. 3 pi / 2: those nearer to pi than pi / 4 are noticed.
+    half = unwrap(
+        frames.astype(np.uint16), (32,), 12, coarse=gradient_of_stripes(stripe + 1, 64.0), **settings
+    )
+    assert 0.4 < half.ambiguous.mean() < 0.6
+
+
+@pytest.mark.parametrize("steps", [3, 4, 5])
+def test_phases_that_begin_elsewhere_give_the_same_gradient(steps: int, rng: np.random.Generator) -> None:
+    columns = np.arange(0.0, COLUMNS, 7.0)
+    densities = (16, 5, 1)
+    offsets = tuple(rng.uniform(-pi, pi, 3))
+    settings = {"full_scale": 65_535, "gain": 0.0, "read_noise": 1.0}
+    found = [
+        unwrap(
+            np.rint(200.0 * fringes(columns, densities, steps, o)).astype(np.uint16),
+            densities,
+            steps,
+            offsets=o,
+            **settings,
+        ).omega
+        for o in ((0.0, 0.0, 0.0), offsets)
+    ]
+    # Rounding to whole levels of a modulation of 12,000: 2.4e-5 rad a phase, over a root mean density of 9.7.
+    assert np.abs(found[0] - found[1]).max() < 6.0 * 2.0 * 2.4e-5 / 9.7
+
+
+def test_a_code_coarser_than_fringes_is_refused() -> None:
+    frames = np.zeros((3, 1, 4), np.uint8)
+    coarse = gradient_of_stripes(np.zeros((1, 4), np.int32), 16.0)
+    with pytest.raises(InvalidInput, match="2 times as wide as a fringe"):
+        unwrap(frames, (32,), 3, full_scale=255, gain=0.0, read_noise=1.0, coarse=coarse)
+    with pytest.raises(InvalidInput, match="at least 2 stripes"):
+        gradient_of_stripes(np.zeros((1, 4), np.int32), 1.0)
+    with pytest.raises(InvalidInput, match="1 to 16 patterns"):
+        read_stripes(np.zeros((17, 1, 1)), np.zeros((1, 1)), 1.0)
+
+
+def test_with_a_code_the_lowest_density_begins() -> None:
+    plan = unwrapping_plan((48, 32), True)
+    assert [plan.densities[i] for i in plan.first[plan.below == -1]] == [32]
+    with pytest.raises(InvalidInput, match="share the factor"):
+        unwrapping_plan((48, 32))
