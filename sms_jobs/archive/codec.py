@@ -73,6 +73,11 @@ def _dtype_of(hint: Any) -> np.dtype[Any] | None:
     return None
 
 
+def _is_stack(hint: Any) -> bool:
+    """Tell FrameStack and FrameStack | None from arrays."""
+    return hint is FrameStack or FrameStack in get_args(hint)
+
+
 _LAYOUTS: dict[type, RecordLayout] = {}
 
 
@@ -92,7 +97,7 @@ def _layout_of(record: type) -> RecordLayout:
     }
     declared = quantities(record)
     arrays = {
-        name: ArrayField(q, _dtype_of(hints[name]), hints[name] is FrameStack, name in optional)
+        name: ArrayField(q, _dtype_of(hints[name]), _is_stack(hints[name]), name in optional)
         for name, q in declared.items()
     }
     names = tuple(f.name for f in fields(record) if f.init and f.name not in declared)

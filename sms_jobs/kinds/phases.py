@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.foreign_patterns import coarse_gradient, offsets_of, refuse_foreign_patterns
 from sms_jobs.kinds.fringe_response import SampledResponse, SampleParameters, sampled_response
 from sms_jobs.kinds.kind import Parameters, Progress
 from sms_jobs.kinds.streaming import exposed_slabs, in_best_exposure, sampled
@@ -189,6 +190,8 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
     if parameters.method != UNWRAPPING and task.geometry is None:
         raise InvalidInput(f"method={parameters.method} needs a calibration; set method={UNWRAPPING}")
     sequence = measurement.sequence
+    if parameters.method != UNWRAPPING or parameters.response != "none":
+        refuse_foreign_patterns(task.subject, measurement, f"method={UNWRAPPING} with response=none")
     _, rows, columns = measurement.frames.shape
     phase = PhaseMaps.unset(sequence.orientations_rad, rows, columns, bracketed=sequence.exposures != (1.0,))
     reason = np.zeros((rows, columns), np.uint32)
@@ -237,13 +240,16 @@ def _unwrap_slab(
     sequence = measurement.sequence
     densities = tuple(t for t in sequence.densities if t)
     for k in range(len(sequence.orientations_rad)):
+        fringes = frames[sequence.frames_of(k, uniform=False)]
         found = unwrap(
-            frames[sequence.frames_of(k, uniform=False)],
+            fringes,
             densities,
             sequence.steps,
             full_scale=measurement.full_scale,
             gain=measurement.gain,
             read_noise=measurement.read_noise,
+            offsets=offsets_of(measurement),
+            coarse=coarse_gradient(measurement, k, rows, fringes),
             threads=task.threads,
         )
         phase.omega[k, rows] = found.omega

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from math import inf, pi
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,6 +158,34 @@ class ArrayStack:
 
 
 @dataclass(frozen=True)
+class GrayCode:
+    """Stripe patterns that were recorded beside the fringes: they tell the fringe order.
+
+    Attributes
+    ----------
+    bits
+        Patterns of each orientation, the coarsest first.
+    stripes
+        How many stripes go across the projector; 2^bits where they fill it.
+    threshold
+        Above which grey level a bit is set: that of the inverse pattern, the mean of the white and the black
+        frame, or the mean of the pixel's fringe frames.
+    """
+
+    bits: int
+    stripes: float
+    threshold: Literal["inverse", "white-black", "fringes"] = "fringes"
+
+    def frames(self, orientations: int) -> int:
+        """Return how many frames there are: orientation by orientation, inverse patterns behind the others.
+
+        White and black come last, once for all orientations.
+        """
+        each = 2 * self.bits if self.threshold == "inverse" else self.bits
+        return orientations * each + (2 if self.threshold == "white-black" else 0)
+
+
+@dataclass(frozen=True)
 class Measurement:
     """What one pair recorded at one state.
 
@@ -181,6 +209,12 @@ class Measurement:
     dimming
         By which factor the projector's brightness was lowered, pixel by pixel of its image, in the patterns
         and in the white frame; None for full brightness.
+    phase_offsets_rad
+        What the patterns of a foreign projector add to the phase omega t, by density; empty for nothing.
+    gray_code
+        Of a foreign projector: the code that was shown beside the fringes; None for none.
+    code_frames
+        The frames of that code, in the order of `GrayCode.frames`; streamed.
     """
 
     recorded_at: datetime
@@ -193,6 +227,11 @@ class Measurement:
     simulation: Simulation | None = None
     dimming: NDArray[np.float32] | None = array(
         "1", "factor by which the projector's pixels were dimmed", default=None
+    )
+    phase_offsets_rad: tuple[float, ...] = ()
+    gray_code: GrayCode | None = None
+    code_frames: FrameStack | None = array(
+        "count", "frames of the Gray code", ("frame", "row", "column"), default=None
     )
 
     def noise(self, level: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -82,10 +82,10 @@ def example_array(hint: Any, quantity: Quantity, rng: np.random.Generator) -> An
         len(quantity.components) if axis == "component" and quantity.components else LENGTHS.get(axis, 2)
         for axis in quantity.axes
     )
+    if get_origin(hint) in (Union, types.UnionType):
+        hint = get_args(hint)[rng.integers(2)]
     if hint is FrameStack:
         return ArrayStack(rng.integers(0, 4096, shape, dtype=np.uint16))
-    if get_origin(hint) is types.UnionType:
-        hint = get_args(hint)[rng.integers(2)]
     if hint is types.NoneType:
         return None
     dtype = np.dtype(get_args(get_args(hint)[1])[0])
