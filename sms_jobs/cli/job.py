@@ -15,9 +15,10 @@ from sms_jobs.catalogue import search
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.kind_options import CONTEXT, KindCommand, split_words
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.cli.waiting import unsuccessful, wait_for
+from sms_jobs.cli.waiting import Outlook, outlook, told, unsuccessful, wait_for
 from sms_jobs.errors import Conflict, InvalidInput, JobFailed
 from sms_jobs.jobs import inquiry, lifecycle
+from sms_jobs.jobs.estimates import estimate
 from sms_jobs.jobs.logs import job_log
 from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.submission import submit as submit_requests
@@ -74,33 +75,51 @@ def submit(
         bool, typer.Option("--no-cache", help="Compute again what was computed before.")
     ] = False,
     wait: Annotated[bool, typer.Option("--wait", help="Return when the jobs have ended.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be submitted and how long it would take.")
+    ] = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Submit jobs for the tuples of a campaign.
+    """Submit jobs for the tuples of a campaign, and say when they will have ended.
 
-    Of a single kind, a parameter can be given like an option: `--help` after the kind shows them.
+    The estimate comes from how long such jobs have taken before. Of a single kind, a parameter can be given
+    like an option: `--help` after the kind shows them.
+
+    Example: sms job submit pipeline -c wing-fatigue --dry-run
 
     Example: sms job submit pipeline -c wing-fatigue --set strain.gauge_length_mm=30
 
     Example: sms job submit reconstruct --method fdr --returns 2 -c wing-fatigue
     """
+    if wait and dry_run:
+        raise InvalidInput("--dry-run submits nothing that --wait could wait for; give one of them")
     kind, settings = split_words(kind)
     parameters = given_parameters([*settings, *(parameter or [])])
     requests = requested(kind, parameters, tuple(state or ()), tuple(pair or ()))
     with bootstrap.services(home) as services:
         with services.catalogue.writing() as session:
+            now = datetime.now(UTC)
             done = submit_requests(
-                session, campaign, requests, datetime.now(UTC), priority=priority, use_cache=not no_cache
+                session, campaign, requests, now, priority=priority, use_cache=not no_cache
             )
-        if as_json and not wait:
-            output.print_json({"campaign": campaign, "jobs": done.job_ids})
+            if dry_run:
+                ahead = estimate(session, done.job_ids, now, services.settings.workers)
+                session.rollback()
+        if not dry_run:
+            with services.catalogue.reading() as session:
+                ahead = estimate(session, done.job_ids, now, services.settings.workers)
+        counted = {name: done.kinds.count(name) for name in dict.fromkeys(done.kinds)}
+        if as_json and dry_run:
+            output.print_json({"campaign": campaign, "jobs": counted, "estimate": ahead})
+        elif as_json and not wait:
+            output.print_json({"campaign": campaign, "jobs": done.job_ids, "estimate": ahead})
         elif not as_json:
-            counted = {name: done.kinds.count(name) for name in dict.fromkeys(done.kinds)}
             what = ", ".join(f"{count} {name}" for name, count in counted.items())
-            output.say(
-                f"submitted {len(done.job_ids)} jobs: {what}" if done.job_ids else "there is nothing to do"
-            )
+            would = "would submit" if dry_run else "submitted"
+            output.say(f"{would} {len(done.job_ids)} jobs: {what}" if counted else "there is nothing to do")
+            if counted:
+                output.say(told(ahead))
         if wait:
             _wait(services, done.job_ids, None, as_json)
 
@@ -152,6 +171,8 @@ def list_(
     """
     with bootstrap.services(home) as services, services.catalogue.reading() as session:
         jobs = inquiry.list_jobs(session, campaign=campaign, states=state or (), kind=kind, limit=limit)
+        active = inquiry.active(session, campaign) if campaign is not None and not as_json else []
+        ahead = outlook(session, active, services.settings.workers) if active else None
     if as_json:
         output.print_json_list(jobs)
         return
@@ -171,6 +192,8 @@ def list_(
         ],
         empty="there is no such job",
     )
+    if ahead is not None:
+        output.say(f"{len(active)} jobs of {campaign} have not ended: {ahead}")
 
 
 @app.command()
@@ -234,18 +257,20 @@ def watch(
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Follow jobs, all active ones if none is named, until they have ended; with --json, one object a change.
+    """Follow jobs, all active ones if none is named, until they have ended: how fast, and how long it takes.
+
+    With --json, one object a change.
 
     Example: sms job watch -c wing-fatigue
     """
     with bootstrap.services(home) as services:
         ids = named_jobs(services, jobs or [], campaign)
 
-        def tell(counted: dict[str, int]) -> None:
+        def tell(counted: dict[str, int], ahead: Outlook | None) -> None:
             if as_json:
-                output.print_json({"jobs": counted})
+                output.print_json({"jobs": counted} | ({} if ahead is None else ahead.as_json()))
 
-        counted = wait_for(services.catalogue, ids, None, tell)
+        counted = wait_for(services.catalogue, ids, None, tell, workers=services.settings.workers)
     if not as_json:
         output.answer.print(", ".join(f"{n} {s}" for s, n in counted.items()) or "no job is active")
 
@@ -371,7 +396,7 @@ def named_jobs(services: Services, prefixes: Sequence[str], campaign: str | None
 
 
 def _wait(services: Services, ids: Sequence[str], timeout: float | None, as_json: bool) -> None:
-    counted = wait_for(services.catalogue, ids, timeout)
+    counted = wait_for(services.catalogue, ids, timeout, workers=services.settings.workers)
     if as_json:
         output.print_json({"jobs": counted})
     else:

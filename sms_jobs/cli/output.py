@@ -113,6 +113,29 @@ def size(count: int) -> str:
     return f"{amount:.1f} TB"
 
 
+def duration(seconds: float) -> str:
+    """Return a time span as people read it: two units at most."""
+    whole = round(seconds)
+    if seconds < 10.0:
+        return f"{seconds:.1f} s"
+    if whole < 100:
+        return f"{whole} s"
+    minutes = round(seconds / 60.0)
+    if minutes < 100:
+        return f"{minutes} min"
+    hours, minutes = divmod(minutes, 60)
+    if hours < 48:
+        return f"{hours} h {minutes} min"
+    days, hours = divmod(round(seconds / 3600.0), 24)
+    return f"{days} d {hours} h"
+
+
+def clock(at: datetime, now: datetime) -> str:
+    """Return a local time, with its day where that is not today's."""
+    local, today = at.astimezone(), now.astimezone().date()
+    return local.strftime("%H:%M" if local.date() == today else "%Y-%m-%d %H:%M")
+
+
 def progress_bar() -> Progress:
     """Return a progress bar on stderr, with counts and time left; silent when nobody watches."""
     return Progress(
@@ -121,6 +144,19 @@ def progress_bar() -> Progress:
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
+        console=remarks,
+        disable=not remarks.is_terminal,
+    )
+
+
+def job_bar() -> Progress:
+    """Return a progress bar on stderr whose rate and time left are told by its task's field `pace`."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[pace]}"),
         console=remarks,
         disable=not remarks.is_terminal,
     )

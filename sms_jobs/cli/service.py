@@ -18,6 +18,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import schema
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
+from sms_jobs.cli.waiting import Outlook, outlook
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs import health, inquiry
 
@@ -67,6 +68,7 @@ def status(home: Home = None, as_json: Json = False) -> None:
     """
     with bootstrap.services(home) as services:
         facts = _facts(services)
+        facts["outlook"] = _ahead(services)
     if as_json:
         output.print_json(facts)
         return
@@ -77,7 +79,16 @@ def status(home: Home = None, as_json: Json = False) -> None:
         ", ".join(f"{w['id']} on {w['host']}" for w in workers) or "none; start one with 'sms up'"
     )
     facts["archive_free"] = output.size(facts.pop("archive_free_bytes"))
+    ahead = facts.pop("outlook")
+    if ahead is not None:
+        facts["ahead"] = str(ahead)
     output.print_facts(facts)
+
+
+def _ahead(services: Services) -> Outlook | None:
+    with services.catalogue.reading() as session:
+        active = inquiry.active(session)
+        return outlook(session, active, services.settings.workers) if active else None
 
 
 def _facts(services: Services) -> dict[str, Any]:

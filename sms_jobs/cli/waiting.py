@@ -1,34 +1,93 @@
-"""Waits for jobs while showing how they come along."""
+"""Waits for jobs while showing how they come along, how fast, and when they will have ended."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.cli.output import progress_bar
+from sms_jobs.cli.output import clock, duration, job_bar
 from sms_jobs.errors import WaitTimedOut
-from sms_jobs.jobs import inquiry
+from sms_jobs.jobs import estimates, inquiry
+from sms_jobs.jobs.estimates import Estimate
 from sms_jobs.records.job import UNSUCCESSFUL, JobState
 
 _EVERY_S = 0.25
+_OUTLOOK_EVERY_S = 5.0
+_SHARE = 10.0
+"""So many times as long as looking takes is waited before looking again."""
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """How fast jobs come along, and when the rest will have ended."""
+
+    per_minute: float | None
+    estimate: Estimate
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it for programs."""
+        return {"jobs_per_minute": self.per_minute, "estimate": self.estimate}
+
+    def __str__(self) -> str:
+        rate = "" if self.per_minute is None else f"{self.per_minute:.3g} jobs/min, "
+        return rate + told(self.estimate)
+
+
+def outlook(session: Session, job_ids: Sequence[str], workers: int) -> Outlook:
+    """Return how some jobs come along; `workers` are counted on where none is alive."""
+    now = datetime.now(UTC)
+    return Outlook(estimates.pace(session, job_ids, now), estimates.estimate(session, job_ids, now, workers))
+
+
+def told(estimate: Estimate) -> str:
+    """Say when jobs will have ended, and what that depends on."""
+    one = "worker" if estimate.workers == 1 else "workers"
+    where = f"on {estimate.workers} {one}" + ("" if estimate.alive else " once 'sms up' runs")
+    new = ", ".join(f"{kind} ({count})" for kind, count in estimate.unknown.items())
+    if estimate.jobs and estimate.reused == estimate.jobs:
+        return f"nothing has to be computed: {estimate.jobs} of {estimate.jobs} are reused"
+    if estimate.unserved:
+        say = f"no end in sight: no worker serves the queue {', '.join(estimate.unserved)}"
+    elif estimate.seconds is None or estimate.ready_at is None:
+        say = f"no estimate: there is no history yet of {new}"
+    else:
+        span = duration(estimate.seconds)
+        ready = clock(estimate.ready_at, datetime.now(UTC))
+        if new:
+            say = f"at least {span} {where}, not before {ready}; there is no history yet of {new}"
+        else:
+            say = f"about {span} {where}" + (f"; ready {ready}" if estimate.alive else "")
+    if estimate.reused:
+        say += f"; {estimate.reused} of {estimate.jobs} are reused"
+    if estimate.paused:
+        say += f"; paused: {', '.join(estimate.paused)}"
+    return say
 
 
 def wait_for(
     catalogue: Catalogue,
     job_ids: Sequence[str],
     timeout_s: float | None,
-    tell: Callable[[dict[str, int]], None] = lambda counted: None,
+    tell: Callable[[dict[str, int], Outlook | None], None] = lambda counted, outlook: None,
     still_there: Callable[[], None] = lambda: None,
+    workers: int = 1,
 ) -> dict[str, int]:
     """Return how many of some jobs ended in each state, once all have.
 
     Parameters
     ----------
     tell
-        Called with the counts whenever they change.
+        Called with the counts whenever they change, and how the rest comes along; that is None at the end.
     still_there
         Called all the time; may raise to end the waiting.
+    workers
+        Counted on for the time left while none is alive.
 
     Raises
     ------
@@ -37,16 +96,25 @@ def wait_for(
     """
     deadline = None if timeout_s is None else time.monotonic() + timeout_s
     before: dict[str, int] = {}
-    with progress_bar() as bar:
-        task = bar.add_task("jobs", total=len(job_ids))
+    outlook_at = soonest = 0.0
+    ahead: Outlook | None = None
+    with job_bar() as bar:
+        task = bar.add_task("jobs", total=len(job_ids), pace="")
         while True:
+            looked = time.monotonic()
             with catalogue.reading() as session:
                 counted = inquiry.counts(session, job_ids=job_ids)
                 running = inquiry.running(session, job_ids)
-            active = inquiry.still_active(counted)
-            bar.update(task, completed=len(job_ids) - active, description=running or "jobs")
+                active = inquiry.still_active(counted)
+                if active and looked >= (soonest if counted != before else outlook_at):
+                    ahead = outlook(session, job_ids, workers)
+                    soonest = looked + _SHARE * (time.monotonic() - looked)
+                    outlook_at = max(soonest, looked + _OUTLOOK_EVERY_S)
+            bar.update(
+                task, completed=len(job_ids) - active, description=running or "jobs", pace=str(ahead or "")
+            )
             if counted != before:
-                tell(counted)
+                tell(counted, ahead if active else None)
                 before = counted
             if not active:
                 return counted
@@ -56,7 +124,8 @@ def wait_for(
                     "see 'sms job list'"
                 )
             still_there()
-            time.sleep(_EVERY_S)
+            taken = time.monotonic() - looked
+            time.sleep(min(max(_EVERY_S, taken), _OUTLOOK_EVERY_S))
 
 
 def unsuccessful(counted: dict[str, int]) -> int:

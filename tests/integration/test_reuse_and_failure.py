@@ -23,14 +23,24 @@ def run(home: Path, *arguments: str) -> Any:
 
 def test_a_changed_parameter_computes_again_only_what_depends_on_it(plate: Path) -> None:
     with service(plate):
-        run(plate, "job", "wait", *run(plate, "job", "submit", "acquire", "pipeline", "-c", "plate")["jobs"])
-        changed = run(plate, "job", "submit", "pipeline", "-c", "plate", "--set", "strain.gauge_length_mm=30")
+        first = run(plate, "job", "submit", "acquire", "pipeline", "-c", "plate")
+        assert first["estimate"]["seconds"] is None  # nothing has run here yet
+        run(plate, "job", "wait", *first["jobs"])
+        again = ("job", "submit", "pipeline", "-c", "plate", "--set", "strain.gauge_length_mm=30")
+        tried = run(plate, *again, "--dry-run")
+        changed = run(plate, *again)
         run(plate, "job", "wait", *changed["jobs"])
     jobs = {job["id"]: job for job in run(plate, "job", "list", "--limit", "1000")}
     reused = {jobs[i]["kind"] for i in changed["jobs"] if jobs[i]["reused_from"]}
     computed = {jobs[i]["kind"] for i in changed["jobs"] if not jobs[i]["reused_from"]}
     assert {"reconstruct", "correlate"} <= reused
     assert "strain" in computed
+    # A dry run submits nothing, and foretells what is reused and how long the rest takes.
+    assert len(jobs) == len(first["jobs"]) + len(changed["jobs"])
+    assert sum(tried["jobs"].values()) == len(changed["jobs"])
+    assert tried["estimate"]["reused"] == sum(bool(jobs[i]["reused_from"]) for i in changed["jobs"])
+    assert tried["estimate"]["seconds"] > 0.0
+    assert tried["estimate"]["unknown"] == {}
     strain = next(i for i in changed["jobs"] if jobs[i]["kind"] == "strain")
     why = run(plate, "job", "explain", strain)["explanation"]
     assert any("gauge_length_mm was 20.0, now 30.0" in sentence for sentence in why)

@@ -1,0 +1,49 @@
+"""What people read of how long jobs take."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from sms_jobs.cli.output import clock, duration
+from sms_jobs.cli.waiting import told
+from sms_jobs.jobs.estimates import Estimate
+
+NOW = datetime.now(UTC)
+KNOWN = Estimate(40, 0, 11_400.0, NOW + timedelta(seconds=11_400), 2, True, {}, (), ())
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.26, "0.3 s"),
+        (45.4, "45 s"),
+        (25 * 60.0, "25 min"),
+        (11_400.0, "3 h 10 min"),
+        (3 * 86_400.0 + 7_000.0, "3 d 2 h"),
+    ],
+)
+def test_a_time_span_has_two_units_at_most(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_a_time_of_another_day_says_which() -> None:
+    noon = datetime(2026, 3, 1, 12, 0).astimezone()
+    assert clock(noon + timedelta(hours=1), noon) == "13:00"
+    assert clock(noon + timedelta(hours=13), noon) == "2026-03-02 01:00"
+
+
+def test_an_estimate_says_what_it_rests_on() -> None:
+    ready = clock(KNOWN.ready_at or NOW, NOW)
+    assert told(KNOWN) == f"about 3 h 10 min on 2 workers; ready {ready}"
+    assert told(replace(KNOWN, reused=12)).endswith("; 12 of 40 are reused")
+    assert "once 'sms up' runs" in told(replace(KNOWN, alive=False, workers=1))
+    assert told(replace(KNOWN, unknown={"merge": 3})) == (
+        f"at least 3 h 10 min on 2 workers, not before {ready}; there is no history yet of merge (3)"
+    )
+    nothing = replace(KNOWN, seconds=None, ready_at=None, unknown={"merge": 40})
+    assert told(nothing) == "no estimate: there is no history yet of merge (40)"
+    assert "no worker serves the queue io" in told(replace(nothing, unserved=("io",)))
+    assert told(replace(KNOWN, reused=40)) == "nothing has to be computed: 40 of 40 are reused"
