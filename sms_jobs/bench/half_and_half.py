@@ -88,10 +88,10 @@ def match_halves(
         found = REFINEMENT[method](images, x, y, guess, MatchSettings(radius))
         good = found.ending == CONVERGED
         error[k, good] = (found.warp[:, 0] - truth)[good]
-    distance = np.arange(-_REACH, _REACH) + 0.5
+    distance = np.arange(-_REACH, _REACH, dtype=np.float64) + 0.5
     return AboutEdge(
         np.array(shifts),
         distance,
-        np.minimum((np.abs(distance) + radius + 0.5) / (2 * radius + 1), 1.0),
+        np.asarray(np.minimum((np.abs(distance) + radius + 0.5) / (2 * radius + 1), 1.0)),
         error.reshape(len(shifts), 2 * _REACH, -1),
     )

@@ -1,0 +1,61 @@
+"""A campaign of the virtual rig whose results lie in memory, and kinds that run on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from sms_jobs.bench.in_memory import InMemory
+from sms_jobs.kinds import acquire, reconstruct
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Parameters
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.measurement import ArrayStack, Measurement
+from sms_jobs.records.sensors import Calibration
+from sms_jobs.virtual_rig.truth import Truth, exact_truth
+
+
+@dataclass(frozen=True)
+class Shelf:
+    """What has been recorded and computed of a campaign, by source and subject."""
+
+    campaign: Campaign
+    threads: int
+    records: dict[tuple[str, Subject], dict[str, Any]] = field(default_factory=dict)
+
+    def run(self, kind: Kind[Any], subject: Subject, parameters: Parameters) -> None:
+        """Run a kind on what is there, and keep what it yields."""
+        datasets = {
+            need.role: InMemory(need.subject, self.records[need.source, need.subject])
+            for need in kind.needs(self.campaign, subject)
+        }
+        inputs = Inputs(subject, kind.context(self.campaign, subject), datasets, self.threads)
+        for output in kind.run(inputs, parameters, lambda fraction, message="": None):
+            assert isinstance(output, DatasetOutput)
+            self.records[kind.makes or kind.name, output.subject] = dict(output.records)
+
+    def truth(self, subject: Subject) -> Truth:
+        """Return what is exactly true between the reference state and a recorded one."""
+        at_rest = replace(subject, state=self.campaign.reference.label)
+        simulations = [self.records[MEASUREMENT, s]["measurement"].simulation for s in (at_rest, subject)]
+        return exact_truth(simulations[0], simulations[1], threads=self.threads)
+
+
+def reconstructed(
+    calibration: Calibration, campaign: Campaign, say: Callable[[str], None], threads: int
+) -> tuple[Shelf, Subject]:
+    """Record and reconstruct a campaign's first pair at rest and at its last state; return that tuple."""
+    shelf = Shelf(campaign, threads)
+    states = (campaign.reference.label, campaign.states[-1].label)
+    for label in states:
+        subject = Subject(campaign.name, label, campaign.pairs[0])
+        say(f"recording and reconstructing {subject}")
+        shelf.records[CALIBRATION, subject] = {"calibration": calibration}
+        shelf.run(acquire.KIND, Subject(campaign.name, label), acquire.KIND.parameters())
+        recorded: Measurement = shelf.records[MEASUREMENT, subject]["measurement"]
+        frames = np.stack([recorded.frames.frame(i) for i in range(recorded.frames.shape[0])])
+        shelf.records[MEASUREMENT, subject] = {"measurement": replace(recorded, frames=ArrayStack(frames))}
+        shelf.run(reconstruct.KIND, subject, reconstruct.KIND.parameters())
+    return shelf, Subject(campaign.name, states[1], campaign.pairs[0])
