@@ -14,12 +14,12 @@ import pytest
 
 from sms_jobs.errors import ConfigurationError, NotFound
 from sms_jobs.formats.configuration import (
-    LARGEST_FILE_BYTES,
     CampaignPlan,
     example_campaign,
     load_campaign,
     parse_campaign,
 )
+from sms_jobs.formats.interchange.text_files import LARGEST_FILE_BYTES
 from sms_jobs.formats.record_tables import table_of
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.records.scene import (
@@ -262,3 +262,13 @@ def test_every_line_of_the_example_is_needed_or_a_default() -> None:
     # The example must not drift from the tables: what it shows as a default is one.
     camera = tomllib.loads(example_campaign())["scene"]["camera"]
     assert CameraResponse(**camera) == CameraResponse()
+
+
+def test_a_mistake_is_refused_by_its_line() -> None:
+    text = example_campaign()
+    lines = text.splitlines()
+    wrong = next(i for i, line in enumerate(lines) if line.startswith("load_n"))
+    second = next(i for i, line in enumerate(lines) if i > wrong and line.startswith("load_n"))
+    lines[second] = 'load_n = "much"'
+    with pytest.raises(ConfigurationError, match=rf"^plate\.toml, line {second + 1}: states\["):
+        parse_campaign("\n".join(lines), "plate.toml")

@@ -35,7 +35,7 @@ class Places:
     _known: set[Path] = field(default_factory=set)
 
     def add(self, path: Path, element: str, line: int) -> None:
-        """Say that the value at a path is that of an element."""
+        """Say that the value at a path is that of an element, or, with no element, that of a line."""
         self._found[path] = (element, line)
         self._known |= {path[:length] for length in range(len(path) + 1)}
 
@@ -50,7 +50,7 @@ class Places:
         if place not in self._found:
             return self.source
         element, line = self._found[place]
-        return f"{self.source}, line {line}, element {element}"
+        return f"{self.source}, line {line}" + (f", element {element}" if element else "")
 
     def refused(self, element: Element, name: str, why: str) -> ConfigurationError:
         """Return the error that names an element and its line."""
