@@ -1,14 +1,21 @@
-"""Export: write the merged mesh of a state, with its values, in formats of other programs."""
+"""Export: write the merged surface of a state, with its values, in formats of other programs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from sms_jobs.formats.exporters import all_exporters, exporter_named
+from sms_jobs.formats.exporters.exporter import TEXTURE
+from sms_jobs.formats.exporters.sources import source_for
 from sms_jobs.kinds.kind import (
+    MEASUREMENT,
     DocumentOutput,
     Inputs,
     Kind,
@@ -19,17 +26,24 @@ from sms_jobs.kinds.kind import (
     Scope,
     deformed_states,
 )
+from sms_jobs.kinds.merge import cameras
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import Mesh
+from sms_jobs.records.fields import MergedField, Mesh
+from sms_jobs.records.measurement import Measurement
+
+USUAL = ("csv", "obj", "ply", "stl", "tecplot", "vtu")
 
 
 class ExportParameters(Parameters):
-    """Which files are written."""
+    """Which files are written, and with which values."""
 
     formats: tuple[str, ...] = Field(
-        default_factory=lambda: tuple(all_exporters()),
+        USUAL,
         min_length=1,
-        description="names of the formats to write; all of them by default",
+        description="names of the formats to write; 'sms data formats' lists them",
+    )
+    fields: tuple[str, ...] = Field(
+        (), description="values of the mesh to write, e.g. 'displacement Z'; all if not given"
     )
 
     @field_validator("formats")
@@ -42,29 +56,91 @@ class ExportParameters(Parameters):
 
 
 def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    """Return the merged result of the state."""
+    """Return the merged result of the state, and what shows each camera's texture at rest."""
     yield Need("merged", "merge", subject)
+    for camera, pairs in cameras(campaign, subject).items():
+        own = Subject(subject.campaign, campaign.reference.label, pairs[0])
+        yield Need(f"texture {camera}", MEASUREMENT, own)
 
 
 def run(inputs: Inputs, parameters: ExportParameters, progress: Progress) -> Iterator[Output]:
-    """Write the mesh of a state, one file for each format."""
-    mesh = inputs.read("merged", "mesh", Mesh)
+    """Write the surface of a state: a file for each format, and for each camera if it is over an image."""
+    progress(0.0, "reading")
+    textures = {camera: _texture(inputs, camera) for camera in inputs.context}
+    mesh = _with_texture(inputs, textures)
     name = "-".join(part for part in (inputs.subject.campaign, inputs.subject.state) if part)
     for done, format_name in enumerate(parameters.formats):
         progress(done / len(parameters.formats), f"writing {format_name}")
         exporter = exporter_named(format_name)
-        yield DocumentOutput(
-            inputs.subject, f"{name}{exporter.suffix}", exporter.media_type, partial(exporter.write, mesh)
-        )
+        files: dict[str, Any]
+        if Mesh in exporter.takes or object in exporter.takes:
+            files = {name: source_for(exporter, mesh, parameters.fields)}
+        else:
+            files = {
+                f"{name}-{camera}": source_for(
+                    exporter, inputs.read("merged", camera, MergedField), texture=texture
+                )
+                for camera, texture in textures.items()
+            }
+        for stem, source in files.items():
+            yield DocumentOutput(
+                inputs.subject,
+                f"{stem}{exporter.suffix}",
+                exporter.media_type,
+                partial(exporter.write, source),
+            )
+
+
+def _texture(inputs: Inputs, camera: str) -> NDArray[np.float32]:
+    """Return what a camera saw at rest, (rows, columns), 1 at full scale."""
+    measurement = inputs.read(f"texture {camera}", "measurement", Measurement)
+    return (measurement.texture / np.float32(measurement.full_scale)).astype(np.float32)
+
+
+def _with_texture(inputs: Inputs, textures: dict[str, NDArray[np.float32]]) -> Mesh:
+    """Return the merged mesh with the texture of the pixel that each vertex is.
+
+    Vertices are positions of pixels, bit by bit, which is how the pixels are found again; where a vertex is
+    none, its texture is NaN, and where none is, the mesh stays as it is.
+    """
+    mesh = inputs.read("merged", "mesh", Mesh)
+    grey = np.full(len(mesh.vertices), np.nan)
+    wanted = _keys(mesh.vertices)
+    for camera, texture in textures.items():
+        xyz = inputs.read("merged", camera, MergedField).xyz
+        known = np.isfinite(xyz).all(axis=0)
+        points = np.ascontiguousarray(xyz[:, known].T)
+        if len(points) == 0:
+            continue
+        keys = _keys(points)
+        order = np.argsort(keys)
+        place = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(order) - 1)]
+        found = (points[place] == mesh.vertices).all(axis=1)
+        grey[found] = texture[known][place[found]]
+    if not np.isfinite(grey).any():
+        return mesh
+    return replace(
+        mesh,
+        value_names=(*mesh.value_names, TEXTURE),
+        value_units=(*mesh.value_units, "1"),
+        values=np.concatenate([mesh.values, grey[None]]),
+    )
+
+
+def _keys(points: NDArray[np.float64]) -> NDArray[np.uint64]:
+    """Return a number for each of the points (n, 3) that equal points share and others hardly ever do."""
+    x, y, z = (np.ascontiguousarray(column).view(np.uint64) for column in points.T)
+    return x * np.uint64(0x9E3779B97F4A7C15) + y * np.uint64(0xC2B2AE3D27D4EB4F) + z
 
 
 KIND = Kind(
     name="export",
-    summary="write the merged mesh of a state for Tecplot, ParaView, CAD programs and spreadsheets",
-    version=1,
+    summary="write the merged surface of a state for Tecplot, ParaView, CAD, MATLAB and spreadsheets",
+    version=2,
     scope=Scope.STATE,
     parameters=ExportParameters,
     needs=needs,
     run=run,
     subjects=deformed_states,
+    context=cameras,
 )

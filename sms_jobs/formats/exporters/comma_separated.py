@@ -1,4 +1,4 @@
-"""Comma-separated values: points of a mesh, or pixels of any record, with units in the header."""
+"""Comma-separated values: points of a mesh or pixels of a record; units and formulas in the header."""
 
 from __future__ import annotations
 
@@ -6,23 +6,32 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.exporters.exporter import Exporter, faces_of, labels_of
+from sms_jobs.formats.exporters.exporter import Exporter, labels_of, placed, write_rows
+from sms_jobs.formats.exporters.formulas import with_formula
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.quantity import quantities
 
 
-def _save(path: Path, labels: list[str], columns: list[Any]) -> None:
-    """Write columns under quoted labels."""
-    header = ",".join('"' + label.replace('"', '""') + '"' for label in labels)
-    np.savetxt(path, np.column_stack(columns), "%.9g", ",", header=header, comments="", encoding="utf-8")
+def _save(
+    path: Path, labels: list[str], columns: list[NDArray[Any]], places: NDArray[np.intp] | None = None
+) -> None:
+    """Write columns, or some of their rows, under quoted labels; what is missing is nan."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write(",".join('"' + label.replace('"', '""') + '"' for label in labels) + "\n")
+        write_rows(file, columns, ",".join(["%.9g"] * len(columns)), places)
 
 
-def write(mesh: Mesh, path: Path) -> None:
-    """Write the vertices of a mesh and their values, one a line; its triangles are left out."""
-    faces_of(mesh)
-    _save(path, ["X [mm]", "Y [mm]", "Z [mm]", *labels_of(mesh)], [mesh.vertices, *mesh.values])
+def write(record: Any, path: Path) -> None:
+    """Write the vertices of a mesh and their values, one a line; the pixels of any other record."""
+    if not isinstance(record, Mesh):
+        write_pixels(record, path)
+        return
+    mesh = placed(record)
+    labels = [with_formula(n, label) for n, label in zip(mesh.value_names, labels_of(mesh), strict=True)]
+    _save(path, ["X [mm]", "Y [mm]", "Z [mm]", *labels], [*mesh.vertices.T, *mesh.values])
 
 
 def write_pixels(record: Any, path: Path) -> None:
@@ -41,7 +50,8 @@ def write_pixels(record: Any, path: Path) -> None:
         parts = values.reshape(-1, *values.shape[-2:])
         components = quantity.components or tuple(str(i) for i in range(len(parts)))
         for component, part in zip(components, parts, strict=True):
-            labels.append(f"{name}{'' if values.ndim == 2 else ' ' + component} [{quantity.unit}]")
+            full = name if values.ndim == 2 else f"{name} {component}"
+            labels.append(with_formula(full, f"{full} [{quantity.unit}]"))
             columns.append(part)
     if not columns:
         raise InvalidInput(f"a {type(record).__name__} has no field over an image")
@@ -49,12 +59,16 @@ def write_pixels(record: Any, path: Path) -> None:
     kept = [(label, part) for label, part in zip(labels, columns, strict=True) if part.shape == shape]
     fields = [part for _, part in kept if part.dtype.kind == "f"]
     known = np.any([np.isfinite(part) for part in fields], axis=0) if fields else np.ones(shape, bool)
-    row, column = np.nonzero(known)
+    row, column = np.indices(shape, np.int32, sparse=True)
+    pixels = [np.broadcast_to(column, shape), np.broadcast_to(row, shape), *(part for _, part in kept)]
     _save(
         path,
         ["column [px]", "row [px]", *(label for label, _ in kept)],
-        [column, row, *(part[known] for _, part in kept)],
+        [part.reshape(-1) for part in pixels],
+        np.flatnonzero(known),
     )
 
 
-EXPORTER = Exporter("csv", "comma-separated values, points without triangles", ".csv", "text/csv", write)
+EXPORTER = Exporter(
+    "csv", "comma-separated values with units and formulas", ".csv", "text/csv", write, (object,)
+)

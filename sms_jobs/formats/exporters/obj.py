@@ -1,22 +1,26 @@
-"""Wavefront OBJ: vertices and triangles, without values."""
+"""Wavefront OBJ: vertices, grey where there is a texture, and triangles."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
-from sms_jobs.formats.exporters.exporter import Exporter, faces_of
+from sms_jobs.formats.exporters.exporter import Exporter, placed, texture_of, write_rows
 from sms_jobs.records.fields import Mesh
 
 
 def write(mesh: Mesh, path: Path) -> None:
-    """Write the vertices and triangles of a mesh."""
-    faces = faces_of(mesh)
+    """Write the vertices and triangles of a mesh; its texture as red, green and blue behind each position."""
+    mesh = placed(mesh)
+    texture = texture_of(mesh)
     with path.open("w", encoding="ascii") as file:
         file.write("# surface in mm\n")
-        np.savetxt(file, mesh.vertices, fmt="v %.9g %.9g %.9g")
-        np.savetxt(file, faces + 1, fmt="f %d %d %d")
+        if texture is None:
+            write_rows(file, mesh.vertices.T, "v %.9g %.9g %.9g")
+        else:
+            file.write("# grey is the camera's level, linear, 1 at full scale\n")
+            grey = (texture, texture, texture)
+            write_rows(file, [*mesh.vertices.T, *grey], "v %.9g %.9g %.9g %.4g %.4g %.4g")
+        write_rows(file, (mesh.faces + 1).T, "f %d %d %d")
 
 
-EXPORTER = Exporter("obj", "Wavefront OBJ, shape only", ".obj", "model/obj", write)
+EXPORTER = Exporter("obj", "Wavefront OBJ: shape, and texture as grey per vertex", ".obj", "model/obj", write)

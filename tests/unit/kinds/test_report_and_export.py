@@ -17,6 +17,7 @@ import pytest
 from pydantic import ValidationError
 
 from sms_jobs.archive import Archive, Provenance
+from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds import all_kinds, export, report
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DocumentOutput, Inputs, Need
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
@@ -107,7 +108,12 @@ def run(tmp_path: Path) -> Run:
     """Run a kind on files of an archive; what it writes lands in the archive as a job's outputs do."""
 
     def run_kind(
-        kind: Any, campaign: Campaign, subject: Subject, size: tuple[int, int] = (45, 60), **given: Any
+        kind: Any,
+        campaign: Campaign,
+        subject: Subject,
+        size: tuple[int, int] = (45, 60),
+        instead: Any = None,
+        **given: Any,
     ) -> Any:
         archive = Archive(tmp_path / "archive")
         with ExitStack() as stack:
@@ -126,7 +132,8 @@ def run(tmp_path: Path) -> Run:
                     "h<1>",
                     "me",
                 )
-                sealed = archive.seal_dataset(records_for(need, size), made)
+                changed = instead if instead and need.source == "merge" else {}
+                sealed = archive.seal_dataset({**records_for(need, size), **changed}, made)
                 datasets[need.role] = stack.enter_context(archive.open(sealed.path))
             inputs = Inputs(subject, kind.context(campaign, subject), datasets)
             told: list[float] = []
@@ -255,7 +262,48 @@ def test_export_writes_every_format_once(run: Run) -> None:
 def test_export_writes_only_what_is_asked_for(run: Run) -> None:
     documents = run(export.KIND, campaign(states=3), Subject("plate", "S02"), formats=("stl", "stl", "ply"))
     assert [output.media_type for output, _ in documents] == ["model/stl", "model/x-ply"]
-    with pytest.raises(ValidationError, match=re.escape("there is no format docx; choose among csv, obj")):
+    with pytest.raises(ValidationError, match=re.escape("there is no format docx; choose among csv, e57")):
         export.ExportParameters(formats=("docx",))
     with pytest.raises(ValidationError):
         export.ExportParameters(formats=())
+
+
+def test_export_gives_each_vertex_the_texture_of_its_pixel(run: Run) -> None:
+    x, y, z = grid((45, 60))
+    row, column = np.array([3, 3, 4]), np.array([5, 6, 5])
+    corners = np.stack([x, y, z], axis=-1)[row, column]
+    of_pixels = Mesh(("u",), ("mm",), corners, np.array([[0, 1, 2]], np.int32), np.ones((1, 3)))
+    subject = Subject("plate", "S02")
+    ((_, path),) = run(export.KIND, campaign(), subject, formats=("npz",), instead={"mesh": of_pixels})
+    need = Need("", MEASUREMENT, Subject("plate", "S00", "C1P1"))
+    texture = records_for(need, (45, 60))["measurement"].texture
+    with np.load(path) as found:
+        # Full scale is 4095; single precision.
+        np.testing.assert_allclose(found["texture"], texture[row, column] / 4095, rtol=2.0**-23)
+
+
+def test_export_leaves_out_a_texture_that_no_vertex_has(run: Run) -> None:
+    ((_, path),) = run(export.KIND, campaign(), Subject("plate", "S01"), formats=("npz",))
+    with np.load(path) as found:
+        # The corners of this mesh are no pixels of the camera.
+        assert list(found["names"]) == ["vertices_mm", "faces", "u_mm"]
+
+
+def test_export_writes_a_file_for_each_camera_where_points_are_over_an_image(run: Run) -> None:
+    two = campaign(pairs=("C1P1", "C2P1"))
+    documents = run(export.KIND, two, Subject("plate", "S01"), formats=("ptx", "e57", "xyz"))
+    assert [path.name for _, path in documents] == [
+        *("plate-S01-C1.ptx", "plate-S01-C2.ptx", "plate-S01-C1.e57", "plate-S01-C2.e57", "plate-S01.xyz")
+    ]
+    head = documents[0][1].read_text().splitlines()[:2]
+    assert head == ["60", "45"]
+
+
+def test_export_writes_the_fields_that_are_asked_for(run: Run) -> None:
+    ((_, path),) = run(export.KIND, campaign(), Subject("plate", "S01"), formats=("csv",), fields=("u",))
+    assert path.read_text().splitlines()[0] == '"X [mm]","Y [mm]","Z [mm]","u [mm]"'
+
+
+def test_export_names_the_fields_that_there_are(run: Run) -> None:
+    with pytest.raises(InvalidInput, match="has no field 'w'; choose among u"):
+        run(export.KIND, campaign(), Subject("plate", "S02"), formats=("csv",), fields=("w",))
