@@ -15,7 +15,7 @@ from sms_jobs.catalogue import search
 from sms_jobs.catalogue.finding import restricted
 from sms_jobs.catalogue.query_language import parse
 from sms_jobs.catalogue.search import Ancestor
-from sms_jobs.cli import completion, found_files, output, pins, saved_queries
+from sms_jobs.cli import completion, found_files, outline, output, pins, saved_queries
 from sms_jobs.cli.found_files import After, As, Columns, Force, Format, Limit, Out, Wanted
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
@@ -26,6 +26,7 @@ app.add_typer(saved_queries.app, name="query")
 app.command("pin")(pins.pin)
 app.command("unpin")(pins.unpin)
 app.command("pins")(pins.pins)
+app.command("outline")(outline.outline)
 
 File = Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, cast
+from typing import Literal, Self, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator, model_validator
 from scipy import ndimage
 
 from sms_jobs.kinds.kind import (
@@ -30,6 +30,7 @@ from sms_jobs.metrology.deformation.displacement import DenseDisplacement, Image
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, Method, match_grid
 from sms_jobs.metrology.deformation.seeding import SearchSettings
 from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
+from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
 from sms_jobs.metrology.images.segmentation import ContinuousRegions, label_regions, pixel_footprint
 from sms_jobs.metrology.images.spline import Interpolant
 from sms_jobs.records.campaign import Campaign, Subject
@@ -97,6 +98,18 @@ class CorrelateParameters(Parameters):
         "and the local cubic, through 4 x 4 pixels alone, is there to compare with other programs",
     )
     spacing_px: int = Field(4, ge=1, le=100, description="distance of the matched points")
+    edge_spacing_px: int | None = Field(
+        None,
+        ge=1,
+        description="distance of the matched points within spacing-px of a region's edge; it must divide "
+        "spacing-px and be at least a quarter of it; as elsewhere when not given",
+    )
+    region_of_interest: str = Field(
+        "",
+        description="the part of the reference image that is matched, in camera px, all when empty: "
+        "'rectangle LEFT TOP RIGHT BOTTOM', 'polygon X Y X Y X Y ..', several in a row, '-' before what is "
+        "left out; 'sms data outline' makes it of a mask image",
+    )
     minimum_score: float = Field(
         0.8, gt=0.0, lt=1.0, description="least zero-normalised cross-correlation of a match"
     )
@@ -125,15 +138,36 @@ class CorrelateParameters(Parameters):
         200, ge=1, description="smaller pieces of continuous surface are left out"
     )
 
+    @field_validator("region_of_interest", mode="before")
+    @classmethod
+    def _outlines_can_be_read(cls, given: object) -> object:
+        """Join what commas have parted, and refuse what is no region."""
+        text = " ".join(map(str, given)) if isinstance(given, list | tuple) else given
+        if isinstance(text, str) and text:
+            parse_outlines(text)
+        return text
+
+    @model_validator(mode="after")
+    def _spacings_fit(self) -> Self:
+        if self.edge_spacing_px is not None and (
+            self.spacing_px % self.edge_spacing_px or self.spacing_px > 4 * self.edge_spacing_px
+        ):
+            raise ValueError(
+                f"edge_spacing_px = {self.edge_spacing_px} must divide spacing_px = {self.spacing_px} px and "
+                "be at least a quarter of it"
+            )
+        return self
+
 
 @dataclass(frozen=True)
 class _State:
-    """One state of the pair: its texture, the texture's noise, its shape and its regions."""
+    """One state of the pair: texture, the texture's noise, shape, regions, and which pixels may be in one."""
 
     texture: NDArray[np.floating]
     noise: Noise
     cloud: PointCloud
     regions: ContinuousRegions
+    of_interest: NDArray[np.bool_]
 
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
@@ -153,10 +187,10 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     """Match the textures region by region and look the displacement up in both states' shapes."""
     camera, _ = split_pair(inputs.subject.pair or "")
     sensor = inputs.read("calibration", "calibration", Calibration).rig.sensor(camera)
-    before = _state(inputs, "reference", "reference_measurement", sensor, parameters)
-    after = _state(inputs, "deformed", "measurement", sensor, parameters)
+    before = _state(inputs, "reference", "reference_measurement", sensor, parameters, of_interest=True)
+    after = _state(inputs, "deformed", "measurement", sensor, parameters, of_interest=False)
     interior = _interior(before.regions.labels, parameters)
-    labels = _matched_labels(before.regions.labels, interior, parameters)
+    labels = _matched_labels(before, interior, parameters)
     progress(0.2, f"{len(before.regions.areas)} regions in the reference state")
     grid = match_grid(
         prepare_images(
@@ -174,6 +208,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         ),
         GridSettings(
             parameters.spacing_px,
+            parameters.edge_spacing_px,
             parameters.minimum_score,
             parameters.maximum_sigma_px,
             method=parameters.method,
@@ -218,18 +253,24 @@ def _interior(labels: NDArray[np.int32], parameters: CorrelateParameters) -> NDA
 
 
 def _matched_labels(
-    labels: NDArray[np.int32], interior: NDArray[np.bool_], parameters: CorrelateParameters
+    before: _State, interior: NDArray[np.bool_], parameters: CorrelateParameters
 ) -> NDArray[np.int32]:
-    """Return which pixels are matched together: those of a region, or, without regions, the whole image."""
+    """Return which pixels are matched together: those of a region, or, without regions, all of interest."""
     if parameters.regions == "none":
-        return np.ones_like(labels)
-    return np.where(interior, labels, 0).astype(np.int32)
+        return before.of_interest.astype(np.int32)
+    return np.where(interior, before.regions.labels, 0).astype(np.int32)
 
 
 def _state(
-    inputs: Inputs, shape_role: str, frames_role: str, sensor: Sensor, parameters: CorrelateParameters
+    inputs: Inputs,
+    shape_role: str,
+    frames_role: str,
+    sensor: Sensor,
+    parameters: CorrelateParameters,
+    *,
+    of_interest: bool,
 ) -> _State:
-    """Read one state, choose its texture and find its regions."""
+    """Read one state, choose its texture and find its regions, all or those of interest."""
     measurement = inputs.read(frames_role, "measurement", Measurement)
     cloud = inputs.read(shape_role, "cloud", PointCloud)
     if parameters.texture == "white":
@@ -239,9 +280,12 @@ def _state(
         phase = inputs.read(shape_role, "phase", PhaseMaps)
         texture = phase.mean_intensity
         noise = average_noise(measurement, phase, cloud.reason == Reason.VALID)
-    valid = cloud.reason == Reason.VALID
+    chosen = np.ones(cloud.reason.shape, dtype=bool)
+    if of_interest and parameters.region_of_interest:
+        chosen = inside_outlines(parse_outlines(parameters.region_of_interest), cloud.reason.shape)
+    valid = (cloud.reason == Reason.VALID) & chosen
     if parameters.regions == "none":
-        return _State(texture, noise, cloud, _one_region(valid))
+        return _State(texture, noise, cloud, _one_region(valid), chosen)
     regions = label_regions(
         cloud.xyz,
         valid,
@@ -250,7 +294,7 @@ def _state(
         minimum_area=parameters.minimum_region_area_px,
         threads=inputs.threads,
     )
-    return _State(texture, noise, cloud, regions)
+    return _State(texture, noise, cloud, regions, chosen)
 
 
 def _one_region(valid: NDArray[np.bool_]) -> ContinuousRegions:

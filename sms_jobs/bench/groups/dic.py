@@ -21,7 +21,8 @@ from sms_jobs.metrology.deformation.correlation import (
     match_points,
     prepare_images,
 )
-from sms_jobs.metrology.deformation.matching import GridSettings, choose_seeds, match_grid, sample_grid
+from sms_jobs.metrology.deformation.matching import GridSettings, match_grid
+from sms_jobs.metrology.deformation.sampling import choose_seeds, sample_grid
 from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
 from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
 from sms_jobs.metrology.images.spline import Interpolant

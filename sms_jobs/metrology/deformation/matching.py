@@ -13,7 +13,6 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sms_jobs.metrology.deformation.correlation import (
     CONVERGED,
@@ -26,6 +25,7 @@ from sms_jobs.metrology.deformation.correlation import (
     match_points,
 )
 from sms_jobs.metrology.deformation.fourier_newton import match_by_cross_correlation
+from sms_jobs.metrology.deformation.sampling import NEAREST, Nodes, choose_seeds, sample_nodes
 from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
 from sms_jobs.metrology.deformation.shape_functions import WARP, carried
 
@@ -40,12 +40,6 @@ REFINEMENT: Final[dict[Method, Callable[..., Matches]]] = {
 }
 """The function behind each method."""
 
-_NEIGHBOURS = tuple(
-    sorted(
-        ((j, i) for j in range(-2, 3) for i in range(-2, 3) if (j, i) != (0, 0)),
-        key=lambda step: (max(abs(step[0]), abs(step[1])), abs(step[0]) + abs(step[1])),
-    )
-)
 _ATTEMPTS = 3  # times that a point is tried from ever better neighbours
 _LEAST_SCATTER = 0.01  # px, of neighbours: what first-order subsets may disagree by on a curved field
 _BLOCK = 1 << 15  # points whose neighbours are looked at together, for the memory's sake
@@ -54,7 +48,7 @@ _SEED_SCORE = 0.4  # of an integer shift: a poor start, but the refinement judge
 
 @dataclass(frozen=True)
 class GridMatches:
-    """Matches at the nodes of a regular grid that lie on a region: `x`, `y` (n,) in px and the rest."""
+    """Matches at the nodes of a grid that lie on a region: `x`, `y` (n,) in px and the rest."""
 
     x: Ints
     y: Ints
@@ -69,6 +63,8 @@ class GridSettings:
     ----------
     spacing
         Of the grid, in px.
+    edge_spacing
+        Near the regions' edges, in px; None for that of the grid: see `sample_nodes`.
     minimum_score
         Lowest zero-normalised cross-correlation that is accepted.
     maximum_sigma
@@ -80,59 +76,11 @@ class GridSettings:
     """
 
     spacing: int = 4
+    edge_spacing: int | None = None
     minimum_score: float = 0.8
     maximum_sigma: float = 0.05
     outlier_ratio: float = 6.0
     method: Method = "gauss-newton"
-
-
-def sample_grid(labels: NDArray[np.int32], spacing: int) -> tuple[Ints, Ints, Ints]:
-    """Return the nodes of a regular grid that lie on a region.
-
-    Parameters
-    ----------
-    labels
-        (rows, columns), 0 where there is no region.
-    spacing
-        In px.
-
-    Returns
-    -------
-    x, y
-        (n,), in px, row by row.
-    node
-        (grid rows, grid columns): the index of each node in `x`, -1 where it is on no region.
-    """
-    offset = spacing // 2
-    on_region = labels[offset::spacing, offset::spacing] > 0
-    node = np.full(on_region.shape, -1, dtype=np.int64)
-    rows, columns = np.nonzero(on_region)
-    node[rows, columns] = np.arange(len(rows))
-    return offset + spacing * columns, offset + spacing * rows, node
-
-
-def choose_seeds(labels: NDArray[np.int32], x: Ints, y: Ints, search: SearchSettings) -> Ints:
-    """Return the indices of one point for every region in every square of `search.spacing` px.
-
-    It is the one nearest to the square's middle whose sub-image lies wholly on its region; where there is
-    none, the one farthest from the region's edge.
-    """
-    same = ndimage.maximum_filter(labels, 3) == ndimage.minimum_filter(labels, 3)
-    depth = ndimage.distance_transform_edt(np.pad(same, 1))[1:-1, 1:-1][y, x]
-    row, column = y // search.spacing, x // search.spacing
-    off_middle = np.hypot(*((v % search.spacing) - 0.5 * search.spacing for v in (x, y)))
-    order = np.lexsort((off_middle, -np.minimum(depth, search.template_radius)))
-    keys = np.stack([labels[y, x], row, column], axis=1)[order]
-    _, first = np.unique(keys, axis=0, return_index=True)
-    return np.asarray(np.sort(order[first]))
-
-
-def _neighbours(node: Ints, region: NDArray[np.int32]) -> Ints:
-    """Return the indices (n, 24) of each node's neighbours on its region, nearest first, -1 for none."""
-    rows, columns = np.nonzero(node >= 0)
-    padded = np.pad(node, 2, constant_values=-1)
-    around = np.stack([padded[rows + 2 + j, columns + 2 + i] for j, i in _NEIGHBOURS], axis=1)
-    return np.where((around >= 0) & (region[around] == region[:, None]), around, -1)
 
 
 def match_grid(
@@ -156,13 +104,25 @@ def match_grid(
     threads
         How many threads to use; the result does not depend on it.
     """
-    x, y, node = sample_grid(images.labels, grid.spacing)
-    region = images.labels[y, x]
+    nodes = sample_nodes(images.labels, grid.spacing, grid.edge_spacing)
+    return match_nodes(images, deformed, nodes, settings, grid, search, threads)
+
+
+def match_nodes(
+    images: PreparedImages,
+    deformed: NDArray[np.generic],
+    nodes: Nodes,
+    settings: MatchSettings,
+    grid: GridSettings,
+    search: SearchSettings,
+    threads: int = 1,
+) -> GridMatches:
+    """Match points whose neighbours are known; parameters as of `match_grid`."""
+    x, y, around = nodes.x, nodes.y, nodes.around
     with_bends = settings.shape_order == 2 and grid.method == "gauss-newton"
     found = blank_matches(len(x), WARP if with_bends else 6)
     if len(x) == 0:
         return GridMatches(x, y, found)
-    around = _neighbours(node, region)
     attempts = np.zeros(len(x), dtype=np.int64)
     started_from = np.zeros(len(x))
     done = np.zeros(len(x), dtype=bool)
@@ -198,7 +158,7 @@ def match_grid(
         near = around[pending]
         usable = (near >= 0) & done[near]
         scores = np.where(usable, found.score[near], -np.inf)
-        scores[:, 8:] -= 1.0  # the second ring only where the first has nothing
+        scores[:, NEAREST:] -= 1.0  # the second ring only where the first has nothing
         best = np.argmax(scores, axis=1)
         source = near[np.arange(len(pending)), best]
         quality = scores[np.arange(len(pending)), best]
@@ -209,7 +169,7 @@ def match_grid(
         started_from[pending], fresh = quality[better], pending
         attempt(pending, carried(found.warp[source], x[pending] - x[source], y[pending] - y[source]))
     outside = [
-        _outliers(found, x, y, around[start : start + _BLOCK, :8], start, grid.outlier_ratio)
+        _outliers(found, x, y, around[start : start + _BLOCK, :NEAREST], start, grid.outlier_ratio)
         for start in range(0, len(x), _BLOCK)
     ]
     found.ending[np.concatenate(outside)] = NOT_CONVERGED

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sms_jobs.metrology.deformation.correlation import CONVERGED, MatchSettings, prepare_images
-from sms_jobs.metrology.deformation.matching import GridSettings, choose_seeds, match_grid, sample_grid
+from sms_jobs.metrology.deformation.matching import GridSettings, match_grid
+from sms_jobs.metrology.deformation.sampling import choose_seeds, sample_grid, sample_nodes
 from sms_jobs.metrology.deformation.seeding import SearchSettings
 
 SIZE = 128
@@ -44,6 +45,48 @@ def test_nodes_lie_on_regions_and_seeds_deep_inside() -> None:
     # Squares of 64 px: region 1 lies in one column of them, region 2 in two; the edge at 64 is in both.
     assert sorted(labels[y[seeds], x[seeds]]) == [1, 2, 2]
     assert (np.abs(x[seeds] - 59.5) > 2).all()
+
+
+def test_nodes_are_denser_near_edges_and_know_their_neighbours() -> None:
+    labels = np.zeros((60, 80), np.int32)
+    labels[10:50, :40] = 1
+    labels[10:50, 40:70] = 2
+    regular, refined = sample_nodes(labels, 8), sample_nodes(labels, 8, 2)
+    every = set(zip(refined.x, refined.y, strict=True))
+    # Refining takes no node away, and adds those of the finer grid up to 8 px from an edge of a region.
+    assert set(zip(regular.x, regular.y, strict=True)) < every
+    assert len(every) == len(refined.x)
+    added = every - set(zip(regular.x, regular.y, strict=True))
+    inside = [(x, y) for x in range(0, 80, 2) for y in range(0, 60, 2) if labels[y, x] > 0]
+    edges = [10 - 0.5, 50 - 0.5], [40 - 0.5, 70 - 0.5]
+    for x, y in inside:
+        off = min(*(abs(y - e) for e in edges[0]), *(abs(x - e) for e in edges[1]))
+        if off < 7.0:
+            assert (x, y) in every
+        if off > 9.0:
+            assert (x, y) not in added
+    # Neighbours are on the region, the first ring about the node, and neighbourhood goes both ways.
+    for k in range(len(refined.x)):
+        near = refined.around[k][refined.around[k] >= 0]
+        assert (labels[refined.y[near], refined.x[near]] == labels[refined.y[k], refined.x[k]]).all()
+        assert all(k in refined.around[other] for other in near)
+        ring = refined.around[k, :8]
+        ring = ring[ring >= 0]
+        assert (
+            np.maximum(np.abs(refined.x[ring] - refined.x[k]), np.abs(refined.y[ring] - refined.y[k])) <= 8
+        ).all()
+
+
+def test_a_refined_grid_is_matched_throughout(parted) -> None:
+    reference, deformed, labels = parted
+    grid = GridSettings(spacing=8, edge_spacing=2)
+    found = match_grid(prepare_images(reference, deformed, labels), deformed, SETTINGS[0], grid, SETTINGS[2])
+    stays = (found.x > 34) & (found.x < SIZE - 24) & inside(found, 8)
+    assert (found.matches.ending == CONVERGED)[stays].all()
+    region = labels[found.y, found.x]
+    u = np.where(region == 1, -18.3, 11.2 + 0.02 * (found.x - SIZE / 2))
+    # As on the regular grid.
+    assert np.abs(found.matches.warp[:, 0] - u)[stays].max() < 0.01
 
 
 def test_regions_that_part_are_matched_to_the_edge(parted) -> None:

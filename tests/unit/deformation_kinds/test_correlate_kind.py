@@ -105,6 +105,57 @@ def test_without_regions_one_piece_is_matched_as_with_them(plate: Any) -> None:
     assert np.sqrt(np.mean(length[good] ** 2)) < plate.calibration.volume.diagonal_mm / 10_000
 
 
+def test_only_the_region_of_interest_is_matched(plate: Any) -> None:
+    subject = plate.subject("S01", PAIR)
+    chosen = CorrelateParameters(
+        spacing_px=6, region_of_interest="rectangle 30 40 90 80 - rectangle 50 50 60 60"
+    )
+    output = plate.run(correlate.KIND, subject, chosen)
+    field, matches = output.records["displacement"], output.records["matches"]
+    inside = np.zeros(field.reason.shape, dtype=bool)
+    inside[40:81, 30:91] = True
+    inside[50:61, 50:61] = False
+    assert inside[matches.y.astype(int), matches.x.astype(int)].all()
+    assert (field.reason[~inside] != Reason.VALID).all()
+    length, sigma, expected = errors(plate, field)
+    inner = ndimage.binary_erosion(inside, iterations=2) & expected
+    assert (field.reason[inner] == Reason.VALID).mean() > 0.95
+    good = inner & (field.reason == Reason.VALID)
+    # Subsets end at its edge, as they do at a region's: noisier there, and said so.
+    assert 0.7 < np.sqrt(np.mean((length[good] / sigma[good]) ** 2)) < 1.3
+    elsewhere = CorrelateParameters(region_of_interest="rectangle 0 0 3 3")
+    output = plate.run(correlate.KIND, subject, elsewhere)
+    assert len(output.records["matches"].x) == 0
+    assert output.statistics["valid_fraction"] == 0.0
+
+
+def test_more_points_near_edges(plate: Any) -> None:
+    subject = plate.subject("S01", PAIR)
+    regular, refined = (
+        plate.run(correlate.KIND, subject, CorrelateParameters(spacing_px=8, edge_spacing_px=fine)).records
+        for fine in (None, 2)
+    )
+    assert len(refined["matches"].x) > 1.3 * len(regular["matches"].x)
+    length, _, expected = errors(plate, refined["displacement"])
+    valid = (refined["displacement"].reason == Reason.VALID) & expected
+    assert valid.sum() > 0.9 * expected.sum()
+    assert np.sqrt(np.mean(length[valid] ** 2)) < 0.014
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"region_of_interest": "circle 1 2 3"}, "stands alone|no number"),
+        ({"region_of_interest": ["rectangle 1", "2", "3"]}, "LEFT TOP RIGHT BOTTOM"),
+        ({"spacing_px": 8, "edge_spacing_px": 3}, "must divide spacing_px = 8"),
+        ({"spacing_px": 16, "edge_spacing_px": 2}, "at least a quarter"),
+    ],
+)
+def test_what_cannot_be_is_refused(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        CorrelateParameters.model_validate(given)
+
+
 def test_parameters_can_be_given_as_words() -> None:
     assert CorrelateParameters.model_validate({"shape_order": "2", "interpolation": "cubic"}).shape_order == 2
     for order in ("-1", "3"):
