@@ -17,11 +17,13 @@ import h5py
 from sms_jobs.archive import hdf5, layout
 from sms_jobs.archive.checking import Checker
 from sms_jobs.archive.dataset import ArchivedDataset, check_dataset, open_dataset
+from sms_jobs.archive.limits import LARGEST_TEXT_BYTES
 from sms_jobs.archive.provenance import (
     Found,
     InputReference,
     Provenance,
     Sealed,
+    digest,
     provenance_from_json,
     provenance_to_json,
 )
@@ -31,6 +33,15 @@ from sms_jobs.records.campaign import CampaignDefinition, Subject
 from sms_jobs.records.sensors import Calibration
 
 DATASET_MEDIA_TYPE = "application/x-hdf5"
+
+
+_OF_A_NETWORK_DISK = ".nfs"
+"""Begins the names of files that are removed while somebody still reads them; they go by themselves."""
+
+
+def _digest_of(about: Mapping[str, Any]) -> str:
+    """Return what covers all that is said beside a document."""
+    return digest(json.dumps(about, sort_keys=True, separators=(",", ":"), ensure_ascii=False))
 
 
 def _sha256_of(file: Path) -> str:
@@ -103,6 +114,7 @@ class Archive:
                 "content_hash": sealed.content_hash,
                 "provenance": json.loads(provenance_to_json(provenance)),
             }
+            about["sha256"] = _digest_of(about)
             # First, so that no document is ever without its provenance.
             with sealing(self.root, path.with_name(layout.sidecar(path.name)), job) as beside:
                 beside.write_text(json.dumps(about, indent=1), encoding="utf-8")
@@ -191,18 +203,33 @@ class Archive:
     def _beside(self, path: str) -> tuple[Provenance, str, str]:
         """Return provenance, content hash and media type of a document, as they stand beside it."""
         beside = self.path(layout.sidecar(path))
+        if not beside.is_file() or beside.stat().st_size > LARGEST_TEXT_BYTES:
+            raise ArchiveCorrupt(f"the provenance of {path} is missing; restore {beside}")
         try:
             about = json.loads(beside.read_bytes())
             version = int(about["format_version"])
             told = about["provenance"], str(about["content_hash"]), str(about["media_type"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise ArchiveCorrupt(f"the provenance of {path} is missing; restore {beside}") from error
+            # Files of older programs have none.
+            whole = about.pop("sha256", None) in (None, _digest_of(about))
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            raise ArchiveCorrupt(f"the provenance of {path} cannot be read; restore {beside}") from error
+        if not whole:
+            raise ArchiveCorrupt(f"the provenance of {path} was altered; restore {beside}")
         if version > hdf5.FORMAT_VERSION:
             raise FormatTooNew(
                 f"{path} has format version {version}, this program reads up to {hdf5.FORMAT_VERSION}; "
                 "install a newer sms_jobs"
             )
         return provenance_from_json(json.dumps(told[0]), path), *told[1:]
+
+    def verify_provenance(self, path: str, content_hash: str) -> None:
+        """Raise `ArchiveCorrupt` unless what lies beside a document is whole and of those contents."""
+        told = self._beside(path)[1]
+        if told != content_hash:
+            raise ArchiveCorrupt(
+                f"what lies beside {path} is of contents that hash to {told[:12]}..., but "
+                f"{content_hash[:12]}... is on record; restore it from a backup"
+            )
 
     def examine(self, path: str, checker: Checker) -> Found:
         """Read a whole file and return what it says of itself, which is all that is known of it.
@@ -257,6 +284,20 @@ class Archive:
             job_id = layout.writer_of(relative.rsplit("/", 1)[-1])
             if job_id is not None:
                 yield relative, job_id
+
+    def strays(self) -> Iterator[tuple[str, str]]:
+        """Yield the path of every file that is no part of the archive, and why."""
+        for relative in self._names():
+            name = relative.rsplit("/", 1)[-1]
+            document = layout.without_sidecar(relative)
+            if layout.is_result(relative) or layout.writer_of(name) is not None:
+                continue
+            if name.startswith(_OF_A_NETWORK_DISK):
+                continue
+            if document == relative or not layout.is_result(document):
+                yield relative, "it is no file of this archive, which its name would tell"
+            elif not os.path.lexists(self.root / document):
+                yield relative, "the document whose provenance it holds is not there"
 
     def provenance(self, path: str) -> Provenance | None:
         """Return how a file came about; None when it does not tell."""
@@ -314,7 +355,8 @@ class Archive:
         source = self._new(path)
         wanted = self.root / layout.SET_ASIDE / path
         number = 1
-        while os.path.lexists(wanted):
+        # Nothing that was set aside before is overwritten, by the provenance that comes along either.
+        while os.path.lexists(wanted) or os.path.lexists(layout.sidecar(str(wanted))):
             number += 1
             wanted = self.root / f"{layout.SET_ASIDE}-{number}" / path
         make_folders(self.root, wanted.parent)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import resource
 import select
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -15,12 +17,16 @@ from sms_jobs.errors import ArchiveCorrupt, FormatTooNew
 START_SECONDS = 60.0
 BYTES_PER_SECOND = 5e6
 """Slower than any disk that is worth keeping data on."""
+MEMORY_BYTES = 6 << 30
+"""More than any file within the limits of `limits` takes to be read."""
 
 _SERVE = "from sms_jobs.archive.checking import serve; serve()"
 
 
 def serve() -> None:
     """Check the files that are named on standard input, a JSON object a line; answer each with a line."""
+    with suppress(ValueError, OSError):  # not every system has such a limit
+        resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
     for line in sys.stdin:
         asked = json.loads(line)
         answer = {"code": 0, "message": ""}

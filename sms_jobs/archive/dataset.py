@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 
 from sms_jobs.archive import hdf5
 from sms_jobs.archive.codec import class_named, layout_of, record_from_parts
+from sms_jobs.archive.limits import refuse_excess
 from sms_jobs.archive.provenance import Provenance, provenance_from_json
 from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput, NotFound
 from sms_jobs.records.campaign import Subject
 
 R = TypeVar("R")
 
-_BROKEN = (OSError, KeyError, RuntimeError, ValueError, UnicodeDecodeError)
-"""What h5py raises when the bytes of a file make no sense."""
+_BROKEN = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, MemoryError)
+"""What h5py raises, or the code that follows it, when the bytes of a file make no sense."""
 
 
 @contextmanager
@@ -209,6 +210,7 @@ def open_dataset(file: Path, where: str) -> Iterator[ArchivedDataset]:
 def check_dataset(file: Path, where: str, content_hash: str) -> None:
     """Read everything in a dataset file; raise `ArchiveCorrupt` unless it has that content hash."""
     with _opened(file, where) as opened, _readable(where):
+        refuse_excess(opened)
         found = hdf5.content_hash(opened)
         whole = hdf5.provenance_is_whole(opened)
         recorded = str(opened.attrs["content_hash"])

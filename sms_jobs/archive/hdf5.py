@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.archive.codec import ArrayField, checked_array, layout_of, plain_to_json
 from sms_jobs.archive.hashing import ArrayDigest, Manifest
+from sms_jobs.archive.limits import LARGEST_TEXT_BYTES
 from sms_jobs.archive.provenance import Provenance, digest, provenance_to_json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.quantity import Quantity
@@ -228,7 +229,7 @@ def _slabs(dataset: Any) -> Iterator[NDArray[Any]]:
     if not dataset.shape or 0 in dataset.shape:
         yield np.ascontiguousarray(dataset[()])
         return
-    step = dataset.chunks[0]
+    step = dataset.chunks[0] if dataset.chunks else 1
     line = prod(dataset.shape[1:]) * dataset.dtype.itemsize
     step *= max(1, SLAB_BYTES // (step * line))
     for start in range(0, dataset.shape[0], step):
@@ -244,7 +245,9 @@ def array_digest(name: str, dataset: Any) -> ArrayDigest:
 
 
 def read_text(dataset: Any) -> str:
-    """Read a text written by `_text`."""
+    """Read a text written by `_text`; raise `ValueError` when it is none, or too long."""
+    if dataset.shape != () or dataset.dtype.kind != "S" or dataset.dtype.itemsize > LARGEST_TEXT_BYTES:
+        raise ValueError(f"a text of at most {LARGEST_TEXT_BYTES >> 20} MiB is missing in it")
     value: bytes = dataset[()]
     return value.decode()
 

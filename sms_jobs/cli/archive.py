@@ -47,8 +47,8 @@ def verify(
 ) -> None:
     """Read every file of the archive and compare it with the catalogue.
 
-    Files that are missing, damaged, unknown to the catalogue, or left behind by a job that has ended are
-    listed; the exit code is then 6. It may be interrupted, and says how to go on.
+    Files that are missing, damaged, unknown to the catalogue, left behind by a job that has ended, or no part
+    of an archive are listed; the exit code is then 6. It may be interrupted, and says how to go on.
 
     Example: sms archive verify --campaign wing-fatigue
     """
@@ -134,9 +134,10 @@ def repair(
 ) -> None:
     """Verify the archive and mend what can be mended; nothing is ever deleted.
 
-    Unknown files that are whole and the output of their job are indexed. All others, unfinished files and
-    damaged results are moved to '.set-aside' in the archive. What only a person can do is said: restore a
-    measurement from a backup, or compute a result again. The exit code is 6 as long as something is to do.
+    Unknown files that are whole and the output of their job are indexed. All others, what is unfinished, no
+    part of an archive, or a damaged result, is moved to '.set-aside' in it. What only a person can do is
+    said: restore a measurement from a backup, or compute a result again. The exit code is 6 as long as
+    something is to do.
 
     Example: sms archive repair; sms archive repair --yes
     """

@@ -8,6 +8,7 @@ reason. What the catalogue knows already is passed over, so that a run that was 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Literal, TypeAlias
@@ -29,7 +30,7 @@ from sms_jobs.catalogue.models import (
     ResultRow,
     StatisticRow,
 )
-from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, SmsError
+from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput, SmsError
 from sms_jobs.jobs import past_jobs
 from sms_jobs.jobs.registration import CAMPAIGN
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
@@ -77,6 +78,7 @@ class _Archived:
     """The archive as its names tell it, and what a dry run would have entered so far."""
 
     archive: Archive
+    checker: Checker
     of_jobs: Mapping[tuple[str, str, str], Sequence[str]]
     definitions: Mapping[str, str]
     campaigns: dict[str, Campaign] = field(default_factory=dict)
@@ -104,7 +106,12 @@ def _job(path: str) -> tuple[str, str, str]:
 
 
 def reindex(
-    catalogue: Catalogue, archive: Archive, paths: Sequence[str], *, dry_run: bool = False
+    catalogue: Catalogue,
+    archive: Archive,
+    paths: Sequence[str],
+    *,
+    dry_run: bool = False,
+    checker: Checker | None = None,
 ) -> Iterator[Reindexed]:
     """Enter files into the catalogue and tell of each what became of it.
 
@@ -116,6 +123,8 @@ def reindex(
         As `unknown_files` returns them.
     dry_run
         Say what would be done, and change nothing.
+    checker
+        That reads the files; one of its own if not given.
     """
     of_jobs: dict[tuple[str, str, str], list[str]] = {}
     definitions: dict[str, str] = {}
@@ -123,13 +132,13 @@ def reindex(
         of_jobs.setdefault(_job(path), []).append(path)
         if layout.part(path, "kind") == CAMPAIGN:
             definitions[path.split("/", 1)[0]] = path
-    archived = _Archived(archive, of_jobs, definitions)
     waiting = set(paths)
-    with Checker() as checker:
+    with nullcontext(checker) if checker else Checker() as reader:
+        archived = _Archived(archive, reader, of_jobs, definitions)
         for _, group in groupby(paths, key=lambda path: _order(path)[:2]):
             # A name tells the second in which a file was made, the file the rest.
-            seen = {path: _examined(archive, checker, path) for path in group if path in waiting}
-            ordered = _inputs_first(archive, checker, seen, waiting)
+            seen = {path: _examined(archive, reader, path) for path in group if path in waiting}
+            ordered = _inputs_first(archive, reader, seen, waiting)
             if dry_run:
                 with catalogue.reading() as session:
                     done = [_entered(session, archived, one, dry_run=True) for one in ordered]
@@ -146,6 +155,9 @@ def _examined(archive: Archive, checker: Checker, path: str) -> Found | Reindexe
         return Reindexed("refused", path, _size(archive, path), str(error))
     except FormatTooNew as error:
         return Reindexed("too-new", path, _size(archive, path), str(error))
+    except InvalidInput as error:
+        # A link that leads out of the archive.
+        return Reindexed("refused", path, 0, str(error))
 
 
 def _size(archive: Archive, path: str) -> int:
@@ -273,9 +285,13 @@ def _newest_attempt(archived: _Archived, path: str, provenance: Provenance) -> i
     newest = provenance.attempt
     for other in archived.of_jobs.get(_job(path), ()):
         if int(layout.part(other, "attempt")) > newest:
-            found = archived.archive.provenance(other)
-            if found is not None and found.job_id == provenance.job_id and layout.fits(other, found):
-                newest = found.attempt
+            found = _examined(archived.archive, archived.checker, other)
+            if (
+                isinstance(found, Found)
+                and found.provenance.job_id == provenance.job_id
+                and layout.fits(other, found.provenance)
+            ):
+                newest = found.provenance.attempt
     return newest
 
 

@@ -7,6 +7,7 @@ computed again by a job.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -15,7 +16,7 @@ from typing import Literal, TypeAlias
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, Checker, layout
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow
@@ -29,6 +30,7 @@ from sms_jobs.records.campaign import CampaignDefinition
 Step: TypeAlias = Literal["index", "set-aside", "forget", "seal-again", "nothing"]
 
 _RESTORE = "restore it from a backup"
+_UNKNOWN = ("unknown", "unfinished", "stray")
 
 
 @dataclass(frozen=True)
@@ -56,18 +58,27 @@ class Repair:
     then: str = ""
 
 
-def planned(catalogue: Catalogue, archive: Archive, findings: Sequence[Finding]) -> list[Repair]:
-    """Say what would be done about some findings; nothing is changed."""
+def planned(
+    catalogue: Catalogue, archive: Archive, findings: Sequence[Finding], checker: Checker | None = None
+) -> list[Repair]:
+    """Say what would be done about some findings; nothing is changed.
+
+    `checker` reads the files that the catalogue does not know; one of its own if not given.
+    """
     unknown = {f.path for f in findings if f.problem == "unknown"}
     paths = [path for path in reindexing.unknown_files(catalogue, archive) if path in unknown]
-    judged = {one.path: one for one in reindexing.reindex(catalogue, archive, paths, dry_run=True)}
+    judged = {
+        one.path: one for one in reindexing.reindex(catalogue, archive, paths, dry_run=True, checker=checker)
+    }
     with catalogue.reading() as session:
         going = {one.path for one in retention.without_needed(session, retention.superseded(session))}
-        repairs = [_known(session, f, going) for f in findings if f.problem not in ("unknown", "unfinished")]
+        repairs = [_known(session, f, going) for f in findings if f.problem not in _UNKNOWN]
         unsealed = _without_definition(session)
     repairs += [_unknown(judged[path]) for path in paths]
     repairs += [
-        Repair(f.problem, f.path, "set-aside", f.detail) for f in findings if f.problem == "unfinished"
+        Repair(f.problem, f.path, "set-aside", f.detail)
+        for f in findings
+        if f.problem in ("unfinished", "stray")
     ]
     return [*repairs, *unsealed]
 
@@ -131,7 +142,13 @@ def _without_definition(session: Session) -> list[Repair]:
     ]
 
 
-def apply(catalogue: Catalogue, archive: Archive, repairs: Sequence[Repair], now: datetime) -> list[Repair]:
+def apply(
+    catalogue: Catalogue,
+    archive: Archive,
+    repairs: Sequence[Repair],
+    now: datetime,
+    checker: Checker | None = None,
+) -> list[Repair]:
     """Do what was planned; return what could not be done, with the reason.
 
     Files are moved before the catalogue forgets them: killed in between, they are missing and no more.
@@ -139,12 +156,12 @@ def apply(catalogue: Catalogue, archive: Archive, repairs: Sequence[Repair], now
     to_index = [one.path for one in repairs if one.step == "index"]
     undone = [
         Repair("unknown", told.path, "nothing", told.detail, "run 'sms archive repair' again")
-        for told in reindexing.reindex(catalogue, archive, to_index)
+        for told in reindexing.reindex(catalogue, archive, to_index, checker=checker)
         if told.outcome not in ("indexed", "incomplete")
     ]
     for one in repairs:
-        if one.step in ("set-aside", "forget") and archive.path(one.path).is_file():
-            archive.set_aside(one.path)
+        if one.step in ("set-aside", "forget"):
+            _set_aside(archive, one.path)
         if one.step == "forget":
             with catalogue.writing() as session:
                 file = session.scalar(select(FileRow.id).where(FileRow.path == one.path))
@@ -152,6 +169,13 @@ def apply(catalogue: Catalogue, archive: Archive, repairs: Sequence[Repair], now
         if one.step == "seal-again":
             _seal_again(catalogue, archive, one.path, now)
     return undone
+
+
+def _set_aside(archive: Archive, path: str) -> None:
+    """Move a file out of the way if it is there, and the provenance of a document that is not."""
+    for left in (path, layout.sidecar(path)):
+        if os.path.lexists(archive.root / left):
+            archive.set_aside(left)
 
 
 def _seal_again(catalogue: Catalogue, archive: Archive, path: str, now: datetime) -> None:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.archive import Archive, Checker
+from sms_jobs.archive import Archive, Checker, layout
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow
-from sms_jobs.errors import ArchiveCorrupt, FormatTooNew
+from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput
 from sms_jobs.records.job import ACTIVE
 
-Problem: TypeAlias = Literal["missing", "corrupt", "too-new", "unknown", "unfinished"]
+Problem: TypeAlias = Literal["missing", "corrupt", "too-new", "unknown", "unfinished", "stray"]
 
 _AT_ONCE = 500
 
@@ -28,8 +29,9 @@ class Finding:
     ----------
     problem
         missing: the catalogue knows it and the disk does not. corrupt: its contents are not those that were
-        sealed. too-new: a newer version wrote it. unknown: it is sealed, and the catalogue does not know it.
-        unfinished: a job that has ended was writing it.
+        sealed, or of a document, its provenance is not. too-new: a newer version wrote it. unknown: it is
+        sealed, and the catalogue does not know it. unfinished: a job that has ended was writing it. stray: it
+        is no part of the archive, or the provenance of a document that is not there.
     path
         In the archive.
     detail
@@ -77,6 +79,7 @@ def check_known(
     after: int = 0,
     campaign: str | None = None,
     quick: bool = False,
+    checker: Checker | None = None,
 ) -> Iterator[Checked]:
     """Check every file that the catalogue knows, in the order of their numbers.
 
@@ -88,8 +91,10 @@ def check_known(
         Only its files.
     quick
         Look at presence and size alone.
+    checker
+        That reads the files; one of its own if not given.
     """
-    with Checker() as checker:
+    with nullcontext(checker) if checker else Checker() as reader:
         while True:
             query = select(FileRow).where(FileRow.id > after).order_by(FileRow.id).limit(_AT_ONCE)
             if campaign is not None:
@@ -102,7 +107,7 @@ def check_known(
             if not rows:
                 return
             for file_id, path, content_hash, size in rows:
-                finding = _of_file(archive, path, content_hash, size, None if quick else checker)
+                finding = _of_file(archive, path, content_hash, size, None if quick else reader)
                 yield Checked(file_id, path, size, finding)
             after = rows[-1][0]
 
@@ -110,7 +115,10 @@ def check_known(
 def _of_file(
     archive: Archive, path: str, content_hash: str, size_bytes: int, checker: Checker | None
 ) -> Finding | None:
-    file = archive.path(path)
+    try:
+        file = archive.path(path)
+    except InvalidInput as error:
+        return Finding("corrupt", path, str(error))
     if not file.is_file():
         return Finding("missing", path, "it is in the catalogue and not on the disk")
     found = file.stat().st_size
@@ -120,6 +128,8 @@ def _of_file(
         return None
     try:
         archive.verify(path, content_hash, checker)
+        if not layout.is_dataset(path):
+            archive.verify_provenance(path, content_hash)
     except ArchiveCorrupt as error:
         return Finding("corrupt", path, str(error))
     except FormatTooNew as error:
@@ -128,18 +138,32 @@ def _of_file(
 
 
 def check_unknown(catalogue: Catalogue, archive: Archive) -> Iterator[Finding]:
-    """Find the files on the disk that the catalogue does not know, and those that nobody writes any more."""
+    """Find the files on the disk that the catalogue does not know, and those that are none of the archive."""
     with catalogue.reading() as session:
         active = set(session.scalars(select(JobRow.id).where(JobRow.state.in_(ACTIVE))))
     # Listed before they are looked up: what is sealed in between is known by then, or its job is active.
-    unfinished, sealed = list(archive.unfinished()), list(archive.files())
+    unfinished, sealed, strays = list(archive.unfinished()), list(archive.files()), dict(archive.strays())
     for path, job_id in sorted(unfinished):
         if job_id not in active:
             yield Finding("unfinished", path, f"job {job_id} has ended and left it behind")
+    # The provenance of a document that is missing is kept for when it is restored.
+    for path in _not_known(catalogue, archive, active, (layout.without_sidecar(path) for path in strays)):
+        for left in (path, layout.sidecar(path)):
+            if left in strays:
+                yield Finding("stray", left, strays[left])
+    for path in _not_known(catalogue, archive, active, sealed):
+        yield Finding("unknown", path, "it is sealed, but not in the catalogue")
+
+
+def _not_known(
+    catalogue: Catalogue, archive: Archive, active: set[str], paths: Iterable[str]
+) -> Iterator[str]:
+    """Yield, in order, what neither the catalogue knows nor a job that may still register it has sealed."""
+    every = sorted(set(paths))
     with catalogue.reading() as session:
-        for start in range(0, len(sealed), _AT_ONCE):
-            some = sealed[start : start + _AT_ONCE]
+        for start in range(0, len(every), _AT_ONCE):
+            some = every[start : start + _AT_ONCE]
             known = set(session.scalars(select(FileRow.path).where(FileRow.path.in_(some))))
-            for path in sorted(set(some) - known):
-                if not any(archive.is_of_job(path, job_id) for job_id in active):
-                    yield Finding("unknown", path, "it is sealed, but not in the catalogue")
+            for path in some:
+                if path not in known and not any(archive.is_of_job(path, job) for job in active):
+                    yield path
