@@ -65,7 +65,7 @@ class SimulatedLine:
     def send(self, data: bytes, now: float) -> None:
         """Carry bytes to the device."""
         self._requests += 1
-        self._unplugged = any(f.fault == "unplugged" and f.befalls(self._requests) for f in self._faults)
+        self._unplugged = self._without_cable(self._requests)
         if self._unplugged:
             return
         arrives = now + len(data) * self._byte_s
@@ -76,8 +76,9 @@ class SimulatedLine:
     def take(self, now: float) -> bytes:
         """Return the bytes that have arrived from the device by now."""
         for unasked in self._device.speak(now):
-            if not self._unplugged:
-                self._replies += 1
+            self._replies += 1
+            # Of a device that is never asked, the messages are counted instead of the requests.
+            if not (self._unplugged if self._requests else self._without_cable(self._replies)):
                 self._carry_back(unasked, now)
         arrived, left = b"", []
         for flight in sorted(self._flights, key=lambda f: f.begins):
@@ -95,6 +96,9 @@ class SimulatedLine:
         if event is not None:
             times.append(event)
         return min(times, default=None)
+
+    def _without_cable(self, count: int) -> bool:
+        return any(fault.fault == "unplugged" and fault.befalls(count) for fault in self._faults)
 
     def _carry_back(self, reply: bytes, now: float) -> None:
         for fault in self._faults:
