@@ -1,0 +1,1 @@
+"""Devices as recipes use them, whichever protocol they speak."""
