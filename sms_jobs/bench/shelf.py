@@ -29,7 +29,7 @@ class Shelf:
         """Run a kind on what is there, and keep what it yields."""
         datasets = {
             need.role: InMemory(need.subject, self.records[need.source, need.subject])
-            for need in kind.needs(self.campaign, subject)
+            for need in kind.all_needs(self.campaign, subject, parameters)
         }
         inputs = Inputs(subject, kind.context(self.campaign, subject), datasets, self.threads)
         for output in kind.run(inputs, parameters, lambda fraction, message="": None):

@@ -102,7 +102,13 @@ def _add_dependencies(
     session: Session, campaign: Campaign, kind: Kind[Any] | None, subject: Subject, provenance: Provenance
 ) -> None:
     # What an input was to be about, e.g. the state for which a calibration was valid, only the kind tells.
-    needs = {} if kind is None else {need.role: need.subject for need in kind.needs(campaign, subject)}
+    needs: dict[str, Subject] = {}
+    if kind is not None:
+        parameters = _parameters(kind, provenance.parameters)
+        known = kind.needs(campaign, subject)
+        if parameters is not None:
+            known = kind.all_needs(campaign, subject, parameters)
+        needs = {need.role: need.subject for need in known}
     for given in provenance.inputs:
         session.add(
             DependencyRow(

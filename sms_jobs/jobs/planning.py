@@ -111,7 +111,7 @@ def plan(
         name, subject = key
         found = inputs.setdefault(key, [])
         producers.setdefault(key, {})
-        for need in wanted[name][0].needs(campaign, subject):
+        for need in wanted[name][0].all_needs(campaign, subject, parameters[name]):
             producer, existing = _source(need, makers, campaign, find, f"{name} {subject}")
             if producer is not None:
                 if producer not in jobs:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from typing import Literal, Self, TypeAlias, cast
+from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
-from scipy import ndimage
 
+from sms_jobs.kinds.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.kind import (
     CALIBRATION,
     MEASUREMENT,
@@ -19,32 +17,30 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Progress,
     Scope,
     deformed_tuples,
+    tested_states,
 )
+from sms_jobs.kinds.textured_state import TexturedState, interior_of, matched_labels, read_state
 from sms_jobs.metrology.deformation import correlation, displacement
-from sms_jobs.metrology.deformation.correlation import MatchSettings, Noise, prepare_images
+from sms_jobs.metrology.deformation.correlation import MatchSettings, PreparedImages, prepare_images
 from sms_jobs.metrology.deformation.displacement import DenseDisplacement, ImagePoints, displacement_field
-from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, Method, match_grid
+from sms_jobs.metrology.deformation.incremental import Followed, follow, match_in_steps
+from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, match_nodes
+from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
 from sms_jobs.metrology.deformation.seeding import SearchSettings
 from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
-from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
-from sms_jobs.metrology.images.segmentation import ContinuousRegions, label_regions, pixel_footprint
-from sms_jobs.metrology.images.spline import Interpolant
+from sms_jobs.metrology.images.segmentation import ContinuousRegions
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import (
     DisplacementField,
     ImageMatches,
-    PhaseMaps,
-    PointCloud,
     Region,
     Regions,
 )
-from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.sensors import Calibration, Sensor, split_pair
+from sms_jobs.records.sensors import Calibration, split_pair
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -63,113 +59,6 @@ _PIXEL_REASONS = {
 }
 
 
-class CorrelateParameters(Parameters):
-    """How textures are matched and where."""
-
-    texture: Literal["white", "fringe-average"] = Field(
-        "fringe-average",
-        description="image that is matched: the white frame, or the mean of all fringe frames, in which the "
-        "fringes cancel and the camera's noise is lower by the square root of their number",
-    )
-    method: Method = Field(
-        "gauss-newton",
-        description="how a point is matched: by subsets that deform or, to compare with, by the peak of the "
-        "thesis's cross-correlation (fourier-newton), a shift that is pulled towards whole pixels by up to a "
-        "fifth of one and so asks for a maximum-sigma-px of about 0.3",
-    )
-    regions: Literal["measured", "none"] = Field(
-        "measured",
-        description="whether subsets end at the discontinuities of the measured shape, or, as in plain image "
-        "correlation, know none: then they hold whatever is in their square",
-    )
-    subset_radius_px: int = Field(
-        10, ge=3, le=100, description="a subset has (2 radius + 1)^2 pixels, less those of other regions"
-    )
-    shape_order: int = Field(
-        1,
-        ge=0,
-        le=2,
-        description="how a subset may deform: 0 shift, 1 affine, 2 quadratic, which follows curved fields "
-        "and is noisier",
-    )
-    interpolation: Interpolant = Field(
-        "quintic",
-        description="B-spline between the pixels: the quintic has several times less bias than the cubic, "
-        "and the local cubic, through 4 x 4 pixels alone, is there to compare with other programs",
-    )
-    spacing_px: int = Field(4, ge=1, le=100, description="distance of the matched points")
-    edge_spacing_px: int | None = Field(
-        None,
-        ge=1,
-        description="distance of the matched points within spacing-px of a region's edge; it must divide "
-        "spacing-px and be at least a quarter of it; as elsewhere when not given",
-    )
-    region_of_interest: str = Field(
-        "",
-        description="the part of the reference image that is matched, in camera px, all when empty: "
-        "'rectangle LEFT TOP RIGHT BOTTOM', 'polygon X Y X Y X Y ..', several in a row, '-' before what is "
-        "left out; 'sms data outline' makes it of a mask image",
-    )
-    minimum_score: float = Field(
-        0.8, gt=0.0, lt=1.0, description="least zero-normalised cross-correlation of a match"
-    )
-    maximum_sigma_px: float = Field(
-        0.05, gt=0.0, description="largest standard deviation of a match, from noise and from its residual"
-    )
-    minimum_subset_part: float = Field(
-        0.2, gt=0.0, le=1.0, description="least part of a subset that lies on its point's region"
-    )
-    search_range_x_px: int = Field(
-        40, ge=1, le=1000, description="largest displacement along the columns that seeds look for"
-    )
-    search_range_y_px: int = Field(
-        40, ge=1, le=1000, description="largest displacement along the rows that seeds look for"
-    )
-    edge_margin_px: int = Field(
-        1, ge=0, le=20, description="rim of a region that is not matched: it mixes with what lies behind"
-    )
-    averaging_radius_px: float = Field(
-        4.0,
-        ge=1.5,
-        le=50.0,
-        description="radius within which displacement is averaged over a region's pixels",
-    )
-    minimum_region_area_px: int = Field(
-        200, ge=1, description="smaller pieces of continuous surface are left out"
-    )
-
-    @field_validator("region_of_interest", mode="before")
-    @classmethod
-    def _outlines_can_be_read(cls, given: object) -> object:
-        """Join what commas have parted, and refuse what is no region."""
-        text = " ".join(map(str, given)) if isinstance(given, list | tuple) else given
-        if isinstance(text, str) and text:
-            parse_outlines(text)
-        return text
-
-    @model_validator(mode="after")
-    def _spacings_fit(self) -> Self:
-        if self.edge_spacing_px is not None and (
-            self.spacing_px % self.edge_spacing_px or self.spacing_px > 4 * self.edge_spacing_px
-        ):
-            raise ValueError(
-                f"edge_spacing_px = {self.edge_spacing_px} must divide spacing_px = {self.spacing_px} px and "
-                "be at least a quarter of it"
-            )
-        return self
-
-
-@dataclass(frozen=True)
-class _State:
-    """One state of the pair: texture, the texture's noise, shape, regions, and which pixels may be in one."""
-
-    texture: NDArray[np.floating]
-    noise: Noise
-    cloud: PointCloud
-    regions: ContinuousRegions
-    of_interest: NDArray[np.bool_]
-
-
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     reference = Subject(subject.campaign, campaign.reference.label, subject.pair)
     yield Need("calibration", CALIBRATION, subject)
@@ -177,6 +66,18 @@ def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     yield Need("measurement", MEASUREMENT, subject)
     yield Need("reference", "reconstruct", reference)
     yield Need("deformed", "reconstruct", subject)
+
+
+def _further_needs(campaign: Campaign, subject: Subject, parameters: CorrelateParameters) -> Iterable[Need]:
+    """Yield what the state before gives, unless that is the reference."""
+    labels = [state.label for state in tested_states(campaign)]
+    place = labels.index(subject.state) if subject.state in labels else 0
+    if parameters.reference == "first" or place < 2:
+        return
+    before = Subject(subject.campaign, labels[place - 1], subject.pair)
+    yield Need("previous_measurement", MEASUREMENT, before)
+    yield Need("previous_shape", "reconstruct", before)
+    yield Need("previous", "correlate", before)
 
 
 def _reference_label(campaign: Campaign, subject: Subject) -> str:
@@ -187,35 +88,17 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     """Match the textures region by region and look the displacement up in both states' shapes."""
     camera, _ = split_pair(inputs.subject.pair or "")
     sensor = inputs.read("calibration", "calibration", Calibration).rig.sensor(camera)
-    before = _state(inputs, "reference", "reference_measurement", sensor, parameters, of_interest=True)
-    after = _state(inputs, "deformed", "measurement", sensor, parameters, of_interest=False)
-    interior = _interior(before.regions.labels, parameters)
-    labels = _matched_labels(before, interior, parameters)
+    before = read_state(inputs, "reference", "reference_measurement", sensor, parameters, of_interest=True)
+    after = read_state(inputs, "deformed", "measurement", sensor, parameters, of_interest=False)
+    interior = interior_of(before.regions.labels, parameters)
+    labels = matched_labels(before, interior, parameters)
     progress(0.2, f"{len(before.regions.areas)} regions in the reference state")
-    grid = match_grid(
-        prepare_images(
-            before.texture,
-            after.texture,
-            labels,
-            (before.noise, after.noise),
-            parameters.interpolation,
-        ),
-        after.texture,
-        MatchSettings(
-            parameters.subset_radius_px,
-            parameters.minimum_subset_part,
-            shape_order=cast(ShapeOrder, parameters.shape_order),
-        ),
-        GridSettings(
-            parameters.spacing_px,
-            parameters.edge_spacing_px,
-            parameters.minimum_score,
-            parameters.maximum_sigma_px,
-            method=parameters.method,
-        ),
-        SearchSettings(parameters.search_range_x_px, parameters.search_range_y_px),
-        inputs.threads,
-    )
+    last = None
+    if "previous" in inputs.datasets:
+        last = read_state(
+            inputs, "previous_shape", "previous_measurement", sensor, parameters, of_interest=False
+        )
+    grid, steps = _match(inputs, before, last, after, labels, parameters)
     matched = grid.matches.ending == correlation.CONVERGED
     progress(0.7, f"matched {matched.sum()} of {len(grid.x)} points")
     found = displacement_field(
@@ -234,7 +117,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         threads=inputs.threads,
     )
     field = _displacement_record(found, before, inputs.context, parameters)
-    matches = _matches_record(grid, before.regions)
+    matches = _matches_record(grid, before.regions, steps)
     progress(1.0, "looked up the displacement")
     yield DatasetOutput(
         inputs.subject,
@@ -243,87 +126,70 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     )
 
 
-def _interior(labels: NDArray[np.int32], parameters: CorrelateParameters) -> NDArray[np.bool_]:
-    """Return which pixels have their region all round them, up to the edge margin, if there are regions."""
-    if parameters.regions == "none":
-        return np.asarray(labels > 0)
-    size = 2 * parameters.edge_margin_px + 1
-    same = ndimage.minimum_filter(labels, size) == ndimage.maximum_filter(labels, size)
-    return np.asarray(same & (labels > 0))
-
-
-def _matched_labels(
-    before: _State, interior: NDArray[np.bool_], parameters: CorrelateParameters
-) -> NDArray[np.int32]:
-    """Return which pixels are matched together: those of a region, or, without regions, all of interest."""
-    if parameters.regions == "none":
-        return before.of_interest.astype(np.int32)
-    return np.where(interior, before.regions.labels, 0).astype(np.int32)
-
-
-def _state(
+def _match(
     inputs: Inputs,
-    shape_role: str,
-    frames_role: str,
-    sensor: Sensor,
+    before: TexturedState,
+    last: TexturedState | None,
+    after: TexturedState,
+    labels: NDArray[np.int32],
     parameters: CorrelateParameters,
-    *,
-    of_interest: bool,
-) -> _State:
-    """Read one state, choose its texture and find its regions, all or those of interest."""
-    measurement = inputs.read(frames_role, "measurement", Measurement)
-    cloud = inputs.read(shape_role, "cloud", PointCloud)
-    if parameters.texture == "white":
-        texture: NDArray[np.floating] = measurement.texture.astype(np.float64)
-        noise = Noise(measurement.read_noise**2, measurement.gain)
-    else:
-        phase = inputs.read(shape_role, "phase", PhaseMaps)
-        texture = phase.mean_intensity
-        noise = average_noise(measurement, phase, cloud.reason == Reason.VALID)
-    chosen = np.ones(cloud.reason.shape, dtype=bool)
-    if of_interest and parameters.region_of_interest:
-        chosen = inside_outlines(parse_outlines(parameters.region_of_interest), cloud.reason.shape)
-    valid = (cloud.reason == Reason.VALID) & chosen
-    if parameters.regions == "none":
-        return _State(texture, noise, cloud, _one_region(valid), chosen)
-    regions = label_regions(
-        cloud.xyz,
-        valid,
-        np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64)),
-        pixel_footprint(cloud.xyz, sensor.intrinsics, sensor.pose),
-        minimum_area=parameters.minimum_region_area_px,
-        threads=inputs.threads,
+) -> tuple[GridMatches, NDArray[np.int32] | None]:
+    """Match the points of a grid, and count the steps where the reference is not always the first state."""
+    nodes = sample_nodes(labels, parameters.spacing_px, parameters.edge_spacing_px)
+    settings = MatchSettings(
+        parameters.subset_radius_px,
+        parameters.minimum_subset_part,
+        shape_order=cast(ShapeOrder, parameters.shape_order),
     )
-    return _State(texture, noise, cloud, regions, chosen)
+    grid = GridSettings(
+        parameters.spacing_px,
+        parameters.edge_spacing_px,
+        parameters.minimum_score,
+        parameters.maximum_sigma_px,
+        method=parameters.method,
+    )
+    search = SearchSettings(
+        parameters.search_range_x_px,
+        parameters.search_range_y_px,
+        range_rotation=parameters.search_range_rotation_rad,
+    )
+    how = (settings, grid, search, inputs.threads)
+
+    def prepared(state: TexturedState, regions: NDArray[np.int32]) -> PreparedImages:
+        noise = (state.noise, after.noise)
+        return prepare_images(state.texture, after.texture, regions, noise, parameters.interpolation)
+
+    if last is None:
+        found = match_nodes(prepared(before, labels), after.texture, nodes, *how)
+        if parameters.reference == "first":
+            return found, None
+        return found, (found.matches.ending == correlation.CONVERGED).astype(np.int32)
+    followed = _followed(inputs.read("previous", "matches", ImageMatches), nodes)
+    between = prepared(last, matched_labels(last, interior_of(last.regions.labels, parameters), parameters))
+    if parameters.reference == "auto":
+        direct = prepared(before, labels)
+        return match_in_steps(direct, between, after.texture, nodes, followed, *how)
+    matches, steps = follow(between, after.texture, nodes, followed, *how)
+    return GridMatches(nodes.x, nodes.y, matches), steps
 
 
-def _one_region(valid: NDArray[np.bool_]) -> ContinuousRegions:
-    """Return all that has a shape as a single region."""
-    if not valid.any():
-        return ContinuousRegions(np.zeros(valid.shape, np.int32), np.zeros(0, np.int64), np.zeros((0, 2)))
-    y, x = np.nonzero(valid)
-    centroid = np.array([[x.mean(), y.mean()]])
-    return ContinuousRegions(valid.astype(np.int32), np.array([valid.sum()]), centroid)
-
-
-def average_noise(measurement: Measurement, phase: PhaseMaps, valid: NDArray[np.bool_]) -> Noise:
-    """Return the noise of the mean over the fringe frames, whose grey levels are those at exposure 1.
-
-    Where pixels have exposures of their own it is right for the valid ones together: too much for the dark
-    ones and too little for a highlight, which has the short exposures.
-    """
-    frames = measurement.sequence.frames_per_exposure
-    read_variance, gain = measurement.read_noise**2 / frames, measurement.gain / frames
-    if phase.exposure is None or not valid.any():
-        return Noise(read_variance, gain)
-    scale = 1.0 / phase.exposure[valid].astype(np.float64)
-    level = phase.mean_intensity[valid]
-    slope = float(np.mean(scale * level) / np.mean(level, dtype=np.float64))
-    return Noise(read_variance * float(np.mean(scale**2)), gain * slope)
+def _followed(matches: ImageMatches, nodes: Nodes) -> Followed:
+    """Return where nodes had come to by the state before; a node that was not matched then is lost."""
+    place = {at: k for k, at in enumerate(zip(matches.x, matches.y, strict=True))}
+    row = np.array([place.get(at, -1) for at in zip(nodes.x, nodes.y, strict=True)], dtype=np.int64)
+    warp = np.stack([matches.u, *matches.gradient[:2], matches.v, *matches.gradient[2:]], axis=1)
+    sigma = np.stack([matches.sigma_u, matches.sigma_v], axis=1).astype(np.float64)
+    steps = (matches.reason == 0).astype(np.int32) if matches.steps is None else matches.steps
+    known = row >= 0
+    return Followed(
+        np.where(known[:, None], warp[row], np.nan) if len(warp) else np.full((len(row), 6), np.nan),
+        np.where(known[:, None], sigma[row], np.nan) if len(warp) else np.full((len(row), 2), np.nan),
+        np.where(known, steps[row], 0) if len(warp) else np.zeros(len(row), dtype=np.int32),
+    )
 
 
 def _displacement_record(
-    found: DenseDisplacement, before: _State, reference: str, parameters: CorrelateParameters
+    found: DenseDisplacement, before: TexturedState, reference: str, parameters: CorrelateParameters
 ) -> DisplacementField:
     reason = before.cloud.reason.copy()
     for status, why in _PIXEL_REASONS.items():
@@ -341,7 +207,9 @@ def _displacement_record(
     )
 
 
-def _matches_record(grid: GridMatches, regions: ContinuousRegions) -> ImageMatches:
+def _matches_record(
+    grid: GridMatches, regions: ContinuousRegions, steps: NDArray[np.int32] | None
+) -> ImageMatches:
     """Return the matches, NaN where there is a reason; the score is kept, since it may be that reason."""
     found = grid.matches
     reason = np.zeros(len(grid.x), dtype=np.uint32)
@@ -362,6 +230,7 @@ def _matches_record(grid: GridMatches, regions: ContinuousRegions) -> ImageMatch
         score=found.score.astype(np.float32),
         iterations=found.iterations,
         reason=reason,
+        steps=steps,
     )
 
 
@@ -373,7 +242,7 @@ def _regions_record(regions: ContinuousRegions) -> Regions:
     return Regions(described, regions.labels)
 
 
-def _statistics(field: DisplacementField, matches: ImageMatches, before: _State) -> dict[str, float]:
+def _statistics(field: DisplacementField, matches: ImageMatches, before: TexturedState) -> dict[str, float]:
     """Return what people search by; where nothing is valid, only the fractions."""
     valid = field.reason == Reason.VALID
     measured = before.cloud.reason == Reason.VALID
@@ -404,6 +273,7 @@ KIND = Kind(
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     needs=_needs,
+    further_needs=_further_needs,
     run=run,
     subjects=deformed_tuples,
     context=_reference_label,

@@ -149,6 +149,11 @@ def no_context(campaign: Campaign, subject: Subject) -> None:
     """Take nothing from the campaign's definition."""
 
 
+def no_more_needs(campaign: Campaign, subject: Subject, parameters: Any) -> Iterable[Need]:
+    """Need nothing that depends on the parameters."""
+    return ()
+
+
 def always(parameters: Parameters) -> bool:
     """Say that a job can be run again whatever its parameters."""
     return True
@@ -172,6 +177,8 @@ class Kind(Generic[P]):
         Which inputs a job about a subject has; with `subjects`, all that the planner knows of a kind.
     run
         Pure: yields outputs, takes everything from its arguments.
+    further_needs
+        Inputs that depend on the parameters, besides `needs`.
     subjects
         Overrides the subjects that follow from the scope, e.g. to leave out the reference state.
     context
@@ -192,12 +199,17 @@ class Kind(Generic[P]):
     parameters: type[P]
     needs: Callable[[Campaign, Subject], Iterable[Need]]
     run: Callable[[Inputs, P, Progress], Iterator[Output]]
+    further_needs: Callable[[Campaign, Subject, P], Iterable[Need]] = no_more_needs
     subjects: Callable[[Campaign], Iterable[Subject]] | None = None
     context: Callable[[Campaign, Subject], Any] = no_context
     repeatable: Callable[[P], bool] = always
     queue: Queue = Queue.CPU
     makes: str = ""
     in_pipeline: bool = True
+
+    def all_needs(self, campaign: Campaign, subject: Subject, parameters: P) -> tuple[Need, ...]:
+        """Return every input of a job about a subject, with those that its parameters ask for."""
+        return (*self.needs(campaign, subject), *self.further_needs(campaign, subject, parameters))
 
 
 def tested_states(campaign: Campaign) -> tuple[LoadState, ...]:

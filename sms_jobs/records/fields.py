@@ -128,6 +128,12 @@ class ImageMatches:
     score: Single = array("1", "zero-normalised cross-correlation, 1 for a perfect match", POINTS)
     iterations: NDArray[np.int32] = array("1", "Gauss-Newton iterations", POINTS)
     reason: Reasons = array("bit", "why a point has no value, 0 where it has one", POINTS)
+    steps: NDArray[np.int32] | None = array(
+        "1",
+        "correlations whose displacements add up to this one, 1 for the reference itself, 0 for none",
+        POINTS,
+        default=None,
+    )
 
 
 @dataclass(frozen=True)

@@ -130,3 +130,20 @@ def test_every_kind_is_found_by_its_file_and_documented() -> None:
         assert kind.version >= 1
         assert kind.summary
         assert (kind.parameters.__doc__ or "").strip()
+
+
+def test_parameters_may_ask_for_the_state_before() -> None:
+    """Correlating the last state with the one before needs the whole chain, one after the other."""
+    last, pair = CAMPAIGN.states[-1].label, CAMPAIGN.pairs[0]
+
+    def chain(reference: str) -> list[PlannedJob]:
+        request = Request("correlate", {"reference": reference}, (last,), (pair,))
+        return list(plan(CAMPAIGN, [request], everything_exists))
+
+    assert [job.subject.state for job in chain("first")] == [last]
+    jobs = chain("previous")
+    assert [job.subject.state for job in jobs] == [s.label for s in CAMPAIGN.states[1:]]
+    assert all(job.parameters.reference == "previous" for job in jobs)  # type: ignore[attr-defined]
+    for place, job in enumerate(jobs):
+        producers = [i.producer for i in job.inputs if i.need.source == "correlate"]
+        assert producers == ([place - 1] if place else [])

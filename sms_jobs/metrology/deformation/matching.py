@@ -26,7 +26,7 @@ from sms_jobs.metrology.deformation.correlation import (
 )
 from sms_jobs.metrology.deformation.fourier_newton import match_by_cross_correlation
 from sms_jobs.metrology.deformation.sampling import NEAREST, Nodes, choose_seeds, sample_nodes
-from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
+from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_warps
 from sms_jobs.metrology.deformation.shape_functions import WARP, carried
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -83,6 +83,13 @@ class GridSettings:
     method: Method = "gauss-newton"
 
 
+def is_sure(found: Matches, grid: GridSettings) -> NDArray[np.bool_]:
+    """Return which matches have converged with a score and standard deviations that are accepted."""
+    with np.errstate(invalid="ignore"):
+        sure = (found.score >= grid.minimum_score) & (found.sigma.max(axis=1) <= grid.maximum_sigma)
+    return np.asarray((found.ending == CONVERGED) & sure)
+
+
 def match_grid(
     images: PreparedImages,
     deformed: NDArray[np.generic],
@@ -129,9 +136,7 @@ def match_nodes(
 
     def attempt(points: Ints, guess: Floats) -> None:
         result = REFINEMENT[grid.method](images, x[points], y[points], guess, settings, threads)
-        with np.errstate(invalid="ignore"):
-            sure = (result.score >= grid.minimum_score) & (result.sigma.max(axis=1) <= grid.maximum_sigma)
-        good = (result.ending == CONVERGED) & sure
+        good = is_sure(result, grid)
         result.ending[(result.ending == CONVERGED) & ~good] = NOT_CONVERGED
         for mine, theirs in zip(vars(found).values(), vars(result).values(), strict=True):
             mine[points] = theirs
@@ -142,11 +147,7 @@ def match_nodes(
         attempts[points[lost]] = _ATTEMPTS + 1
 
     seeds = choose_seeds(images.labels, x, y, search)
-    u, v, score = seed_displacements(
-        images.reference, deformed, images.labels, x[seeds], y[seeds], search, threads
-    )
-    zero = np.zeros_like(u)
-    guess = np.stack([u, zero, zero, v, zero, zero], axis=1)
+    guess, score = seed_warps(images.reference, deformed, images.labels, x[seeds], y[seeds], search, threads)
     likely = score >= _SEED_SCORE
     fresh = seeds[likely]
     attempt(fresh, guess[likely])

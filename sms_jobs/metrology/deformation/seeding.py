@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, ndimage
 
 from sms_jobs.metrology.compilation import in_row_blocks
 
@@ -19,6 +19,8 @@ _NARROW = 48  # px: a range that is searched at once
 _COARSEST = 8  # px of the image in a pixel of the coarsest level
 _SURE = 0.5  # correlation from which on what was found from coarse to fine is taken
 _LEAST_PIXELS = 100  # of a template of a coarse level
+_TURN = np.pi / 12.0  # rad between the rotations that are tried: half of it blurs a small template little
+_SURE_SMALL = 0.65  # correlation from which on what a small template found is taken: chance alone has less
 
 
 @dataclass(frozen=True)
@@ -34,12 +36,15 @@ class SearchSettings:
         Half the side of the sub-images, in px.
     spacing
         Between seeds, in px; there is one for every region in every square of this side.
+    range_rotation
+        Largest rotation in the image that is looked for where no shift fits, in rad.
     """
 
     range_x: int = 40
     range_y: int = 40
     template_radius: int = 20
     spacing: int = 64
+    range_rotation: float = 0.0
 
 
 def masked_correlation(
@@ -226,3 +231,64 @@ def seed_displacements(
 
     in_row_blocks(work, len(x), threads, block=8)
     return u, v, score
+
+
+def _turned(image: Floats, regions: Floats, x: int, y: int, half: int, angle: float) -> tuple[Floats, Mask]:
+    """Return the sub-image about a pixel as it looks turned by an angle, and which of it counts."""
+    j, i = np.mgrid[-half : half + 1, -half : half + 1]
+    c, s = np.cos(angle), np.sin(angle)
+    place = np.stack([y - s * i + c * j, x + c * i + s * j])
+    template = ndimage.map_coordinates(image, place, order=1, mode="nearest")
+    label = ndimage.map_coordinates(regions, place, order=0, mode="constant", cval=-1.0)
+    return np.asarray(template), np.asarray(label == regions[y, x])
+
+
+def seed_warps(
+    reference: NDArray[np.generic],
+    deformed: NDArray[np.generic],
+    labels: NDArray[np.int32],
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    settings: SearchSettings,
+    threads: int = 1,
+) -> tuple[Floats, Floats]:
+    """Guess the warps of sub-images that may have turned; parameters as of `seed_displacements`.
+
+    Where no shift fits well, sub-images of half the size are tried, which bear more rotation and strain, as
+    they are and turned by multiples of 15 degrees within the range.
+
+    Returns
+    -------
+    warp
+        (n, 6): u, du/dx, du/dy, v, dv/dx, dv/dy; the slopes are those of the rotation.
+    score
+        (n,), correlation there; -1 where there is none.
+    """
+    u, v, score = seed_displacements(reference, deformed, labels, x, y, settings, threads)
+    warp = np.zeros((len(x), 6))
+    warp[:, 0], warp[:, 3] = u, v
+    first, second = (np.asarray(image, dtype=np.float64) for image in (reference, deformed))
+    regions = labels.astype(np.float64)
+    half = settings.template_radius // 2
+    most = int(settings.range_rotation / _TURN + 1e-9)
+    weak = np.flatnonzero(score < _SURE)
+
+    def work(start: int, stop: int) -> None:
+        for k in weak[start:stop]:
+            searched, measured = _patch(
+                second, int(y[k]), int(x[k]), half + settings.range_y, half + settings.range_x
+            )
+            best = max(float(score[k]), _SURE_SMALL)
+            for turn in sorted(range(-most, most + 1), key=abs):
+                template, inside = _turned(first, regions, int(x[k]), int(y[k]), half, turn * _TURN)
+                if np.count_nonzero(inside) < _LEAST_PIXELS:
+                    continue
+                lagged = masked_correlation(template, inside, searched, measured)
+                down, right = np.unravel_index(int(np.argmax(lagged)), lagged.shape)
+                if lagged[down, right] > best:
+                    best = score[k] = float(lagged[down, right])
+                    c, s = np.cos(turn * _TURN), np.sin(turn * _TURN)
+                    warp[k] = (right - settings.range_x, c - 1.0, -s, down - settings.range_y, s, c - 1.0)
+
+    in_row_blocks(work, len(weak), threads, block=8)
+    return warp, score

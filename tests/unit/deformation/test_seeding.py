@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sms_jobs.metrology.deformation.seeding import SearchSettings, masked_correlation, seed_displacements
+from sms_jobs.metrology.deformation.seeding import (
+    SearchSettings,
+    masked_correlation,
+    seed_displacements,
+    seed_warps,
+)
 
 
 def test_masked_correlation_is_the_slow_reference(rng: np.random.Generator) -> None:
@@ -89,3 +94,45 @@ def test_a_region_too_small_for_coarse_levels_is_searched_finely(rng: np.random.
     )
     assert (u[0], v[0]) == (110, -40)
     assert score[0] > 0.999
+
+
+@pytest.mark.parametrize("degrees", [-50.0, 11.0, 38.0])
+def test_a_rotation_is_found_where_it_is_looked_for(speckle, degrees: float) -> None:
+    size, middle = 96, 47.5
+    pattern, angle = speckle.random(31, size), np.radians(degrees)
+    c, s = np.cos(angle), np.sin(angle)
+
+    def source(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        i, j = x - middle, y - middle
+        return middle + c * i + s * j, middle - s * i + c * j
+
+    reference, deformed = pattern.image(size), pattern.image(size, source)
+    labels = np.ones((size, size), np.int32)
+    x, y = np.array([40, 60, 48]), np.array([40, 50, 62])
+    i, j = x - middle, y - middle
+    truth = np.stack([c * i - s * j - i, s * i + c * j - j], axis=1)
+    looking = SearchSettings(30, 30, range_rotation=0.9)
+    warp, score = seed_warps(reference, deformed, labels, x, y, looking)
+    # To a pixel, as shifts are, and to half of the 15 degrees between the rotations that are tried, unless a
+    # shift alone fits well enough.
+    assert np.abs(warp[:, [0, 3]] - truth).max() < 1.5
+    found = np.arctan2(warp[:, 4], 1.0 + warp[:, 1])
+    assert np.abs(found - angle).max() < np.radians(7.6 if abs(degrees) > 15.0 else 11.1)
+    assert (score > 0.5).all()
+    without, score = seed_warps(reference, deformed, labels, x, y, SearchSettings(30, 30))
+    if abs(degrees) < 15.0:
+        # A small template bears as much.
+        assert np.abs(without[:, [0, 3]] - truth).max() < 1.5
+    else:
+        assert (score < 0.65).all()
+
+
+def test_small_templates_are_for_what_has_no_good_match(rng: np.random.Generator) -> None:
+    image = ndimage.gaussian_filter(rng.normal(size=(96, 96)), 1.5)
+    labels = np.ones((96, 96), np.int32)
+    x, y = np.array([40, 50]), np.array([45, 55])
+    settings = SearchSettings(8, 8, range_rotation=0.6)
+    u, v, score = seed_displacements(image, np.roll(image, 3, axis=1), labels, x, y, settings)
+    warp, same = seed_warps(image, np.roll(image, 3, axis=1), labels, x, y, settings)
+    np.testing.assert_array_equal(same, score)
+    np.testing.assert_array_equal(warp, np.stack([u, 0 * u, 0 * u, v, 0 * u, 0 * u], axis=1))

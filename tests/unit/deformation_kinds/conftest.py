@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar, cast
 
 import pytest
@@ -11,7 +11,7 @@ from sms_jobs.kinds import correlate, merge, reconstruct, strain
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Need, Parameters
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import ArrayStack, Measurement
-from sms_jobs.records.scene import Simulation
+from sms_jobs.records.scene import Rigid, Simulation
 from sms_jobs.records.sensors import Calibration, split_pair
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.rendering import render
@@ -48,14 +48,16 @@ class Plate:
         self, kind: Kind[Any], subject: Subject, parameters: Parameters | None = None, threads: int = 1
     ) -> DatasetOutput:
         """Run a kind on what its needs name."""
-        datasets = {need.role: self.find(need) for need in kind.needs(self.campaign, subject)}
+        chosen = parameters or kind.parameters()
+        needs = kind.all_needs(self.campaign, subject, chosen)
+        datasets = {need.role: self.find(need) for need in needs}
         inputs = Inputs(subject, kind.context(self.campaign, subject), datasets, threads)
         done: list[float] = []
 
         def progress(fraction: float, message: str = "") -> None:
             done.append(fraction)
 
-        outputs = list(kind.run(inputs, parameters or kind.parameters(), progress))
+        outputs = list(kind.run(inputs, chosen, progress))
         assert done == sorted(done)
         assert done[-1] == 1.0
         assert len(outputs) == 1
@@ -99,6 +101,24 @@ def _record(campaign: Campaign, state: str, pair: str) -> Measurement:
         frames=ArrayStack(seen.frames.rows(0, seen.frames.shape[1])),
         simulation=simulation,
     )
+
+
+@pytest.fixture(scope="session")
+def turning_plate() -> Plate:
+    """Return the plate at rest, turned in its plane by 9 degrees and by 18, reconstructed."""
+    calibration, campaign = small_plate("turning")
+    rest, first = campaign.states[:2]
+    states = [rest]
+    for number in (1, 2):
+        turned = Rigid((0.0, 0.0, 0.157 * number), (0.4 * number, 0.0, 0.0))
+        states.append(replace(first, label=f"S{number:02d}", deformation=(turned,)))
+    found = Plate(calibration, replace(campaign, states=tuple(states), pairs=campaign.pairs[:1]))
+    for state in states:
+        subject = found.subject(state.label, found.campaign.pairs[0])
+        measurement = _record(found.campaign, state.label, found.campaign.pairs[0])
+        found.results[MEASUREMENT, subject] = {"measurement": measurement}
+        found.keep(reconstruct.KIND, subject)
+    return found
 
 
 @pytest.fixture(scope="session")

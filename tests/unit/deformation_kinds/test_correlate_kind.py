@@ -10,9 +10,10 @@ import pytest
 from scipy import ndimage
 
 from sms_jobs.kinds import correlate
-from sms_jobs.kinds.correlate import CorrelateParameters
+from sms_jobs.kinds.correlate_parameters import CorrelateParameters
 from sms_jobs.records.fields import DisplacementField, ImageMatches, PointCloud, Regions
 from sms_jobs.records.reasons import Reason
+from sms_jobs.virtual_rig.truth import exact_truth
 
 PAIR = "C1P1"
 
@@ -103,6 +104,39 @@ def test_without_regions_one_piece_is_matched_as_with_them(plate: Any) -> None:
     assert (field.reason[inner] == Reason.VALID).mean() > 0.95
     good = inner & (field.reason == Reason.VALID)
     assert np.sqrt(np.mean(length[good] ** 2)) < plate.calibration.volume.diagonal_mm / 10_000
+
+
+@pytest.mark.parametrize("reference", ["auto", "previous"])
+def test_a_plate_that_turns_is_followed(turning_plate: Any, reference: Any) -> None:
+    """Turned by 18 degrees, no subset is found by looking for shifts; by 9 all are."""
+    found = replace(turning_plate, results=dict(turning_plate.results))
+    chosen = CorrelateParameters(reference=reference, spacing_px=6)
+    first, second = (found.subject(label, PAIR) for label in ("S01", "S02"))
+    roles = {need.role for need in correlate.KIND.all_needs(found.campaign, second, chosen)}
+    assert {"previous", "previous_measurement", "previous_shape"} < roles
+    assert len(correlate.KIND.all_needs(found.campaign, first, chosen)) == len(roles) - 3
+    found.keep(correlate.KIND, first, chosen)
+    output = found.run(correlate.KIND, second, chosen)
+    field, matches = output.records["displacement"], output.records["matches"]
+    simulations = (
+        found.results["measurement", found.subject(s, PAIR)]["measurement"] for s in ("S00", "S02")
+    )
+    truth = exact_truth(*(m.simulation for m in simulations))
+    expected = truth.shape.seen & truth.shape.lit & truth.lit_and_seen_at_end
+    valid = (field.reason == Reason.VALID) & expected
+    assert valid.sum() > 0.85 * expected.sum()
+    length = np.linalg.norm(field.displacement - truth.displacement, axis=0)[valid]
+    # A fiftieth of a pixel, which is 1.4 mm here; the plate's ends go 23 mm.
+    assert np.sqrt(np.mean(length**2)) < 0.03
+    matched = matches.reason == Reason.VALID
+    assert (matches.steps[~matched] == 0).all()
+    assert (matches.steps[matched] == (1 if reference == "auto" else 2)).mean() > 0.9
+    alone = found.run(correlate.KIND, second, CorrelateParameters(spacing_px=6)).records["matches"]
+    assert (alone.reason == Reason.VALID).mean() < 0.2
+    assert alone.steps is None
+    looking = CorrelateParameters(spacing_px=6, search_range_rotation_rad=0.4)
+    turned = found.run(correlate.KIND, second, looking).records["matches"]
+    assert (turned.reason == Reason.VALID).mean() > 0.85
 
 
 def test_only_the_region_of_interest_is_matched(plate: Any) -> None:

@@ -1,0 +1,120 @@
+"""What can be chosen about matching textures."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from sms_jobs.kinds.kind import Parameters
+from sms_jobs.metrology.deformation.matching import Method
+from sms_jobs.metrology.images.region_of_interest import parse_outlines
+from sms_jobs.metrology.images.spline import Interpolant
+
+
+class CorrelateParameters(Parameters):
+    """How textures are matched and where."""
+
+    texture: Literal["white", "fringe-average"] = Field(
+        "fringe-average",
+        description="image that is matched: the white frame, or the mean of all fringe frames, in which the "
+        "fringes cancel and the camera's noise is lower by the square root of their number",
+    )
+    method: Method = Field(
+        "gauss-newton",
+        description="how a point is matched: by subsets that deform or, to compare with, by the peak of the "
+        "thesis's cross-correlation (fourier-newton), a shift that is pulled towards whole pixels by up to a "
+        "fifth of one and so asks for a maximum-sigma-px of about 0.3",
+    )
+    reference: Literal["first", "previous", "auto"] = Field(
+        "first",
+        description="what a state is matched with: the campaign's reference; the state before it, and "
+        "displacements are added up; or, for large deformation, the reference wherever that can be done, "
+        "from where the state before leads to, and elsewhere the state before",
+    )
+    regions: Literal["measured", "none"] = Field(
+        "measured",
+        description="whether subsets end at the discontinuities of the measured shape, or, as in plain image "
+        "correlation, know none: then they hold whatever is in their square",
+    )
+    subset_radius_px: int = Field(
+        10, ge=3, le=100, description="a subset has (2 radius + 1)^2 pixels, less those of other regions"
+    )
+    shape_order: int = Field(
+        1,
+        ge=0,
+        le=2,
+        description="how a subset may deform: 0 shift, 1 affine, 2 quadratic, which follows curved fields "
+        "and is noisier",
+    )
+    interpolation: Interpolant = Field(
+        "quintic",
+        description="B-spline between the pixels: the quintic has several times less bias than the cubic, "
+        "and the local cubic, through 4 x 4 pixels alone, is there to compare with other programs",
+    )
+    spacing_px: int = Field(4, ge=1, le=100, description="distance of the matched points")
+    edge_spacing_px: int | None = Field(
+        None,
+        ge=1,
+        description="distance of the matched points within spacing-px of a region's edge; it must divide "
+        "spacing-px and be at least a quarter of it; as elsewhere when not given",
+    )
+    region_of_interest: str = Field(
+        "",
+        description="the part of the reference image that is matched, in camera px, all when empty: "
+        "'rectangle LEFT TOP RIGHT BOTTOM', 'polygon X Y X Y X Y ..', several in a row, '-' before what is "
+        "left out; 'sms data outline' makes it of a mask image",
+    )
+    minimum_score: float = Field(
+        0.8, gt=0.0, lt=1.0, description="least zero-normalised cross-correlation of a match"
+    )
+    maximum_sigma_px: float = Field(
+        0.05, gt=0.0, description="largest standard deviation of a match, from noise and from its residual"
+    )
+    minimum_subset_part: float = Field(
+        0.2, gt=0.0, le=1.0, description="least part of a subset that lies on its point's region"
+    )
+    search_range_x_px: int = Field(
+        40, ge=1, le=1000, description="largest displacement along the columns that seeds look for"
+    )
+    search_range_y_px: int = Field(
+        40, ge=1, le=1000, description="largest displacement along the rows that seeds look for"
+    )
+    search_range_rotation_rad: float = Field(
+        0.0,
+        ge=0.0,
+        le=3.1416,
+        description="largest rotation in the image that seeds look for where no shift fits; 0.2 needs none",
+    )
+    edge_margin_px: int = Field(
+        1, ge=0, le=20, description="rim of a region that is not matched: it mixes with what lies behind"
+    )
+    averaging_radius_px: float = Field(
+        4.0,
+        ge=1.5,
+        le=50.0,
+        description="radius within which displacement is averaged over a region's pixels",
+    )
+    minimum_region_area_px: int = Field(
+        200, ge=1, description="smaller pieces of continuous surface are left out"
+    )
+
+    @field_validator("region_of_interest", mode="before")
+    @classmethod
+    def _outlines_can_be_read(cls, given: object) -> object:
+        """Join what commas have parted, and refuse what is no region."""
+        text = " ".join(map(str, given)) if isinstance(given, list | tuple) else given
+        if isinstance(text, str) and text:
+            parse_outlines(text)
+        return text
+
+    @model_validator(mode="after")
+    def _spacings_fit(self) -> Self:
+        if self.edge_spacing_px is not None and (
+            self.spacing_px % self.edge_spacing_px or self.spacing_px > 4 * self.edge_spacing_px
+        ):
+            raise ValueError(
+                f"edge_spacing_px = {self.edge_spacing_px} must divide spacing_px = {self.spacing_px} px and "
+                "be at least a quarter of it"
+            )
+        return self
