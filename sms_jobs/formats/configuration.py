@@ -11,7 +11,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from sms_jobs.errors import ConfigurationError, InvalidInput
 from sms_jobs.formats.campaign_tables import CampaignPlan, CampaignTable
 from sms_jobs.formats.interchange.text_files import read_text
 from sms_jobs.formats.interchange.xml_values import Places
@@ -48,11 +47,8 @@ def parse_campaign(text: str, source: str) -> CampaignPlan:
 
 def _plan(content: dict[str, Any], places: Places, text: str) -> CampaignPlan:
     """Return what the nested table of a file defines; `places` says where in its text the values stand."""
-    table = validated(CampaignTable, content, places, "`sms campaign create --example` prints a valid file")
-    try:
-        return replace(table.plan(), text=text)
-    except InvalidInput as error:
-        raise ConfigurationError(f"{places.source}: {error}") from error
+    hint = "`sms campaign create --example` prints a valid file"
+    return replace(validated(CampaignTable, content, places, hint, CampaignTable.plan), text=text)
 
 
 def example_campaign() -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -13,6 +14,7 @@ from sms_jobs.errors import ConfigurationError, InvalidInput
 from sms_jobs.formats.interchange.xml_values import Places
 
 T = TypeVar("T", bound=BaseModel)
+R = TypeVar("R")
 
 
 def read_toml(text: str, source: str) -> tuple[dict[str, Any], Places]:
@@ -27,14 +29,16 @@ def read_toml(text: str, source: str) -> tuple[dict[str, Any], Places]:
     return content, _toml_places(text, source)
 
 
-def validated(model: type[T], content: dict[str, Any], places: Places, hint: str) -> T:
-    """Return the table that a file's content describes.
+def validated(
+    model: type[T], content: dict[str, Any], places: Places, hint: str, record: Callable[[T], R]
+) -> R:
+    """Return the record that a file's content describes, through the table `model`.
 
     Raises `ConfigurationError`, one sentence that names the file, the line, the key and `hint`, the command
     that helps, where the content cannot be used.
     """
     try:
-        return model.model_validate(_tuples(content))
+        return record(model.model_validate(_tuples(content)))
     except ValidationError as error:
         first, *more = error.errors(include_url=False)
         rest = f" (and {len(more)} more)" if more else ""

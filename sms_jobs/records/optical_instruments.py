@@ -39,32 +39,17 @@ class CameraInstrument:
     name
         C1, C2, ...
     driver
-        "simulated" looks at the virtual rig, "opencv" is a webcam or whatever the operating system offers as
-        a video device, "genicam" an industrial camera through its maker's transport layer.
-    device
-        Number of the video device; serial number of an industrial camera; unused in a simulation.
+        "simulated" looks at the virtual rig.
     columns, rows
         Of its image, in pixels.
-    bits
-        8, 10, 12 or 16 a pixel.
-    exposure_ms
-        The camera's own exposure, to which those of a sequence are relative.
-    gain, read_noise
-        Noise model in grey levels, variance = read_noise^2 + gain * level; see `sms job submit diagnose`.
-    transport_layer
-        Of "genicam": the maker's .cti file.
+    faults
+        What a simulated one is to do wrong.
     """
 
     name: str
-    driver: Literal["simulated", "opencv", "genicam"]
+    driver: Literal["simulated"]
     columns: int
     rows: int
-    bits: Literal[8, 10, 12, 16] = 12
-    device: str = ""
-    exposure_ms: float = 16.0
-    gain: float = 0.15
-    read_noise: float = 1.5
-    transport_layer: str = ""
     faults: tuple[OpticalFault, ...] = ()
 
 
@@ -77,24 +62,17 @@ class ProjectorInstrument:
     name
         P1, P2, ...
     driver
-        "simulated" lights the virtual rig, "window" is a full-screen window on a display.
+        "simulated" lights the virtual rig.
     columns, rows
         Of its image, in pixels.
-    display
-        Name of the display, such as ":0.1"; empty for the default one.
-    left, top
-        Where the projector's picture begins on that display, in pixels.
     settle_ms
         Between handing over a picture and light: the display's and the projector's delay.
     """
 
     name: str
-    driver: Literal["simulated", "window"]
+    driver: Literal["simulated"]
     columns: int
     rows: int
-    display: str = ""
-    left: int = 0
-    top: int = 0
     settle_ms: float = 50.0
 
 
