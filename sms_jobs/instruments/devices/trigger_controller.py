@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import InvalidInput, LinkLost
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.devices.device import Description, Status, at_once
 from sms_jobs.instruments.drivers.line_device import LineDevice
 from sms_jobs.instruments.operation_log import OperationLog
 from sms_jobs.records.instruments import TriggerController, VideoSplitter
 from sms_jobs.records.operations import Reading
+
+_SILENT_TRIGGERS = 3
+_logger = logging.getLogger(__name__)
 
 
 class TriggerBox:
@@ -24,6 +28,7 @@ class TriggerBox:
         self._clock = clock
         self._log = log or OperationLog(clock)
         self._selected: tuple[int, ...] = ()
+        self._unconfirmed = 0
 
     @property
     def name(self) -> str:
@@ -81,8 +86,9 @@ class TriggerBox:
     def trigger(self) -> Status:
         """Trigger the outputs that are selected, or all that are wired.
 
-        A request that is repeated because its reply was lost may trigger twice: cameras number their frames,
-        and who reads them finds one too many.
+        A trigger is never repeated, since a camera would expose twice. Where its reply is lost, the frames
+        say whether it came: a camera that was not triggered delivers none. Only a box that falls silent for
+        several triggers in a row raises `LinkLost`.
         """
         every = tuple(sorted({wire.output for wire in self._settings.wiring}))
         outputs = self._selected or every
@@ -92,9 +98,22 @@ class TriggerBox:
                 # A request that names no output triggers whatever is selected, once.
                 requests = [self._settings.trigger.format(output=output) for output in outputs]
                 for request in dict.fromkeys(requests):
-                    self._line.request(request)
+                    self._send_once(request)
 
         return at_once(f"'{self.name}' to trigger", fire, self._clock)
+
+    def _send_once(self, request: str) -> None:
+        try:
+            self._line.request(request, retries=0)
+        except LinkLost:
+            self._unconfirmed += 1
+            if self._unconfirmed >= _SILENT_TRIGGERS:
+                raise
+            _logger.warning(
+                "'%s' did not confirm %r: the frames will tell whether it fired", self.name, request
+            )
+        else:
+            self._unconfirmed = 0
 
     def fire(self, cameras: Iterable[str]) -> None:
         """Expose cameras together, by their names."""

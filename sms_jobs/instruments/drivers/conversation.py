@@ -83,7 +83,7 @@ class Conversation(Generic[Frame]):
                     if attempt:
                         self._hush()
                     return answer
-            raise self._lost(what, attempt + 1, heard)
+            raise self._lost(what, attempt + 1, heard + self._hush())
 
     def tell(self, request: bytes) -> None:
         """Send what nobody answers, and leave the devices the time to hear it before the next request."""

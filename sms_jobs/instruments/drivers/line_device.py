@@ -24,8 +24,8 @@ class LineDevice:
         self._protocol = protocol
         self._conversation = Conversation(device, transport, clock, LineDecoder.of_replies(protocol), link)
 
-    def request(self, text: str) -> str:
-        """Send a line and return the reply.
+    def request(self, text: str, *, retries: int | None = None) -> str:
+        """Send a line and return the reply; send it again as often as the rig file or `retries` allows.
 
         Raises
         ------
@@ -38,6 +38,7 @@ class LineDevice:
             encode_line(self._protocol, text),
             lambda line: interpret(self._protocol, line) is not None,
             repr(text),
+            retries=retries,
         )
         answer = interpret(self._protocol, reply)
         if answer is not None and answer.error is not None:
