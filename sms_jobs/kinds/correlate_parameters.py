@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from sms_jobs.kinds.kind import Parameters
 from sms_jobs.metrology.deformation.matching import Method
 from sms_jobs.metrology.images.region_of_interest import parse_outlines
+from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX
 from sms_jobs.metrology.images.spline import Interpolant
 
 
@@ -19,6 +20,13 @@ class CorrelateParameters(Parameters):
         "fringe-average",
         description="image that is matched: the white frame, or the mean of all fringe frames, in which the "
         "fringes cancel and the camera's noise is lower by the square root of their number",
+    )
+    smoothing_px: float = Field(
+        0.6,
+        ge=0.0,
+        le=LARGEST_SMOOTHING_PX,
+        description="standard deviation of the filter that both textures pass before they are matched: it "
+        "takes out what is too fine for the pixels, which does not move as the specimen does; 0 for none",
     )
     method: Method = Field(
         "gauss-newton",

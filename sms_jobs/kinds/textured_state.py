@@ -13,6 +13,7 @@ from sms_jobs.kinds.kind import Inputs
 from sms_jobs.metrology.deformation.correlation import Noise
 from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
 from sms_jobs.metrology.images.segmentation import ContinuousRegions, label_regions, pixel_footprint
+from sms_jobs.metrology.images.smoothing import noise_after_smoothing, smooth
 from sms_jobs.records.fields import PhaseMaps, PointCloud
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
@@ -71,8 +72,11 @@ def read_state(
     if of_interest and parameters.region_of_interest:
         chosen = inside_outlines(parse_outlines(parameters.region_of_interest), cloud.reason.shape)
     valid = (cloud.reason == Reason.VALID) & chosen
+    smoothed = smooth(texture, parameters.smoothing_px)
+    factor = noise_after_smoothing(smoothed, valid, parameters.smoothing_px)
+    noise = Noise(noise.floor * factor, noise.slope * factor)
     if parameters.regions == "none":
-        return TexturedState(texture, noise, cloud, _one_region(valid), chosen)
+        return TexturedState(smoothed, noise, cloud, _one_region(valid), chosen)
     regions = label_regions(
         cloud.xyz,
         valid,
@@ -81,7 +85,7 @@ def read_state(
         minimum_area=parameters.minimum_region_area_px,
         threads=inputs.threads,
     )
-    return TexturedState(texture, noise, cloud, regions, chosen)
+    return TexturedState(smoothed, noise, cloud, regions, chosen)
 
 
 def _one_region(valid: NDArray[np.bool_]) -> ContinuousRegions:
