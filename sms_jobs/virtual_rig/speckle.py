@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.records.scene import Speckle
+from sms_jobs.virtual_rig.ink import edge_share
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -58,23 +59,27 @@ def speckle_of_cell(pattern: Floats, i: int, j: int) -> tuple[float, float, floa
 def reflectance(pattern: Floats, a: float, b: float, footprint: float) -> float:
     """Return the diffuse reflectance at (a, b), averaged over about `footprint` mm.
 
-    The share of a small square footprint that a speckle covers falls linearly from 1 to 0 while the
-    speckle's edge crosses it; exact for an edge that is straight and along the square.
+    The share of the square footprint that a speckle covers is exact for a straight edge of any direction,
+    with the mean distance that a curved edge is further off. Anything coarser shows: sub-samples that
+    depend on where their square lies shift the image by thousandths of a pixel, a different one each state.
     """
     side = pattern[0]
     if side == 0.0:
         return float(pattern[2])
     open_ground = 1.0
     i0, j0 = floor(a / side), floor(b / side)
-    reach = 0.5 * (1.0 + SPREAD) / CELL_DIAMETERS * side + 0.5 * footprint
+    half = sqrt(0.5) * footprint  # from the footprint's middle to its corners
+    reach = 0.5 * (1.0 + SPREAD) / CELL_DIAMETERS * side + half
     ring = ceil(reach / side)
     for j in range(j0 - ring, j0 + ring + 1):
         for i in range(i0 - ring, i0 + ring + 1):
             x, y, radius = speckle_of_cell(pattern, i, j)
             squared = (a - x) * (a - x) + (b - y) * (b - y)
-            outer = radius + 0.5 * footprint
-            if squared < outer * outer:
-                covered = min((outer - sqrt(squared)) / footprint, 1.0)
+            if squared < (radius + half) * (radius + half):
+                distance = max(sqrt(squared), 1e-9 * side)
+                bulge = footprint * footprint / (24.0 * max(distance, 0.5 * footprint))
+                beyond = (distance + bulge - radius) / footprint
+                covered = edge_share(beyond, abs(a - x) / distance, abs(b - y) / distance)
                 # A footprint wider than the speckle is never covered by more than the speckle's area.
                 covered = min(covered, pi * radius * radius / (footprint * footprint))
                 open_ground *= 1.0 - covered

@@ -166,11 +166,13 @@ def test_speckle_is_averaged_over_its_footprint() -> None:
     for a, b in rng.uniform(-100.0, 100.0, (200, 2)):
         brute = np.mean([[reflectance(pattern, a + x, b + y, 1e-9) for x in offsets] for y in offsets])
         errors.append(reflectance(pattern, a, b, footprint) - brute)
-    # A straight edge across a square at 45 degrees differs from the linear fall by at most 0.09; only
-    # the tenth of the points on an edge differ at all.
-    assert np.abs(errors).max() < 0.12
-    assert np.sqrt(np.mean(np.square(errors))) < 0.02
-    assert abs(np.mean(errors)) < 0.005
+    # Where two speckles meet in one footprint their shares are taken as independent, which is wrong by a
+    # quarter at most and rare. Elsewhere the brute-force mean is no better than 1 / 80: half of a sample
+    # line; the former linear fall was off by up to 0.09 there.
+    assert np.abs(errors).max() < 0.25
+    assert np.quantile(np.abs(errors), 0.98) < 0.0125
+    assert np.sqrt(np.mean(np.square(errors))) < 0.006
+    assert abs(np.mean(errors)) < 0.001
 
 
 def test_defocus_and_gamma_change_the_fringes_as_the_pattern_says() -> None:
