@@ -48,7 +48,7 @@ class SimulatedLineDevice:
             replies.append(encode_reply(self._protocol, self._accepts if accepted else self._refuses))
         return replies
 
-    def speak(self, now: float) -> list[bytes]:
+    def speak(self, now: float) -> list[tuple[float, bytes]]:
         """Return nothing: the device speaks when it is asked."""
         return []
 
@@ -111,12 +111,12 @@ class SimulatedScalar:
             self._told(now) for line in self._decoder.feed(data) if self._channel.request and line == wanted
         ]
 
-    def speak(self, now: float) -> list[bytes]:
+    def speak(self, now: float) -> list[tuple[float, bytes]]:
         """Return values that it tells by itself, when it is not one that is asked."""
         if self._next is None or now < self._next:
             return []
-        self._next = now + _SPEAKS_EVERY_S
-        return [self._told(now)]
+        told_at, self._next = self._next, now + _SPEAKS_EVERY_S
+        return [(told_at, self._told(now))]
 
     def next_event(self) -> float | None:
         """Return when it tells its next value by itself."""

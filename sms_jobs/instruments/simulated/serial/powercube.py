@@ -185,7 +185,7 @@ class SimulatedPowerCubes:
                 replies.append(m5.encode(reply, self._checksum))
         return replies
 
-    def speak(self, now: float) -> list[bytes]:
+    def speak(self, now: float) -> list[tuple[float, bytes]]:
         """Return nothing: PowerCubes speak when they are asked."""
         return []
 

@@ -37,7 +37,7 @@ class SimulatedPtu46:
         """Take bytes and return the replies."""
         return [f"{self._answer(text, now)}\n".encode("ascii") for text in self._decoder.feed(data) if text]
 
-    def speak(self, now: float) -> list[bytes]:
+    def speak(self, now: float) -> list[tuple[float, bytes]]:
         """Return nothing: the unit speaks when it is asked."""
         return []
 

@@ -111,10 +111,14 @@ class SimulatedMotionModules:
             if frame.group == Group.TO_MODULE and frame.module in self._modules
         ]
 
-    def speak(self, now: float) -> list[bytes]:
-        """Return what modules tell unasked."""
-        told = [module.tell(now) for module in self._modules.values()]
-        return [protocol.encode(frame) for frame in told if frame is not None]
+    def speak(self, now: float) -> list[tuple[float, bytes]]:
+        """Return what modules tell unasked, with the times."""
+        told = []
+        for module in self._modules.values():
+            told_at, frame = module.tells_at, module.tell(now)
+            if frame is not None and told_at is not None:
+                told.append((told_at, protocol.encode(frame)))
+        return told
 
     def next_event(self) -> float | None:
         """Return when a module will have arrived."""

@@ -1,0 +1,218 @@
+"""Drivers and simulators against exchanges written by hand, and what states mean."""
+
+from __future__ import annotations
+
+from math import radians
+
+import pytest
+
+from sms_jobs.errors import DeviceFault, LimitExceeded, LinkLost
+from sms_jobs.instruments.clock import SimulatedClock
+from sms_jobs.instruments.codecs.powercube import State
+from sms_jobs.instruments.codecs.schunk_motion import Command
+from sms_jobs.instruments.drivers.powercube import PowerCubes, explain
+from sms_jobs.instruments.drivers.schunk_motion import SchunkMotion
+from sms_jobs.instruments.simulated.serial.axis import SimulatedAxis
+from sms_jobs.instruments.simulated.serial.line import SimulatedLine
+from sms_jobs.instruments.simulated.serial.powercube import SimulatedPowerCubes
+from sms_jobs.instruments.simulated.serial.schunk_motion import SimulatedMotionModules
+from sms_jobs.instruments.transports.memory import MemoryWire
+from sms_jobs.instruments.transports.serial_port import SerialPort
+from sms_jobs.records.serial_links import Fault, SerialLink
+
+LINK = SerialLink("simulated", 38400, reply_timeout_s=0.06, retries=2)
+
+
+def axes(*faults: Fault) -> dict[int, SimulatedAxis]:
+    return {
+        address: SimulatedAxis(-2.0, 2.0, 1.0, 2.0, faults=[f for f in faults if f.axis == name])
+        for address, name in ((11, "pan"), (12, "tilt"))
+    }
+
+
+def cubes(*faults: Fault) -> tuple[PowerCubes, SimulatedClock]:
+    clock = SimulatedClock()
+    line = SimulatedLine(SimulatedPowerCubes(axes(*faults)), LINK.baud_rate, faults)
+    return PowerCubes("stage", MemoryWire(line, clock), clock, LINK), clock
+
+
+def test_a_simulated_module_answers_as_a_real_one() -> None:
+    device = SimulatedPowerCubes(axes())
+    # Home of module 11: a plain acknowledgement repeats the command and says 64 (hexadecimal), with the reply
+    # bit in the header: 08 + 1, 62 for two bytes, and 09 + 62 + 01 + 64 = d0.
+    assert [r.hex(" ") for r in device.receive(bytes.fromhex("02 05 61 01 67 03"), 0.0)] == [
+        "02 09 62 01 64 d0 03"
+    ]
+    # Position of module 12, 0 rad at power-on is 0.2 rad rounded to the encoder's 1/672 degree.
+    [reply] = device.receive(bytes.fromhex("02 05 82 0a 3c cd 03"), 0.0)
+    assert reply[:4].hex(" ") == "02 09 86 0a"
+    # Halt all, nobody answers.
+    assert device.receive(bytes.fromhex("02 04 01 10 82 07 03"), 0.0) == []
+
+
+def test_scanning_finds_the_modules_that_are_there() -> None:
+    modules, _ = cubes()
+    found = modules.scan()
+    assert [facts.module for facts in found] == [11, 12]
+    assert str(found[0]) == "PowerCube 11: serial number 21011, firmware 2512"
+
+
+def test_homing_moving_and_waiting() -> None:
+    modules, clock = cubes()
+    with pytest.raises(DeviceFault, match="it was not homed: home it first"):
+        modules.move_ramp(11, 0.5)
+    modules.home_all()
+    modules.wait_for_home([11, 12], timeout_s=10.0)
+    modules.set_profile(11, 0.5, 1.0)
+    began = clock.monotonic()
+    modules.move_ramp(11, 1.0)
+    modules.move_step(12, -0.5, 1.5)
+    assert State.MOTION in modules.state(11)
+    modules.wait_for_motion([11, 12], timeout_s=10.0)
+    # A distance d at velocity v and acceleration a takes d / v + v / a = 2.5 s; polling adds 0.05 s.
+    assert clock.monotonic() - began == pytest.approx(2.5, abs=0.2)
+    assert modules.position(11) == pytest.approx(1.0, abs=radians(0.04))
+    assert modules.position(12) == pytest.approx(-0.5, abs=radians(0.04))
+
+
+def test_modules_wait_for_the_common_start() -> None:
+    modules, clock = cubes()
+    modules.home_all()
+    modules.wait_for_home([11, 12], timeout_s=10.0)
+    for module in (11, 12):
+        modules.synchronise(module, wait_for_start=True)
+        modules.move_ramp(module, 0.5)
+    clock.sleep(1.0)
+    assert not any(State.MOTION in modules.state(module) for module in (11, 12))
+    modules.start_all()
+    assert all(State.MOTION in modules.state(module) for module in (11, 12))
+
+
+def test_limits_are_read_set_and_kept() -> None:
+    modules, _ = cubes()
+    modules.home_all()
+    modules.wait_for_home([11, 12], timeout_s=10.0)
+    modules.set_limits(11, -0.5, 0.75)
+    limits = modules.limits(11)
+    assert (limits.minimum_rad, limits.maximum_rad) == (-0.5, 0.75)  # exact in float32
+    with pytest.raises(LimitExceeded, match=r"module 11 .* 1\.0000 rad: it stands beyond its soft limit"):
+        modules.move_ramp(11, 1.0)
+    modules.reset(11)
+    modules.move_ramp(11, 0.7)
+
+
+def test_an_error_stops_all_and_a_reset_clears_it() -> None:
+    modules, _ = cubes(Fault("tow-error", at=1))
+    modules.home_all()
+    modules.wait_for_home([11, 12], timeout_s=10.0)
+    modules.move_ramp(11, 1.0)
+    modules.move_ramp(12, 1.5)
+    with pytest.raises(DeviceFault, match="module 11 of 'stage' stopped: its tow limit was exceeded"):
+        modules.wait_for_motion([11, 12], timeout_s=10.0)
+    assert State.HALTED in modules.state(12)
+    modules.reset_all()
+    assert not explain(modules.state(11))
+    modules.move_ramp(11, 1.0)
+    modules.wait_for_motion([11], timeout_s=10.0)
+
+
+def test_a_home_that_is_not_found_ends_after_its_time() -> None:
+    modules, _ = cubes(Fault("never-homed", axis="tilt"))
+    modules.home_all()
+    with pytest.raises(DeviceFault, match="module 12 of 'stage' has not found its home position after 5 s"):
+        modules.wait_for_home([11, 12], timeout_s=5.0)
+
+
+def test_every_error_bit_has_a_sentence() -> None:
+    harmless = (
+        State.HOME_OK | State.REFERENCE_SWITCH | State.LIMIT_SWITCH_1 | State.LIMIT_SWITCH_2 | State.BRAKE
+        | State.CURRENT_LIMIT | State.MOTION | State.RAMP_ACCELERATE | State.RAMP_STEADY
+        | State.RAMP_DECELERATE | State.RAMP_END | State.STEP_IN_PROGRESS | State.BUFFER_FULL
+    )  # fmt: skip
+    assert explain(harmless) == ""
+    for bit in State:
+        assert bool(explain(bit)) == (bit not in harmless)
+    assert explain(State.ERROR | State.HALTED | State.TOW_ERROR) == explain(State.TOW_ERROR)
+
+
+def test_a_reply_that_comes_too_late_does_not_answer_the_next_question() -> None:
+    # The first reply comes 0.08 s late, when the question has been asked again: both answer alike. Then
+    # another question is asked, while the second answer to the first is still under way.
+    modules, _ = cubes(Fault("late-reply", at=1, amount=0.08))
+    assert modules.position(11) == pytest.approx(0.2, abs=1e-3)
+    assert State.HOME_OK not in modules.state(11)
+    assert modules.facts(12).serial_number == 21012
+
+
+def test_who_does_not_answer_is_named_with_what_was_heard() -> None:
+    modules, _ = cubes()
+    with pytest.raises(
+        LinkLost, match=r"'stage' on simulated .* 3 times .* position \(module 5\); nothing came"
+    ):
+        modules.position(5)
+    modules, _ = cubes(Fault("wrong-checksum", times=0))
+    with pytest.raises(LinkLost, match=r"bytes came, none of them an answer: check the baud rate \(38400\)"):
+        modules.position(11)
+
+
+def motion(*faults: Fault) -> tuple[SchunkMotion, SimulatedClock]:
+    clock = SimulatedClock()
+    device = SimulatedMotionModules(axes(*faults), radians(1.0))
+    line = SimulatedLine(device, LINK.baud_rate, faults)
+    return SchunkMotion("stage", MemoryWire(line, clock), clock, LINK), clock
+
+
+def test_modules_tell_unasked_that_they_have_arrived() -> None:
+    modules, clock = motion()
+    with pytest.raises(DeviceFault, match=r"refuses a move to 30 .* error 05"):
+        modules.move(11, 30.0)
+    modules.reference(11)
+    clock.sleep(5.0)
+    modules.events()
+    seconds = modules.move(11, 30.0)
+    # 30 degrees at 1 rad/s and 2 rad/s^2.
+    assert seconds == pytest.approx(radians(30.0) + 0.5, abs=1e-3)
+    clock.sleep(seconds + 0.1)
+    [event] = modules.events()
+    assert event.command == Command.REACHED
+    assert event.module == 11
+    assert event.value == pytest.approx(30.0, abs=0.04)
+    assert modules.state(11).position == pytest.approx(30.0, abs=0.04)
+
+
+def test_what_is_said_while_something_is_asked_is_not_lost() -> None:
+    modules, clock = motion()
+    modules.reference(11)
+    clock.sleep(5.0)
+    seconds = modules.move(11, 10.0)
+    clock.sleep(seconds - 0.001)
+    modules.state(12)  # module 11 arrives in the middle of the answer of module 12
+    modules.state(12)
+    assert [event.command for event in modules.events()] == [Command.REACHED]
+
+
+def test_a_module_that_is_blocked_tells_and_wants_to_be_acknowledged() -> None:
+    modules, clock = motion(Fault("tow-error", at=1))
+    modules.reference(11)
+    clock.sleep(5.0)
+    modules.move(11, 40.0)
+    clock.sleep(5.0)
+    assert [event.command for event in modules.events()] == [Command.BLOCKED]
+    assert modules.state(11).error
+    with pytest.raises(DeviceFault, match="acknowledge it"):
+        modules.move(11, 40.0)
+    modules.acknowledge(11)
+    modules.move(11, 40.0)
+
+
+def test_a_frame_of_another_module_answers_nothing() -> None:
+    device = SimulatedMotionModules(axes(), radians(1.0))
+    [reply] = device.receive(bytes.fromhex("05 0b 06 95 00 00 00 00 07") + b"\x00\x00", 0.0) or [b""]
+    assert reply == b""  # the checksum was wrong: a module is silent
+
+
+def test_a_port_that_is_not_there_is_named() -> None:
+    with pytest.raises(
+        LinkLost, match=r"port /nowhere/tty of 'stage' cannot be opened \(.*\): check that the cable"
+    ):
+        SerialPort("stage", SerialLink("/nowhere/tty"))
