@@ -45,6 +45,8 @@ class Settings(BaseSettings):
         How many times a job may bring its worker down before it is quarantined.
     job_time_limit_s, job_memory_limit_mb
         What one job may take before it is stopped and fails; 0 for no limit.
+    least_room_mb
+        No job is begun with less room than this (in MB of a million bytes) on the archive's disk.
     stop_grace_s
         How long a job that is asked to stop may take to reach a checkpoint before it is ended by a signal;
         after twice this it is killed.
@@ -62,6 +64,7 @@ class Settings(BaseSettings):
     crash_budget: int = Field(default=3, ge=1, le=100)
     job_time_limit_s: float = Field(default=0.0, ge=0.0)
     job_memory_limit_mb: float = Field(default=0.0, ge=0.0)
+    least_room_mb: float = Field(default=256.0, ge=0.0)
     stop_grace_s: float = Field(default=15.0, ge=0.1, le=3600.0)
 
     @classmethod

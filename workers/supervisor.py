@@ -146,7 +146,7 @@ class Supervisor:
             if not any(queue.for_room for queue in queues.queues(session)):
                 return
         try:
-            require_room(self._services.archive.root)
+            require_room(self._services.archive.root, self._settings.least_room_mb)
         except StorageFull:
             return
         with self._services.catalogue.writing() as session:

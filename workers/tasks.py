@@ -21,7 +21,6 @@ from celery.signals import worker_init, worker_process_init
 from sms_jobs import settings as settings_file
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.errors import SmsError
 from sms_jobs.jobs.runner import Runner
 from sms_jobs.workers.celery_app import QUEUES, RUN, WORKER_ID, WORKER_QUEUES, make_app
 
@@ -42,6 +41,7 @@ def _runner() -> Runner:
         threads=_settings.threads,
         log_folder=_settings.log_folder,
         now=lambda: datetime.now(UTC),
+        least_room_mb=_settings.least_room_mb,
     )
 
 
@@ -51,10 +51,10 @@ def run(job_id: str) -> None:
     try:
         while _runner().run_next(_queues) is not None:
             pass
-    except SmsError:
-        # The catalogue could not be told how a job ended. A process that lives on would keep the job's
-        # lease for ever; one that is gone tells the supervisor to run the job again.
-        logging.getLogger(__name__).exception("process %d ends: the catalogue is away", os.getpid())
+    except BaseException:
+        # The catalogue could not be told how a job ended, or whether it began. A process that lives on would
+        # keep the job's lease for ever; one that is gone tells the supervisor to run the job again.
+        logging.getLogger(__name__).exception("process %d ends: its job may not have", os.getpid())
         os._exit(1)
 
 

@@ -207,6 +207,20 @@ def ready(job_ids: Collection[str] | None = None) -> Any:
     return query if job_ids is None else query.where(JobRow.id.in_(job_ids))
 
 
+def tries(session: Session, job_id: str) -> int:
+    """Return how often a job has begun since it was last given a chance, without its vanished workers.
+
+    Those are counted by themselves, against the crash budget.
+    """
+    told = select(EventRow.state).where(EventRow.job_id == job_id).order_by(EventRow.id.desc())
+    count = 0
+    for state in session.scalars(told):
+        if state in UNSUCCESSFUL:
+            break
+        count += (state is JobState.RUNNING) - (state is JobState.LOST)
+    return count
+
+
 def cancel(session: Session, job_id: str, now: datetime) -> bool:
     """Cancel a job that does not run, or ask a running one to stop; False when it has ended already."""
     if ask_to_stop(session, job_id, JobState.CANCELLED, now, "cancelled by an operator"):

@@ -36,12 +36,12 @@ class QueueView:
 def pause(session: Session, name: str, reason: str, now: datetime, *, for_room: bool = False) -> None:
     """Let no more jobs of a queue begin; those that run go on.
 
-    With `for_room` it goes on by itself once there is room; an operator's pause is not made one of those.
+    With `for_room` it goes on by itself once there is room; a queue that is paused already stays as it is.
     """
     row = session.get(QueueRow, name, with_for_update=True)
     if row is None:
         session.add(QueueRow(name=name, paused_at=now, reason=reason, for_room=for_room))
-    elif row.paused_at is None or row.for_room:
+    elif row.paused_at is None or (row.for_room and not for_room):
         row.paused_at, row.reason, row.for_room = now, reason, for_room
 
 

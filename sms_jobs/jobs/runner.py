@@ -20,6 +20,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from sqlalchemy.orm import Session
+
 import sms_jobs
 from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
 from sms_jobs.catalogue import campaigns
@@ -36,8 +38,6 @@ from sms_jobs.records.job import JobState
 _PROGRESS_EVERY_S = 0.5
 _ATTEMPTS = 3
 """How often a job is tried when what fails may pass by itself."""
-_SPARE_BYTES = 256 * 2**20
-"""No job is begun with less room than this on the archive's disk."""
 
 logger = logging.getLogger(__name__)
 
@@ -60,6 +60,8 @@ class Runner:
         Of the jobs' log files.
     now
         Clock, with time zone.
+    least_room_mb
+        No job is begun with less room than this on the archive's disk.
     """
 
     catalogue: Catalogue
@@ -70,9 +72,19 @@ class Runner:
     threads: int
     log_folder: Path
     now: Callable[[], datetime]
+    least_room_mb: float
 
     def run_next(self, queues: Sequence[str]) -> str | None:
-        """Run the first job of some queues to its end; return its id, or None when there was none."""
+        """Run the first job of some queues to its end; return its id, or None when there was none.
+
+        With too little room for a job, none is begun and all queues are held back.
+        """
+        try:
+            require_room(self.archive.root, self.least_room_mb)
+        except StorageFull as error:
+            with self.catalogue.writing() as session:
+                self._hold_queues_back(session, error)
+            return None
         with self.catalogue.writing() as session:
             held = lifecycle.claim(session, queues, self.worker_id, os.getpid(), self.now(), self.lease)
         if held is None:
@@ -106,7 +118,6 @@ class Runner:
             return
         if held.repeatable and held.attempt > 1:
             self._clear_leftovers(held)
-        require_room(self.archive.root)
         started = time.monotonic()
         sealed: list[SealedOutput] = []
         try:
@@ -192,35 +203,36 @@ class Runner:
         return self.archive.seal_document(output.filename, output.media_type, output.write, provenance)
 
     def _fail(self, held: Claim, error: BaseException) -> None:
-        if isinstance(error, StorageFull) and held.repeatable:
-            self._wait_for_room(held, error)
-            return
-        if isinstance(error, SmsError) and error.retryable and held.repeatable and held.attempt < _ATTEMPTS:
-            logger.warning("job %s: %s; tried again", held.job_id, error)
-            self._end(held, JobState.QUEUED, f"tried again: {error}")
+        retryable = isinstance(error, SmsError) and error.retryable and held.repeatable
+        if retryable and self._tries(held) < _ATTEMPTS:
+            self._try_again(held, error)
             return
         if isinstance(error, SmsError):
-            message = str(error)
+            message = f"{error} (tried {_ATTEMPTS} times)" if retryable else str(error)
             logger.error("job %s: %s", held.job_id, error)
         else:
             message = f"{type(error).__name__}: {error}"
             logger.error("job %s: unexpected error", held.job_id, exc_info=error)
         self._end(held, JobState.FAILED, message, error=message)
 
-    def _wait_for_room(self, held: Claim, error: StorageFull) -> None:
-        """Queue the job again and hold every queue back; the supervisor lets them go on later."""
-        logger.error("job %s: %s; the queues wait for room", held.job_id, error)
+    def _tries(self, held: Claim) -> int:
+        with self.catalogue.reading() as session:
+            return lifecycle.tries(session, held.job_id)
+
+    def _try_again(self, held: Claim, error: BaseException) -> None:
+        """Queue the job again; when the disk is full, with all queues held back until there is room."""
+        full = isinstance(error, StorageFull)
+        logger.warning("job %s: %s; tried again%s", held.job_id, error, " when there is room" if full else "")
         with self.catalogue.writing() as session:
-            for name in queues.QUEUES:
-                queues.pause(session, name, str(error), self.now(), for_room=True)
-            lifecycle.change(
-                session,
-                held.job_id,
-                JobState.QUEUED,
-                self.now(),
-                f"waits for room: {error}",
-                fence=held.fence,
-            )
+            if full:
+                self._hold_queues_back(session, error)
+            message = f"{'waits for room' if full else 'tried again'}: {error}"
+            lifecycle.change(session, held.job_id, JobState.QUEUED, self.now(), message, fence=held.fence)
+
+    def _hold_queues_back(self, session: Session, error: BaseException) -> None:
+        # A supervisor lets them go on when there is room.
+        for name in queues.QUEUES:
+            queues.pause(session, name, str(error), self.now(), for_room=True)
 
     def _end(self, held: Claim, state: JobState, message: str, **columns: Any) -> None:
         ended: dict[str, Any] = {} if state is JobState.QUEUED else {"finished_at": self.now()}
@@ -257,18 +269,18 @@ class _ThrottledProgress:
             logger.warning("job %s: %s", self._held.job_id, error)
 
 
-def require_room(folder: Path) -> None:
-    """Raise `StorageFull` when the disk of a folder has too little room for a job to be begun."""
-    free = shutil.disk_usage(folder).free
-    if free < _SPARE_BYTES:
+def require_room(folder: Path, least_mb: float) -> None:
+    """Raise `StorageFull` when the disk of a folder has less room than a job needs to be begun."""
+    free_mb = shutil.disk_usage(folder).free / 1e6
+    if free_mb < least_mb:
         raise StorageFull(
-            f"the archive's disk has {free / 2**20:.0f} MiB left and a job needs at least "
-            f"{_SPARE_BYTES / 2**20:.0f} MiB; free some space"
+            f"the archive's disk has {free_mb:.0f} MB left and no job begins with less than {least_mb:g} MB "
+            "(setting least_room_mb); free some space"
         )
 
 
 def _as_ours(error: Exception) -> Exception:
-    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
         return StorageFull(f"the disk is full: {error.filename or 'writing an output'}; free some space")
     return error
 

@@ -65,9 +65,8 @@ def run_jobs(
     """Submit jobs and run them in this process."""
     with catalogue.writing() as session:
         done = submit(session, campaign, list(requests), clock())
-    runner = Runner(
-        catalogue, archive, "w1", "here", timedelta(hours=1), 1, Path(archive.root).parent / "logs", clock
-    )
+    logs = Path(archive.root).parent / "logs"
+    runner = Runner(catalogue, archive, "w1", "here", timedelta(hours=1), 1, logs, clock, least_room_mb=0.0)
     (archive.root.parent / "logs").mkdir(exist_ok=True)
     while runner.run_next(["cpu", "io", "acquisition"]):
         pass
