@@ -17,6 +17,7 @@ import pytest
 from sms_jobs.errors import DeviceFault, InvalidInput, LimitExceeded, LinkLost
 from sms_jobs.instruments.clock import Clock, RealClock, SimulatedClock
 from sms_jobs.instruments.devices.connecting import Connector
+from sms_jobs.instruments.devices.emergency_stop import emergency_stop
 from sms_jobs.instruments.devices.pan_tilt import PanTilt
 from sms_jobs.instruments.devices.pose_table import StagePose
 from sms_jobs.instruments.operation_log import OperationLog
@@ -277,6 +278,28 @@ def test_a_stop_ends_a_move(bench_of: Any, stage: Stage) -> None:
     assert 0.0 < device.angles()[0] < 1.0
     device.move(0.1, 0.0)
     assert device.angles()[0] == pytest.approx(0.1, abs=radians(0.06))
+    device.close()
+
+
+@pytest.mark.parametrize(("carrier", "stage"), [("pseudo-terminal", name) for name in MAKES], indirect=True)
+def test_an_emergency_stop_asks_nobody(bench_of: Any, stage: Stage) -> None:
+    # The stage is moving, and its port belongs to the program that moves it.
+    bench = bench_of(replace(stage, pan=replace(PAN, velocity_rad_s=0.5)))
+    device = bench.stage()
+    device.stage()
+    status = device.set(StagePose(1.5, 0.0))
+    status.update()
+    assert emergency_stop([bench.instrument], bench.clock) == ("stage",)
+    stopped_at = bench.simulation.angles("stage")[0]
+    assert stopped_at < 1.0
+    if stage.protocol != "ptu46":  # which does not say so, and is missed when it should have arrived
+        with pytest.raises(DeviceFault, match=r"axis of 'stage' stopped"):
+            status.wait()
+    # After 0.1 s of drift it stands where it stopped.
+    bench.clock.sleep(0.2)
+    assert bench.simulation.angles("stage")[0] == pytest.approx(stopped_at, abs=radians(0.2))
+    device.recover()
+    device.move(0.1, 0.0)
     device.close()
 
 

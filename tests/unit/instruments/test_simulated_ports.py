@@ -6,6 +6,7 @@ import os
 import select
 import sys
 import tty
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from sms_jobs.errors import ConfigurationError, InvalidInput, LinkLost, NotFound
 from sms_jobs.instruments.clock import RealClock, SimulatedClock
 from sms_jobs.instruments.devices.connecting import Connector
+from sms_jobs.instruments.devices.emergency_stop import emergency_stop, stop_requests
 from sms_jobs.instruments.simulated.serial.simulation import SerialSimulation, simulate
 from sms_jobs.instruments.transports.serial_port import SerialPort
 from sms_jobs.records.instruments import Instruments, SerialChannel, Stage, TriggerController
@@ -75,6 +77,16 @@ def test_a_port_that_breaks_is_reported() -> None:
         with pytest.raises(LinkLost, match=r"'box' broke .* plug the cable in again"):
             use()
     port.close()
+
+
+def test_an_emergency_stop_that_reaches_nobody_says_so() -> None:
+    missing = replace(STAGE, link=SerialLink("/nowhere/tty"))
+    with pytest.raises(LinkLost, match=r"'stage' cannot be stopped .* switch its power off"):
+        emergency_stop([missing], RealClock())
+    with pytest.raises(ConfigurationError, match="simulated in the memory of another program"):
+        emergency_stop([STAGE], RealClock())
+    # HALT of all modules, as published for one: 04 + 01 + 02 = 07.
+    assert [r.hex(" ") for r in stop_requests(STAGE)] == ["02 04 01 10 82 07 03"]
 
 
 def test_what_cannot_be_simulated_is_said() -> None:

@@ -11,6 +11,7 @@ from sms_jobs.instruments.simulated.serial.axis import SimulatedAxis
 
 _TOW_ERROR = 0xDE
 _SOFT_LIMIT_ERROR = 0xD5
+_FAST_STOP_ERROR = 0xD9
 _NOT_REFERENCED = 0x05
 _CURRENT = 0.5
 
@@ -22,6 +23,7 @@ class _Module:
         self.address = address
         self.axis = axis
         self.tells_at: float | None = None
+        self._fast_stopped = False
         self._unit = unit_rad
 
     def answer(self, frame: Frame, now: float) -> Frame:
@@ -41,8 +43,10 @@ class _Module:
         elif frame.command in (Command.STOP, Command.FAST_STOP):
             self.axis.stop(now)
             self.tells_at = None
+            self._fast_stopped |= frame.command == Command.FAST_STOP
         elif frame.command == Command.ACKNOWLEDGE:
             self.axis.clear()
+            self._fast_stopped = False
         else:
             return self._failure(frame, 0x04)
         return self._reply(frame, protocol.SUCCESS)
@@ -61,12 +65,14 @@ class _Module:
     def _move(self, frame: Frame, target_rad: float, now: float) -> Frame:
         if not self.axis.homed:
             return self._failure(frame, _NOT_REFERENCED)
-        if not self.axis.move(target_rad, now):
+        if self._fast_stopped or not self.axis.move(target_rad, now):
             return self._failure(frame, self._error())
         self.tells_at = self.axis.ends
         return self._reply(frame, struct.pack("<f", self.axis.ends - now))
 
     def _error(self) -> int:
+        if self._fast_stopped:
+            return _FAST_STOP_ERROR
         if self.axis.tow_error:
             return _TOW_ERROR
         return _SOFT_LIMIT_ERROR if self.axis.beyond_soft_limit else 0
