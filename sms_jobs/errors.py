@@ -46,6 +46,12 @@ class Conflict(SmsError):
     exit_code = 4
 
 
+class DevicesBusy(Conflict):
+    """A device is in use by somebody else; it may be free later."""
+
+    retryable = True
+
+
 class JobFailed(SmsError):
     """A job that was waited for did not succeed."""
 

@@ -19,6 +19,7 @@ from sms_jobs.cli import (
     db,
     demo,
     job,
+    lock,
     metrics,
     queue,
     schedule,
@@ -50,6 +51,7 @@ app.add_typer(campaign.app, name="campaign")
 app.add_typer(job.app, name="job")
 app.add_typer(queue.app, name="queue")
 app.add_typer(schedule.app, name="schedule")
+app.add_typer(lock.app, name="lock")
 app.add_typer(data.app, name="data")
 app.add_typer(archive.app, name="archive")
 app.add_typer(calibration.app, name="calibration")

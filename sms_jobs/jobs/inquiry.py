@@ -22,6 +22,7 @@ from sms_jobs.catalogue.models import (
     WorkerRow,
 )
 from sms_jobs.errors import Conflict, NotFound
+from sms_jobs.jobs import locks
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.campaign import Subject
@@ -150,7 +151,7 @@ def explain(session: Session, job: JobRow, now: datetime) -> list[str]:
     if job.state is JobState.WAITING:
         say += _why_waiting(session, job)
     elif job.state is JobState.QUEUED:
-        say += _why_queued(session, job)
+        say += _why_queued(session, job, now)
     elif job.state is JobState.RUNNING:
         say.append(f"it runs in process {job.pid} under worker {job.worker_id}, attempt {job.attempts}")
     elif job.state is JobState.SUCCEEDED:
@@ -171,7 +172,7 @@ def _why_waiting(session: Session, job: JobRow) -> list[str]:
     ]
 
 
-def _why_queued(session: Session, job: JobRow) -> list[str]:
+def _why_queued(session: Session, job: JobRow, now: datetime) -> list[str]:
     ahead = session.scalar(
         select(func.count()).where(
             JobRow.state == JobState.QUEUED,
@@ -190,7 +191,8 @@ def _why_queued(session: Session, job: JobRow) -> list[str]:
     serving = [w.id for w in workers if job.queue in w.queues.split(",")]
     if not serving:
         return [f"no worker serves the queue '{job.queue}'; start one with 'sms up'"]
-    return [f"{ahead} jobs of the queue '{job.queue}' come before it"]
+    devices = [f"it needs {lock}" for lock in locks.waited_for(session, job.id, now)]
+    return [*devices, f"{ahead} jobs of the queue '{job.queue}' come before it"]
 
 
 def _why_computed(session: Session, job: JobRow) -> list[str]:

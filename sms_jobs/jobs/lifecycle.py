@@ -9,15 +9,38 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Any
+from functools import cache
+from typing import Any, cast
 
-from sqlalchemy import exists, insert, select, update
+from sqlalchemy import ColumnElement, Select, Table, bindparam, exists, insert, select, update
 from sqlalchemy.orm import Session, aliased
+from sqlalchemy.orm.util import identity_key
+from sqlalchemy.sql.dml import ReturningUpdate
 
-from sms_jobs.catalogue.models import DependencyRow, EventRow, JobRow, OutboxRow, QueueRow, WorkerRow
+from sms_jobs.catalogue.models import (
+    DependencyRow,
+    EventRow,
+    JobDeviceRow,
+    JobRow,
+    OutboxRow,
+    QueueRow,
+    UtcDateTime,
+    WorkerRow,
+)
 from sms_jobs.errors import Cancelled, Conflict, LeaseLost, OverLimit
+from sms_jobs.jobs import locks
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import UNSUCCESSFUL, JobState, origins
+
+# Statements that every job passes through are made once: that takes longer than running them.
+_JOB = cast(Table, JobRow.__table__)
+_EVENT = insert(cast(Table, EventRow.__table__))
+_OUTBOX = insert(cast(Table, OutboxRow.__table__))
+_UNCLAIM = (
+    update(_JOB)
+    .where(_JOB.c.id == bindparam("job"))
+    .values(state=JobState.QUEUED, attempts=_JOB.c.attempts - 1, lease_until=None)
+)
 
 
 @dataclass(frozen=True)
@@ -57,76 +80,108 @@ def change(
     columns
         Further columns to set.
     """
-    allowed = [s for s in origins(target) if not leaving or s in leaving]
-    statement = (
-        update(JobRow)
-        .where(JobRow.id == job_id, JobRow.state.in_(allowed))
-        .values(state=target, message=message, **columns)
-        .returning(JobRow.attempts, JobRow.queue)
-    )
-    if fence is not None:
-        statement = statement.where(JobRow.fence == fence, JobRow.state == JobState.RUNNING)
-    changed = session.execute(statement).one_or_none()
+    statement = _changing(target, frozenset(leaving), fence is not None, tuple(sorted(columns)))
+    values = {f"new_{name}": value for name, value in columns.items()}
+    session.flush()
+    changed = session.execute(
+        statement, values | {"job": job_id, "said": message, "held": fence}
+    ).one_or_none()
     if changed is None:
         return False
+    if (loaded := session.identity_map.get(identity_key(JobRow, job_id))) is not None:
+        session.expire(loaded)
     _tell(session, job_id, target, now, changed.attempts, message)
     if target is JobState.QUEUED:
-        session.execute(insert(OutboxRow), [{"job_id": job_id, "queue": changed.queue}])
+        session.execute(_OUTBOX, {"job_id": job_id, "queue": changed.queue})
     if target in UNSUCCESSFUL:
         _skip_dependents(session, job_id, target, now)
     return True
 
 
+@cache
+def _changing(
+    target: JobState, leaving: frozenset[JobState], guarded: bool, columns: tuple[str, ...]
+) -> ReturningUpdate[Any]:
+    new = {name: bindparam(f"new_{name}", type_=_JOB.c[name].type) for name in columns}
+    allowed = [state for state in origins(target) if not leaving or state in leaving]
+    statement = update(_JOB).where(_JOB.c.id == bindparam("job"), _JOB.c.state.in_(allowed))
+    if guarded:
+        statement = statement.where(_JOB.c.fence == bindparam("held"), _JOB.c.state == JobState.RUNNING)
+    values = {"state": target, "message": bindparam("said"), **new}
+    return statement.values(**values).returning(_JOB.c.attempts, _JOB.c.queue)
+
+
 def claim(
     session: Session, queues: Sequence[str], worker_id: str, pid: int, now: datetime, lease: timedelta
 ) -> Claim | None:
-    """Take the first queued job of some queues that are not paused.
+    """Take the first queued job of some queues that are not paused, and with it the devices that it needs.
 
-    None when there is none or the worker is draining.
+    None when there is none whose devices are free, or the worker is draining.
     """
+    attempt = {"queues": tuple(queues), "worker": worker_id, "process": pid, "now": now, "until": now + lease}
+    session.flush()
+    while (row := session.execute(_claiming(), attempt).one_or_none()) is not None:
+        if row.needs_devices and not locks.take_needed(session, row.id, row.fence, now):
+            # Somebody was faster: as if it had never been claimed, and the next look leaves it out.
+            session.execute(_UNCLAIM, {"job": row.id})
+            continue
+        message = f"claimed by worker {worker_id}, process {pid}"
+        _tell(session, row.id, JobState.RUNNING, now, row.attempts, message)
+        return Claim(
+            row.id,
+            row.fence,
+            row.attempts,
+            row.kind,
+            Subject.parse(row.subject),
+            row.parameters,
+            row.repeatable,
+            row.use_cache,
+        )
+    return None
+
+
+@cache
+def _claiming() -> ReturningUpdate[Any]:
+    now: ColumnElement[datetime] = bindparam("now", type_=UtcDateTime())
     candidate = (
         select(JobRow.id)
         .where(
             JobRow.state == JobState.QUEUED,
-            JobRow.queue.in_(queues),
-            exists().where(WorkerRow.id == worker_id, WorkerRow.draining.is_(False)),
+            JobRow.queue.in_(bindparam("queues", expanding=True)),
+            exists().where(WorkerRow.id == bindparam("worker"), WorkerRow.draining.is_(False)),
             ~exists().where(QueueRow.name == JobRow.queue, QueueRow.paused_at.is_not(None)),
+            ~locks.waits_for_device(now),
         )
         .order_by(JobRow.priority.desc(), JobRow.position)
         .limit(1)
         .with_for_update(skip_locked=True, of=JobRow)
     )
-    row = session.execute(
-        update(JobRow)
-        .where(JobRow.id == candidate.scalar_subquery(), JobRow.state == JobState.QUEUED)
+    return (
+        update(_JOB)
+        .where(_JOB.c.id == candidate.scalar_subquery(), _JOB.c.state == JobState.QUEUED)
         .values(
             state=JobState.RUNNING,
-            fence=JobRow.fence + 1,
-            attempts=JobRow.attempts + 1,
-            worker_id=worker_id,
-            pid=pid,
+            fence=_JOB.c.fence + 1,
+            attempts=_JOB.c.attempts + 1,
+            worker_id=bindparam("worker"),
+            pid=bindparam("process"),
             started_at=now,
-            lease_until=now + lease,
+            lease_until=bindparam("until", type_=UtcDateTime()),
             progress=0.0,
             message="",
             error=None,
         )
-        .returning(JobRow)
-    ).scalar_one_or_none()
-    if row is None:
-        return None
-    _tell(
-        session, row.id, JobState.RUNNING, now, row.attempts, f"claimed by worker {worker_id}, process {pid}"
-    )
-    return Claim(
-        row.id,
-        row.fence,
-        row.attempts,
-        row.kind,
-        Subject.parse(row.subject),
-        row.parameters,
-        row.repeatable,
-        row.use_cache,
+        .returning(
+            _JOB.c.id,
+            _JOB.c.fence,
+            _JOB.c.attempts,
+            _JOB.c.kind,
+            _JOB.c.subject,
+            _JOB.c.parameters,
+            _JOB.c.repeatable,
+            _JOB.c.use_cache,
+            exists().where(JobDeviceRow.job_id == _JOB.c.id).label("needs_devices"),
+        )
     )
 
 
@@ -182,21 +237,31 @@ def succeed(
 def queue_ready_dependents(session: Session, producer_id: str, now: datetime) -> None:
     """Queue every waiting job that needs `producer_id` and whose producers have all succeeded."""
     # Locking the dependents first makes two producers that end at the same moment see each other.
-    waiting = session.scalars(
-        select(JobRow.id)
-        .where(
-            JobRow.id.in_(select(DependencyRow.job_id).where(DependencyRow.producer_id == producer_id)),
-            JobRow.state == JobState.WAITING,
-        )
-        .order_by(JobRow.id)
-        .with_for_update()
-    ).all()
-    for job_id in session.scalars(ready(waiting)).all():
+    waiting = session.scalars(_waiting_for(), {"producer": producer_id}).all()
+    if not waiting:
+        return
+    for job_id in session.scalars(_ready(some=True), {"jobs": waiting}).all():
         change(session, job_id, JobState.QUEUED, now, "all it needs is there", leaving=[JobState.WAITING])
 
 
-def ready(job_ids: Collection[str] | None = None) -> Any:
-    """Select waiting jobs whose producers have all succeeded, among some jobs or all."""
+@cache
+def _waiting_for() -> Select[str]:
+    needing = select(DependencyRow.job_id).where(DependencyRow.producer_id == bindparam("producer"))
+    return (
+        select(JobRow.id)
+        .where(JobRow.id.in_(needing), JobRow.state == JobState.WAITING)
+        .order_by(JobRow.id)
+        .with_for_update()
+    )
+
+
+def ready() -> Select[str]:
+    """Select waiting jobs whose producers have all succeeded."""
+    return _ready(some=False)
+
+
+@cache
+def _ready(*, some: bool) -> Select[str]:
     producer = aliased(JobRow)
     unfinished = exists().where(
         DependencyRow.job_id == JobRow.id,
@@ -204,7 +269,7 @@ def ready(job_ids: Collection[str] | None = None) -> Any:
         producer.state != JobState.SUCCEEDED,
     )
     query = select(JobRow.id).where(JobRow.state == JobState.WAITING, ~unfinished).order_by(JobRow.position)
-    return query if job_ids is None else query.where(JobRow.id.in_(job_ids))
+    return query.where(JobRow.id.in_(bindparam("jobs", expanding=True))) if some else query
 
 
 def tries(session: Session, job_id: str) -> int:
@@ -332,12 +397,11 @@ def _skip_dependents(session: Session, job_id: str, why: JobState, now: datetime
 
 def _tell(session: Session, job_id: str, state: JobState, now: datetime, attempt: int, message: str) -> None:
     session.execute(
-        insert(EventRow),
-        [{"job_id": job_id, "at": now, "state": state, "attempt": attempt, "message": message}],
+        _EVENT, {"job_id": job_id, "at": now, "state": state, "attempt": attempt, "message": message}
     )
 
 
 def _tell_all(session: Session, job_ids: Iterable[str], state: JobState, now: datetime, message: str) -> None:
     rows = [{"job_id": i, "at": now, "state": state, "attempt": 0, "message": message} for i in job_ids]
     if rows:
-        session.execute(insert(EventRow), rows)
+        session.execute(_EVENT, rows)

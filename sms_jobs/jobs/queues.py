@@ -111,7 +111,7 @@ def move(session: Session, job_ids: Sequence[str], to: Literal["front", "back"])
     mine = session.scalars(
         select(JobRow)
         .where(JobRow.id.in_(job_ids), JobRow.state.in_(_PENDING))
-        .order_by(JobRow.priority.desc(), JobRow.position)
+        .order_by(JobRow.priority.desc(), JobRow.position, JobRow.id)
         .with_for_update()
     ).all()
     if not mine:

@@ -9,7 +9,7 @@ from sqlalchemy import or_, select, update
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import JobRow, WorkerRow
-from sms_jobs.jobs import lifecycle
+from sms_jobs.jobs import lifecycle, locks
 from sms_jobs.records.job import JobState
 
 ProcessLives = Callable[[int, datetime], bool]
@@ -66,7 +66,7 @@ def recover(session: Session, now: datetime, host: str, crash_budget: int, lives
 
     A job is lost when its lease has run out, or at once when its process was on this host and is gone. It
     is queued again as long as it has crashed fewer than `crash_budget` times; one that must not be
-    repeated waits for an operator instead.
+    repeated waits for an operator instead. Devices that were held by what is gone are free again.
 
     Returns
     -------
@@ -101,6 +101,7 @@ def recover(session: Session, now: datetime, host: str, crash_budget: int, lives
         lifecycle.change(
             session, job_id, JobState.QUEUED, now, "all it needs is there", leaving=[JobState.WAITING]
         )
+    locks.release_dead(session, now)
     return lost
 
 

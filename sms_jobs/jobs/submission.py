@@ -12,10 +12,11 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import DependencyRow, EventRow, JobRow, OutboxRow
+from sms_jobs.catalogue.models import DependencyRow, EventRow, JobDeviceRow, JobRow, OutboxRow
 from sms_jobs.jobs.planning import Existing, PlannedInput, PlannedJob, Request, covering, plan
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, Need
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import ACTIVE, JobState
 
 
@@ -76,6 +77,7 @@ def submit(
     if not jobs:
         return Submission((), ())
     _insert(session, row.id, jobs, ids, now, priority, use_cache)
+    _note_devices(session, campaign, jobs, ids)
     return Submission(ids, tuple(job.kind.name for job in jobs))
 
 
@@ -158,6 +160,19 @@ def _insert(
     ]
     if ready:
         session.execute(insert(OutboxRow), ready)
+
+
+def _note_devices(
+    session: Session, campaign: Campaign, jobs: Sequence[PlannedJob], ids: Sequence[str]
+) -> None:
+    """Enter which devices the jobs have to hold while they run."""
+    rows = [
+        {"job_id": job_id, "device": device}
+        for job_id, job in zip(ids, jobs, strict=True)
+        for device in set(job.kind.devices(campaign, job.subject))
+    ]
+    if rows:
+        session.execute(insert(JobDeviceRow), rows)
 
 
 def _producer(given: PlannedInput, ids: Sequence[str]) -> str | None:

@@ -154,6 +154,11 @@ def no_more_needs(campaign: Campaign, subject: Subject, parameters: Any) -> Iter
     return ()
 
 
+def no_devices(campaign: Campaign, subject: Subject) -> Iterable[str]:
+    """Need no device."""
+    return ()
+
+
 def always(parameters: Parameters) -> bool:
     """Say that a job can be run again whatever its parameters."""
     return True
@@ -190,6 +195,8 @@ class Kind(Generic[P]):
         `MEASUREMENT` for kinds that record, else the kind's own name.
     in_pipeline
         Whether `sms job submit pipeline` includes it.
+    devices
+        Names of the devices that a job has to itself while it runs; it stays queued until they are free.
     """
 
     name: str
@@ -206,6 +213,7 @@ class Kind(Generic[P]):
     queue: Queue = Queue.CPU
     makes: str = ""
     in_pipeline: bool = True
+    devices: Callable[[Campaign, Subject], Iterable[str]] = no_devices
 
     def all_needs(self, campaign: Campaign, subject: Subject, parameters: P) -> tuple[Need, ...]:
         """Return every input of a job about a subject, with those that its parameters ask for."""
@@ -262,6 +270,7 @@ __all__ = [
     "default_subjects",
     "deformed_states",
     "deformed_tuples",
+    "no_devices",
     "tested_states",
     "tuples",
 ]
