@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tomllib
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -126,3 +127,12 @@ def test_records_of_text_protocols_refuse_what_cannot_work() -> None:
         Fault("unplugged", at=0)
     with pytest.raises(InvalidInput, match="retries"):
         SerialLink("simulated", retries=-1)
+
+
+def test_the_examples_of_the_documentation_are_valid() -> None:
+    text = (Path(__file__).resolve().parents[3] / "docs" / "instruments.md").read_text("utf-8")
+    blocks = [block.split("```")[0] for block in text.split("```toml\n")[1:]]
+    protocols = [line for block in blocks for line in block.splitlines() if line.startswith("protocol")]
+    assert len([LineProtocol(**tomllib.loads(line)["protocol"]) for line in protocols]) == 3
+    faults = tomllib.loads(blocks[-1])["faults"]
+    assert len([Fault(**fault) for fault in faults]) == 4
