@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import TypeAlias, cast
 
 import numpy as np
@@ -31,7 +32,8 @@ from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, m
 from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
 from sms_jobs.metrology.deformation.seeding import SearchSettings
 from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
-from sms_jobs.metrology.images.segmentation import ContinuousRegions
+from sms_jobs.metrology.deformation.splitting import Split, split_regions
+from sms_jobs.metrology.images.segmentation import ContinuousRegions, in_order
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import (
     DisplacementField,
@@ -50,6 +52,12 @@ _MATCH_REASONS = {
     correlation.NO_TEXTURE: Reason.NO_TEXTURE,
     correlation.LEFT_IMAGE: Reason.LEFT_IMAGE,
     correlation.NOT_CONVERGED: Reason.NO_MATCH,
+}
+_IN_WORDS = {
+    correlation.LEFT_IMAGE: "left the image",
+    correlation.NO_TEXTURE: "without texture",
+    correlation.NOT_CONVERGED: "without a counterpart",
+    correlation.TOO_FEW_PIXELS: "with too little of a region about them",
 }
 _PIXEL_REASONS = {
     displacement.OUTSIDE_REGION: Reason.OUTSIDE_REGION,
@@ -100,7 +108,16 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         )
     grid, steps = _match(inputs, before, last, after, labels, parameters)
     matched = grid.matches.ending == correlation.CONVERGED
-    progress(0.7, f"matched {matched.sum()} of {len(grid.x)} points")
+    apart = _come_apart(grid, before, after, parameters)
+    if apart:
+        # Subsets must not look across what has opened: its sides are regions of their own from here on.
+        progress(0.5, f"{len(apart.pieces)} regions have come apart")
+        before = replace(before, regions=in_order(apart.labels))
+        interior = interior_of(before.regions.labels, parameters)
+        labels = matched_labels(before, interior, parameters)
+        grid, steps = _match(inputs, before, last, after, labels, parameters)
+        matched = grid.matches.ending == correlation.CONVERGED
+    progress(0.7, summary(grid.matches.ending, apart))
     found = displacement_field(
         ImagePoints(
             grid.x[matched],
@@ -122,8 +139,35 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     yield DatasetOutput(
         inputs.subject,
         {"displacement": field, "matches": matches, "regions": _regions_record(before.regions)},
-        _statistics(field, matches, before),
+        _statistics(field, matches, before) | {"regions_split": float(len(apart.pieces) if apart else 0)},
     )
+
+
+def _come_apart(
+    grid: GridMatches, before: TexturedState, after: TexturedState, parameters: CorrelateParameters
+) -> Split | None:
+    """Return the regions of the reference as the deformed state has parted them, if it has."""
+    if parameters.regions == "none":
+        return None
+    good = grid.matches.ending == correlation.CONVERGED
+    split = split_regions(
+        before.regions.labels, after.regions.labels, grid.x[good], grid.y[good], grid.matches.warp[good, :6]
+    )
+    return split if split.pieces else None
+
+
+def summary(ending: NDArray[np.int32], apart: Split | None) -> str:
+    """Return in a sentence how the matching of points ended."""
+    count = {ended: int((ending == ended).sum()) for ended in _MATCH_REASONS}
+    text = f"matched {count[correlation.CONVERGED]} of {len(ending)} points"
+    others = ", ".join(f"{count[ended]} {why}" for ended, why in _IN_WORDS.items() if count[ended])
+    text += f"; {others}" if others else ""
+    if apart:
+        each = (f"region {number} has come apart into {len(names)}" for number, names in apart.pieces.items())
+        text += f"; {', '.join(each)}"
+    if len(ending) and not count[correlation.CONVERGED]:
+        text += "; look at the texture of both states, and at the search range"
+    return text
 
 
 def _match(
@@ -253,6 +297,9 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
         "matched_fraction": float(matched.sum() / max(len(matched), 1)),
         "regions": float(len(before.regions.areas)),
     }
+    for reason in (Reason.NO_TEXTURE, Reason.NO_MATCH, Reason.LEFT_IMAGE, Reason.OUTSIDE_REGION):
+        part = np.count_nonzero(matches.reason == reason) / max(len(matched), 1)
+        statistics[f"{str(reason.name).lower()}_fraction_of_points"] = part
     if valid.any():
         sigma = np.sqrt(field.covariance[[0, 3, 5]][:, valid].sum(axis=0))
         length = np.linalg.norm(field.displacement[:, valid], axis=0)
@@ -269,7 +316,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both shapes",
-    version=4,
+    version=5,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     needs=_needs,

@@ -24,6 +24,7 @@ from sms_jobs.metrology.deformation.correlation import (
     blank_matches,
     match_points,
 )
+from sms_jobs.metrology.deformation.doubtful import check_again, nearest_warps, tell_who_left
 from sms_jobs.metrology.deformation.fourier_newton import match_by_cross_correlation
 from sms_jobs.metrology.deformation.sampling import NEAREST, Nodes, choose_seeds, sample_nodes
 from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_warps
@@ -41,8 +42,6 @@ REFINEMENT: Final[dict[Method, Callable[..., Matches]]] = {
 """The function behind each method."""
 
 _ATTEMPTS = 3  # times that a point is tried from ever better neighbours
-_LEAST_SCATTER = 0.01  # px, of neighbours: what first-order subsets may disagree by on a curved field
-_BLOCK = 1 << 15  # points whose neighbours are looked at together, for the memory's sake
 _SEED_SCORE = 0.4  # of an integer shift: a poor start, but the refinement judges it
 
 
@@ -169,32 +168,15 @@ def match_nodes(
             break
         started_from[pending], fresh = quality[better], pending
         attempt(pending, carried(found.warp[source], x[pending] - x[source], y[pending] - y[source]))
-    outside = [
-        _outliers(found, x, y, around[start : start + _BLOCK, :NEAREST], start, grid.outlier_ratio)
-        for start in range(0, len(x), _BLOCK)
-    ]
-    found.ending[np.concatenate(outside)] = NOT_CONVERGED
+
+    def refine(points: Ints, guess: Floats) -> tuple[Matches, NDArray[np.bool_]]:
+        result = REFINEMENT[grid.method](images, x[points], y[points], guess, settings, threads)
+        return result, is_sure(result, grid)
+
+    # Whom no neighbour has reached may have no texture, or an island's own displacement.
+    unreached = np.flatnonzero(attempts == 0)
+    guess = nearest_warps(found, nodes, images.labels[y, x], unreached)
+    attempt(unreached, np.where(np.isfinite(guess), guess, 0.0))
+    check_again(found, nodes, grid.outlier_ratio, refine)
+    tell_who_left(found, nodes, images.labels, settings.radius)
     return GridMatches(x, y, found)
-
-
-def _outliers(found: Matches, x: Ints, y: Ints, near: Ints, start: int, ratio: float) -> NDArray[np.bool_]:
-    """Return which of the points from `start` on, with their neighbours `near`, contradict these.
-
-    Normalised median test (Westerweel & Scarano 2005) on displacements that the neighbours' warps
-    carry to the point; their scatter counts as at least the point's own standard deviation, and 0.01 px.
-    """
-    own = np.s_[start : start + len(near)]
-    good = found.ending == CONVERGED
-    usable = (near >= 0) & good[near]
-    outside = np.zeros(len(near), dtype=bool)
-    enough = np.flatnonzero(good[own] & (usable.sum(axis=1) >= 3))
-    near, usable = near[enough], usable[enough]
-    there = carried(found.warp[near], x[own][enough, None] - x[near], y[own][enough, None] - y[near])
-    for first, sigma in ((0, 0), (3, 1)):
-        expected = np.where(usable, there[..., first], np.nan)
-        middle = np.nanmedian(expected, axis=1)
-        scatter = np.nanmedian(np.abs(expected - middle[:, None]), axis=1)
-        least = np.maximum(_LEAST_SCATTER, found.sigma[own][enough, sigma])
-        deviation = np.abs(found.warp[own][enough, first] - middle)
-        outside[enough[deviation > ratio * np.maximum(scatter, least)]] = True
-    return outside

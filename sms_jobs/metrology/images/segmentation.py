@@ -261,10 +261,10 @@ def label_regions(
         grown = np.empty_like(labels)
         _grow(xyz, valid, limit, labels, grown)
         labels = grown
-    return _in_order(labels)
+    return in_order(labels)
 
 
-def _in_order(labels: NDArray[np.int32]) -> ContinuousRegions:
+def in_order(labels: NDArray[np.int32]) -> ContinuousRegions:
     """Renumber regions by area, then centroid, so that they are found again in another state."""
     found, index = np.unique(labels, return_inverse=True)
     index = index.reshape(labels.shape)

@@ -11,7 +11,7 @@ from sms_jobs.kinds import correlate, merge, reconstruct, strain
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Need, Parameters
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import ArrayStack, Measurement
-from sms_jobs.records.scene import Rigid, Simulation
+from sms_jobs.records.scene import HalvesApart, Rigid, Simulation
 from sms_jobs.records.sensors import Calibration, split_pair
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.rendering import render
@@ -103,15 +103,13 @@ def _record(campaign: Campaign, state: str, pair: str) -> Measurement:
     )
 
 
-@pytest.fixture(scope="session")
-def turning_plate() -> Plate:
-    """Return the plate at rest, turned in its plane by 9 degrees and by 18, reconstructed."""
-    calibration, campaign = small_plate("turning")
+def plate_that_moves(name: str, *deformations: Any) -> Plate:
+    """Return the plate at rest and in states S01 .. of some deformations, reconstructed for one pair."""
+    calibration, campaign = small_plate(name)
     rest, first = campaign.states[:2]
     states = [rest]
-    for number in (1, 2):
-        turned = Rigid((0.0, 0.0, 0.157 * number), (0.4 * number, 0.0, 0.0))
-        states.append(replace(first, label=f"S{number:02d}", deformation=(turned,)))
+    for number, deformation in enumerate(deformations, start=1):
+        states.append(replace(first, label=f"S{number:02d}", deformation=(deformation,)))
     found = Plate(calibration, replace(campaign, states=tuple(states), pairs=campaign.pairs[:1]))
     for state in states:
         subject = found.subject(state.label, found.campaign.pairs[0])
@@ -119,6 +117,24 @@ def turning_plate() -> Plate:
         found.results[MEASUREMENT, subject] = {"measurement": measurement}
         found.keep(reconstruct.KIND, subject)
     return found
+
+
+@pytest.fixture(scope="session")
+def turning_plate() -> Plate:
+    """Return the plate at rest, turned in its plane by 9 degrees and by 18, reconstructed."""
+    turned = (Rigid((0.0, 0.0, 0.157 * number), (0.4 * number, 0.0, 0.0)) for number in (1, 2))
+    return plate_that_moves("turning", *turned)
+
+
+@pytest.fixture(scope="session")
+def troubled_plate() -> Plate:
+    """Return the plate at rest, broken by a crack, half out of the view, and out of it, reconstructed."""
+    return plate_that_moves(
+        "troubled",
+        HalvesApart(8.0),
+        Rigid(translation_mm=(85.0, 0.0, 0.0)),
+        Rigid(translation_mm=(400.0, 0.0, 0.0)),
+    )
 
 
 @pytest.fixture(scope="session")
