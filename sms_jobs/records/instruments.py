@@ -24,7 +24,15 @@ from typing import Literal
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.campaign import checked_name
-from sms_jobs.records.serial_links import LINK_FAULTS, Fault, LineProtocol, SerialLink, Wire, check_pattern
+from sms_jobs.records.serial_links import (
+    LINK_FAULTS,
+    SIMULATED,
+    Fault,
+    LineProtocol,
+    SerialLink,
+    Wire,
+    check_pattern,
+)
 
 
 @dataclass(frozen=True)
@@ -346,7 +354,7 @@ class FileChannel:
 
 @dataclass(frozen=True)
 class Instruments:
-    """All instruments of a rig that have a wire or a file of their own; names are unique among them."""
+    """All instruments of a rig that have a wire or a file of their own; names and ports are unique."""
 
     stages: tuple[Stage, ...] = ()
     triggers: tuple[TriggerController, ...] = ()
@@ -360,6 +368,15 @@ class Instruments:
                 raise InvalidInput(
                     f"{names.count(name)} instruments are called '{name}': give each its own name"
                 )
+        users: dict[str, str] = {}
+        for device in self.serial:
+            port = device.link.port
+            if port != SIMULATED and port in users:
+                raise InvalidInput(
+                    f"'{users[port]}' and '{device.name}' both use port {port}: a port belongs to one "
+                    "instrument"
+                )
+            users[port] = device.name
 
     @property
     def serial(self) -> tuple[Stage | TriggerController | VideoSplitter | SerialChannel, ...]:

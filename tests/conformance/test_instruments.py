@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from math import pi, radians
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from sms_jobs.errors import DeviceFault, InvalidInput, LimitExceeded, LinkLost
+from sms_jobs.errors import DeviceFault, InstrumentError, InvalidInput, LimitExceeded, LinkLost
 from sms_jobs.instruments.clock import Clock, RealClock, SimulatedClock
 from sms_jobs.instruments.devices.connecting import Connector
 from sms_jobs.instruments.devices.emergency_stop import emergency_stop
@@ -188,6 +190,35 @@ def _ask_often(device: PanTilt) -> None:
         device.angles()
 
 
+@pytest.mark.parametrize("stage", list(STAGES), indirect=True)
+@given(
+    faults=st.lists(
+        st.builds(
+            Fault,
+            st.sampled_from(["dropped-byte", "garbled-byte", "wrong-checksum", "late-reply", "unplugged"]),
+            at=st.integers(1, 120),
+            times=st.integers(1, 4),
+            amount=st.floats(0.0, 0.5),
+        ),
+        max_size=6,
+    )
+)
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_whatever_befalls_the_wire_it_arrives_or_says_so(stage: Stage, faults: list[Fault]) -> None:
+    stage = replace(stage, faults=tuple(faults))
+    clock = SimulatedClock()
+    simulation = SerialSimulation(Instruments(stages=(stage,)), clock)
+    device = Connector(clock, None, simulation).stage(stage)
+    with suppress(InstrumentError):  # whatever else is raised is a defect
+        device.connect()
+        device.stage()
+        device.move(0.3, -0.2)
+        # In truth, not only by what it says: the tolerance of settling, half a count, the rest of a drift.
+        assert simulation.angles("stage") == pytest.approx((0.3, -0.2), abs=radians(0.08))
+    # Nothing takes for ever: at worst every question is asked in vain three times.
+    assert clock.monotonic() < 300.0
+
+
 @everywhere
 def test_an_unplugged_cable_is_reported_and_can_be_plugged_in_again(bench_of: Any, stage: Stage) -> None:
     # Two retries: three requests of one question go unanswered, and then the cable is back.
@@ -265,7 +296,7 @@ def test_a_home_position_that_is_not_found_is_reported(bench_of: Any, stage: Sta
 
 @everywhere
 def test_a_stop_ends_a_move(bench_of: Any, stage: Stage) -> None:
-    bench = bench_of(replace(stage, pan=replace(PAN, velocity_rad_s=0.5)))
+    bench = bench_of(replace(stage, pan=replace(PAN, velocity_rad_s=1.0)))
     device = bench.stage()
     device.stage()
     status = device.set(StagePose(1.5, 0.0))
@@ -284,7 +315,7 @@ def test_a_stop_ends_a_move(bench_of: Any, stage: Stage) -> None:
 @pytest.mark.parametrize(("carrier", "stage"), [("pseudo-terminal", name) for name in MAKES], indirect=True)
 def test_an_emergency_stop_asks_nobody(bench_of: Any, stage: Stage) -> None:
     # The stage is moving, and its port belongs to the program that moves it.
-    bench = bench_of(replace(stage, pan=replace(PAN, velocity_rad_s=0.5)))
+    bench = bench_of(replace(stage, pan=replace(PAN, velocity_rad_s=1.0)))
     device = bench.stage()
     device.stage()
     status = device.set(StagePose(1.5, 0.0))

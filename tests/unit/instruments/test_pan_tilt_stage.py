@@ -232,3 +232,6 @@ def test_records_refuse_what_cannot_be() -> None:
         replace(STAGE, pan=replace(PAN, module=40))
     with pytest.raises(InvalidInput, match="2 instruments are called 'stage'"):
         Instruments(stages=(STAGE, STAGE))
+    wired = replace(STAGE, link=SerialLink("/dev/ttyUSB0"))
+    with pytest.raises(InvalidInput, match="'stage' and 'other' both use port /dev/ttyUSB0"):
+        Instruments(stages=(wired, replace(wired, name="other")))
