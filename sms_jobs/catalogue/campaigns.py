@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 
 from pydantic import TypeAdapter
-from sqlalchemy import func, select
+from sqlalchemy import bindparam, func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import (
@@ -23,6 +23,8 @@ from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.sensors import Calibration
 
 _DEFINITION = TypeAdapter(Campaign)
+# Every job asks this: making the statement takes longer than running it.
+_BY_NAME = select(CampaignRow).where(CampaignRow.name == bindparam("name"))
 
 
 def add_campaign(session: Session, campaign: Campaign, now: datetime, plan: str | None = None) -> None:
@@ -81,7 +83,7 @@ def refuse_taken_name(session: Session, name: str) -> None:
 
 def campaign_row(session: Session, name: str) -> CampaignRow:
     """Return the row of a campaign; raise `NotFound` with the names that there are."""
-    row = session.scalar(select(CampaignRow).where(CampaignRow.name == name))
+    row = session.scalar(_BY_NAME, {"name": name})
     if row is None:
         known = session.scalars(select(CampaignRow.name).order_by(CampaignRow.id.desc()).limit(5)).all()
         hint = (

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Connection, Engine, create_engine, event, make_url
-from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, OperationalError
+from sqlalchemy import Connection, Dialect, Engine, create_engine, event, make_url
+from sqlalchemy.exc import (
+    ArgumentError,
+    DBAPIError,
+    DisconnectionError,
+    NoSuchModuleError,
+    OperationalError,
+)
 from sqlalchemy.orm import Session
+from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
 
 from sms_jobs.errors import ConfigurationError, ServerUnreachable, StorageFull
 
 _WRITING = "sms_writing"
+_RETURNED = "sms_returned_at"
+_TRUSTED_S = 1.0
+"""A connection that was in use so lately is taken without asking whether the server is still there."""
 
 
 class Catalogue:
@@ -101,7 +113,10 @@ def _engine(url: str, create: bool) -> Engine:
             event.listen(engine, "begin", _begin_sqlite)
             return engine
         if backend == "postgresql":
-            return create_engine(parsed, pool_pre_ping=True, connect_args={"connect_timeout": 10})
+            engine = create_engine(parsed, connect_args={"connect_timeout": 10})
+            event.listen(engine, "checkin", _note_return)
+            event.listen(engine, "checkout", partial(_refuse_broken, engine.dialect))
+            return engine
     except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
         # The text of the error may repeat the URL and so a password: it is not passed on.
         raise ConfigurationError(
@@ -135,6 +150,24 @@ def _prepare_sqlite(connection: Any, _record: Any) -> None:
     cursor.execute("PRAGMA synchronous = FULL")
     cursor.execute("PRAGMA foreign_keys = ON")
     cursor.close()
+
+
+def _note_return(_connection: Any, record: ConnectionPoolEntry) -> None:
+    record.info[_RETURNED] = time.monotonic()
+
+
+def _refuse_broken(
+    dialect: Dialect, connection: Any, record: ConnectionPoolEntry, _proxy: PoolProxiedConnection
+) -> None:
+    """Make the pool open another connection where one that lay idle has been broken since."""
+    # Asked before every transaction, this would be a sixth of what a job costs.
+    returned = record.info.get(_RETURNED)
+    if returned is None or time.monotonic() - returned < _TRUSTED_S:
+        return
+    try:
+        dialect.do_ping(connection)
+    except dialect.loaded_dbapi.Error as error:
+        raise DisconnectionError from error
 
 
 def _begin_sqlite(connection: Connection) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pydantic import TypeAdapter
-from sqlalchemy import select
+from sqlalchemy import bindparam, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import FileRow, JobRow
@@ -17,6 +17,19 @@ from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import JobState
 
 _ANYTHING = TypeAdapter(Any)
+# Every job asks these: making the statements takes longer than running them.
+_NEWEST = (
+    select(JobRow.id)
+    .where(
+        JobRow.reuse_key == bindparam("key"),
+        JobRow.state == JobState.SUCCEEDED,
+        JobRow.reused_from.is_(None),
+        JobRow.repeatable,
+    )
+    .order_by(JobRow.finished_at.desc())
+    .limit(1)
+)
+_PATHS = select(FileRow.path).where(FileRow.job_id == bindparam("job"))
 
 
 def reuse_key(
@@ -55,17 +68,5 @@ def reuse_key(
 
 def earlier_success(session: Session, key: str) -> tuple[str, tuple[str, ...]] | None:
     """Return (job id, paths of its files) of the newest job that computed the same, if there is one."""
-    job_id = session.scalar(
-        select(JobRow.id)
-        .where(
-            JobRow.reuse_key == key,
-            JobRow.state == JobState.SUCCEEDED,
-            JobRow.reused_from.is_(None),
-            JobRow.repeatable,
-        )
-        .order_by(JobRow.finished_at.desc())
-        .limit(1)
-    )
-    if job_id is None:
-        return None
-    return job_id, tuple(session.scalars(select(FileRow.path).where(FileRow.job_id == job_id)))
+    job_id = session.scalar(_NEWEST, {"key": key})
+    return None if job_id is None else (job_id, tuple(session.scalars(_PATHS, {"job": job_id})))
