@@ -35,6 +35,13 @@ class StrainParameters(Parameters):
     measure: StrainMeasure = Field(
         "green-lagrange", description="Green-Lagrange strain, which no rotation changes, or small strain"
     )
+    fold_angle_deg: float = Field(
+        20.0,
+        gt=0.0,
+        le=180.0,
+        description="a gauge disc ends where the surface has turned by more than this from its centre; 180 "
+        "for no such limit",
+    )
 
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
@@ -70,6 +77,7 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
         gauge_length_mm=parameters.gauge_length_mm,
         x_axis=inputs.context,
         green_lagrange=parameters.measure == "green-lagrange",
+        fold_angle_rad=float(np.radians(parameters.fold_angle_deg)),
         threads=inputs.threads,
     )
     reason = moved.reason.copy()
@@ -104,7 +112,7 @@ def _statistics(field: StrainField) -> dict[str, float]:
 KIND = Kind(
     name="strain",
     summary="strain in the tangent plane, with principal and equivalent strain, over a stated gauge length",
-    version=1,
+    version=2,
     scope=Scope.TUPLE,
     parameters=StrainParameters,
     needs=_needs,

@@ -9,7 +9,7 @@ import numpy as np
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.shelf import reconstructed
 from sms_jobs.kinds import correlate, strain
-from sms_jobs.virtual_rig.campaigns import small_plate, tension_panel
+from sms_jobs.virtual_rig.campaigns import Size, small_plate, tension_panel
 
 _GAUGE_LENGTH_MM = 20.0
 _MICROSTRAIN = 1e6
@@ -24,7 +24,7 @@ def warm_up() -> None:
 
 def measure(run: Run) -> Iterator[Found]:
     """Yield the figures and their conditions."""
-    size = "small" if run.quick else "full"
+    size: Size = "small" if run.quick else "full"
     shelf, subject = reconstructed(*tension_panel("panel", size), run.say, run.threads)
     truth = shelf.truth(subject)
     shelf.run(correlate.KIND, subject, correlate.KIND.parameters())

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.deformation.cells import cell_means
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -35,19 +36,6 @@ class SurfaceStrain:
     sigma: Floats
     principal: Floats
     von_mises: Floats
-
-
-@dataclass(frozen=True)
-class _Cells:
-    """Means over small squares of pixels: weight (n pixels), place in the image, position, displacement."""
-
-    side: int
-    labels: NDArray[np.int32]
-    weight: Floats
-    place: Floats
-    xyz: Floats
-    displacement: Floats
-    covariance: Floats
 
 
 @kernel
@@ -140,6 +128,8 @@ def _gather(
     xyz: Floats,
     displacement: Floats,
     covariance: Floats,
+    normal: Floats,
+    least_cosine: float,
     row: int,
     column: int,
     label: int,
@@ -153,6 +143,7 @@ def _gather(
 ) -> float:
     """Fill the central moments of the cells within `radius` of a point of the surface; return their weight.
 
+    Cells whose normal makes an angle with that of the point's own cell beyond `least_cosine` are left out.
     `sums` is the weighted sum of (place 2, xyz 3, displacement 3, covariance 6), `scatter` that of
     position with position, `mixed` of position with displacement, `along` of image place with position.
     """
@@ -162,6 +153,8 @@ def _gather(
     along[:] = 0.0
     total = 0.0
     x = np.empty(3)
+    own = normal[:, row // side, column // side].copy()
+    folded = least_cosine > -1.0 and own[0] * own[0] + own[1] * own[1] + own[2] * own[2] > 0.0
     for j in range(max(row // side - reach, 0), min(row // side + reach + 1, labels.shape[0])):
         for i in range(max(column // side - reach, 0), min(column // side + reach + 1, labels.shape[1])):
             if labels[j, i] != label:
@@ -170,6 +163,13 @@ def _gather(
                 x[k] = xyz[k, j, i] - centre[k]
             if x[0] * x[0] + x[1] * x[1] + x[2] * x[2] > radius * radius:
                 continue
+            if folded:
+                square = cosine = 0.0
+                for k in range(3):
+                    square += normal[k, j, i] * normal[k, j, i]
+                    cosine += normal[k, j, i] * own[k]
+                if square > 0.0 and cosine < least_cosine:
+                    continue
             w = weight[j, i]
             total += w
             for a in range(2):
@@ -222,6 +222,8 @@ def _strain_rows(
     xyz: Floats,
     displacement: Floats,
     covariance: Floats,
+    normal: Floats,
+    least_cosine: float,
     x_axis: Floats,
     radius: float,
     reach: int,
@@ -248,8 +250,8 @@ def _strain_rows(
             if not valid[r, c]:
                 continue
             total = _gather(
-                side, labels, weight, place, xyz, displacement, covariance, r, c, full_labels[r, c],
-                full_xyz[:, r, c], radius, reach, sums, scatter, mixed, along,
+                side, labels, weight, place, xyz, displacement, covariance, normal, least_cosine, r, c,
+                full_labels[r, c], full_xyz[:, r, c], radius, reach, sums, scatter, mixed, along,
             )  # fmt: skip
             if not total >= minimum:
                 continue
@@ -293,43 +295,6 @@ def _strain_rows(
             sigma[0, r, c] = np.sqrt(i00 * nxx)
             sigma[1, r, c] = np.sqrt(i11 * nyy)
             sigma[2, r, c] = 0.5 * np.sqrt(i11 * nxx + i00 * nyy + 2.0 * i01 * nxy)
-
-
-def _cell_means(
-    xyz: Floats, displacement: Floats, covariance: Floats, labels: NDArray[np.int32], side: int
-) -> _Cells:
-    """Average fields over squares of `side` x `side` pixels, each over the pixels of one region.
-
-    `labels` is 0 for every pixel that is not to be used. A square with several regions stands for the
-    largest of them, which has the smallest label.
-    """
-    rows, columns = labels.shape
-    padding = ((0, -rows % side), (0, -columns % side))
-
-    def squares(field: NDArray[Any]) -> NDArray[Any]:
-        padded = np.pad(field, padding)
-        return padded.reshape(padded.shape[0] // side, side, -1, side).swapaxes(1, 2)
-
-    pieces = squares(labels)
-    own = np.where(pieces > 0, pieces, np.iinfo(np.int32).max).min(axis=(2, 3))
-    member = (pieces == own[..., None, None]) & (pieces > 0)
-    weight = member.sum(axis=(2, 3)).astype(np.float64)
-    divisor = np.maximum(weight, 1.0)
-
-    def mean(field: NDArray[Any]) -> Floats:
-        inside = np.where(member, squares(field), 0.0)
-        return np.asarray(inside.sum(axis=(2, 3)) / divisor, dtype=np.float64)
-
-    row, column = np.mgrid[0:rows, 0:columns]
-    return _Cells(
-        side,
-        np.where(weight > 0, own, 0).astype(np.int32),
-        weight,
-        np.stack([mean(column), mean(row)]),
-        np.stack([mean(component) for component in xyz]),
-        np.stack([mean(component) for component in displacement]),
-        np.stack([mean(component) for component in covariance]),
-    )
 
 
 def independent_equivalent(
@@ -384,6 +349,7 @@ def surface_strain(
     x_axis: tuple[float, float, float] = (1.0, 0.0, 0.0),
     green_lagrange: bool = True,
     minimum_pixels: int = 12,
+    fold_angle_rad: float = np.pi,
     threads: int = 1,
 ) -> SurfaceStrain:
     """Return the in-plane strain at every pixel that has a displacement.
@@ -404,6 +370,9 @@ def surface_strain(
         True for Green-Lagrange strain, False for small strain.
     minimum_pixels
         A disc with fewer pixels gives no strain.
+    fold_angle_rad
+        A disc ends where the surface's normal differs by more than this from that at its centre: strain does
+        not reach across a fold, where displacement has a kink. pi for no such limit.
     threads
         How many threads to use; the result does not depend on it.
 
@@ -422,7 +391,7 @@ def surface_strain(
     radius = 0.5 * gauge_length_mm
     reach_px = radius / pixel_pitch(xyz, used, 0.01)
     side = max(1, round(reach_px / _DISC_CELLS))
-    cells = _cell_means(xyz, displacement, np.asarray(covariance, dtype=np.float64), used, side)
+    cells = cell_means(xyz, displacement, np.asarray(covariance, dtype=np.float64), used, side)
     reach = int(np.ceil(reach_px / side))
     axis = np.asarray(x_axis, dtype=np.float64)
     strain = np.empty((3, *labels.shape))
@@ -431,8 +400,8 @@ def surface_strain(
     def work(start: int, stop: int) -> None:
         _strain_rows(
             start, stop, valid, xyz, used, cells.side, cells.labels, cells.weight, cells.place, cells.xyz,
-            cells.displacement, cells.covariance, axis, radius, reach, minimum_pixels, green_lagrange,
-            strain, sigma,
+            cells.displacement, cells.covariance, cells.normal, float(np.cos(fold_angle_rad)), axis, radius,
+            reach, minimum_pixels, green_lagrange, strain, sigma,
         )  # fmt: skip
 
     in_row_blocks(work, labels.shape[0], threads)

@@ -104,6 +104,30 @@ def test_regions_do_not_strain_each_other() -> None:
     assert np.abs(joined.strain).max() > 0.5
 
 
+def test_strain_does_not_reach_across_a_fold() -> None:
+    # A roof: one side stands still, the other is stretched by 0.2 % down its slope and turned about it.
+    flat = plane()
+    column = np.broadcast_to(np.arange(COLUMNS), (ROWS, COLUMNS))
+    right = column >= COLUMNS // 2
+    x, y, _ = flat
+    slope = np.array([np.cos(1.0), 0.0, -np.sin(1.0)])
+    xyz = np.where(right, slope[:, None, None] * x + np.array([0.0, 1.0, 0.0])[:, None, None] * y, flat)
+    turned = Rotation.from_rotvec([0.0, 0.01, 0.0]).as_matrix()
+    moved = np.where(right, carried(turned, xyz + 2e-3 * slope[:, None, None] * x) - xyz, 0.0)
+    expected = np.where(right, 2e-3 + 0.5 * 2e-3**2, 0.0)
+    error = {
+        angle: np.abs(
+            surface_strain(xyz, moved, NONE, ALL, gauge_length_mm=8.0, fold_angle_rad=angle).strain[0]
+            - expected
+        )
+        for angle in (np.pi, 0.35)
+    }
+    # Squares of pixels on the ridge belong to both sides, and so do the steps to their neighbours.
+    near = np.abs(column - COLUMNS // 2) <= 3
+    assert error[0.35][~near].max() < 1e-12
+    assert error[np.pi][~near].max() > 1e-4
+
+
 def test_missing_displacement_and_lonely_points_have_no_strain() -> None:
     xyz = plane()
     moved = 1e-3 * xyz
