@@ -246,7 +246,7 @@ class WorkerRow(Table):
     id: Mapped[str] = mapped_column(String(16), primary_key=True)
     host: Mapped[str] = mapped_column(String(128))
     pid: Mapped[int]
-    queues: Mapped[str] = mapped_column(String(128))
+    queues: Mapped[str] = mapped_column(Text)
     concurrency: Mapped[int]
     started_at: Mapped[datetime]
     beat_at: Mapped[datetime]
@@ -271,7 +271,7 @@ class JobRow(Table):
     campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"))
     subject: Mapped[str] = mapped_column(String(200), index=True)
     parameters: Mapped[dict[str, Any]]
-    queue: Mapped[str] = mapped_column(String(16))
+    queue: Mapped[str] = mapped_column(String(80))
     priority: Mapped[int] = mapped_column(default=0)
     position: Mapped[int] = mapped_column(BigInteger)
     """Order of submission; smaller is earlier."""
@@ -332,14 +332,14 @@ class OutboxRow(Table):
     __tablename__ = "outbox"
     id: Mapped[int] = mapped_column(BigId, primary_key=True)
     job_id: Mapped[str] = mapped_column(ForeignKey("job.id"))
-    queue: Mapped[str] = mapped_column(String(16))
+    queue: Mapped[str] = mapped_column(String(80))
 
 
 class QueueRow(Table):
     """A queue that is paused, or was; one without a row never was."""
 
     __tablename__ = "queue"
-    name: Mapped[str] = mapped_column(String(16), primary_key=True)
+    name: Mapped[str] = mapped_column(String(80), primary_key=True)
     paused_at: Mapped[datetime | None]
     reason: Mapped[str] = mapped_column(Text)
     for_room: Mapped[bool]

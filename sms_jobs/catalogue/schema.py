@@ -20,18 +20,19 @@ from sms_jobs.catalogue.models import Table
 from sms_jobs.errors import ConfigurationError, FormatTooNew
 
 
-def _configuration() -> Config:
-    configuration = Config()
+def configuration() -> Config:
+    """Return where the migrations are."""
+    found = Config()
     folder = Path(sms_jobs.__file__).parent / "migrations"
     # Config values are interpolated: a percent sign in the path has to be doubled.
-    configuration.set_main_option("script_location", str(folder).replace("%", "%%"))
-    configuration.set_main_option("path_separator", "os")
-    return configuration
+    found.set_main_option("script_location", str(folder).replace("%", "%%"))
+    found.set_main_option("path_separator", "os")
+    return found
 
 
 def newest_revision() -> str:
     """Return the revision that this version of the program works with."""
-    head = ScriptDirectory.from_config(_configuration()).get_current_head()
+    head = ScriptDirectory.from_config(configuration()).get_current_head()
     if head is None:
         raise ConfigurationError("the installation has no migrations; install sms-jobs again")
     return head
@@ -52,10 +53,10 @@ def upgrade(catalogue: Catalogue, revision: str = "head") -> None:
         The catalogue was made by a newer version of the program.
     """
     _refuse_newer(catalogue, current_revision(catalogue))
-    configuration = _configuration()
+    migrations = configuration()
     with catalogue.writing() as session:
-        configuration.attributes["connection"] = session.connection()
-        command.upgrade(configuration, revision)
+        migrations.attributes["connection"] = session.connection()
+        command.upgrade(migrations, revision)
 
 
 def require_current(catalogue: Catalogue) -> None:
@@ -99,7 +100,7 @@ def _refuse_newer(catalogue: Catalogue, found: str | None) -> None:
     if found is None:
         return
     try:
-        ScriptDirectory.from_config(_configuration()).get_revision(found)
+        ScriptDirectory.from_config(configuration()).get_revision(found)
     except CommandError as error:
         raise FormatTooNew(
             f"the catalogue {catalogue.describe()} has revision {found}, newer than {newest_revision()}, the "

@@ -5,11 +5,13 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 import pytest
+from alembic import command
 from sqlalchemy import select, text
+from support.jobs import submit_pipeline
 
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import SavedQueryRow
+from sms_jobs.catalogue.models import JobRow, OutboxRow, SavedQueryRow
 from sms_jobs.errors import FormatTooNew
 
 
@@ -32,6 +34,20 @@ def test_upgrading_again_changes_nothing(catalogue: Catalogue) -> None:
     assert schema.differences_from_models(catalogue) == []
     with catalogue.reading() as session:
         assert session.scalars(select(SavedQueryRow.text)).all() == ["strain"]
+
+
+def test_a_catalogue_in_use_is_taken_back_and_forth(catalogue: Catalogue) -> None:
+    jobs = submit_pipeline(catalogue)
+    with catalogue.writing() as session:
+        configuration = schema.configuration()
+        configuration.attributes["connection"] = session.connection()
+        command.downgrade(configuration, "0007")
+    assert schema.current_revision(catalogue) == "0007"
+    schema.upgrade(catalogue)
+    assert schema.differences_from_models(catalogue) == []
+    with catalogue.reading() as session:
+        assert set(session.scalars(select(JobRow.id))) == set(jobs)
+        assert session.scalars(select(OutboxRow.queue).distinct()).all() == ["acquisition"]
 
 
 def test_a_newer_catalogue_is_refused_with_both_revisions_named(catalogue: Catalogue) -> None:
