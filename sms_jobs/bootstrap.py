@@ -12,6 +12,7 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import ConfigurationError
+from sms_jobs.jobs.stations import Stations
 from sms_jobs.settings import Settings
 
 
@@ -22,6 +23,11 @@ class Services:
     settings: Settings
     catalogue: Catalogue
     archive: Archive
+
+    @property
+    def stations(self) -> Stations:
+        """The rigs that are connected to this host."""
+        return Stations.of(self.settings)
 
 
 def initialise(home: Path | None = None) -> Settings:

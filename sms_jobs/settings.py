@@ -35,6 +35,8 @@ class Settings(BaseSettings):
         Of the message broker (`redis://...`); empty for files in the home.
     archive
         Folder of the sealed files; empty for `archive` in the home.
+    spool
+        Folder, on a disk of this host, for frames as they come in; empty for `spool` in the home.
     workers
         Jobs that run at the same time under one supervisor.
     threads
@@ -58,6 +60,7 @@ class Settings(BaseSettings):
     database_url: SecretStr = SecretStr("")
     broker_url: SecretStr = SecretStr("")
     archive: Path | None = None
+    spool: Path | None = None
     workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=256)
     threads: int = Field(default=1, ge=1, le=256)
     lease_s: float = Field(default=30.0, ge=1.0, le=3600.0)
@@ -93,6 +96,16 @@ class Settings(BaseSettings):
     def archive_root(self) -> Path:
         """Return the folder of the sealed files."""
         return self.archive or self.home / "archive"
+
+    @property
+    def spool_folder(self) -> Path:
+        """Return the folder for frames as they come in, one folder a job."""
+        return self.spool or self.home / "spool"
+
+    @property
+    def rig_folder(self) -> Path:
+        """Return the folder of the files of the rigs that are connected to this host."""
+        return self.home / "rigs"
 
     @property
     def message_folder(self) -> Path:

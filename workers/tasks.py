@@ -22,6 +22,7 @@ from sms_jobs import settings as settings_file
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.jobs.runner import Runner
+from sms_jobs.jobs.stations import Stations
 from sms_jobs.workers.celery_app import QUEUES, RUN, WORKER_ID, WORKER_QUEUES, make_app
 
 _settings = settings_file.load()
@@ -40,6 +41,7 @@ def _runner() -> Runner:
         lease=timedelta(seconds=_settings.lease_s),
         threads=_settings.threads,
         log_folder=_settings.log_folder,
+        stations=Stations.of(_settings),
         now=lambda: datetime.now(UTC),
         least_room_mb=_settings.least_room_mb,
     )

@@ -11,6 +11,7 @@ from typer.exceptions import TyperException
 
 import sms_jobs
 from sms_jobs.cli import (
+    acquire,
     archive,
     bench,
     calibration,
@@ -22,6 +23,7 @@ from sms_jobs.cli import (
     lock,
     metrics,
     queue,
+    rig,
     schedule,
     service,
     worker,
@@ -49,6 +51,8 @@ app.command("bench")(bench.bench)
 app.command("study")(bench.study)
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(job.app, name="job")
+app.add_typer(acquire.app, name="acquire")
+app.add_typer(rig.app, name="rig")
 app.add_typer(queue.app, name="queue")
 app.add_typer(schedule.app, name="schedule")
 app.add_typer(lock.app, name="lock")

@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from typing import Annotated, Literal
 
 import typer
+from sqlalchemy.orm import Session
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
@@ -50,8 +51,8 @@ def pause(
 
     Example: sms queue pause cpu --reason "the rig needs the machine until 14:00"
     """
-    wanted = _checked(names)
     with bootstrap.services(home) as services, services.catalogue.writing() as session:
+        wanted = _checked(session, names)
         for name in wanted:
             queues.pause(session, name, reason, datetime.now(UTC))
     output.say(f"paused {', '.join(wanted)}; 'sms queue resume' lets them go on")
@@ -63,8 +64,8 @@ def resume(names: Names = None, home: Home = None) -> None:
 
     Example: sms queue resume cpu
     """
-    wanted = _checked(names)
     with bootstrap.services(home) as services, services.catalogue.writing() as session:
+        wanted = _checked(session, names)
         resumed = [name for name in wanted if queues.resume(session, name)]
     if names and not resumed:
         raise Conflict(f"{', '.join(wanted)} was not paused; nothing was changed")
@@ -115,11 +116,12 @@ def priority(
     output.say(f"gave {count} jobs the priority {value}")
 
 
-def _checked(names: list[str] | None) -> list[str]:
-    unknown = [name for name in names or [] if name not in queues.QUEUES]
+def _checked(session: Session, names: list[str] | None) -> list[str]:
+    known = queues.known(session)
+    unknown = [name for name in names or [] if name not in known]
     if unknown:
-        raise InvalidInput(f"there is no queue '{unknown[0]}'; choose among {', '.join(queues.QUEUES)}")
-    return names or list(queues.QUEUES)
+        raise InvalidInput(f"there is no queue '{unknown[0]}'; choose among {', '.join(known)}")
+    return names or known
 
 
 def _jobs(services: Services, jobs: list[str] | None, campaign: str | None) -> list[str]:

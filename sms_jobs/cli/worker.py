@@ -21,21 +21,27 @@ _SHOWN_FOR = timedelta(minutes=5)
 @app.command()
 def start(
     home: Home = None,
-    queues: Annotated[str, typer.Option(help="Queues to serve, separated by commas.")] = "cpu,io,acquisition",
+    queues: Annotated[
+        str | None,
+        typer.Option(help="Queues to serve, separated by commas; all of this host if not given."),
+    ] = None,
 ) -> None:
     """Join the service on this host, serving some queues only, until Ctrl-C.
+
+    A rig that `sms rig add` has connected to this host has a queue of its own, such as rig-wing.
 
     Example: sms worker start --queues cpu,io
     """
     from sms_jobs.workers.celery_app import QUEUES
     from sms_jobs.workers.supervisor import Supervisor
 
-    wanted = tuple(queue.strip() for queue in queues.split(","))
-    unknown = [queue for queue in wanted if queue not in QUEUES]
-    if unknown:
-        raise InvalidInput(f"there is no queue '{unknown[0]}'; choose among {', '.join(QUEUES)}")
     output.log_to_stderr()
     with bootstrap.services(home) as services:
+        known = (*QUEUES, *services.stations.queues())
+        wanted = known if queues is None else tuple(queue.strip() for queue in queues.split(","))
+        unknown = [queue for queue in wanted if queue not in known]
+        if unknown:
+            raise InvalidInput(f"there is no queue '{unknown[0]}' here; choose among {', '.join(known)}")
         Supervisor(services, wanted).run()
 
 

@@ -9,6 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.instruments.devices.device import Status
+from sms_jobs.instruments.devices.pose_table import StagePose
 from sms_jobs.records.measurement import FringeSequence, Measurement
 
 
@@ -24,18 +26,6 @@ class Recorder(Protocol):
         The frames may be taken while they are asked for. Raises `InvalidInput` for a pair that the rig
         does not have.
         """
-        ...
-
-
-class Clock(Protocol):
-    """Time that goes on, so that tests with simulators need not wait for it."""
-
-    def monotonic(self) -> float:
-        """Return seconds since some moment; never goes back."""
-        ...
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass."""
         ...
 
 
@@ -143,8 +133,12 @@ class Channel(Protocol):
 class Stage(Protocol):
     """A pan-tilt stage."""
 
-    def move(self, pan_rad: float, tilt_rad: float) -> None:
-        """Go there and return when it stands still; raise `LimitExceeded` where it must not go."""
+    def stage(self) -> None:
+        """Make ready for poses: look for home where an axis does not know it."""
+        ...
+
+    def set(self, value: StagePose) -> Status:
+        """Begin to go to a pose; raise `LimitExceeded` where it must not go."""
         ...
 
     def angles(self) -> tuple[float, float]:
@@ -175,3 +169,18 @@ class SoftwareTrigger:
         """Expose all of them."""
         for camera in cameras.values():
             camera.trigger()
+
+
+class Video(Protocol):
+    """What brings the picture to one of several projectors."""
+
+    def feed(self, projector: str) -> None:
+        """Feed a projector; it has the picture when this returns."""
+        ...
+
+
+class DirectVideo:
+    """Every projector has a picture of its own."""
+
+    def feed(self, projector: str) -> None:
+        """Do nothing: the picture is there."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import logging
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
@@ -23,15 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import FrameLost, InstrumentError, InvalidInput
+from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.protocols import (
     Camera,
     Channel,
-    Clock,
+    DirectVideo,
     Frame,
     Projector,
     SoftwareTrigger,
     Stage,
     Trigger,
+    Video,
 )
 from sms_jobs.instruments.spool import Spooled, SpooledFrames, SpoolHeader, SpoolWriter
 from sms_jobs.metrology.phase.recording_quality import recording_quality
@@ -63,24 +65,26 @@ class ConnectedRig:
         Of the rig.
     cameras, projectors
         By name: C1, ..., P1, ...
-    clock, now
-        Time that goes on, and time of day with zone.
+    clock
+        Of the rig.
     trigger
         What makes the cameras expose.
     channels
         Scalar readings, by name.
     stage
         That carries a calibration artefact; None where there is none.
+    video
+        What brings the picture to a projector.
     """
 
     name: str
     cameras: Mapping[str, Camera]
     projectors: Mapping[str, Projector]
     clock: Clock
-    now: Callable[[], datetime]
     trigger: Trigger = field(default_factory=SoftwareTrigger)
     channels: Mapping[str, Channel] = field(default_factory=dict)
     stage: Stage | None = None
+    video: Video = field(default_factory=DirectVideo)
 
     def read_channels(self) -> dict[str, float]:
         """Return what every channel reads now."""
@@ -102,7 +106,7 @@ class Limits:
     """
 
     saturated_fraction: float = 0.02
-    lit_fraction: float = 0.05
+    lit_fraction: float = 0.01
     recordings: int = 2
 
 
@@ -187,21 +191,20 @@ def recorded(spool: Path, pair: str, sequence: FringeSequence) -> tuple[Measurem
     )
 
 
-def interrupted(spool: Path, sequence: FringeSequence) -> Iterator[tuple[str, InterruptedRecording]]:
-    """Yield the pairs and sets of earlier attempts that broke off after one complete frame or more."""
-    for path in sorted(spool.glob(f"*{_INTERRUPTED}")):
+def interrupted(spool: Path, pair: str, sequence: FringeSequence) -> list[InterruptedRecording]:
+    """Return the sets of a pair that broke off after one complete frame or more, in order."""
+    found = []
+    for path in _files(spool, pair):
         file = Spooled(path)
         count = min(file.complete, sequence.frames)
-        if count:
+        if path.suffix == _INTERRUPTED and count:
             numbers, times = file.numbers_and_times(count)
             full_scale = file.header.about["full_scale"]
-            pair = path.name.split(".")[0]
-            yield (
-                pair,
-                InterruptedRecording(
-                    file.header.recorded_at, sequence, full_scale, numbers, times, SpooledFrames(file, count)
-                ),
+            frames = SpooledFrames(file, count)
+            found.append(
+                InterruptedRecording(file.header.recorded_at, sequence, full_scale, numbers, times, frames)
             )
+    return found
 
 
 @dataclass
@@ -220,9 +223,10 @@ class _Set:
     def record(self, limits: Limits, progress: Callable[[float, str], None]) -> tuple[str, ...]:
         """Record the set and return what is wrong with it, in words."""
         rig, sequence = self.rig, self.sequence
-        begun, channels = rig.now(), rig.read_channels()
+        begun, channels = rig.clock.now(), rig.read_channels()
         zero = rig.clock.monotonic()
         projector = rig.projectors[self.projector]
+        rig.video.feed(self.projector)
         projector.load(sequence)
         with ExitStack() as stack:
             writers = {

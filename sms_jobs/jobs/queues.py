@@ -10,12 +10,13 @@ from typing import Literal
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import JobRow, QueueRow
+from sms_jobs.catalogue.models import JobRow, QueueRow, WorkerRow
 from sms_jobs.errors import Conflict
 from sms_jobs.kinds.kind import Queue
 from sms_jobs.records.job import JobState
 
 QUEUES = tuple(queue.value for queue in Queue)
+"""Those that every service has; beside them each rig has its own."""
 HIGHEST_PRIORITY = 1_000_000
 
 _PENDING = (JobState.WAITING, JobState.QUEUED)
@@ -83,8 +84,18 @@ def queues(session: Session) -> list[QueueView]:
             paused[name].reason if name in paused else "",
             name in paused and paused[name].for_room,
         )
-        for name in QUEUES
+        for name in known(session)
     ]
+
+
+def known(session: Session) -> list[str]:
+    """Return the names of all queues: of every service, and of rigs that have jobs or workers."""
+    with_jobs = select(JobRow.queue).where(JobRow.state.in_((*_PENDING, JobState.RUNNING)))
+    served = session.scalars(select(WorkerRow.queues))
+    others = {*session.scalars(with_jobs.distinct()), *session.scalars(select(QueueRow.name))}
+    for queues_of_worker in served:
+        others.update(queues_of_worker.split(","))
+    return [*QUEUES, *sorted(others - set(QUEUES))]
 
 
 def set_priority(session: Session, job_ids: Sequence[str], priority: int) -> int:

@@ -26,13 +26,22 @@ import sms_jobs
 from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.errors import Cancelled, LeaseLost, OverLimit, ServerUnreachable, SmsError, StorageFull
+from sms_jobs.errors import (
+    Cancelled,
+    InstrumentError,
+    LeaseLost,
+    OverLimit,
+    ServerUnreachable,
+    SmsError,
+    StorageFull,
+)
 from sms_jobs.jobs import indexing, lifecycle, queues, reuse
 from sms_jobs.jobs.indexing import SealedOutput
 from sms_jobs.jobs.lifecycle import Claim
 from sms_jobs.jobs.logs import logged
+from sms_jobs.jobs.stations import Stations
 from sms_jobs.kinds import kind_named
-from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Output
+from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Output, Station
 from sms_jobs.records.job import JobState
 
 _PROGRESS_EVERY_S = 0.5
@@ -58,6 +67,8 @@ class Runner:
         Threads that a job may use.
     log_folder
         Of the jobs' log files.
+    stations
+        The rigs that are connected to this host.
     now
         Clock, with time zone.
     least_room_mb
@@ -71,6 +82,7 @@ class Runner:
     lease: timedelta
     threads: int
     log_folder: Path
+    stations: Stations
     now: Callable[[], datetime]
     least_room_mb: float
 
@@ -116,14 +128,14 @@ class Runner:
         )
         if held.use_cache and held.repeatable and self._reuse(held, key):
             return
-        if held.repeatable and held.attempt > 1:
+        if held.attempt > 1 and (held.repeatable or kind.with_instruments):
             self._clear_leftovers(held)
         started = time.monotonic()
         sealed: list[SealedOutput] = []
         try:
             sealed.extend(self._sealed_outputs(kind, held, task))
         except BaseException:
-            self._discard(held, sealed)
+            self._discard(held, kind, sealed)
             raise
         # From here on an exception may leave the commit in doubt: the files stay, and the next attempt
         # clears away those that were not indexed.
@@ -133,13 +145,16 @@ class Runner:
             if done:
                 indexing.add_outputs(session, held, kind, sealed, self.now())
         if not done:
-            self._discard(held, sealed)
+            self._discard(held, kind, sealed)
             raise LeaseLost("a newer attempt has begun; what this one made is discarded")
+        if kind.with_instruments:
+            self.stations.empty(held.job_id)
         logger.info("job %s: done, %d files", held.job_id, len(sealed))
 
-    def _discard(self, held: Claim, sealed: Sequence[SealedOutput]) -> None:
-        # What was measured and cannot be measured again is kept for the operator.
-        if held.repeatable:
+    def _discard(self, held: Claim, kind: Kind[Any], sealed: Sequence[SealedOutput]) -> None:
+        # What was measured and cannot be measured again is kept for the operator; with instruments, the
+        # frames themselves are.
+        if held.repeatable or kind.with_instruments:
             for output in sealed:
                 self.archive.discard(output.file.path)
 
@@ -147,7 +162,9 @@ class Runner:
         with self.catalogue.writing() as session:
             definition = campaigns.definition(campaigns.campaign_row(session, held.subject.campaign))
             inputs = indexing.resolve_inputs(session, held.job_id)
-        return _Task(inputs, kind.context(definition, held.subject), kind.parameters(**held.parameters))
+        station = self.stations.station(definition.rig, held.job_id) if kind.with_instruments else None
+        context = kind.context(definition, held.subject)
+        return _Task(inputs, context, kind.parameters(**held.parameters), station)
 
     def _reuse(self, held: Claim, key: str) -> bool:
         with self.catalogue.writing() as session:
@@ -179,7 +196,7 @@ class Runner:
         progress = _ThrottledProgress(self, held)
         with ExitStack() as stack:
             datasets = {i.role: stack.enter_context(self.archive.open(i.path)) for i in task.inputs}
-            inputs = Inputs(held.subject, task.context, datasets, self.threads)
+            inputs = Inputs(held.subject, task.context, datasets, self.threads, task.station)
             for output in kind.run(inputs, task.parameters, progress):
                 yield indexing.sealed_output(output, self._seal(output, held, task))
 
@@ -207,6 +224,10 @@ class Runner:
         if retryable and self._tries(held) < _ATTEMPTS:
             self._try_again(held, error)
             return
+        if not held.repeatable and isinstance(error, InstrumentError | StorageFull | OSError):
+            logger.error("job %s: %s; an operator is needed", held.job_id, error)
+            self._end(held, JobState.NEEDS_OPERATOR, str(error), error=str(error))
+            return
         if isinstance(error, SmsError):
             message = f"{error} (tried {_ATTEMPTS} times)" if retryable else str(error)
             logger.error("job %s: %s", held.job_id, error)
@@ -231,11 +252,12 @@ class Runner:
 
     def _hold_queues_back(self, session: Session, error: BaseException) -> None:
         # A supervisor lets them go on when there is room.
-        for name in queues.QUEUES:
+        for name in queues.known(session):
             queues.pause(session, name, str(error), self.now(), for_room=True)
 
     def _end(self, held: Claim, state: JobState, message: str, **columns: Any) -> None:
-        ended: dict[str, Any] = {} if state is JobState.QUEUED else {"finished_at": self.now()}
+        goes_on = state in (JobState.QUEUED, JobState.NEEDS_OPERATOR)
+        ended: dict[str, Any] = {} if goes_on else {"finished_at": self.now()}
         with self.catalogue.writing() as session:
             lifecycle.change(
                 session, held.job_id, state, self.now(), message, fence=held.fence, **ended, **columns
@@ -247,6 +269,7 @@ class _Task:
     inputs: tuple[indexing.ResolvedInput, ...]
     context: object
     parameters: Any
+    station: Station | None
 
 
 class _ThrottledProgress:

@@ -6,6 +6,7 @@ import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
 from sqlalchemy import insert, select
 from sqlalchemy.orm import Session
@@ -15,7 +16,7 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.models import DependencyRow, EventRow, JobDeviceRow, JobRow, OutboxRow
 from sms_jobs.jobs.planning import Existing, PlannedInput, PlannedJob, Request, covering, plan
 from sms_jobs.kinds import all_kinds
-from sms_jobs.kinds.kind import CALIBRATION, Need
+from sms_jobs.kinds.kind import CALIBRATION, Kind, Need
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import ACTIVE, JobState
 
@@ -76,7 +77,7 @@ def submit(
     ids = tuple(secrets.token_hex(8) for _ in jobs)
     if not jobs:
         return Submission((), ())
-    _insert(session, row.id, jobs, ids, now, priority, use_cache)
+    _insert(session, row.id, campaign, jobs, ids, now, priority, use_cache)
     _note_devices(session, campaign, jobs, ids)
     return Submission(ids, tuple(job.kind.name for job in jobs))
 
@@ -89,11 +90,13 @@ def _coming(session: Session, campaign_id: int) -> Callable[[Need], str | None]:
         .order_by(JobRow.position)
     )
     jobs = {(kind, subject): job_id for kind, subject, job_id in rows}
-    makers = {kind.makes or kind.name: kind for kind in all_kinds().values()}
+    makers: dict[str, list[Kind[Any]]] = {}
+    for kind in all_kinds().values():
+        makers.setdefault(kind.makes or kind.name, []).append(kind)
 
     def find(need: Need) -> str | None:
-        maker = makers[need.source]
-        return jobs.get((maker.name, str(covering(maker, need.subject))))
+        found = (jobs.get((m.name, str(covering(m, need.subject)))) for m in makers[need.source])
+        return next((job_id for job_id in found if job_id is not None), None)
 
     return find
 
@@ -101,6 +104,7 @@ def _coming(session: Session, campaign_id: int) -> Callable[[Need], str | None]:
 def _insert(
     session: Session,
     campaign_id: int,
+    campaign: Campaign,
     jobs: Sequence[PlannedJob],
     ids: Sequence[str],
     now: datetime,
@@ -121,7 +125,7 @@ def _insert(
                 "campaign_id": campaign_id,
                 "subject": str(job.subject),
                 "parameters": job.parameters.model_dump(mode="json"),
-                "queue": job.kind.queue.value,
+                "queue": job.kind.queue_for(campaign),
                 "priority": priority,
                 "position": first + place,
                 "repeatable": job.kind.repeatable(job.parameters),
@@ -154,7 +158,7 @@ def _insert(
         ],
     )
     ready = [
-        {"job_id": i, "queue": job.kind.queue.value}
+        {"job_id": i, "queue": job.kind.queue_for(campaign)}
         for i, job, s in zip(ids, jobs, states, strict=True)
         if s is JobState.QUEUED
     ]

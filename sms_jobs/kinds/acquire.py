@@ -26,7 +26,7 @@ from sms_jobs.kinds.kind import (
     Queue,
     Scope,
 )
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.scene import Deformation, Scene
 from sms_jobs.records.sensors import split_pair
@@ -90,17 +90,22 @@ def recipe(campaign: Campaign, subject: Subject) -> Recipe:
             f"campaign {campaign.name} has no scene for the virtual rig to record; "
             "describe one under [scene] in its test plan"
         )
-    state, scene = campaign.state(subject.state or ""), campaign.scene
-    if campaign.session is not None and state.artefact is not None:
-        scene = replace(scene, surface=campaign.session.artefacts[state.artefact], speckle=None)
+    state = campaign.state(subject.state or "")
     return Recipe(
-        scene,
+        scene_at(campaign.scene, campaign, state),
         state.label,
         state.deformation,
         campaign.pairs,
         campaign.sequence,
         state.time or UNTIMED,
     )
+
+
+def scene_at(scene: Scene, campaign: Campaign, state: LoadState) -> Scene:
+    """Return what stands before a virtual rig at a state: an artefact in place of a specimen in a session."""
+    if campaign.session is None or state.artefact is None:
+        return scene
+    return replace(scene, surface=campaign.session.artefacts[state.artefact], speckle=None)
 
 
 def simulated_states(campaign: Campaign) -> tuple[Subject, ...]:

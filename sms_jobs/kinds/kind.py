@@ -15,6 +15,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from pydantic import BaseModel, ConfigDict
 
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.records.sensors import Calibration
 
 R = TypeVar("R")
@@ -95,6 +96,23 @@ class Progress(Protocol):
 
 
 @dataclass(frozen=True)
+class Station:
+    """Where the instruments of a rig are connected.
+
+    Attributes
+    ----------
+    rig
+        What the rig's file on this host says.
+    spool
+        A folder of the job's own on a local disk, for frames as they come in. It stays until the job has
+        succeeded, whatever happens.
+    """
+
+    rig: RigFile
+    spool: Path
+
+
+@dataclass(frozen=True)
 class Inputs:
     """What `run` is given besides its parameters.
 
@@ -108,12 +126,15 @@ class Inputs:
         The needs, by role.
     threads
         How many threads the job may use; results must not depend on it.
+    station
+        For kinds that work with instruments.
     """
 
     subject: Subject
     context: Any
     datasets: Mapping[str, Dataset]
     threads: int = 1
+    station: Station | None = None
 
     def read(self, role: str, name: str, record: type[R]) -> R:
         """Read one record of the dataset in `role`."""
@@ -149,13 +170,13 @@ def no_context(campaign: Campaign, subject: Subject) -> None:
     """Take nothing from the campaign's definition."""
 
 
-def no_more_needs(campaign: Campaign, subject: Subject, parameters: Any) -> Iterable[Need]:
-    """Need nothing that depends on the parameters."""
+def no_devices(campaign: Campaign, subject: Subject) -> Iterable[str]:
+    """Need no device."""
     return ()
 
 
-def no_devices(campaign: Campaign, subject: Subject) -> Iterable[str]:
-    """Need no device."""
+def no_more_needs(campaign: Campaign, subject: Subject, parameters: Any) -> Iterable[Need]:
+    """Need nothing that depends on the parameters."""
     return ()
 
 
@@ -197,6 +218,8 @@ class Kind(Generic[P]):
         Whether `sms job submit pipeline` includes it.
     devices
         Names of the devices that a job has to itself while it runs; it stays queued until they are free.
+    with_instruments
+        Whether its jobs run where the instruments of the campaign's rig are connected, and hold that rig.
     """
 
     name: str
@@ -214,10 +237,20 @@ class Kind(Generic[P]):
     makes: str = ""
     in_pipeline: bool = True
     devices: Callable[[Campaign, Subject], Iterable[str]] = no_devices
+    with_instruments: bool = False
 
     def all_needs(self, campaign: Campaign, subject: Subject, parameters: P) -> tuple[Need, ...]:
         """Return every input of a job about a subject, with those that its parameters ask for."""
         return (*self.needs(campaign, subject), *self.further_needs(campaign, subject, parameters))
+
+    def queue_for(self, campaign: Campaign) -> str:
+        """Return the queue of its jobs about a campaign: with instruments, that of the campaign's rig."""
+        return rig_queue(campaign.rig) if self.with_instruments else self.queue.value
+
+
+def rig_queue(rig: str) -> str:
+    """Return the queue of the jobs that work with the instruments of a rig."""
+    return f"rig-{rig}"
 
 
 def tested_states(campaign: Campaign) -> tuple[LoadState, ...]:
@@ -266,11 +299,13 @@ __all__ = [
     "Progress",
     "Queue",
     "Scope",
+    "Station",
     "always",
     "default_subjects",
     "deformed_states",
     "deformed_tuples",
     "no_devices",
+    "rig_queue",
     "tested_states",
     "tuples",
 ]

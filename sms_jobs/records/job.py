@@ -22,14 +22,21 @@ class JobState(Enum):
     QUARANTINED = "quarantined"
     """Its worker vanished too often: running it again may bring down another."""
     NEEDS_OPERATOR = "needs-operator"
-    """It was interrupted and must not be repeated without a person's word."""
+    """It was interrupted, or an instrument gave up, and must not go on without a person's word."""
 
 
 TRANSITIONS: dict[JobState, frozenset[JobState]] = {
     JobState.WAITING: frozenset({JobState.QUEUED, JobState.SKIPPED, JobState.CANCELLED}),
     JobState.QUEUED: frozenset({JobState.RUNNING, JobState.CANCELLED}),
     JobState.RUNNING: frozenset(
-        {JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELLED, JobState.LOST, JobState.QUEUED}
+        {
+            JobState.SUCCEEDED,
+            JobState.FAILED,
+            JobState.CANCELLED,
+            JobState.LOST,
+            JobState.QUEUED,
+            JobState.NEEDS_OPERATOR,
+        }
     ),
     JobState.LOST: frozenset(
         {

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import count
-from pathlib import Path
 from typing import Any
 
 from sqlalchemy import select, text
@@ -35,6 +34,7 @@ from sms_jobs.catalogue.models import (
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.jobs.runner import Runner
+from sms_jobs.jobs.stations import Stations
 from sms_jobs.jobs.submission import submit
 from sms_jobs.virtual_rig.campaigns import small_plate
 
@@ -65,9 +65,21 @@ def run_jobs(
     """Submit jobs and run them in this process."""
     with catalogue.writing() as session:
         done = submit(session, campaign, list(requests), clock())
-    logs = Path(archive.root).parent / "logs"
-    runner = Runner(catalogue, archive, "w1", "here", timedelta(hours=1), 1, logs, clock, least_room_mb=0.0)
-    (archive.root.parent / "logs").mkdir(exist_ok=True)
+    home = archive.root.parent
+    stations = Stations(home / "rigs", home / "spool")
+    runner = Runner(
+        catalogue,
+        archive,
+        "w1",
+        "here",
+        timedelta(hours=1),
+        1,
+        home / "logs",
+        stations,
+        clock,
+        least_room_mb=0.0,
+    )
+    (home / "logs").mkdir(exist_ok=True)
     while runner.run_next(["cpu", "io", "acquisition"]):
         pass
     return done.job_ids

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import FrameLost, LinkLost
-from sms_jobs.instruments.protocols import CameraFacts, Clock, Frame
+from sms_jobs.instruments.clock import Clock
+from sms_jobs.instruments.protocols import CameraFacts, Frame
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import OpticalFault
 from sms_jobs.records.scene import Deformation, PanTilt, Scene, Simulation
@@ -21,9 +22,9 @@ _FLASH = 2.0
 """What a lamp adds, in units of full scale: nothing else is left to be seen."""
 
 
-@dataclass
-class Hall:
-    """The room in which the instruments of a virtual rig stand, and what stands before them.
+@dataclass(frozen=True)
+class Setting:
+    """What stands before the instruments of a virtual rig.
 
     Attributes
     ----------
@@ -31,6 +32,24 @@ class Hall:
         The sensors as they truly are, and the specimen or the artefact.
     state, deformation
         Label of the load state, and what it does to the specimen.
+    channels
+        What simulated channels read there, by name.
+    """
+
+    scene: Scene
+    state: str
+    deformation: tuple[Deformation, ...]
+    channels: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class Hall:
+    """The room in which the instruments of a virtual rig stand.
+
+    Attributes
+    ----------
+    setting
+        What stands there.
     clock
         The time in the room.
     stage_angles
@@ -40,9 +59,7 @@ class Hall:
         For rendering.
     """
 
-    scene: Scene
-    state: str
-    deformation: tuple[Deformation, ...]
+    setting: Setting
     clock: Clock
     stage_angles: Callable[[], tuple[float, float]] | None = None
     threads: int = 1
@@ -71,7 +88,7 @@ class Hall:
         return rendering.frames.frame(place)
 
     def _size(self, camera: str) -> tuple[int, int]:
-        sensor = self.scene.rig.sensor(camera)
+        sensor = self.setting.scene.rig.sensor(camera)
         return sensor.rows, sensor.columns
 
     def _rendering(self, camera: str, projector: str, sequence: FringeSequence) -> Rendering:
@@ -81,15 +98,15 @@ class Hall:
         if key not in self._seen:
             # Those of another projector or pose will not be asked for again.
             self._seen = {k: v for k, v in self._seen.items() if k[1:] == key[1:]}
-            simulation = Simulation(self.scene, camera, projector, deformation, self.state)
+            simulation = Simulation(self.setting.scene, camera, projector, deformation, self.setting.state)
             self._seen[key] = render(simulation, sequence, threads=self.threads)
         return self._seen[key]
 
     def _present_deformation(self) -> tuple[Deformation, ...]:
         if self.stage_angles is None:
-            return self.deformation
+            return self.setting.deformation
         stage = PanTilt(*self.stage_angles())
-        return tuple(stage if isinstance(d, PanTilt) else d for d in self.deformation)
+        return tuple(stage if isinstance(d, PanTilt) else d for d in self.setting.deformation)
 
 
 @dataclass
@@ -136,7 +153,10 @@ class SimulatedCamera:
     @property
     def facts(self) -> CameraFacts:
         """What does not change about it."""
-        sensor, noise = self.hall.scene.rig.sensor(self.name), Noise.of(self.hall.scene.camera)
+        sensor, noise = (
+            self.hall.setting.scene.rig.sensor(self.name),
+            Noise.of(self.hall.setting.scene.camera),
+        )
         read_noise = (noise.read_noise**2 + 1.0 / 12.0) ** 0.5  # with the rounding to whole grey levels
         return CameraFacts(sensor.columns, sensor.rows, "uint16", noise.full_scale, noise.gain, read_noise)
 
@@ -159,7 +179,7 @@ class SimulatedCamera:
             self._flashes = 3
         if self._flashes:
             self._flashes -= 1
-            noise = Noise.of(self.hall.scene.camera)
+            noise = Noise.of(self.hall.setting.scene.camera)
             image = np.minimum(image + _FLASH * noise.full_scale, noise.full_scale).astype(np.uint16)
         self._waiting.append(Frame(self._number, self.hall.clock.monotonic(), image))
 
@@ -176,7 +196,7 @@ class SimulatedCamera:
         self._exposure = None
 
     def _here(self, fault: str) -> list[OpticalFault]:
-        return [f for f in self.faults if f.fault == fault and f.state in ("", self.hall.state)]
+        return [f for f in self.faults if f.fault == fault and f.state in ("", self.hall.setting.state)]
 
     def _has(self, fault: str) -> bool:
         return any(self._triggers >= f.frame for f in self._here(fault))

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import pytest
 
+from sms_jobs.instruments.clock import SimulatedClock
 from sms_jobs.instruments.protocols import Channel
 from sms_jobs.instruments.recorder import ConnectedRig
-from sms_jobs.instruments.simulated.optics import Hall, SimulatedCamera, SimulatedProjector
+from sms_jobs.instruments.simulated.optics import Hall, Setting, SimulatedCamera, SimulatedProjector
 from sms_jobs.records.optical_instruments import OpticalFault
 from sms_jobs.records.sensors import Rig
 from sms_jobs.virtual_rig.campaigns import Lens, aimed, small_plate
@@ -18,29 +19,16 @@ from sms_jobs.virtual_rig.campaigns import Lens, aimed, small_plate
 BEGUN = datetime(2026, 5, 4, 10, 0, tzinfo=UTC)
 
 
-@dataclass
-class ManualClock:
-    """A clock that goes on when somebody sleeps."""
-
-    now_s: float = 100.0
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        self.now_s += seconds
-
-
 @pytest.fixture
-def clock() -> ManualClock:
-    return ManualClock()
+def clock() -> SimulatedClock:
+    return SimulatedClock(BEGUN)
 
 
 MakeRig = Callable[..., ConnectedRig]
 
 
 @pytest.fixture
-def make_rig(clock: ManualClock) -> MakeRig:
+def make_rig(clock: SimulatedClock) -> MakeRig:
     scene = small_plate("plate")[1].scene
     assert scene is not None
     second = aimed("C2", 128, 96, Lens(7.0, -0.08, 0.1, 0.0, 0.0), (200.0, 60.0, 1230.0))
@@ -49,14 +37,13 @@ def make_rig(clock: ManualClock) -> MakeRig:
     def make(
         faults: dict[str, tuple[OpticalFault, ...]] | None = None, channels: dict[str, Channel] | None = None
     ) -> ConnectedRig:
-        hall = Hall(scene, "S00", (), clock)
+        hall = Hall(Setting(scene, "S00", ()), clock)
         names = [s.name for s in scene.rig.sensors]
         return ConnectedRig(
             "virtual",
             {n: SimulatedCamera(n, hall, (faults or {}).get(n, ())) for n in names if n.startswith("C")},
             {n: SimulatedProjector(n, hall, 0.05) for n in names if n.startswith("P")},
             clock,
-            lambda: BEGUN,
             channels=channels or {},
         )
 

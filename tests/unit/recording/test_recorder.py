@@ -64,7 +64,7 @@ def test_every_pair_gets_the_frames_that_it_would_see(
     told = record(rig, tmp_path / "s")
     assert told.fractions == sorted(told.fractions)
     hall = hall_of(rig)
-    seen = SimulatedRig(hall.scene, "S00", (), rig.now())
+    seen = SimulatedRig(hall.setting.scene, "S00", (), rig.clock.now())
     for pair in PAIRS:
         assert is_finished(tmp_path / "s", pair)
         measurement, recording = recorded(tmp_path / "s", pair, SEQUENCE)
@@ -82,7 +82,7 @@ def test_every_pair_gets_the_frames_that_it_would_see(
         assert recording.verdict.doubts == ()
         assert 0.2 < recording.verdict.lit_fraction <= 1.0
         assert recording.verdict.modulation > 0.05
-    assert not list(interrupted(tmp_path / "s", SEQUENCE))
+    assert not any(interrupted(tmp_path / "s", pair, SEQUENCE) for pair in PAIRS)
     # In the dark, and no longer armed.
     assert not hall.view("C1", 1.0).any()
 
@@ -92,7 +92,7 @@ def test_a_lost_frame_is_taken_again(make_rig: Callable[..., ConnectedRig], tmp_
     begun = rig.clock.monotonic()
     record(rig, tmp_path / "s")
     assert rig.clock.monotonic() - begun > FRAME_TIMEOUT_S
-    expected = SimulatedRig(hall_of(rig).scene, "S00", (), rig.now())
+    expected = SimulatedRig(hall_of(rig).setting.scene, "S00", (), rig.clock.now())
     for pair in PAIRS:
         measurement, recording = recorded(tmp_path / "s", pair, SEQUENCE)
         assert recording.retaken == (1 if pair.endswith("P1") else 0)
@@ -118,7 +118,7 @@ def test_a_camera_that_misses_every_frame_is_given_up(
 def interrupted_after(spool: Path, rig: ConnectedRig) -> list[tuple[str, int]]:
     """Return pair and number of frames of what had broken off, after recording the rest."""
     record(rig, spool)
-    return [(pair, set_.frames.shape[0]) for pair, set_ in interrupted(spool, SEQUENCE)]
+    return [(p, broken.frames.shape[0]) for p in PAIRS for broken in interrupted(spool, p, SEQUENCE)]
 
 
 def test_an_unplugged_camera_loses_nothing_that_was_complete(
@@ -133,10 +133,11 @@ def test_an_unplugged_camera_loses_nothing_that_was_complete(
     # Plugged in again: what there is stays as it is, the rest is recorded, what broke off is kept beside it.
     assert interrupted_after(tmp_path / "s", make_rig()) == [("C1P2", 9), ("C2P2", 9)]
     assert before == {p: (tmp_path / "s" / f"{p}.001.frames").stat().st_mtime_ns for p in before}
-    for pair, set_ in interrupted(tmp_path / "s", SEQUENCE):
+    for pair in ("C1P2", "C2P2"):
+        (broken,) = interrupted(tmp_path / "s", pair, SEQUENCE)
         whole = recorded(tmp_path / "s", pair, SEQUENCE)[0]
         for k in range(9):
-            np.testing.assert_array_equal(set_.frames.frame(k), whole.frames.frame(k))
+            np.testing.assert_array_equal(broken.frames.frame(k), whole.frames.frame(k))
 
 
 def test_a_saturated_set_is_recorded_again(make_rig: Callable[..., ConnectedRig], tmp_path: Path) -> None:

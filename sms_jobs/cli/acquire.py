@@ -1,0 +1,182 @@
+"""`sms acquire`: record states with the instruments of a rig."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Annotated
+
+import typer
+from sqlalchemy.orm import Session
+
+from sms_jobs import bootstrap
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.cli import completion, output
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.cli.waiting import unsuccessful, wait_for
+from sms_jobs.errors import Conflict, InvalidInput, JobFailed
+from sms_jobs.jobs import inquiry, lifecycle, recordings
+from sms_jobs.jobs.planning import PIPELINE, Request
+from sms_jobs.jobs.submission import submit
+from sms_jobs.kinds.record import KIND
+from sms_jobs.records.job import JobState
+
+app = typer.Typer(help="Recordings: states, with the instruments of a rig.", no_args_is_help=True)
+
+JobId = Annotated[
+    str, typer.Argument(help="Job id, or the beginning of one.", autocompletion=completion.job_ids)
+]
+
+
+@app.command()
+def run(
+    campaign: Annotated[
+        str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
+    ],
+    state: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--state",
+            "-s",
+            help="This state; can be repeated. All if not given.",
+            autocompletion=completion.state_labels,
+        ),
+    ] = None,
+    ask: Annotated[
+        bool, typer.Option("--ask", help="Ask an operator about a doubtful set instead of keeping it.")
+    ] = False,
+    process: Annotated[
+        bool, typer.Option("--process", help="Process each state as soon as it is recorded.")
+    ] = False,
+    no_wait: Annotated[bool, typer.Option("--no-wait", help="Return at once.")] = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Record states, every pair, and say whether the recordings can be used.
+
+    They are recorded where the rig is connected, see 'sms rig', one after the other. Exit code 5 when one
+    needs an operator.
+
+    Example: sms acquire run wing-fatigue --state S03 --process
+    """
+    states = tuple(state or ())
+    requests = [Request(KIND.name, {"doubtful": "ask" if ask else "keep"}, states)]
+    if process:
+        requests.append(Request(PIPELINE, {}, states))
+    with bootstrap.services(home) as services:
+        with services.catalogue.writing() as session:
+            done = submit(session, campaign, requests, datetime.now(UTC))
+        ids = [i for i, kind in zip(done.job_ids, done.kinds, strict=True) if kind == KIND.name]
+        if not as_json:
+            output.say(f"submitted {len(ids)} recordings" + (", each to be processed" if process else ""))
+        if no_wait:
+            if as_json:
+                output.print_json({"campaign": campaign, "jobs": done.job_ids})
+            return
+        _follow(services, ids, as_json)
+
+
+@app.command("list")
+def list_(home: Home = None, as_json: Json = False) -> None:
+    """Show the recordings that run, or wait for an operator.
+
+    Example: sms acquire list
+    """
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        found = recordings.open_recordings(session, services.settings.spool_folder)
+    if as_json:
+        output.print_json_list(found)
+        return
+    output.print_table(
+        ["job", "state of the campaign", "job is", "recorded", "because"],
+        [(r.job_id[:8], r.subject, r.state.value, " ".join(r.finished), r.reason) for r in found],
+        empty="no recording runs or waits",
+    )
+
+
+@app.command()
+def resume(
+    job: JobId,
+    retake: Annotated[
+        bool, typer.Option("--retake", help="Record the doubtful sets again; their frames are kept too.")
+    ] = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Go on with a recording that was interrupted: what is there is kept, the rest is recorded.
+
+    Run it on the host of the rig, after a look at the rig and at the load.
+
+    Example: sms acquire resume 3f2a --retake
+    """
+    with bootstrap.services(home) as services:
+        with services.catalogue.writing() as session:
+            row = _recording(session, job)
+            if retake and not recordings.forget_doubtful(services.stations.spool_of(row.id)):
+                raise Conflict(f"job {row.id[:8]} has no doubtful set to record again; leave out --retake")
+            lifecycle.retry(session, row.id, datetime.now(UTC))
+            job_id = row.id
+        _follow(services, [job_id], as_json)
+
+
+@app.command()
+def abort(
+    job: Annotated[str | None, typer.Argument(help="Job id; all recordings if not given.")] = None,
+    home: Home = None,
+) -> None:
+    """Stop recordings now: stages stand still, projectors go dark. Complete frames stay.
+
+    Example: sms acquire abort
+    """
+    with bootstrap.services(home) as services, services.catalogue.writing() as session:
+        if job is not None:
+            ids = [_recording(session, job).id]
+        else:
+            found = recordings.open_recordings(session, services.settings.spool_folder)
+            ids = [r.job_id for r in found if r.state in (JobState.QUEUED, JobState.RUNNING)]
+        stopped = [i for i in ids if lifecycle.cancel(session, i, datetime.now(UTC))]
+    if not stopped:
+        raise Conflict("no recording runs; nothing was stopped")
+    output.say(f"stopped {', '.join(i[:8] for i in stopped)}; 'sms acquire resume' goes on")
+
+
+def _recording(session: Session, prefix: str) -> JobRow:
+    row = inquiry.find_job(session, prefix)
+    if row.kind != KIND.name:
+        raise InvalidInput(f"job {row.id[:8]} is no recording but a {row.kind}; see 'sms job retry'")
+    return row
+
+
+def _follow(services: Services, ids: list[str], as_json: bool) -> None:
+    """Wait for recordings and say what became of them."""
+    counted = wait_for(services.catalogue, ids, None, workers=services.settings.workers)
+    with services.catalogue.reading() as session:
+        found = recordings.verdicts(session, ids)
+        failed = unsuccessful(counted)
+        why = inquiry.first_failure(session, ids) if failed else ""
+    if as_json:
+        output.print_json({"jobs": counted, "recorded": found})
+    else:
+        output.print_table(
+            ["recorded", "lit", "saturated", "modulation", "verdict"],
+            [(v.subject, *_words(v.statistics)) for v in found],
+            empty="nothing was recorded",
+        )
+    if failed:
+        raise JobFailed(f"{failed} of {len(ids)} recordings did not succeed; {why}")
+
+
+def _words(statistics: dict[str, float]) -> tuple[str, str, str, str]:
+    again = int(statistics.get("recordings", 1.0)) - 1
+    lost = int(statistics.get("retaken_frames", 0.0))
+    notes = [
+        "doubtful" if statistics.get("doubts") else "good",
+        *([f"recorded {again} times again"] if again else []),
+        *([f"{lost} frames taken again"] if lost else []),
+    ]
+    return (
+        f"{statistics.get('lit_fraction', 0.0):.0%}",
+        f"{statistics.get('saturated_fraction', 0.0):.1%}",
+        f"{statistics.get('modulation', 0.0):.0%}",
+        ", ".join(notes),
+    )

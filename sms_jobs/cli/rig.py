@@ -1,0 +1,153 @@
+"""`sms rig`: the instruments that are connected to this host."""
+
+from __future__ import annotations
+
+import sys
+from math import degrees, radians
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.cli import output
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.records.optical_instruments import RigFile
+
+app = typer.Typer(help="Rigs: the instruments that are connected to this host.", no_args_is_help=True)
+
+Rig = Annotated[str, typer.Argument(help="Name of the rig.")]
+
+
+@app.command()
+def add(
+    file: Annotated[Path | None, typer.Argument(help="Rig file (TOML).")] = None,
+    example: Annotated[bool, typer.Option("--example", help="Print a commented file instead.")] = False,
+    replace: Annotated[bool, typer.Option("--replace", help="Take it in place of the present one.")] = False,
+    home: Home = None,
+) -> None:
+    """Connect a rig to this host: take over the file that describes its instruments.
+
+    A worker serves it from its next start on.
+
+    Example: sms rig add --example > rig.toml; sms rig add rig.toml
+    """
+    from sms_jobs.formats.rig_configuration import example_rig
+
+    if example:
+        sys.stdout.write(example_rig())
+        return
+    if file is None:
+        raise InvalidInput("name the rig file, or print one with --example")
+    with bootstrap.services(home) as services:
+        rig = services.stations.add(file, replace)
+    output.say(
+        f"rig {rig.name} is connected: {', '.join(rig.devices)}; 'sms rig check {rig.name}' talks to them, "
+        "'sms up' or 'sms worker start' serves it from its next start on"
+    )
+
+
+@app.command("list")
+def list_(home: Home = None, as_json: Json = False) -> None:
+    """Show the rigs that are connected to this host.
+
+    Example: sms rig list
+    """
+    with bootstrap.services(home) as services:
+        rigs = [services.stations.rig(name) for name in services.stations.names()]
+    if as_json:
+        output.print_json_list(rigs)
+        return
+    output.print_table(
+        ["rig", "cameras", "projectors", "other instruments"],
+        [
+            (
+                r.name,
+                " ".join(c.name for c in r.cameras),
+                " ".join(p.name for p in r.projectors),
+                " ".join(d for d in r.devices if d not in r.sensors),
+            )
+            for r in rigs
+        ],
+        empty="no rig is connected to this host; 'sms rig add FILE' takes one",
+    )
+
+
+@app.command()
+def show(rig: Rig, home: Home = None) -> None:
+    """Print a rig's file.
+
+    Example: sms rig show virtual
+    """
+    with bootstrap.services(home) as services:
+        services.stations.rig(rig)
+        path = services.settings.rig_folder / f"{rig}.toml"
+    sys.stdout.write(path.read_text("utf-8"))
+
+
+@app.command()
+def check(rig: Rig, home: Home = None, as_json: Json = False) -> None:
+    """Talk to every instrument of a rig and show what it answers.
+
+    Example: sms rig check virtual
+    """
+    from sms_jobs.instruments.connection import connected
+
+    with bootstrap.services(home) as services:
+        described = services.stations.rig(rig)
+    with connected(described) as found:
+        values = found.read_channels()
+        angles = None if found.stage is None else found.stage.angles()
+    if as_json:
+        stage = None if angles is None else {"pan_rad": angles[0], "tilt_rad": angles[1]}
+        output.print_json({"rig": rig, "channels": values, "stage": stage})
+        return
+    rows = [(name, f"{value:g} {found.channels[name].unit}") for name, value in values.items()]
+    if angles is not None:
+        rows.append(("stage", f"pan {degrees(angles[0]):.3f} deg, tilt {degrees(angles[1]):.3f} deg"))
+    output.print_table(["instrument", "says"], rows, empty="this rig has no serial instruments")
+
+
+@app.command("home")
+def home_(rig: Rig, home: Home = None) -> None:
+    """Bring a rig's stage home, the way it came.
+
+    Example: sms rig home virtual
+    """
+    from sms_jobs.instruments.connection import connected
+
+    with connected(_with_stage(home, rig)) as found:
+        assert found.stage is not None
+        found.stage.home()
+    output.say(f"the stage of {rig} is at home")
+
+
+@app.command()
+def move(
+    rig: Rig,
+    pan_deg: Annotated[float, typer.Option("--pan", help="Pan angle in degrees.")],
+    tilt_deg: Annotated[float, typer.Option("--tilt", help="Tilt angle in degrees.")],
+    home: Home = None,
+) -> None:
+    """Bring a rig's stage to a pose.
+
+    Example: sms rig move virtual --pan 22.5 --tilt -45
+    """
+    from sms_jobs.instruments.connection import connected
+    from sms_jobs.instruments.devices.pose_table import StagePose
+
+    with connected(_with_stage(home, rig)) as found:
+        assert found.stage is not None
+        found.stage.stage()
+        found.stage.set(StagePose(radians(pan_deg), radians(tilt_deg))).wait()
+        pan, tilt = found.stage.angles()
+    output.say(f"the stage of {rig} is at pan {degrees(pan):.3f} deg, tilt {degrees(tilt):.3f} deg")
+
+
+def _with_stage(home: Path | None, rig: str) -> RigFile:
+    with bootstrap.services(home) as services:
+        described = services.stations.rig(rig)
+    if described.stage is None:
+        raise NotFound(f"rig {rig} has no stage; describe one under [[stages]] of its file")
+    return described

@@ -1,0 +1,153 @@
+"""From a rig file to connected instruments, and back to instruments that stand still in the dark."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from types import TracebackType
+
+from sms_jobs.errors import InstrumentError
+from sms_jobs.instruments.clock import Clock, RealClock
+from sms_jobs.instruments.devices.connecting import Connector
+from sms_jobs.instruments.devices.device import Device
+from sms_jobs.instruments.devices.pan_tilt import PanTilt
+from sms_jobs.instruments.devices.scalar_channels import ChannelValue
+from sms_jobs.instruments.devices.trigger_controller import TriggerBox, VideoSwitch
+from sms_jobs.instruments.operation_log import OperationLog
+from sms_jobs.instruments.protocols import Camera
+from sms_jobs.instruments.recorder import ConnectedRig
+from sms_jobs.instruments.simulated.optics import Hall, Setting, SimulatedCamera, SimulatedProjector
+from sms_jobs.instruments.simulated.serial.simulation import SerialSimulation
+from sms_jobs.records.instruments import TriggerController, VideoSplitter
+from sms_jobs.records.optical_instruments import ProjectorInstrument, RigFile
+from sms_jobs.records.serial_links import SIMULATED
+
+
+@contextmanager
+def connected(
+    rig: RigFile, setting: Setting | None = None, threads: int = 1, clock: Clock | None = None
+) -> Iterator[ConnectedRig]:
+    """Connect the instruments of a rig; at the end they stand still and are let go.
+
+    Parameters
+    ----------
+    rig
+        What its file says.
+    setting
+        What stands before simulated cameras; None where nothing is simulated, or nothing is looked at.
+    threads
+        For rendering.
+    clock
+        Of the rig; that of this computer if not given.
+
+    Raises
+    ------
+    InstrumentError
+        When an instrument does not answer, or does not work.
+    """
+    clock = clock or RealClock()
+    simulation = SerialSimulation(rig.serial, clock, _values(setting))
+    connector = Connector(clock, OperationLog(clock), simulation)
+    with ExitStack() as stack:
+
+        def open_(device: Device) -> None:
+            device.connect()
+            stack.callback(device.close)
+
+        stage = None if rig.stage is None else connector.stage(rig.stage)
+        angles = None
+        if stage is not None and rig.stage is not None:
+            open_(stage)
+            stack.push(partial(_stand_still, stage))
+            if rig.stage.link.port == SIMULATED:
+                angles = partial(simulation.angles, rig.stage.name)
+        boxes = [connector.trigger_controller(t) for t in rig.serial.triggers]
+        switches = [connector.video_splitter(s) for s in rig.serial.splitters]
+        channels = [connector.channel(c) for c in rig.serial.channels]
+        for device in (*boxes, *switches, *channels):
+            open_(device)
+        hall = None if setting is None else Hall(setting, clock, angles, threads)
+        yield ConnectedRig(
+            rig.name,
+            {} if hall is None else {c.name: SimulatedCamera(c.name, hall, c.faults) for c in rig.cameras},
+            {} if hall is None else {p.name: _projector(p, hall) for p in rig.projectors},
+            clock,
+            WiredTrigger(tuple(zip(boxes, map(_sensors, rig.serial.triggers), strict=True))),
+            {c.name: ChannelValue(c) for c in channels},
+            stage,
+            WiredVideo(tuple(zip(switches, map(_sensors, rig.serial.splitters), strict=True))),
+        )
+
+
+def _stand_still(
+    stage: PanTilt,
+    problem: type[BaseException] | None,
+    error: BaseException | None,
+    trace: TracebackType | None,
+) -> None:
+    """Stop a stage that may be on its way when the recording breaks off."""
+    if problem is not None:
+        with suppress(InstrumentError):
+            stage.stop()
+
+
+def _projector(projector: ProjectorInstrument, hall: Hall) -> SimulatedProjector:
+    return SimulatedProjector(projector.name, hall, projector.settle_ms / 1e3)
+
+
+@dataclass(frozen=True)
+class WiredTrigger:
+    """Exposes cameras through the controllers that they are wired to, the others over their own links.
+
+    Attributes
+    ----------
+    boxes
+        The controllers, each with the names of the cameras on its outputs.
+    """
+
+    boxes: tuple[tuple[TriggerBox, frozenset[str]], ...]
+
+    def fire(self, cameras: Mapping[str, Camera]) -> None:
+        """Expose all of them."""
+        for box, wired in self.boxes:
+            if names := [name for name in cameras if name in wired]:
+                box.fire(names)
+        for name, camera in cameras.items():
+            # The light of a simulated trigger line reaches a simulated camera by a call.
+            if isinstance(camera, SimulatedCamera) or not any(name in wired for _, wired in self.boxes):
+                camera.trigger()
+
+
+@dataclass(frozen=True)
+class WiredVideo:
+    """Feeds the picture to the projector that is to show it.
+
+    Attributes
+    ----------
+    switches
+        The splitters, each with the names of the projectors on its outputs.
+    """
+
+    switches: tuple[tuple[VideoSwitch, frozenset[str]], ...]
+
+    def feed(self, projector: str) -> None:
+        """Feed a projector; it has the picture when this returns."""
+        for switch, wired in self.switches:
+            if projector in wired:
+                switch.set(projector).wait()
+
+
+def _sensors(box: TriggerController | VideoSplitter) -> frozenset[str]:
+    return frozenset(wire.sensor for wire in box.wiring)
+
+
+def _values(setting: Setting | None) -> dict[str, Callable[[float], float]]:
+    """Return what simulated channels read: what the state says."""
+    told = {} if setting is None else setting.channels
+    return {name: partial(_steady, value) for name, value in told.items()}
+
+
+def _steady(value: float, time_s: float) -> float:
+    return value

@@ -1,0 +1,115 @@
+"""What was recorded with instruments: verdicts on what is there, and what waits for an operator."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow, StatisticRow
+from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.kinds.record import KIND
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.job import JobState
+
+
+@dataclass(frozen=True)
+class PairVerdict:
+    """What is known of one recorded pair.
+
+    Attributes
+    ----------
+    subject
+        The tuple, `campaign/state/pair`.
+    statistics
+        Those of its recording, by name.
+    """
+
+    subject: str
+    statistics: dict[str, float]
+
+
+def verdicts(session: Session, job_ids: Sequence[str]) -> list[PairVerdict]:
+    """Return what is known of the pairs that some jobs have recorded, in order."""
+    rows = session.execute(
+        select(
+            CampaignRow.name,
+            LoadStateRow.label,
+            FileRow.pair,
+            FileRow.id,
+            StatisticRow.name,
+            StatisticRow.value,
+        )
+        .join(CampaignRow, CampaignRow.id == FileRow.campaign_id)
+        .join(LoadStateRow, LoadStateRow.id == FileRow.state_id)
+        .join(StatisticRow, StatisticRow.file_id == FileRow.id)
+        .where(FileRow.job_id.in_(job_ids), FileRow.source == MEASUREMENT)
+        .order_by(FileRow.id)
+    )
+    found: dict[int, PairVerdict] = {}
+    for campaign, label, pair, file_id, name, value in rows:
+        subject = str(Subject(campaign, label, pair))
+        found.setdefault(file_id, PairVerdict(subject, {})).statistics[name] = value
+    return list(found.values())
+
+
+@dataclass(frozen=True)
+class OpenRecording:
+    """A recording that has not ended well.
+
+    Attributes
+    ----------
+    job_id, subject, state
+        Of the job.
+    reason
+        Why it stands where it does.
+    finished
+        Pairs that are in the spool as a whole.
+    doubts
+        What is doubted about them.
+    """
+
+    job_id: str
+    subject: str
+    state: JobState
+    reason: str
+    finished: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+
+def open_recordings(session: Session, spool: Path) -> list[OpenRecording]:
+    """Return the recordings that run or wait for an operator, oldest first; `spool` is that of this host."""
+    rows = session.scalars(
+        select(JobRow)
+        .where(
+            JobRow.kind == KIND.name,
+            JobRow.state.in_((JobState.QUEUED, JobState.RUNNING, JobState.NEEDS_OPERATOR, JobState.FAILED)),
+        )
+        .order_by(JobRow.position)
+    )
+    found = []
+    for row in rows:
+        facts = _facts(spool / row.id)
+        doubts = tuple(d for f in facts.values() for d in f["verdict"]["doubts"])
+        found.append(
+            OpenRecording(
+                row.id, row.subject, row.state, row.error or row.message or "", tuple(facts), doubts
+            )
+        )
+    return found
+
+
+def forget_doubtful(spool: Path) -> list[str]:
+    """Have the doubtful sets of a job recorded again; their frames stay. Return their pairs."""
+    doubtful = [pair for pair, facts in _facts(spool).items() if facts["verdict"]["doubts"]]
+    for pair in doubtful:
+        (spool / f"{pair}.json").unlink()
+    return doubtful
+
+
+def _facts(spool: Path) -> dict[str, dict[str, dict[str, list[str]]]]:
+    return {p.stem: json.loads(p.read_text(encoding="utf-8")) for p in sorted(spool.glob("*.json"))}

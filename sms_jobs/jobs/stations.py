@@ -1,0 +1,90 @@
+"""The rigs that are connected to this host: their files, their queues, and where their frames come in."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from sms_jobs.errors import Conflict, NotFound
+from sms_jobs.formats.rig_configuration import load_rig
+from sms_jobs.kinds.kind import Station, rig_queue
+from sms_jobs.records.campaign import checked_name
+from sms_jobs.records.optical_instruments import RigFile
+from sms_jobs.settings import Settings
+
+
+@dataclass(frozen=True)
+class Stations:
+    """The rigs of a host.
+
+    Attributes
+    ----------
+    rigs
+        Folder of their files, `<rig>.toml`.
+    spool
+        Folder for frames as they come in, one folder a job.
+    """
+
+    rigs: Path
+    spool: Path
+
+    @classmethod
+    def of(cls, settings: Settings) -> Stations:
+        """Return those of a home."""
+        return cls(settings.rig_folder, settings.spool_folder)
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the rigs that are connected here."""
+        return tuple(sorted(path.stem for path in self.rigs.glob("*.toml")))
+
+    def queues(self) -> tuple[str, ...]:
+        """Return the queues of the jobs that work with these rigs."""
+        return tuple(rig_queue(name) for name in self.names())
+
+    def rig(self, name: str) -> RigFile:
+        """Return what the file of a rig says.
+
+        Raises
+        ------
+        NotFound
+            When no such rig is connected here.
+        ConfigurationError
+            When its file cannot be used.
+        """
+        path = self._path(name)
+        if not path.is_file():
+            known = ", ".join(self.names()) or "none"
+            raise NotFound(
+                f"no rig '{name}' is connected to this host, there is {known}; `sms rig add` takes one"
+            )
+        return load_rig(path)
+
+    def add(self, file: Path, replace: bool) -> RigFile:
+        """Take the file of a rig over; raise `Conflict` when there is one and it is not to be replaced."""
+        rig = load_rig(file)
+        path = self._path(rig.name)
+        if path.exists() and not replace:
+            raise Conflict(
+                f"a rig '{rig.name}' is connected already, by {path}; --replace takes the new file"
+            )
+        self.rigs.mkdir(parents=True, exist_ok=True)
+        beside = path.with_suffix(".new")
+        shutil.copyfile(file, beside)
+        beside.replace(path)
+        return rig
+
+    def station(self, rig: str, job_id: str) -> Station:
+        """Return where a job works; raises as `rig` does."""
+        return Station(self.rig(rig), self.spool_of(job_id))
+
+    def spool_of(self, job_id: str) -> Path:
+        """Return the folder for the frames of a job."""
+        return self.spool / checked_name(job_id, "job")
+
+    def empty(self, job_id: str) -> None:
+        """Remove the frames of a job whose measurements lie in the archive."""
+        shutil.rmtree(self.spool_of(job_id), ignore_errors=True)
+
+    def _path(self, name: str) -> Path:
+        return self.rigs / f"{checked_name(name, 'rig')}.toml"

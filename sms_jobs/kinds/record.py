@@ -1,0 +1,212 @@
+"""Record: one measurement of every pair at a state, with the instruments of the rig.
+
+It happens once: what was recorded cannot be asked for again when the load has gone. Interrupted, the job
+waits for an operator; resumed, it records what is missing and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from pydantic import Field
+
+from sms_jobs.errors import InstrumentError, InvalidInput
+from sms_jobs.instruments.connection import connected
+from sms_jobs.instruments.devices.device import POLLS_EVERY_S
+from sms_jobs.instruments.devices.pose_table import StagePose
+from sms_jobs.instruments.recorder import (
+    ConnectedRig,
+    Limits,
+    interrupted,
+    is_finished,
+    record_state,
+    recorded,
+)
+from sms_jobs.instruments.simulated.optics import Setting
+from sms_jobs.kinds.acquire import scene_at
+from sms_jobs.kinds.kind import (
+    MEASUREMENT,
+    DatasetOutput,
+    Inputs,
+    Kind,
+    Need,
+    Output,
+    Parameters,
+    Progress,
+    Queue,
+    Scope,
+    rig_queue,
+)
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.recording import Recording
+
+
+class RecordParameters(Parameters):
+    """What is recorded follows from the campaign; when a set is good enough is said here."""
+
+    saturated_fraction: float = Field(
+        0.02, ge=0.0, le=1.0, description="most of the lit region that may be saturated"
+    )
+    lit_fraction: float = Field(
+        0.01, ge=0.0, le=1.0, description="least part of the image in which fringes must stand out"
+    )
+    recordings: int = Field(
+        2, ge=1, le=10, description="how often a set is recorded until it keeps these limits"
+    )
+    doubtful: Literal["keep", "ask"] = Field(
+        "keep",
+        description="what becomes of a set that does not keep them even so: it is kept and says so, or an "
+        "operator is asked while the specimen is still held",
+    )
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is to be recorded.
+
+    Attributes
+    ----------
+    pairs, sequence
+        All of them, projector by projector.
+    angles_rad
+        Where a stage has to bring an artefact: pan and tilt; None where nothing moves.
+    setting
+        What stands before simulated instruments; None where nothing is simulated.
+    """
+
+    pairs: tuple[str, ...]
+    sequence: FringeSequence
+    angles_rad: tuple[float, float] | None
+    setting: Setting | None
+
+
+def order(campaign: Campaign, subject: Subject) -> Order:
+    """Return what is to be recorded at a state."""
+    state = campaign.state(subject.state or "")
+    angles = None
+    if {"pan_rad", "tilt_rad"} <= state.channels.keys():
+        angles = state.channels["pan_rad"], state.channels["tilt_rad"]
+    setting = None
+    if campaign.scene is not None:
+        load = {} if state.load_n is None else {"load_n": state.load_n}
+        scene = scene_at(campaign.scene, campaign, state)
+        setting = Setting(scene, state.label, state.deformation, load | state.channels)
+    return Order(campaign.pairs, campaign.sequence, angles, setting)
+
+
+def all_states(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return every state, of specimens and artefacts alike."""
+    return tuple(Subject(campaign.name, s.label) for s in campaign.states)
+
+
+def no_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+    """Return no need: a recording starts from nothing."""
+    return ()
+
+
+def run(inputs: Inputs, parameters: RecordParameters, progress: Progress) -> Iterator[Output]:
+    """Record every pair of a state that is not in the spool yet, and yield them all.
+
+    Raises
+    ------
+    InvalidInput
+        When the rig's file lacks what is to be recorded with.
+    InstrumentError
+        When an instrument gives up, or a set is doubtful and an operator is to be asked.
+    """
+    task: Order = inputs.context
+    station = inputs.station
+    if station is None:
+        raise InvalidInput(
+            f"{inputs.subject} is recorded where its rig is connected, and no rig file is on this host; "
+            "`sms rig add` takes one"
+        )
+    spool, sequence = station.spool, task.sequence
+    limits = Limits(parameters.saturated_fraction, parameters.lit_fraction, parameters.recordings)
+    finished_before = [pair for pair in task.pairs if is_finished(spool, pair)]
+    with connected(station.rig, task.setting, inputs.threads) as rig:
+        if task.angles_rad is not None:
+            _bring_stage(rig, task.angles_rad, inputs.subject, progress)
+        record_state(rig, task.pairs, sequence, spool, limits, lambda f, words: progress(0.8 * f, words))
+    # What an operator saw and let stand is not doubted again.
+    new = [pair for pair in task.pairs if pair not in finished_before]
+    doubts = [d for pair in new for d in recorded(spool, pair, sequence)[1].verdict.doubts]
+    if doubts and parameters.doubtful == "ask":
+        raise InstrumentError(
+            f"{'; '.join(doubts)}: `sms acquire resume` keeps it, with --retake it is recorded again"
+        )
+    for number, pair in enumerate(task.pairs):
+        progress(0.8 + 0.2 * number / len(task.pairs), f"archiving {pair}")
+        measurement, recording = recorded(spool, pair, sequence)
+        broken = {f"interrupted_{n}": r for n, r in enumerate(interrupted(spool, pair, sequence), start=1)}
+        yield DatasetOutput(
+            Subject(inputs.subject.campaign, inputs.subject.state, pair),
+            {"measurement": measurement, "recording": recording, **broken},
+            _statistics(recording),
+        )
+    progress(1.0, "; ".join(doubts) or f"recorded {len(task.pairs)} pairs")
+
+
+def _bring_stage(
+    rig: ConnectedRig, angles_rad: tuple[float, float], subject: Subject, progress: Progress
+) -> None:
+    """Bring the artefact into its pose; a job that is to stop stops on the way."""
+    if rig.stage is None:
+        raise InvalidInput(
+            f"{subject} has pan and tilt angles, but the file of rig {rig.name} describes no stage under "
+            "[[stages]]"
+        )
+    progress(0.0, "making the stage ready")
+    rig.stage.stage()
+    moving = rig.stage.set(StagePose(*angles_rad))
+    while not moving.update():
+        progress(0.0, f"moving the stage: {moving.progress:.0%}")
+        rig.clock.sleep(POLLS_EVERY_S)
+    moving.wait()  # raises what the move ended with
+
+
+def _statistics(recording: Recording) -> dict[str, float]:
+    """Return what people search recordings by."""
+    verdict = recording.verdict
+    return {
+        "saturated_fraction": verdict.saturated_fraction,
+        "lit_fraction": verdict.lit_fraction,
+        "modulation": verdict.modulation,
+        "doubts": float(len(verdict.doubts)),
+        "retaken_frames": float(recording.retaken),
+        "recordings": float(recording.recordings),
+        **{f"{name}_before": value for name, value in recording.channels_before.items()},
+        **{f"{name}_after": value for name, value in recording.channels_after.items()},
+    }
+
+
+def never(parameters: RecordParameters) -> bool:
+    """Say that a recording is not made twice by itself."""
+    return False
+
+
+def whole_rig(campaign: Campaign, subject: Subject) -> tuple[str, ...]:
+    """Return what a recording holds while it runs: the rig, with all of its instruments."""
+    return (rig_queue(campaign.rig),)
+
+
+KIND = Kind(
+    name="record",
+    summary="record every pair of a state with the instruments of the rig",
+    version=1,
+    scope=Scope.STATE,
+    parameters=RecordParameters,
+    needs=no_needs,
+    run=run,
+    subjects=all_states,
+    context=order,
+    repeatable=never,
+    queue=Queue.ACQUISITION,
+    makes=MEASUREMENT,
+    in_pipeline=False,
+    devices=whole_rig,
+    with_instruments=True,
+)

@@ -1,0 +1,226 @@
+"""States recorded with instruments: whatever breaks off, nothing is lost or asked for twice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from support.command import answer, service, sms, wait_until
+
+from sms_jobs import bootstrap
+from sms_jobs.archive import Archive
+from sms_jobs.instruments.spool import Spooled
+from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.recording import InterruptedRecording, Recording
+from sms_jobs.virtual_rig.campaigns import small_plate
+
+RIG = """
+name = "bench"
+cameras = [{ name = "C1", driver = "simulated", columns = 128, rows = 128 }]
+projectors = [
+    { name = "P1", driver = "simulated", columns = 256, rows = 192, settle_ms = 40.0 },
+    { name = "P2", driver = "simulated", columns = 256, rows = 192, settle_ms = 40.0 },
+]
+
+[[channels]]
+name = "load_n"
+link = { port = "simulated" }
+protocol = { terminator = "\\r", reply_terminator = "\\r\\n" }
+request = "L?"
+reply = '(?P<value>[-+]?\\d+(?:\\.\\d*)?)'
+unit = "N"
+faults = [{ fault = "garbled-byte", at = 2 }]
+"""
+FRAMES = 41  # 2 orientations of 5 densities of 4 steps, and white
+SLOW = RIG.replace("settle_ms = 40.0", "settle_ms = 150.0")
+UNPLUGGED = RIG.replace(
+    "rows = 128 }", 'rows = 128, faults = [{ fault = "unplugged", state = "S01", frame = 60 }] }'
+)
+FLASH = RIG.replace("rows = 128 }", 'rows = 128, faults = [{ fault = "flash", frame = 3 }] }')
+
+
+def run(home: Path, *arguments: str) -> Any:
+    return answer(*arguments, "--home", str(home))
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """A home with two campaigns on one rig, whose file is there."""
+    home = tmp_path / "home"
+    bootstrap.initialise(home)
+    with bootstrap.services(home) as services:
+        for name in ("plate", "other"):
+            calibration, campaign = small_plate(name)
+            register_campaign(
+                services.catalogue,
+                services.archive,
+                replace(campaign, rig="bench"),
+                replace(calibration, rig=replace(calibration.rig, name="bench")),
+                datetime.now(UTC),
+            )
+    rig(home, RIG)
+    return home
+
+
+def rig(home: Path, text: str) -> None:
+    """Connect a rig, as it now is."""
+    file = home / "rig.toml"
+    file.write_text(text)
+    done = sms("rig", "add", str(file), "--replace", "--home", str(home))
+    assert done.returncode == 0, done.stderr
+
+
+def measurements(home: Path) -> dict[str, Measurement]:
+    """Return everything that was measured, by tuple; each tuple once."""
+    archive, found = Archive(home / "archive"), {}
+    for row in run(home, "data", "find", "--kind", "measurement"):
+        with archive.open(row["path"]) as dataset:
+            assert str(dataset.subject) not in found
+            measurement = dataset.read("measurement", Measurement)
+            frames = np.stack([measurement.frames.frame(k) for k in range(measurement.frames.shape[0])])
+            found[str(dataset.subject)] = replace(measurement, frames=frames)  # type: ignore[arg-type]
+    return found
+
+
+def spooled(home: Path) -> int:
+    """Return how many complete frames of the second projector are in a spool."""
+    return sum(Spooled(p).complete for p in (home / "spool").glob("*/C1P2.*.frames"))
+
+
+def test_a_state_is_recorded_and_processed(home: Path) -> None:
+    with service(home):
+        done = run(home, "acquire", "run", "plate", "--process")
+        assert done["jobs"] == {"succeeded": 2}
+        run(home, "job", "wait", "-c", "plate")
+        checked = run(home, "rig", "check", "bench")
+    assert checked["channels"] == {"load_n": 0.0}
+    assert [v["subject"] for v in done["recorded"]] == [
+        f"plate/{s}/{p}" for s in ("S00", "S01") for p in ("C1P1", "C1P2")
+    ]
+    assert all(v["statistics"]["doubts"] == 0.0 for v in done["recorded"])
+    # One reply was garbled on the way; the question was asked again.
+    assert done["recorded"][2]["statistics"]["load_n_before"] == 1200.0
+    assert not any((home / "spool").iterdir())
+    states = {j["state"] for j in run(home, "job", "list", "-c", "plate")}
+    assert states == {"succeeded"}
+    assert "plate/S01/C1P1" in {r["subject"] for r in run(home, "data", "find", "--kind", "strain")}
+    with Archive(home / "archive").open(
+        next(r["path"] for r in run(home, "data", "find", "--kind", "measurement"))
+    ) as dataset:
+        assert dataset.names == ("measurement", "recording")
+        recording = dataset.read("recording", Recording)
+    assert recording.rig == "bench"
+    assert len(recording.times_s) == FRAMES
+    # A pattern needs 40 ms to be on; nothing can be faster.
+    assert np.diff(recording.times_s).min() >= 0.04
+
+
+def test_a_killed_worker_loses_no_complete_frame(home: Path) -> None:
+    rig(home, SLOW)
+    with service(home) as supervisor:
+        (job,) = run(home, "acquire", "run", "plate", "--state", "S01", "--no-wait")["jobs"]
+        wait_until(lambda: spooled(home) > 10)
+        seen = spooled(home)
+        _kill_recorder(supervisor)
+        wait_until(lambda: run(home, "acquire", "list")[0]["state"] == "needs-operator")
+        (waiting,) = run(home, "acquire", "list")
+        assert waiting["finished"] == ["C1P1"]
+        assert "cannot be asked for twice" in waiting["reason"]
+        assert run(home, "lock", "list") == []
+        kept = spooled(home)
+        assert seen <= kept < FRAMES
+        first = Spooled(next((home / "spool").glob("*/C1P1.*.frames")))
+        before = np.stack([first.frame(k) for k in range(FRAMES - 1)]), first.header.recorded_at
+        # Nothing goes on by itself; somebody has looked and says so.
+        resumed = run(home, "acquire", "resume", job[:8])
+        assert resumed["jobs"] == {"succeeded": 1}
+    found = measurements(home)
+    assert set(found) == {"plate/S01/C1P1", "plate/S01/C1P2"}
+    np.testing.assert_array_equal(found["plate/S01/C1P1"].frames, before[0])
+    assert found["plate/S01/C1P1"].recorded_at == before[1]  # it was not recorded twice
+    (broken,) = interrupted(home)
+    assert len(broken) == kept
+    # The virtual rig shows the same whenever it is asked: what broke off began like what was recorded.
+    np.testing.assert_array_equal(broken, found["plate/S01/C1P2"].frames[: len(broken)])
+    assert not any((home / "spool").iterdir())
+
+
+def interrupted(home: Path) -> list[np.ndarray]:
+    """Return the frames of the sets that broke off."""
+    archive, found = Archive(home / "archive"), []
+    for row in run(home, "data", "find", "--kind", "measurement"):
+        with archive.open(row["path"]) as dataset:
+            for name in dataset.names:
+                if name.startswith("interrupted"):
+                    broken = dataset.read(name, InterruptedRecording)
+                    count = broken.frames.shape[0]
+                    found.append(np.stack([broken.frames.frame(k) for k in range(count)]))
+    return found
+
+
+def _kill_recorder(supervisor: psutil.Process) -> None:
+    """Kill whichever processes below the supervisor write to the spool."""
+    for process in supervisor.children(recursive=True):
+        if any("spool" in f.path for f in process.open_files()):
+            process.kill()
+            return
+    raise AssertionError("nobody writes to the spool")
+
+
+def test_an_unplugged_cable_waits_for_an_operator(home: Path) -> None:
+    rig(home, UNPLUGGED)
+    with service(home):
+        done = sms("acquire", "run", "plate", "--json", "--home", str(home))
+        assert done.returncode == 5
+        assert "camera C1 does not answer; check its cable" in done.stderr
+        (waiting,) = run(home, "acquire", "list")
+        assert (waiting["subject"], waiting["state"], waiting["finished"]) == (
+            "plate/S01",
+            "needs-operator",
+            ["C1P1"],
+        )
+        rig(home, RIG)  # plugged in again
+        assert run(home, "acquire", "resume", waiting["job_id"])["jobs"] == {"succeeded": 1}
+    assert len(measurements(home)) == 4
+    assert len(interrupted(home)) == 1
+
+
+def test_a_doubtful_set_is_asked_about_while_the_specimen_is_held(home: Path) -> None:
+    rig(home, FLASH)
+    with service(home):
+        # A lamp shone into the camera: the set is recorded again by itself, and is good then.
+        again = run(home, "acquire", "run", "plate", "--state", "S00")
+        assert [v["statistics"]["recordings"] for v in again["recorded"]] == [2.0, 1.0]
+        job = run(
+            home, "job", "submit", "record", "-c", "other", "--state", "S00",
+            "--set", "recordings=1", "--set", "doubtful=ask",
+        )["jobs"][0]  # fmt: skip
+        sms("job", "wait", job, "--home", str(home))
+        (waiting,) = run(home, "acquire", "list")
+        assert waiting["state"] == "needs-operator"
+        assert waiting["doubts"] == ["C1P1: 100% of the lit region is saturated, allowed is 2%"]
+        rig(home, RIG)  # the lamp is off
+        done = run(home, "acquire", "resume", job, "--retake")
+    assert [v["statistics"]["doubts"] for v in done["recorded"]] == [0.0, 0.0]
+    refused = sms("acquire", "resume", job, "--home", str(home))
+    assert refused.returncode == 4
+
+
+def test_an_aborted_recording_goes_on_where_it_stopped(home: Path) -> None:
+    rig(home, SLOW)
+    with service(home):
+        job = run(home, "acquire", "run", "plate", "--state", "S00", "--no-wait")["jobs"][0]
+        wait_until(lambda: spooled(home) > 5)
+        assert sms("acquire", "abort", "--home", str(home)).returncode == 0
+        wait_until(lambda: run(home, "job", "show", job)["state"] == "cancelled")
+        assert run(home, "acquire", "resume", job)["jobs"] == {"succeeded": 1}
+    assert len(measurements(home)) == 2
+    nothing = sms("acquire", "abort", "--home", str(home))
+    assert nothing.returncode == 4
+    assert "no recording runs" in nothing.stderr
