@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from sms_jobs.errors import DeviceFault, LimitExceeded
@@ -16,7 +16,9 @@ from sms_jobs.records.instruments import Axis, Stage
 from sms_jobs.records.serial_links import SerialLink
 
 _LETTERS: dict[AxisName, ptu46.AxisLetter] = {"pan": "p", "tilt": "t"}
-_SAME = 4  # how often a constant may be asked for until it is told twice alike
+_ROUNDS = 5
+_FINEST_RAD, _COARSEST_RAD = 1e-6, 5e-3
+"""Of a count: units of this family have 12 to 185 seconds of arc, which is 6e-5 to 9e-4 rad."""
 
 
 class Ptu46:
@@ -39,16 +41,18 @@ class Ptu46:
         reply = self._ask(name, None, lambda reply: reply.value is not None or not reply.accepted)
         return reply.value or 0.0
 
-    def ask_twice(self, name: str) -> float:
-        """Return a number that does not change, once it was told twice alike: replies have no checksum."""
-        told = [self.ask(name)]
-        for _ in range(_SAME):
-            told.append(self.ask(name))
-            if told[-1] == told[-2]:
-                return told[-1]
+    def constants(self, names: Sequence[str]) -> dict[str, float]:
+        """Return numbers that do not change, once all were told twice alike: replies have no checksum.
+
+        They are asked for in rounds, so that one disturbance does not change the same number twice.
+        """
+        told = [self.ask(name) for name in names]
+        for _ in range(_ROUNDS):
+            before, told = told, [self.ask(name) for name in names]
+            if told == before:
+                return dict(zip(names, told, strict=True))
         raise DeviceFault(
-            f"'{self.device}' answers '{name}' differently each time ({told[-2]:g}, {told[-1]:g}): check its "
-            "cable"
+            f"'{self.device}' tells other limits and resolutions each time it is asked: check its cable"
         )
 
     def _ask(self, name: str, value: int | None, answers: Callable[[ptu46.Reply], bool]) -> ptu46.Reply:
@@ -97,17 +101,15 @@ class PtuAxes:
         facts = []
         for name in AXES:
             letter, axis = _LETTERS[name], self._axis(name)
-            radians = ptu46.radians_per_count(self._unit.ask_twice(f"{letter}r"))
-            if radians <= 0.0:
+            told = self._unit.constants([f"{letter}{what}" for what in "rnxlu"])
+            seconds_of_arc, minimum, maximum, slowest, fastest = told.values()
+            radians = ptu46.radians_per_count(seconds_of_arc)
+            if not _FINEST_RAD <= radians <= _COARSEST_RAD:
                 raise DeviceFault(
-                    f"'{self._stage.name}' has no resolution on its {name} axis: is it a PTU-46?"
+                    f"'{self._stage.name}' tells a resolution of {seconds_of_arc:g} seconds of arc on its "
+                    f"{name} axis, where 12 to 185 are usual: check its cable, and that it is a PTU-46"
                 )
-            scale = _Scale(
-                radians,
-                int(self._unit.ask_twice(f"{letter}n")),
-                int(self._unit.ask_twice(f"{letter}x")),
-            )
-            slowest, fastest = self._unit.ask_twice(f"{letter}l"), self._unit.ask_twice(f"{letter}u")
+            scale = _Scale(radians, int(minimum), int(maximum))
             speed = round(min(max(axis.velocity_rad_s / radians, slowest), fastest))
             self._unit.command(f"{letter}a", round(axis.acceleration_rad_s2 / radians))
             self._unit.command(f"{letter}s", speed)

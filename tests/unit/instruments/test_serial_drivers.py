@@ -11,13 +11,16 @@ from sms_jobs.instruments.clock import SimulatedClock
 from sms_jobs.instruments.codecs.powercube import State
 from sms_jobs.instruments.codecs.schunk_motion import Command
 from sms_jobs.instruments.drivers.powercube import PowerCubes, explain
+from sms_jobs.instruments.drivers.ptu46 import Ptu46, PtuAxes
 from sms_jobs.instruments.drivers.schunk_motion import SchunkMotion
 from sms_jobs.instruments.simulated.serial.axis import SimulatedAxis
 from sms_jobs.instruments.simulated.serial.line import SimulatedLine
 from sms_jobs.instruments.simulated.serial.powercube import SimulatedPowerCubes
+from sms_jobs.instruments.simulated.serial.ptu46 import COUNT_RAD, SimulatedPtu46
 from sms_jobs.instruments.simulated.serial.schunk_motion import SimulatedMotionModules
 from sms_jobs.instruments.transports.memory import MemoryWire
 from sms_jobs.instruments.transports.serial_port import SerialPort
+from sms_jobs.records.instruments import Stage
 from sms_jobs.records.serial_links import Fault, SerialLink
 
 LINK = SerialLink("simulated", 38400, reply_timeout_s=0.06, retries=2)
@@ -209,6 +212,31 @@ def test_a_frame_of_another_module_answers_nothing() -> None:
     device = SimulatedMotionModules(axes(), radians(1.0))
     [reply] = device.receive(bytes.fromhex("05 0b 06 95 00 00 00 00 07") + b"\x00\x00", 0.0) or [b""]
     assert reply == b""  # the checksum was wrong: a module is silent
+
+
+def test_a_digit_that_is_lost_from_a_constant_is_noticed() -> None:
+    # The reply to the resolution, "* 185.1428", loses its point, or a digit; once, or in a burst.
+    for at, times in ((4, 1), (4, 5), (5, 2), (9, 3)):
+        clock = SimulatedClock()
+        axes_ = {name: SimulatedAxis(-1.0, 1.0, 0.5, 1.0) for name in ("pan", "tilt")}
+        fault = Fault("dropped-byte", at=at, times=times)
+        line = SimulatedLine(SimulatedPtu46(axes_), LINK.baud_rate, [fault])
+        stage = Stage("stage", LINK, "ptu46")
+        unit = PtuAxes(stage, Ptu46("stage", MemoryWire(line, clock), clock, LINK))
+        unit.open()
+        assert unit.resolution_rad("pan") == pytest.approx(COUNT_RAD)
+        assert unit.state("pan").position_rad == pytest.approx(0.2, abs=COUNT_RAD)
+
+
+def test_a_resolution_that_cannot_be_is_refused() -> None:
+    clock = SimulatedClock()
+    device = SimulatedPtu46({name: SimulatedAxis(-1.0, 1.0, 0.5, 1.0) for name in ("pan", "tilt")})
+    # The resolution loses its point in both rounds of five questions.
+    faults = [Fault("dropped-byte", at=4), Fault("dropped-byte", at=9)]
+    line = SimulatedLine(device, LINK.baud_rate, faults)
+    unit = PtuAxes(Stage("stage", LINK, "ptu46"), Ptu46("stage", MemoryWire(line, clock), clock, LINK))
+    with pytest.raises(DeviceFault, match=r"resolution of 1\.85143e\+06 seconds of arc on its pan axis"):
+        unit.open()
 
 
 def test_a_port_that_is_not_there_is_named() -> None:
