@@ -46,6 +46,25 @@ def speckle_pair(
     return 2000.0 + scale * reference, 2000.0 + scale * deformed
 
 
+def affine_speckle(size: int, forward: Floats, seed: int, contrast: float = 400.0) -> Floats:
+    """Return a square image of speckle that a (2, 2) matrix has carried about its middle, however far.
+
+    With the unit matrix it is the image to compare with. Stretch and compression have to be below a third.
+    """
+    rng = np.random.default_rng(seed)
+    margin = size // 2  # for the corners of what has turned
+    count = int((size + 2 * margin) ** 2 / 9.0)
+    middle = (size - 1) / 2.0
+    blob = rng.uniform(-margin, size + margin, (2, count)) - middle
+    height = rng.normal(size=count)
+    place = np.mgrid[0:size, 0:size][::-1].reshape(2, -1) - middle
+    shown = np.linalg.inv(forward) @ place
+    moved = forward @ blob + middle
+    grey = _stamped(size, (blob[0], blob[1]), height, (shown[0], shown[1]), (moved[0], moved[1]))
+    # The expected standard deviation of a field of blobs of unit variance, nine square pixels each.
+    return np.asarray(2000.0 + contrast / np.sqrt(np.pi * BLOB_PX**2 / 9.0) * grey)
+
+
 def _stamped(
     size: int,
     blob: tuple[Floats, Floats],

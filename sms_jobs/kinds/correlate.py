@@ -316,7 +316,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both shapes",
-    version=5,
+    version=6,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     needs=_needs,

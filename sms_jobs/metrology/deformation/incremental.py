@@ -70,13 +70,26 @@ def compose(first: Floats, second: Floats) -> Floats:
     return total
 
 
-def composed_sigma(first: Floats, second_warp: Floats, second: Floats) -> Floats:
+def shared_noise(step: Floats, radius: int) -> Floats:
+    """Return which part (n,) of a step's variance the step before takes back again.
+
+    The noise of the image between them moves the end of the one and the start of the other alike, as far as
+    both see the same pixels: a square subset of some radius about the nearest whole pixel, and the one
+    before, which its step (n, 6) has deformed. With the part `lost` of the square that they do not share it
+    is 1 - 3 lost: by trial, for rotations of 1 to 12 degrees and strains up to 3 % a step.
+    """
+    stretch, turn = np.abs(step[:, [1, 5]]).sum(axis=1), np.abs(step[:, [2, 4]]).sum(axis=1)
+    lost = 0.5 * stretch + 0.25 * turn + 0.25 / radius
+    return np.asarray(np.clip(1.0 - 3.0 * lost, 0.0, 1.0))
+
+
+def composed_sigma(first: Floats, second_warp: Floats, second: Floats, shared: Floats) -> Floats:
     """Return the standard deviations (n, 2) of composed displacements: the first, carried on, and the second.
 
-    They are added as independent. They are not quite: the noise of the image in the middle moves the end of
-    the first step and the beginning of the second alike, so that the sum is on the safe side.
+    The first, (n, 2), is carried through the second step, (n, 6); of the second's own variance the part
+    `shared`, (n,), is left out.
     """
-    variance = second**2
+    variance = (1.0 - shared[:, None]) * second**2
     for i, (row, one) in enumerate(((1, 0), (4, 1))):
         for j in (0, 1):
             slope = second_warp[:, row + j] + (1.0 if j == one else 0.0)
@@ -133,7 +146,9 @@ def follow(
     last = carried(step.warp, place[0] - whole[0], place[1] - whole[1])[:, :6]
     good = step.ending == CONVERGED
     total.warp[known[good]] = compose(before.warp[known[good]], last[good])
-    total.sigma[known[good]] = composed_sigma(before.sigma[known[good]], last[good], step.sigma[good])
+    total.sigma[known[good]] = composed_sigma(
+        before.sigma[known[good]], last[good], step.sigma[good], shared_noise(last[good], settings.radius)
+    )
     for mine, theirs in (
         (total.score, step.score),
         (total.iterations, step.iterations),
