@@ -14,6 +14,7 @@ from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.kinds import all_kinds, kind_named
 from sms_jobs.kinds.kind import Kind, Need, Parameters, Scope, default_subjects
 from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.surfaces import SURFACE
 
 PIPELINE = "pipeline"
 
@@ -194,10 +195,15 @@ def _source(
     existing = find(need)
     if existing is None:
         raise NotFound(
-            f"{who} needs the {need.source} of {need.subject}, and there is none; "
-            "submit the pipeline, or the job that makes it first"
+            f"{who} needs the {need.source} of {need.subject}, and there is none; {_way_to(need)}"
         )
     return None, existing
+
+
+def _way_to(need: Need) -> str:
+    if need.source == SURFACE:
+        return f"bring one in with 'sms import surface FILE -c {need.subject.campaign}'"
+    return "submit the pipeline, or the job that makes it first"
 
 
 def covering(kind: Kind[Any], subject: Subject) -> Subject:

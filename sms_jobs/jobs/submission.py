@@ -95,7 +95,8 @@ def _coming(session: Session, campaign_id: int) -> Callable[[Need], str | None]:
         makers.setdefault(kind.makes or kind.name, []).append(kind)
 
     def find(need: Need) -> str | None:
-        found = (jobs.get((m.name, str(covering(m, need.subject)))) for m in makers[need.source])
+        # What a person brings in, such as a reference surface, no job makes.
+        found = (jobs.get((m.name, str(covering(m, need.subject)))) for m in makers.get(need.source, ()))
         return next((job_id for job_id in found if job_id is not None), None)
 
     return find

@@ -35,3 +35,5 @@ class Reason(IntFlag):
     """Too few valid neighbours in the gauge area."""
     AMBIGUOUS_PAIR = 1 << 12
     """Two ways of pairing the returns of the fringe orientations are about as likely, at different points."""
+    OFF_REFERENCE = 1 << 13
+    """No part of the reference surface faces the point: beside its rim, too far away, or turned away."""

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.exporters.exporter import TEXTURE, Exporter, PointGrid
-from sms_jobs.metrology.surfaces.continuity import continuous_labels
-from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.quantity import QUANTITY, Quantity, quantities
 
@@ -112,19 +110,19 @@ def mesh_of(grid: PointGrid, covariance: NDArray[np.floating] | None = None, ste
     step
         Distance of the vertices in pixels.
     """
+    # Imports kernels, which whoever has a mesh already need not wait for.
+    from sms_jobs.metrology.surfaces.continuity import continuous_labels
+    from sms_jobs.metrology.surfaces.meshing import triangulate_image
+
     sigma = None if covariance is None else np.sqrt(covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64))
-    (row, column), faces = _triangles(continuous_labels(grid.xyz, sigma), step)
+    pixels, faces = triangulate_image(continuous_labels(grid.xyz, sigma), step)
+    row, column = pixels.T
     names, units = grid.value_names, grid.value_units
     values = np.asarray(grid.values[:, row, column], np.float64)
     if grid.texture is not None and TEXTURE not in names:
         names, units = (*names, TEXTURE), (*units, "1")
         values = np.concatenate([values, np.asarray(grid.texture[row, column], np.float64)[None]])
     return Mesh(names, units, np.ascontiguousarray(grid.xyz[:, row, column].T), faces, values)
-
-
-def _triangles(labels: NDArray[np.int32], step: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    pixels, faces = triangulate_image(labels, step)
-    return pixels.T, faces
 
 
 def _check(record: Any, chosen: Sequence[str]) -> None:

@@ -1,0 +1,66 @@
+"""The shape that a camera sees at a state, all its projectors taken together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.kinds.kind import Inputs, Need
+from sms_jobs.metrology.deformation.merging import merge_by_variance
+from sms_jobs.metrology.surfaces.continuity import continuous_labels
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.reasons import Reason
+
+_DIAGONAL = [0, 3, 5]
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """Points of one camera, merged by inverse variance over its pairs.
+
+    Attributes
+    ----------
+    xyz
+        (3, rows, columns) in mm, NaN where no pair has a point.
+    covariance
+        (6, rows, columns) in mm^2.
+    labels
+        (rows, columns), continuous pieces; 0 for none.
+    reason
+        (rows, columns), why there is no point: what any of the pairs has against it.
+    """
+
+    camera: str
+    pairs: tuple[str, ...]
+    xyz: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    labels: NDArray[np.int32]
+    reason: NDArray[np.uint32]
+
+    def sigma(self) -> NDArray[np.float64]:
+        """Return the standard deviation of each position, (rows, columns) in mm: the root of the trace."""
+        return np.asarray(np.sqrt(self.covariance[_DIAGONAL].sum(axis=0)))
+
+
+def cloud_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+    """Return the points of every pair at a state."""
+    for pair in campaign.pairs:
+        yield Need(f"shape {pair}", "reconstruct", Subject(subject.campaign, subject.state, pair))
+
+
+def camera_views(inputs: Inputs) -> Iterator[CameraView]:
+    """Yield the view of each camera; the context of the kind is `merge.cameras`."""
+    for camera, pairs in inputs.context.items():
+        clouds = [inputs.read(f"shape {pair}", "cloud", PointCloud) for pair in pairs]
+        merged = merge_by_variance([c.xyz for c in clouds], [c.covariance for c in clouds])
+        missing = merged.contributors == 0
+        reason = np.zeros(missing.shape, np.uint32)
+        reason[missing] = np.bitwise_or.reduce([c.reason for c in clouds])[missing]
+        sigma = np.sqrt(merged.covariance[_DIAGONAL].sum(axis=0))
+        labels = continuous_labels(merged.value, sigma, threads=inputs.threads)
+        reason[(labels == 0) & ~missing] |= np.uint32(Reason.OUTSIDE_REGION)
+        yield CameraView(camera, pairs, merged.value, merged.covariance, labels, reason)
