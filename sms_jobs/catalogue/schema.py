@@ -1,17 +1,15 @@
-"""The catalogue's schema: created, upgraded and checked through its migrations."""
+"""The catalogue's schema: created, upgraded and checked through its migrations.
+
+Alembic is loaded where something is migrated or compared: every command checks the revision.
+"""
 
 from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from alembic import command
-from alembic.autogenerate import compare_metadata
-from alembic.config import Config
-from alembic.runtime.migration import MigrationContext
-from alembic.script import ScriptDirectory
-from alembic.util import CommandError
-from sqlalchemy import Index
+from sqlalchemy import Index, inspect, text
 from sqlalchemy.schema import SchemaItem
 
 import sms_jobs
@@ -19,29 +17,43 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import Table
 from sms_jobs.errors import ConfigurationError, FormatTooNew
 
+if TYPE_CHECKING:
+    from alembic.config import Config
+
+_MIGRATIONS = Path(sms_jobs.__file__).parent / "migrations"
+
 
 def configuration() -> Config:
     """Return where the migrations are."""
+    from alembic.config import Config
+
     found = Config()
-    folder = Path(sms_jobs.__file__).parent / "migrations"
     # Config values are interpolated: a percent sign in the path has to be doubled.
-    found.set_main_option("script_location", str(folder).replace("%", "%%"))
+    found.set_main_option("script_location", str(_MIGRATIONS).replace("%", "%%"))
     found.set_main_option("path_separator", "os")
     return found
 
 
+def revisions() -> tuple[str, ...]:
+    """Return the revisions that this version of the program knows, in order; files begin with them."""
+    return tuple(sorted(file.name.partition("_")[0] for file in _MIGRATIONS.glob("versions/[0-9]*.py")))
+
+
 def newest_revision() -> str:
     """Return the revision that this version of the program works with."""
-    head = ScriptDirectory.from_config(configuration()).get_current_head()
-    if head is None:
+    known = revisions()
+    if not known:
         raise ConfigurationError("the installation has no migrations; install sms-jobs again")
-    return head
+    return known[-1]
 
 
 def current_revision(catalogue: Catalogue) -> str | None:
     """Return the catalogue's revision; None for an empty database."""
     with catalogue.reading() as session:
-        return MigrationContext.configure(session.connection()).get_current_revision()
+        if not inspect(session.connection()).has_table("alembic_version"):
+            return None
+        found: str | None = session.scalar(text("SELECT version_num FROM alembic_version"))
+        return found
 
 
 def upgrade(catalogue: Catalogue, revision: str = "head") -> None:
@@ -52,6 +64,8 @@ def upgrade(catalogue: Catalogue, revision: str = "head") -> None:
     FormatTooNew
         The catalogue was made by a newer version of the program.
     """
+    from alembic import command
+
     _refuse_newer(catalogue, current_revision(catalogue))
     migrations = configuration()
     with catalogue.writing() as session:
@@ -83,6 +97,9 @@ def require_current(catalogue: Catalogue) -> None:
 
 def differences_from_models(catalogue: Catalogue) -> list[str]:
     """Return what distinguishes the database's schema from the models; empty when they agree."""
+    from alembic.autogenerate import compare_metadata
+    from alembic.runtime.migration import MigrationContext
+
     with catalogue.reading() as session:
         compared = {"compare_type": True, "include_object": partial(_is_compared, catalogue.dialect)}
         context = MigrationContext.configure(session.connection(), opts=compared)
@@ -97,12 +114,8 @@ def _is_compared(dialect: str, thing: SchemaItem, *_: object) -> bool:
 
 
 def _refuse_newer(catalogue: Catalogue, found: str | None) -> None:
-    if found is None:
-        return
-    try:
-        ScriptDirectory.from_config(configuration()).get_revision(found)
-    except CommandError as error:
+    if found is not None and found not in revisions():
         raise FormatTooNew(
             f"the catalogue {catalogue.describe()} has revision {found}, newer than {newest_revision()}, the "
             "newest that this version knows; install a newer sms-jobs"
-        ) from error
+        )

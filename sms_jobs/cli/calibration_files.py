@@ -14,12 +14,7 @@ from sms_jobs.catalogue import search
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.formats.interchange.calibration_files import (
-    Style,
-    Supplement,
-    calibration_text,
-    read_calibration,
-)
+from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.jobs.registration import register_calibration
 from sms_jobs.records.sensors import Box, Calibration
 
@@ -54,6 +49,9 @@ def export(
 
     Example: sms calibration export 3 --as opencv-yaml --out hall-3.yml
     """
+    # OpenCV writes and reads the files; no other command of calibrations needs it.
+    from sms_jobs.formats.interchange.calibration_files import calibration_text
+
     chosen = next((one for one in _STYLES if one == style), None)
     if chosen is None:
         raise InvalidInput(f"--as should be one of {', '.join(_STYLES)}, not '{style}'")
@@ -131,6 +129,8 @@ def import_(
     --size C1=1280x1024 --size P1=1920x1080 --unit-mm 1000 --rig desk --valid-from 2026-05-04T10:00:00+02:00
     --volume -200 -200 500 200 200 900
     """
+    from sms_jobs.formats.interchange.calibration_files import Supplement, read_calibration
+
     supplement = Supplement(
         rig=rig,
         valid_from=_time(valid_from),

@@ -10,24 +10,7 @@ import typer
 from typer.exceptions import TyperException
 
 import sms_jobs
-from sms_jobs.cli import (
-    acquire,
-    archive,
-    bench,
-    calibration,
-    campaign,
-    data,
-    db,
-    demo,
-    job,
-    lock,
-    metrics,
-    queue,
-    rig,
-    schedule,
-    service,
-    worker,
-)
+from sms_jobs.cli.commands import Commands
 from sms_jobs.cli.output import remarks
 from sms_jobs.errors import SmsError
 
@@ -35,32 +18,13 @@ _INTERRUPTED = 130
 
 app = typer.Typer(
     name="sms",
+    cls=Commands,
     help="Archive, process and query optical shape, deformation and strain measurements.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("demo")(demo.demo)
-app.command("init")(service.init)
-app.command("up")(service.up)
-app.command("status")(service.status)
-app.command("doctor")(service.doctor)
-app.command("metrics")(metrics.metrics)
-app.command("bench")(bench.bench)
-app.command("study")(bench.study)
-app.add_typer(campaign.app, name="campaign")
-app.add_typer(job.app, name="job")
-app.add_typer(acquire.app, name="acquire")
-app.add_typer(rig.app, name="rig")
-app.add_typer(queue.app, name="queue")
-app.add_typer(schedule.app, name="schedule")
-app.add_typer(lock.app, name="lock")
-app.add_typer(data.app, name="data")
-app.add_typer(archive.app, name="archive")
-app.add_typer(calibration.app, name="calibration")
-app.add_typer(worker.app, name="worker")
-app.add_typer(db.app, name="db")
 
 
 def _print_version(wanted: bool) -> None:

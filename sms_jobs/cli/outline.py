@@ -7,8 +7,6 @@ from typing import Annotated
 
 import typer
 
-from sms_jobs.formats.masks import region_of_mask
-
 
 def outline(
     mask: Annotated[
@@ -19,4 +17,7 @@ def outline(
 
     Example: sms job submit correlate -c panel --region-of-interest "$(sms data outline mask.png)"
     """
+    # OpenCV reads the image; no other command of data needs it.
+    from sms_jobs.formats.masks import region_of_mask
+
     typer.echo(region_of_mask(mask))

@@ -13,7 +13,6 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from pydantic import AfterValidator, AwareDatetime, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
-from scipy.spatial.transform import Rotation
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.record_tables import Placement, Table, Vector, Volume, flat, mapped
@@ -80,6 +79,9 @@ class _Pose(Placement):
     """Where the specimen stands."""
 
     def record(self) -> Pose:
+        # Loaded here, because few commands need it and all that read campaigns would load it.
+        from scipy.spatial.transform import Rotation
+
         matrix = Rotation.from_rotvec(self.rotation_deg, degrees=True).as_matrix()
         return Pose.from_arrays(matrix, np.array(self.translation_mm))
 

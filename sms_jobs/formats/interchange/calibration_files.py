@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
-from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -17,14 +16,13 @@ from sms_jobs.errors import ConfigurationError, InvalidInput
 from sms_jobs.formats.interchange.found_sensors import FoundCalibration, FoundSensor, image_size
 from sms_jobs.formats.interchange.opencv_calibration import Dialect, find_opencv_calibration, opencv_text
 from sms_jobs.formats.interchange.opencv_text import Table, parse_storage
+from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.formats.interchange.text_files import read_text
 from sms_jobs.formats.interchange.thesis_calibration import find_thesis_calibration, thesis_text
 from sms_jobs.formats.interchange.xml_elements import parse_xml
 from sms_jobs.metrology.geometry.camera import Pose, distortion_jacobian, undistort
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
-
-Style: TypeAlias = Literal["opencv-yaml", "opencv-xml", "opencv-json", "thesis-xml"]
 
 _DIALECTS: dict[Style, Dialect] = {"opencv-yaml": "yml", "opencv-xml": "xml", "opencv-json": "json"}
 _MOST_BLIND = 0.5

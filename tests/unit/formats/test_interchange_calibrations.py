@@ -13,11 +13,11 @@ import pytest
 
 from sms_jobs.errors import ConfigurationError, FormatTooNew, InvalidInput, SmsError
 from sms_jobs.formats.interchange.calibration_files import (
-    Style,
     Supplement,
     calibration_text,
     read_calibration,
 )
+from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, ray_directions
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor

@@ -1,0 +1,126 @@
+"""The commands of `sms`, each loaded when it is asked for: `sms --help` needs none of what they need."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_group
+
+
+@dataclass(frozen=True)
+class Command:
+    """Where a command is.
+
+    Attributes
+    ----------
+    help
+        The first sentence of its help, as `sms --help` shows it.
+    module
+        In `sms_jobs.cli`.
+    function
+        Of the module; empty for a group of commands, the module's `app`.
+    """
+
+    help: str
+    module: str
+    function: str = ""
+
+    def load(self, name: str) -> Any:
+        """Return the command itself."""
+        module = import_module(f"sms_jobs.cli.{self.module}")
+        above = typer.Typer(rich_markup_mode="rich")
+        if self.function:
+            above.command(name)(getattr(module, self.function))
+        else:
+            above.add_typer(module.app, name=name)
+        return get_group(above).commands[name]
+
+
+COMMANDS: Mapping[str, Command] = {
+    "demo": Command(
+        "Calibrate a simulated rig and measure a bending test with it, and compare with the exact truth.",
+        "demo",
+        "demo",
+    ),
+    "init": Command("Make a home: folder, settings file and an empty catalogue.", "service", "init"),
+    "up": Command(
+        "Serve: run queued jobs until Ctrl-C, which lets running jobs finish; twice kills them.",
+        "service",
+        "up",
+    ),
+    "status": Command("Show campaigns, jobs by state, workers and disk.", "service", "status"),
+    "doctor": Command(
+        "Check catalogue, archive, messages, workers, clock and disk; say what to do about each finding.",
+        "service",
+        "doctor",
+    ),
+    "metrics": Command(
+        "Serve numbers about jobs, queues, workers, archive and schedules to Prometheus, until Ctrl-C.",
+        "metrics",
+        "metrics",
+    ),
+    "bench": Command(
+        "Measure speed and accuracy on this machine, and compare them with the project's targets.",
+        "bench",
+        "bench",
+    ),
+    "study": Command(
+        "Run a study again: its table on the screen, its picture and numbers in a folder.", "bench", "study"
+    ),
+    "campaign": Command("Campaigns: a specimen, its load states, and how they are measured.", "campaign"),
+    "job": Command("Jobs: submit, follow and mend them.", "job"),
+    "acquire": Command("Recordings: states, with the instruments of a rig.", "acquire"),
+    "rig": Command("Rigs: the instruments that are connected to this host.", "rig"),
+    "queue": Command("Queues: what may begin, and in which order.", "queue"),
+    "schedule": Command("Schedules: jobs that are submitted at their time.", "schedule"),
+    "lock": Command("Devices that a job or a person holds.", "lock"),
+    "data": Command("Measurements and results in the archive.", "data"),
+    "archive": Command("The archive: is everything there, and as it was sealed?", "archive"),
+    "calibration": Command("Calibrations of rigs.", "calibration"),
+    "worker": Command("Workers on this and other hosts.", "worker"),
+    "db": Command("The catalogue's database, and backups.", "db"),
+}
+
+
+class _Loading(dict[str, Any]):
+    """Commands by name, loaded when one is looked up."""
+
+    def __missing__(self, name: str) -> Any:
+        return self.setdefault(name, COMMANDS[name].load(name))
+
+    def __contains__(self, name: object) -> bool:
+        return name in COMMANDS
+
+    def keys(self) -> Any:
+        return COMMANDS.keys()
+
+
+class Commands(TyperGroup):
+    """The group of all commands, which shows them without loading them."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = _Loading()
+        self._chosen = ""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names in the order in which they are shown."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return the chosen command; of the others only what is shown of them."""
+        if cmd_name not in COMMANDS:
+            return None
+        if cmd_name == self._chosen:
+            return self.commands[cmd_name]
+        return TyperCommand(cmd_name, help=COMMANDS[cmd_name].help)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Load the command that the first word names."""
+        self._chosen = args[0] if args else ""
+        return super().resolve_command(ctx, args)
