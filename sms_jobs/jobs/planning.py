@@ -194,9 +194,7 @@ def _source(
         return (maker.name, covering(maker, need.subject)), None
     existing = find(need)
     if existing is None:
-        raise NotFound(
-            f"{who} needs the {need.source} of {need.subject}, and there is none; {_way_to(need)}"
-        )
+        raise NotFound(f"{who} needs the {need.source} of {need.subject}, and there is none; {_way_to(need)}")
     return None, existing
 
 

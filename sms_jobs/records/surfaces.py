@@ -76,7 +76,7 @@ class SurfaceRegistration:
     covariance: Double = array(
         "mixed",
         "covariance of a small turn about the origin of the surface's frame (rad) and a shift (mm)",
-        ("motion", "motion"),
+        ("motion", "other motion"),
     )
 
 
