@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from datetime import UTC, datetime
 from typing import Annotated
 
@@ -10,18 +11,23 @@ from sqlalchemy.orm import Session
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import unsuccessful, wait_for
 from sms_jobs.errors import Conflict, InvalidInput, JobFailed
+from sms_jobs.instruments.holding import Hold, HoldDetector
 from sms_jobs.jobs import inquiry, lifecycle, recordings
 from sms_jobs.jobs.planning import PIPELINE, Request
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.recordings import state_value
+from sms_jobs.jobs.submission import Submission, submit
 from sms_jobs.kinds.record import KIND
 from sms_jobs.records.job import JobState
 
 app = typer.Typer(help="Recordings: states, with the instruments of a rig.", no_args_is_help=True)
+
+_LOOK_EVERY_S = 0.2
 
 JobId = Annotated[
     str, typer.Argument(help="Job id, or the beginning of one.", autocompletion=completion.job_ids)
@@ -59,14 +65,11 @@ def run(
 
     Example: sms acquire run wing-fatigue --state S03 --process
     """
-    states = tuple(state or ())
-    requests = [Request(KIND.name, {"doubtful": "ask" if ask else "keep"}, states)]
-    if process:
-        requests.append(Request(PIPELINE, {}, states))
+    requests = _requests(tuple(state or ()), ask, process)
     with bootstrap.services(home) as services:
         with services.catalogue.writing() as session:
             done = submit(session, campaign, requests, datetime.now(UTC))
-        ids = [i for i, kind in zip(done.job_ids, done.kinds, strict=True) if kind == KIND.name]
+        ids = _recordings_of(done)
         if not as_json:
             output.say(f"submitted {len(ids)} recordings" + (", each to be processed" if process else ""))
         if no_wait:
@@ -74,6 +77,80 @@ def run(
                 output.print_json({"campaign": campaign, "jobs": done.job_ids})
             return
         _follow(services, ids, as_json)
+
+
+@app.command()
+def follow(
+    campaign: Annotated[
+        str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
+    ],
+    on: Annotated[
+        str | None,
+        typer.Option(help="Channel of the rig: a state is recorded when it holds the state's value."),
+    ] = None,
+    tolerance: Annotated[
+        float | None, typer.Option(help="How near the channel must be, in its unit.", min=0.0)
+    ] = None,
+    hold: Annotated[float, typer.Option(help="Seconds that it must have stayed there.", min=0.0)] = 5.0,
+    every: Annotated[
+        float | None, typer.Option(help="Record the next state every so many seconds instead.", min=0.0)
+    ] = None,
+    key: Annotated[bool, typer.Option("--key", help="Record the next state at Enter instead.")] = False,
+    ask: Annotated[
+        bool, typer.Option("--ask", help="Ask an operator about a doubtful set instead of keeping it.")
+    ] = False,
+    process: Annotated[
+        bool, typer.Option("--process", help="Process each state as soon as it is recorded.")
+    ] = False,
+    home: Home = None,
+) -> None:
+    """Follow a test: record one state after the other, each when its load is held, in time, or at a key.
+
+    Run it on the host of the rig, beside 'sms up'. It ends after the last state; started again it goes on
+    with the first that is not recorded. It stops when a recording needs an operator.
+
+    Example: sms acquire follow wing-fatigue --on load_n --tolerance 3000 --hold 10 --process
+
+    Example: sms acquire follow wing-fatigue --every 600
+    """
+    if [on is not None, every is not None, key].count(True) != 1:
+        raise InvalidInput("say what to wait for: one of --on CHANNEL, --every SECONDS and --key")
+    if on is not None and tolerance is None:
+        raise InvalidInput(f"say with --tolerance how near {on} must be to a state's value, in its unit")
+    with bootstrap.services(home) as services:
+        due = time.monotonic()
+        while True:
+            with services.catalogue.reading() as session:
+                state = recordings.next_state(session, campaign)
+                rig = definition(campaign_row(session, campaign)).rig
+            if state is None:
+                output.say(f"every state of {campaign} is recorded, or waits; see 'sms acquire list'")
+                return
+            if on is not None and tolerance is not None:
+                load = Hold(state_value(state, on), tolerance, hold)
+                output.say(
+                    f"{state.label}: waiting for {on} = {load.target:g} +- {tolerance:g} for {hold:g} s"
+                )
+                _wait_for_hold(services, rig, on, load)
+            elif every is not None:
+                output.say(f"{state.label}: in {max(0.0, due - time.monotonic()):.0f} s")
+                time.sleep(max(0.0, due - time.monotonic()))
+                due += every
+            else:
+                typer.prompt(f"{state.label}: Enter records it", default="", show_default=False, err=True)
+            with services.catalogue.writing() as session:
+                done = submit(session, campaign, _requests((state.label,), ask, process), datetime.now(UTC))
+            _follow(services, _recordings_of(done), as_json=False)
+
+
+def _wait_for_hold(services: Services, rig: str, channel: str, hold: Hold) -> None:
+    """Return when a channel holds its value; the instruments are let go before that."""
+    from sms_jobs.instruments.connection import channel_reader
+
+    detector = HoldDetector(hold)
+    with channel_reader(services.stations.rig(rig), channel) as read:
+        while not detector.held(time.monotonic(), read()):
+            time.sleep(_LOOK_EVERY_S)
 
 
 @app.command("list")
@@ -138,6 +215,15 @@ def abort(
     if not stopped:
         raise Conflict("no recording runs; nothing was stopped")
     output.say(f"stopped {', '.join(i[:8] for i in stopped)}; 'sms acquire resume' goes on")
+
+
+def _requests(states: tuple[str, ...], ask: bool, process: bool) -> list[Request]:
+    recording = Request(KIND.name, {"doubtful": "ask" if ask else "keep"}, states)
+    return [recording, Request(PIPELINE, {}, states)] if process else [recording]
+
+
+def _recordings_of(done: Submission) -> list[str]:
+    return [i for i, kind in zip(done.job_ids, done.kinds, strict=True) if kind == KIND.name]
 
 
 def _recording(session: Session, prefix: str) -> JobRow:

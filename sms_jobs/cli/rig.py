@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from math import degrees, radians
 from pathlib import Path
@@ -143,6 +144,50 @@ def move(
         found.stage.set(StagePose(radians(pan_deg), radians(tilt_deg))).wait()
         pan, tilt = found.stage.angles()
     output.say(f"the stage of {rig} is at pan {degrees(pan):.3f} deg, tilt {degrees(tilt):.3f} deg")
+
+
+@app.command()
+def stop(rig: Rig, home: Home = None) -> None:
+    """Stop a rig's stages at once, whoever uses them.
+
+    It asks neither a lock nor the program that moves them. A stage that can hurt somebody needs a switch.
+
+    Example: sms rig stop virtual
+    """
+    from sms_jobs.instruments.clock import RealClock
+    from sms_jobs.instruments.devices.emergency_stop import emergency_stop
+
+    with bootstrap.services(home) as services:
+        described = services.stations.rig(rig)
+    stopped = emergency_stop(described.serial.stages, RealClock())
+    output.say(f"stopped {', '.join(stopped)}" if stopped else f"rig {rig} has no stage")
+
+
+@app.command()
+def simulate(
+    rig: Rig,
+    folder: Annotated[Path | None, typer.Option(help="Where a link to each port is made.")] = None,
+    home: Home = None,
+) -> None:
+    """Put simulators of a rig's serial instruments on pseudo-terminals until Ctrl-C.
+
+    Any serial terminal, or another program, can talk to them there.
+
+    Example: sms rig simulate virtual --folder /tmp/virtual
+    """
+    from sms_jobs.instruments.simulated.serial.simulation import simulate as put_on_terminals
+
+    with bootstrap.services(home) as services:
+        described = services.stations.rig(rig)
+    with put_on_terminals(described.serial, folder) as simulated:
+        output.print_table(
+            ["instrument", "port", "baud rate"],
+            [(p.device, p.path, p.baud_rate) for p in simulated.ports],
+            empty="this rig has no serial instruments",
+        )
+        sys.stdout.flush()
+        if simulated.ports:
+            signal.pause()
 
 
 def _with_stage(home: Path | None, rig: str) -> RigFile:

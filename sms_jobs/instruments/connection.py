@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
 
-from sms_jobs.errors import InstrumentError
+from sms_jobs.errors import InstrumentError, NotFound
 from sms_jobs.instruments.clock import Clock, RealClock
 from sms_jobs.instruments.devices.connecting import Connector
 from sms_jobs.instruments.devices.device import Device
@@ -79,6 +79,31 @@ def connected(
             stage,
             WiredVideo(tuple(zip(switches, map(_sensors, rig.serial.splitters), strict=True))),
         )
+
+
+@contextmanager
+def channel_reader(rig: RigFile, name: str, clock: Clock | None = None) -> Iterator[Callable[[], float]]:
+    """Connect one channel of a rig, and give what reads it.
+
+    Raises
+    ------
+    NotFound
+        When the rig has no such channel.
+    LinkLost
+        When it does not answer.
+    """
+    settings = next((c for c in rig.serial.channels if c.name == name), None)
+    if settings is None:
+        known = ", ".join(c.name for c in rig.serial.channels) or "none"
+        raise NotFound(f"rig {rig.name} has no channel '{name}'; it has {known}")
+    clock = clock or RealClock()
+    simulation = SerialSimulation(rig.serial, clock)
+    channel = Connector(clock, OperationLog(clock), simulation).channel(settings)
+    channel.connect()
+    try:
+        yield ChannelValue(channel).read
+    finally:
+        channel.close()
 
 
 def _stand_still(

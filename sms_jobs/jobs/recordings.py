@@ -10,11 +10,15 @@ from pathlib import Path
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow, StatisticRow
+from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.record import KIND
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.campaign import LoadState, Subject
 from sms_jobs.records.job import JobState
+
+_OPEN = (JobState.QUEUED, JobState.RUNNING, JobState.LOST, JobState.NEEDS_OPERATOR, JobState.FAILED)
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ def open_recordings(session: Session, spool: Path) -> list[OpenRecording]:
         select(JobRow)
         .where(
             JobRow.kind == KIND.name,
-            JobRow.state.in_((JobState.QUEUED, JobState.RUNNING, JobState.NEEDS_OPERATOR, JobState.FAILED)),
+            JobRow.state.in_(_OPEN),
         )
         .order_by(JobRow.position)
     )
@@ -101,6 +105,43 @@ def open_recordings(session: Session, spool: Path) -> list[OpenRecording]:
             )
         )
     return found
+
+
+def next_state(session: Session, name: str) -> LoadState | None:
+    """Return the first state of a campaign that is neither recorded nor about to be; None when all are."""
+    campaign = definition(campaign_row(session, name))
+    recorded = set(
+        session.scalars(
+            select(LoadStateRow.label)
+            .join(CampaignRow, CampaignRow.id == LoadStateRow.campaign_id)
+            .join(FileRow, FileRow.state_id == LoadStateRow.id)
+            .where(CampaignRow.name == name, FileRow.source == MEASUREMENT)
+        )
+    )
+    coming = {
+        Subject.parse(subject).state
+        for subject in session.scalars(
+            select(JobRow.subject)
+            .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
+            .where(CampaignRow.name == name, JobRow.kind == KIND.name, JobRow.state.in_(_OPEN))
+        )
+    }
+    return next((s for s in campaign.states if s.label not in recorded | coming), None)
+
+
+def state_value(state: LoadState, channel: str) -> float:
+    """Return what a channel is to read at a state.
+
+    Raises `InvalidInput` when the plan does not say it.
+    """
+    told = state.channels if state.load_n is None else {"load_n": state.load_n} | state.channels
+    if channel not in told:
+        known = ", ".join(told) or "none"
+        raise InvalidInput(
+            f"the plan does not say what {channel} is at state {state.label}; it says {known}: give its "
+            "load_n or channels"
+        )
+    return told[channel]
 
 
 def forget_doubtful(spool: Path) -> list[str]:
