@@ -36,7 +36,7 @@ def write_parquet(path: Path, columns: Sequence[str], rows: Iterable[Sequence[An
         from pyarrow import parquet
     except ImportError as error:
         raise ConfigurationError(
-            "Parquet files need a package that is not installed: run 'pip install sms-jobs[parquet]', "
+            "Parquet files need a package that is not installed: run \"pip install 'sms-jobs[parquet]'\", "
             "or take --format csv"
         ) from error
     table = list(rows)

@@ -6,14 +6,15 @@ import csv
 import io
 import json
 import re
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
+from pyarrow import parquet
 from sqlalchemy import event, select
 from support.homes import make_home
 from support.jobs import NOW
@@ -326,16 +327,10 @@ def test_every_format_tells_the_same(home: Path, capsys: pytest.CaptureFixture[s
             run(capsys, *refused, *at)
 
 
-def test_parquet_keeps_types_or_says_what_to_install(tmp_path: Path) -> None:
-    rows = [(1, "a", 0.5, NOW, None), (2, None, None, None, None)]
-    columns = ("file", "kind", "load_kN", "created", "empty")
+def test_parquet_keeps_types(tmp_path: Path) -> None:
+    rows = [(1, "a", 0.5, NOW, None, True), (2, None, None, None, None, False)]
+    columns = ("file", "kind", "load_kN", "created", "empty", "reused")
     path = tmp_path / "found.parquet"
-    if find_spec("pyarrow") is None:
-        with pytest.raises(SmsError, match=r"pip install sms-jobs\[parquet\]"):
-            write_parquet(path, columns, rows)
-        return
-    from pyarrow import parquet
-
     assert write_parquet(path, columns, rows) == 2
     table = parquet.read_table(path)
     assert [str(kind) for kind in table.schema.types] == [
@@ -344,5 +339,43 @@ def test_parquet_keeps_types_or_says_what_to_install(tmp_path: Path) -> None:
         "double",
         "timestamp[us, tz=UTC]",
         "double",
+        "bool",
     ]
     assert [tuple(row.values()) for row in table.to_pylist()] == rows
+    # What is of several types in one column, as a parameter may be, is told in words.
+    assert write_parquet(path, ["param.method"], [("fdr",), (3,), (NOW,), (None,)]) == 4
+    assert parquet.read_table(path).column(0).to_pylist() == ["fdr", "3", NOW.isoformat(), None]
+    assert write_parquet(path, ["file"], []) == 0
+    assert parquet.read_table(path).num_rows == 0
+
+
+def test_what_is_found_goes_into_a_parquet_file(
+    home: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    make_home(home, {})
+    with bootstrap.services(home) as services, services.catalogue.writing() as session:
+        key = session.scalars(select(FileRow.id).where(FileRow.source == "calibration")).one()
+        session.add(StatisticRow(file_id=key, name="length_rms_mm", value=0.25))
+    at = ("--home", str(home))
+    asked = ("find", "calibration where length_rms_um > 100")
+    (listed,) = json.loads(run(capsys, *asked, "--json", *at))
+    path = tmp_path / "found.parquet"
+    run(capsys, *asked, "--format", "parquet", "--out", str(path), *at)
+    (row,) = parquet.read_table(path).to_pylist()
+    assert row["length_rms_um"] == 250.0
+    assert row["created"] == datetime.fromisoformat(listed["created_at"])
+    assert {name: row[name] for name in ("path", "size_bytes", "content_hash")} == {
+        name: listed[name] for name in ("path", "size_bytes", "content_hash")
+    }
+    with pytest.raises(Conflict, match="--force"):
+        run(capsys, *asked, "--format", "parquet", "--out", str(path), *at)
+
+
+def test_without_the_package_it_is_said_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)  # as if it were not installed
+    path = tmp_path / "found.parquet"
+    with pytest.raises(SmsError, match=r"pip install 'sms-jobs\[parquet\]'.*--format csv"):
+        write_parquet(path, ["file"], [(1,)])
+    assert not path.exists()
