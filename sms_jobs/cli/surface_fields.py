@@ -1,0 +1,200 @@
+"""`sms data gauges` and `sms data section`: numbers at places of a surface, from stored results."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import search
+from sms_jobs.catalogue.search import FileView
+from sms_jobs.cli import completion, output
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.errors import Conflict, InvalidInput, NotFound
+from sms_jobs.formats.gauge_descriptions import read_gauge_file
+from sms_jobs.formats.profiles import GaugeRow, compared, draw_gauges, draw_profile, named_field
+from sms_jobs.metrology.deformation.gauges import profile_along
+from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.gauges import GaugeReadings
+
+_MICROSTRAIN = 1e6
+_MOST_STATES = 100_000
+
+Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
+Out = Annotated[
+    Path | None, typer.Option("--out", "-o", help="File to write: .csv for numbers, .png for a picture.")
+]
+
+
+def gauges(
+    campaign: Annotated[
+        str, typer.Option("--campaign", "-c", help="Campaign.", autocompletion=completion.campaign_names)
+    ],
+    readings: Annotated[
+        Path | None,
+        typer.Option(help="CSV file of real gauges: columns state, gauge and microstrain."),
+    ] = None,
+    pair: Annotated[str | None, typer.Option(help="Only of this pair.")] = None,
+    out: Out = None,
+    force: Force = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Show what virtual strain gauges read, state by state, beside real ones.
+
+    First: sms job submit gauges -c panel --gauge "G1 x=0 y=20 length=20; G2 x=0 y=20 length=20 angle=90"
+
+    Example: sms data gauges -c panel --readings strain_gauges.csv --out gauges.png
+    """
+    real = () if readings is None else read_gauge_file(readings)
+    with bootstrap.services(home) as services:
+        rows = compared(_virtual(services, campaign, pair), real)
+    if out is not None:
+        _write(out, force, _table_of(rows), lambda: draw_gauges(rows))
+    if as_json:
+        output.print_json({"campaign": campaign, "gauges": rows})
+        return
+    output.print_table(
+        ["state", "pair", "gauge", "virtual [µε]", "sigma [µε]", "pixels", "real [µε]", "difference [µε]"],
+        [(r.state, r.pair, r.gauge, *_rounded(r), _in(r.real), _in(r.difference)) for r in rows],
+        empty=f"no virtual gauges of campaign {campaign}",
+    )
+    differences = [r.difference for r in rows if r.difference is not None]
+    if differences:
+        rms = _MICROSTRAIN * float(np.sqrt(np.mean(np.square(differences))))
+        output.say(f"rms difference of {len(differences)} readings: {rms:.1f} microstrain")
+
+
+def _rounded(row: GaugeRow) -> tuple[str | None, str | None, int]:
+    return _in(row.virtual), _in(row.sigma), row.pixels
+
+
+def _in(strain: float | None) -> str | None:
+    return None if strain is None else f"{_MICROSTRAIN * strain:.1f}"
+
+
+def _virtual(services: Services, campaign: str, pair: str | None) -> list[GaugeRow]:
+    """Return the newest readings of every state and pair, in order."""
+    with services.catalogue.reading() as session:
+        files = search.find_files(session, source="gauges", campaign=campaign, pair=pair, limit=_MOST_STATES)
+    newest: dict[str, FileView] = {}
+    for file in files:
+        newest.setdefault(file.subject, file)
+    if not newest:
+        raise NotFound(
+            f"campaign {campaign} has no virtual gauges; 'sms job submit gauges -c {campaign} "
+            '--gauge "G1 x=0 y=0 length=20"\' reads one in the middle'
+        )
+    rows = []
+    for subject, file in sorted(newest.items()):
+        with services.archive.open(file.path) as dataset:
+            found = dataset.read("gauges", GaugeReadings)
+        _, state, seen_by = subject.split("/")
+        for name, strain, sigma, pixels in zip(
+            found.names, found.strain, found.sigma, found.pixels, strict=True
+        ):
+            known = bool(np.isfinite(strain))
+            rows.append(
+                GaugeRow(
+                    state,
+                    seen_by,
+                    name,
+                    float(strain) if known else None,
+                    float(sigma) if known else None,
+                    int(pixels),
+                )
+            )
+    return rows
+
+
+def _table_of(rows: Sequence[GaugeRow]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["state", "pair", "gauge", "virtual_microstrain", "sigma_microstrain", "pixels", "real_microstrain"]
+    )
+    for r in rows:
+        writer.writerow([r.state, r.pair, r.gauge, *_rounded(r), _in(r.real)])
+    return text.getvalue()
+
+
+def section(
+    file: Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")],
+    start: Annotated[str, typer.Option("--from", help="Start of the line, X,Y in mm.")],
+    end: Annotated[str, typer.Option("--to", help="End of the line, X,Y in mm.")],
+    record: Annotated[str | None, typer.Option(help="Record in the file; the first if not given.")] = None,
+    field: Annotated[str | None, typer.Option(help="Field; the first image if not given.")] = None,
+    step: Annotated[float, typer.Option(help="Distance of the points of the profile, mm.", min=1e-3)] = 2.0,
+    width: Annotated[float, typer.Option(help="Width of the strip that is averaged, mm.", min=1e-3)] = 4.0,
+    out: Out = None,
+    force: Force = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Show a field along a line on the surface, which is seen along the world's Z axis.
+
+    Example: sms data section 17 --from -100,0 --to 100,0 --field strain --out profile.png
+    """
+    ends = (_point(start, "--from"), _point(end, "--to"))
+    if ends[0] == ends[1]:
+        raise InvalidInput(f"the section begins and ends at {start}; give two different points in mm")
+    with bootstrap.services(home) as services:
+        with services.catalogue.reading() as session:
+            view = search.file_view(session, file)
+            parents = search.ancestry(session, view)
+        with services.archive.open(view.path) as dataset:
+            name = record or dataset.names[0]
+            values = named_field(dataset.read(name, dataset.record_class(name)), field)
+            own = dataset.read("cloud", PointCloud).xyz if "cloud" in dataset.names else values.xyz
+        if own is None:
+            shape = next((p.file for p in parents if p.role == "reference"), None)
+            if shape is None:
+                raise InvalidInput(
+                    f"file {file} does not say where its pixels are; choose a result of a pair"
+                )
+            with services.archive.open(shape.path) as dataset:
+                own = dataset.read("cloud", PointCloud).xyz
+    profile = profile_along(own, values.values, *ends, step_mm=step, width_mm=width)
+    columns = ["distance_mm", "X_mm", "Y_mm", "Z_mm", *values.columns, "pixels"]
+    rows = [
+        [*map(_plain, (d, *place, *each)), int(count)]
+        for d, place, each, count in zip(
+            profile.distance, profile.position, profile.value.T, profile.pixels, strict=True
+        )
+    ]
+    if out is not None:
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([columns, *rows])
+        _write(out, force, text.getvalue(), lambda: draw_profile(profile, values))
+    if as_json:
+        output.print_json({"file": view.id, "columns": columns, "rows": rows})
+    elif out is None:
+        output.print_table(columns, rows, empty="")
+
+
+def _plain(value: float) -> float | None:
+    return float(f"{value:.7g}") if np.isfinite(value) else None
+
+
+def _point(text: str, option: str) -> tuple[float, float]:
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InvalidInput(f"{option} {text} is not a point; write two numbers in mm, like -50,20") from error
+    return x, y
+
+
+def _write(out: Path, force: bool, table: str, picture: Any) -> None:
+    if out.suffix not in (".csv", ".png"):
+        raise InvalidInput(f"'{out}' must end in .csv or .png")
+    if out.exists() and not force:
+        raise Conflict(f"{out} exists; choose another name or add --force")
+    out.write_bytes(table.encode() if out.suffix == ".csv" else picture())
+    output.say(f"wrote {out}")

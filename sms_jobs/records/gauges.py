@@ -1,0 +1,29 @@
+"""What virtual strain gauges read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.records.quantity import XYZ, array
+
+_GAUGES = ("gauge",)
+
+
+@dataclass(frozen=True)
+class GaugeReadings:
+    """Strain under virtual gauges at one state, seen by one pair.
+
+    NaN where fewer than twelve pixels lie under a gauge's grid.
+    """
+
+    measure: str
+    names: tuple[str, ...]
+    strain: NDArray[np.float64] = array("1", "strain along the gauge", _GAUGES)
+    sigma: NDArray[np.float32] = array("1", "standard deviation of the strain", _GAUGES)
+    place: NDArray[np.float64] = array(
+        "mm", "middle of the grid in the specimen's frame", ("gauge", "component"), XYZ
+    )
+    pixels: NDArray[np.int32] = array("1", "number of pixels under the grid", _GAUGES)
