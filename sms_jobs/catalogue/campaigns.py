@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+from typing import Any
 
 from pydantic import TypeAdapter
 from sqlalchemy import bindparam, func, select
@@ -51,7 +52,7 @@ def add_campaign(session: Session, campaign: Campaign, now: datetime, plan: str 
         specimen_id=specimen.id,
         rig_id=rig.id,
         created_at=now,
-        definition=_DEFINITION.dump_python(campaign, mode="json"),
+        definition=as_json(campaign),
         plan=plan,
     )
     session.add(row)
@@ -98,6 +99,12 @@ def campaign_row(session: Session, name: str) -> CampaignRow:
 def definition(row: CampaignRow) -> Campaign:
     """Return the `Campaign` record of a row."""
     return _DEFINITION.validate_python(row.definition)
+
+
+def as_json(campaign: Campaign) -> dict[str, Any]:
+    """Return what a row keeps of a campaign."""
+    kept: dict[str, Any] = _DEFINITION.dump_python(campaign, mode="json")
+    return kept
 
 
 def state_ids(session: Session, campaign_id: int) -> dict[str, int]:

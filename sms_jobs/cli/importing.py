@@ -1,0 +1,15 @@
+"""`sms import`: what was measured elsewhere, from folders of images and tables of readings."""
+
+from __future__ import annotations
+
+import typer
+
+from sms_jobs.cli import calibration_files, importing_frames, importing_readings
+
+app = typer.Typer(
+    help="Bring in what was measured elsewhere: frames, readings, calibrations.", no_args_is_help=True
+)
+app.command("frames")(importing_frames.frames)
+app.command("channels")(importing_readings.channels)
+app.command("gauges")(importing_readings.gauges)
+app.command("calibration")(calibration_files.import_)

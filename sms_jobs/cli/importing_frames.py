@@ -1,0 +1,455 @@
+"""`sms import frames`: folders of fringe frames become the measurements of a campaign."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from math import degrees
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import campaigns
+from sms_jobs.cli import completion, output
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.errors import Conflict, InvalidInput, NotFound
+from sms_jobs.formats import configuration
+from sms_jobs.formats.importers.folders import Listing, list_folder
+from sms_jobs.formats.importers.frames import Arrangement, arrange, roles_told
+from sms_jobs.formats.importers.guess import Guess, guess_layout, with_options
+from sms_jobs.formats.importers.inspection import (
+    CameraModel,
+    Inspected,
+    camera_model,
+    inspect,
+    measurement_of,
+    source_hash,
+)
+from sms_jobs.formats.importers.layout import FrameLayout, layout_of, load_layout
+from sms_jobs.jobs.importing import amend_campaign, import_measurement, known_of, with_states
+from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+
+_FINDINGS = 6
+_TOLD = 20
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is asked for: where to, and how freely."""
+
+    folder: Path
+    campaign: str
+    rig: str | None
+    specimen: str | None
+    plan: Path | None
+    recorded_at: datetime | None
+    add_states: bool
+    newer: bool
+
+
+def frames(
+    folder: Annotated[Path, typer.Argument(help="Folder of the frames; its sub-folders belong to it.")],
+    campaign: Annotated[
+        str,
+        typer.Option("--campaign", "-c", help="Campaign.", autocompletion=completion.campaign_names),
+    ],
+    layout: Annotated[Path | None, typer.Option(help="Layout file (TOML); see docs/import.md.")] = None,
+    pattern: Annotated[
+        str | None,
+        typer.Option(help="File names, as {state}/{pair}/frame_{number}.bmp; * for anything."),
+    ] = None,
+    state: Annotated[str | None, typer.Option(help="State, where the names do not say it.")] = None,
+    pair: Annotated[str | None, typer.Option(help="Pair, where the names do not say it.")] = None,
+    densities: Annotated[
+        str | None, typer.Option(help="Fringes across the projector, in order of recording: '16 1'.")
+    ] = None,
+    steps: Annotated[int | None, typer.Option(help="Phase steps of each density.")] = None,
+    orientations: Annotated[
+        str | None, typer.Option(help="Directions in which the phase grows, in degrees: '0 90'.")
+    ] = None,
+    shown: Annotated[
+        str | None,
+        typer.Option(
+            "--frames", help="What is recorded, in order: 'fringes gray white'; see docs/import.md."
+        ),
+    ] = None,
+    order: Annotated[
+        str | None, typer.Option(help="Of fringe frames, the slowest first: 'orientation density step'.")
+    ] = None,
+    gray_bits: Annotated[
+        int | None, typer.Option("--gray-bits", help="Gray-code patterns an orientation.")
+    ] = None,
+    direction: Annotated[
+        int | None, typer.Option(help="1 if a step adds 2 pi / steps to the phase, -1 if it takes it off.")
+    ] = None,
+    origin: Annotated[
+        str | None, typer.Option(help="Where the first step has the phase --offset-deg: middle or edge.")
+    ] = None,
+    offset_deg: Annotated[
+        float | None,
+        typer.Option("--offset-deg", help="Phase of the first step there: 0 for a cosine, -90 for a sine."),
+    ] = None,
+    full_scale: Annotated[
+        int | None, typer.Option("--full-scale", help="Grey level at which the camera saturates.")
+    ] = None,
+    gain: Annotated[float | None, typer.Option(help="Noise variance a grey level of signal.")] = None,
+    read_noise: Annotated[
+        float | None, typer.Option("--read-noise", help="Noise in the dark, in grey levels.")
+    ] = None,
+    raw: Annotated[
+        str | None, typer.Option(help="Raw files: columns x rows x bits, as 1280x1024x12.")
+    ] = None,
+    rig: Annotated[str | None, typer.Option(help="Rig of a campaign that is to be made.")] = None,
+    specimen: Annotated[str | None, typer.Option(help="Specimen of a campaign that is to be made.")] = None,
+    plan: Annotated[
+        Path | None, typer.Option(help="Test plan of a campaign that is to be made, instead of --rig.")
+    ] = None,
+    recorded_at: Annotated[
+        str | None,
+        typer.Option(
+            "--recorded-at", help="When, as 2026-05-04T10:00:00+02:00; the files' times if not given."
+        ),
+    ] = None,
+    add_states: Annotated[
+        bool, typer.Option("--add-states", help="Give the campaign states that it does not have yet.")
+    ] = False,
+    newer: Annotated[
+        bool, typer.Option("--newer", help="Enter a tuple that has another measurement as its newest.")
+    ] = False,
+    print_layout: Annotated[
+        bool, typer.Option("--print-layout", help="Print the layout to correct and give back, and end.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Read and check everything, and change nothing.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask whether the layout is right.")] = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Import folders of fringe frames: TIFF, PNG, BMP, JPEG, PNM or raw.
+
+    What the options do not say is guessed, shown, and asked about. Each state and pair is taken as a whole or
+    not at all; what is in the archive already is not entered again.
+
+    Example: sms import frames scans --campaign skull --rig desk --densities '16 1' --steps 3 --pair C1P1
+
+    Example: sms import frames scans -c skull --print-layout > layout.toml; sms import frames scans -c skull
+    --layout layout.toml --yes
+    """
+    listing = list_folder(folder)
+    task = _Task(folder, campaign, rig, specimen, plan, _time(recorded_at), add_states, newer)
+    given: dict[str, Any] = {
+        "pattern": pattern,
+        "state": state,
+        "pair": pair,
+        "frames": shown,
+        "order": order,
+        "sequence.densities": _numbers(densities, "--densities", int),
+        "sequence.steps": steps,
+        "sequence.orientations_deg": _numbers(orientations, "--orientations", float),
+        "gray.bits": gray_bits,
+        "phase.direction": direction,
+        "phase.origin": origin,
+        "phase.offset_deg": offset_deg,
+        "camera.full_scale": full_scale,
+        "camera.gain": gain,
+        "camera.read_noise": read_noise,
+        "camera.raw": raw,
+    }
+    with bootstrap.services(home) as services:
+        existing = _existing(services, campaign)
+        table = with_options({} if layout is None else load_layout(layout), given)
+        guess = guess_layout(listing, table, None if existing is None else existing.sequence)
+        if print_layout:
+            typer.echo(guess.as_toml(), nl=False)
+            return
+        found_layout = layout_of(guess.table, "the layout" if layout is None else str(layout))
+        arrangement = arrange(listing, found_layout)
+        wanted = _wanted(task, existing, found_layout, arrangement)
+        _preview(listing, guess, found_layout, arrangement)
+        if not arrangement.tuples:
+            raise InvalidInput(
+                f"no file of {folder} fits the pattern '{found_layout.pattern.text}': give another "
+                "--pattern; '--print-layout' shows the guess"
+            )
+        if not (yes or dry_run or layout is not None):
+            typer.confirm("Is this right?", abort=True, err=True)
+        outcome = _import(services, task, listing, found_layout, arrangement, existing, wanted, dry_run)
+    _tell(outcome, arrangement, as_json=as_json, dry_run=dry_run, campaign=campaign)
+
+
+def _time(text: str | None) -> datetime | None:
+    if text is None:
+        return None
+    try:
+        at = datetime.fromisoformat(text)
+    except ValueError:
+        at = None
+    if at is None or at.tzinfo is None:
+        raise InvalidInput(f"--recorded-at should be a time as in 2026-05-04T10:00:00+02:00, not '{text}'")
+    return at
+
+
+def _numbers(text: str | None, option: str, kind: type) -> tuple[Any, ...] | None:
+    if text is None:
+        return None
+    try:
+        return tuple(kind(part) for part in text.replace(",", " ").split())
+    except ValueError:
+        raise InvalidInput(f"{option} should be numbers with spaces between, not '{text}'") from None
+
+
+def _existing(services: Services, name: str) -> Campaign | None:
+    with services.catalogue.reading() as session:
+        try:
+            return campaigns.definition(campaigns.campaign_row(session, name))
+        except NotFound:
+            return None
+
+
+def _wanted(
+    task: _Task, existing: Campaign | None, layout: FrameLayout, arrangement: Arrangement
+) -> Campaign:
+    """Return the campaign as it has to be; raise where what there is contradicts the files."""
+    labels = arrangement.states
+    if existing is None and task.plan is not None:
+        planned = configuration.load_campaign(task.plan).campaign
+        if planned.name != task.campaign:
+            raise InvalidInput(f"{task.plan} is the plan of campaign {planned.name}, not of {task.campaign}")
+        existing = planned
+    if existing is None:
+        if task.rig is None:
+            raise InvalidInput(
+                f"there is no campaign {task.campaign} yet: name the rig that measured, as --rig desk, or "
+                "give its --plan; 'sms calibration list' shows rigs"
+            )
+        return Campaign(
+            name=task.campaign,
+            specimen=Specimen(task.specimen or task.campaign),
+            rig=task.rig,
+            states=tuple(LoadState(label, time=task.recorded_at) for label in labels) or (LoadState("S00"),),
+            pairs=arrangement.pairs or ("C1P1",),
+            sequence=layout.sequence,
+        )
+    unknown = [p for p in arrangement.pairs if p not in existing.pairs]
+    if unknown:
+        raise InvalidInput(
+            f"campaign {existing.name} has no pair {', '.join(unknown)}; it has {', '.join(existing.pairs)}"
+        )
+    if layout.sequence != existing.sequence:
+        raise InvalidInput(
+            f"campaign {existing.name} is measured with {_fringes(existing.sequence)}, but the layout has "
+            f"{_fringes(layout.sequence)}: import into another campaign"
+        )
+    wanted = with_states(existing, labels)
+    added = [s.label for s in wanted.states[len(existing.states) :]]
+    if added and not task.add_states:
+        raise InvalidInput(
+            f"campaign {existing.name} has no state {', '.join(added[:5])}: say --add-states to add "
+            f"{len(added)}, or map them to its own under [states] of a layout"
+        )
+    return wanted
+
+
+def _fringes(sequence: Any) -> str:
+    angles = ", ".join(f"{degrees(a):g}" for a in sequence.orientations_rad)
+    return f"densities {', '.join(map(str, sequence.densities))} x {sequence.steps} steps along {angles} deg"
+
+
+def _preview(listing: Listing, guess: Guess, layout: FrameLayout, arrangement: Arrangement) -> None:
+    """Show on stderr what the files are taken for."""
+    for remark in guess.remarks:
+        output.say(remark)
+    output.say(f"pattern   {layout.pattern.text}")
+    output.say(f"fringes   {_fringes(layout.sequence)}")
+    output.say(
+        f"tuples    {len(arrangement.tuples)}, of {len(layout.roles)} frames each, from "
+        f"{len(listing.files)} files"
+    )
+    complete = next((t for t in arrangement.tuples if not t.faults), None)
+    if complete is not None:
+        told = list(roles_told(layout, complete))
+        output.say(f"frames of {complete.state}/{complete.pair}:")
+        for name, what in told if len(told) <= 2 * _TOLD else [*told[:_TOLD], ("...", ""), *told[-3:]]:
+            output.say(f"  {name}  {what}")
+
+
+@dataclass
+class _Outcome:
+    """What became of every tuple, in order."""
+
+    rows: list[dict[str, Any]]
+    remarks: list[str]
+
+    @property
+    def bad(self) -> bool:
+        return any(r["outcome"] == "refused" for r in self.rows)
+
+
+def _import(
+    services: Services,
+    task: _Task,
+    listing: Listing,
+    layout: FrameLayout,
+    arrangement: Arrangement,
+    existing: Campaign | None,
+    wanted: Campaign,
+    dry_run: bool,
+) -> _Outcome:
+    inspected = _inspect_all(listing, layout, arrangement)
+    good = [one for one in inspected if not one.found.faults]
+    remarks = list(dict.fromkeys(r for one in good for r in one.remarks))
+    outcome = _Outcome([], remarks)
+    camera = camera_model(listing.folder, good, layout) if good else None
+    if camera is not None:
+        remarks += camera.remarks
+    if good and not dry_run:
+        _prepare(services, task, existing, wanted)
+    with output.progress_bar() as bar:
+        step = bar.add_task("importing", total=len(inspected))
+        for one in inspected:
+            if one.found.faults:
+                outcome.rows.append(_row(one, "refused", "; ".join(one.found.faults)))
+            else:
+                assert camera is not None
+                outcome.rows.append(_enter(services, task, listing, layout, camera, one, dry_run))
+            bar.advance(step)
+    return outcome
+
+
+def _inspect_all(listing: Listing, layout: FrameLayout, arrangement: Arrangement) -> list[Inspected]:
+    """Read every file once, before anything is written."""
+    with output.progress_bar() as bar:
+        step = bar.add_task("reading", total=sum(len(t.files) for t in arrangement.tuples))
+        return [inspect(listing.folder, t, layout, lambda: bar.advance(step)) for t in arrangement.tuples]
+
+
+def _prepare(services: Services, task: _Task, existing: Campaign | None, wanted: Campaign) -> None:
+    now = datetime.now(UTC)
+    if existing is None:
+        planned = None if task.plan is None else configuration.load_campaign(task.plan)
+        register_campaign(
+            services.catalogue,
+            services.archive,
+            wanted,
+            None if planned is None else planned.calibration,
+            now,
+            None if planned is None else planned.text,
+        )
+    elif wanted != existing:
+        amend_campaign(services.catalogue, services.archive, existing, wanted, now)
+
+
+def _enter(
+    services: Services,
+    task: _Task,
+    listing: Listing,
+    layout: FrameLayout,
+    camera: CameraModel,
+    one: Inspected,
+    dry_run: bool,
+) -> dict[str, Any]:
+    subject = Subject(task.campaign, one.found.state, one.found.pair)
+    digest = source_hash(one, layout)
+    known = known_of(services.catalogue, services.archive, subject, digest)
+    if known.status == "there":
+        return _row(one, "already there", known.path)
+    if dry_run:
+        differs = known.status == "other" and not task.newer
+        detail = "it has another measurement already: say --newer" if differs else ""
+        return _row(one, "refused" if differs else "would be imported", detail)
+    at = task.recorded_at or one.recorded_at
+    try:
+        measurement = measurement_of(listing.folder, one, layout, camera, at)
+        done = import_measurement(
+            services.catalogue,
+            services.archive,
+            subject,
+            measurement,
+            digest,
+            _sources(task, listing, one, layout),
+            datetime.now(UTC),
+            newer=task.newer,
+        )
+    except (Conflict, InvalidInput) as error:
+        return _row(one, "refused", str(error))
+    return _row(one, "imported", done.path)
+
+
+def _sources(task: _Task, listing: Listing, one: Inspected, layout: FrameLayout) -> Mapping[str, Any]:
+    """Return what the provenance tells besides the hash: where from, and which file is what."""
+    told = dict(roles_told(layout, one.found))
+    return {
+        "folder": str(listing.folder),
+        "pattern": layout.pattern.text,
+        "time_from": "given" if task.recorded_at else "files",
+        "texture_from": "white frame" if one.found.white else "mean of the fringe frames",
+        "remarks": list(one.remarks),
+        "files": [
+            {"name": name, "sha256": one.facts[name].sha256, "shows": told.get(name, "black")}
+            for name in dict.fromkeys(one.found.files)
+        ],
+    }
+
+
+def _row(one: Inspected, outcome: str, detail: str) -> dict[str, Any]:
+    facts = next(iter(one.facts.values()), None)
+    return {
+        "state": one.found.state,
+        "pair": one.found.pair,
+        "frames": len(set(one.found.files)),
+        "size": None if facts is None else f"{facts.columns} x {facts.rows}",
+        "outcome": outcome,
+        "detail": detail,
+    }
+
+
+def _short(row: Mapping[str, Any]) -> str:
+    """Return what a table shows of a detail; why a tuple is refused stands below it."""
+    return "see below" if row["outcome"] == "refused" else row["detail"]
+
+
+def _tell(
+    outcome: _Outcome, arrangement: Arrangement, *, as_json: bool, dry_run: bool, campaign: str
+) -> None:
+    counts = Counter(row["outcome"] for row in outcome.rows)
+    left_out = [{"file": one.name, "why": one.why} for one in arrangement.left_out]
+    if as_json:
+        output.print_json(
+            {
+                "campaign": campaign,
+                "dry_run": dry_run,
+                "tuples": outcome.rows,
+                "left_out": left_out,
+                "remarks": outcome.remarks,
+            }
+        )
+    else:
+        output.print_table(
+            ["state", "pair", "frames", "size [px]", "outcome", "detail"],
+            [tuple({**row, "detail": _short(row)}.values()) for row in outcome.rows],
+            empty="there is nothing to import",
+        )
+        for row in outcome.rows:
+            if row["outcome"] == "refused":
+                output.say(f"refused: {row['state']}/{row['pair']}: {row['detail']}")
+        for remark in outcome.remarks:
+            output.say(f"note: {remark}")
+        for one in left_out[:_TOLD]:
+            output.say(f"left out: {one['file']} {one['why']}")
+        if len(left_out) > _TOLD:
+            output.say(f"left out: {len(left_out) - _TOLD} more files; --json lists all")
+        output.say(
+            ", ".join(f"{n} {what}" for what, n in counts.items())
+            + ("; nothing was changed" if dry_run else "")
+        )
+        if counts["imported"]:
+            output.say(f"next: sms job submit pipeline --campaign {campaign}")
+    if outcome.bad:
+        raise typer.Exit(_FINDINGS)

@@ -1,0 +1,235 @@
+"""`sms import channels|gauges`: tables of readings become channels of a campaign's states."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.catalogue import campaigns
+from sms_jobs.cli import completion, output
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.importers.readings import (
+    Column,
+    Readings,
+    Table,
+    read_table,
+    readings_of,
+    states_by_label,
+    states_by_time,
+    zone_named,
+)
+from sms_jobs.jobs.importing import amend_campaign, measured_at, with_readings
+
+_FINDINGS = 6
+_TOLD = 20
+_STATE_NAMES = ("state", "label", "step", "load step")
+_TIME_NAMES = ("time", "timestamp", "date", "datetime")
+
+File = Annotated[Path, typer.Argument(help="CSV file with a header.")]
+InCampaign = Annotated[
+    str, typer.Option("--campaign", "-c", help="Campaign.", autocompletion=completion.campaign_names)
+]
+Maps = Annotated[
+    list[str] | None,
+    typer.Option("--map", help="COLUMN=CHANNEL[UNIT], several times; all columns if not given."),
+]
+StateColumn = Annotated[str | None, typer.Option("--state-column", help="Column of the states' labels.")]
+TimeColumn = Annotated[
+    str | None, typer.Option("--time-column", help="Column of times, which find the state nearest.")
+]
+TimeZone = Annotated[
+    str | None, typer.Option("--time-zone", help="Zone of times that have none, as Europe/Berlin.")
+]
+Within = Annotated[float, typer.Option(help="Seconds that a row may be away from its state.", min=0.0)]
+Delimiter = Annotated[str | None, typer.Option(help="Between columns; found if not given.")]
+Decimal = Annotated[str | None, typer.Option(help="Decimal mark, . or ,; found if not given.")]
+Replace = Annotated[bool, typer.Option("--replace", help="Replace values that states have already.")]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask whether guessed channels are right.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would change, and change nothing.")]
+
+
+def channels(
+    file: File,
+    campaign: InCampaign,
+    maps: Maps = None,
+    state_column: StateColumn = None,
+    time_column: TimeColumn = None,
+    time_zone: TimeZone = None,
+    within: Within = 2.0,
+    delimiter: Delimiter = None,
+    decimal: Decimal = None,
+    replace: Replace = False,
+    dry_run: DryRun = False,
+    yes: Yes = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Import readings, such as loads and temperatures, into the states of a campaign.
+
+    Rows belong to states by their label or by their time. load[kN] and displacement[um] are those of the
+    state; any other name is a channel, whose unit becomes the end of its name. All or nothing is changed.
+
+    Example: sms import channels log.csv -c wing --map 'Force=load[kN]' --map 'T1=temperature[C]'
+    --time-column Time --time-zone Europe/Berlin
+    """
+    options = {"state": state_column, "time": time_column, "zone": time_zone}
+    table = read_table(file, delimiter, decimal)
+    _run(table, campaign, maps, options, within, "", replace, dry_run, yes, home, as_json)
+
+
+def gauges(
+    file: File,
+    campaign: InCampaign,
+    maps: Maps = None,
+    state_column: StateColumn = None,
+    time_column: TimeColumn = None,
+    time_zone: TimeZone = None,
+    within: Within = 2.0,
+    delimiter: Delimiter = None,
+    decimal: Decimal = None,
+    replace: Replace = False,
+    dry_run: DryRun = False,
+    yes: Yes = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Import strain gauges into the states of a campaign: um/m, unless a column says another unit.
+
+    Strains are stored as ratios.
+
+    Example: sms import gauges gauges.csv -c wing --state-column State --map 'SG1=gauge_1'
+    """
+    options = {"state": state_column, "time": time_column, "zone": time_zone}
+    table = read_table(file, delimiter, decimal)
+    _run(table, campaign, maps, options, within, "um/m", replace, dry_run, yes, home, as_json)
+
+
+def _run(
+    table: Table,
+    name: str,
+    maps: list[str] | None,
+    options: Mapping[str, str | None],
+    within: float,
+    unit: str,
+    replace: bool,
+    dry_run: bool,
+    yes: bool,
+    home: Path | None,
+    as_json: bool,
+) -> None:
+    key, by_time = _key_column(table, options)
+    columns = _columns(table, maps, key, unit)
+    with bootstrap.services(home) as services:
+        with services.catalogue.reading() as session:
+            before = campaigns.definition(campaigns.campaign_row(session, name))
+            times = measured_at(session, before)
+        labels = [s.label for s in before.states]
+        if by_time:
+            zone = None if options["zone"] is None else zone_named(options["zone"])
+            if not times:
+                raise InvalidInput(
+                    f"no state of campaign {name} has a time or a measurement: give --state-column instead"
+                )
+            states, left_out = states_by_time(
+                table, table.column(key), times, zone, timedelta(seconds=within)
+            )
+        else:
+            states, left_out = states_by_label(table, table.column(key), labels)
+        found = readings_of(table, states, columns)
+        after, changes = with_readings(before, found.readings, replace_others=replace)
+        if changes and not dry_run and not (maps or yes):
+            _confirm(table, columns, changes)
+        if changes and not dry_run:
+            amend_campaign(services.catalogue, services.archive, before, after, datetime.now(UTC))
+    _tell(table, columns, found, [*left_out, *found.left_out], changes, name, dry_run, as_json)
+
+
+def _key_column(table: Table, options: Mapping[str, str | None]) -> tuple[str, bool]:
+    """Return the column that finds states, and whether it holds times."""
+    if options["state"] is not None and options["time"] is not None:
+        raise InvalidInput("give --state-column or --time-column, not both")
+    if options["state"] is not None:
+        return options["state"], False
+    if options["time"] is not None:
+        return options["time"], True
+    for names, by_time in ((_STATE_NAMES, False), (_TIME_NAMES, True)):
+        for header in table.header:
+            if header.lower() in names:
+                return header, by_time
+    raise InvalidInput(
+        f"{table.source} has no column 'state' or 'time': say --state-column or --time-column; it has "
+        f"{', '.join(table.header[:20])}"
+    )
+
+
+def _columns(table: Table, maps: list[str] | None, key: str, unit: str) -> list[Column]:
+    """Return what the columns become: as they are mapped, or all of them by their own names."""
+    if maps:
+        columns = []
+        for text in maps:
+            header, equals, target = text.rpartition("=")
+            if not equals or not header.strip():
+                raise InvalidInput(f"--map should be as in 'Force=load[kN]', not '{text}'")
+            table.column(header.strip())
+            columns.append(Column.parse(header.strip(), target.strip(), unit))
+        return columns
+    columns = []
+    for header in table.header:
+        if header and header != key:
+            stem, bracket, rest = header.partition("[")
+            name = re.sub(r"[^A-Za-z0-9._-]+", "_", stem.strip()).strip("_")
+            columns.append(Column.parse(header, name.lower() + bracket + rest, unit))
+    if not columns:
+        raise InvalidInput(f"{table.source} has no column besides '{key}'")
+    return columns
+
+
+def _confirm(table: Table, columns: list[Column], changes: list[str]) -> None:
+    for column in columns:
+        output.say(f"guessed: {column.header} becomes {column.target}")
+    typer.confirm(f"Enter {len(changes)} values of {table.source}?", abort=True, err=True)
+
+
+def _tell(
+    table: Table,
+    columns: list[Column],
+    found: Readings,
+    left_out: list[str],
+    changes: list[str],
+    campaign: str,
+    dry_run: bool,
+    as_json: bool,
+) -> None:
+    remarks = [*table.remarks, *(f"{c.header} becomes {c.target}" for c in columns)]
+    if as_json:
+        body: dict[str, Any] = {
+            "campaign": campaign,
+            "dry_run": dry_run,
+            "states": [r.state for r in found.readings],
+            "changes": changes,
+            "left_out": left_out,
+            "remarks": remarks,
+        }
+        output.print_json(body)
+    else:
+        for remark in remarks:
+            output.say(remark)
+        for text in left_out[:_TOLD]:
+            output.say(f"left out: {text}")
+        if len(left_out) > _TOLD:
+            output.say(f"left out: {len(left_out) - _TOLD} more; --json lists all")
+        for change in changes:
+            output.answer.print(change, markup=False)
+        end = (
+            "nothing was changed" if dry_run or not changes else f"campaign {campaign} is brought up to date"
+        )
+        output.say(f"{len(changes)} values of {len(found.readings)} states; {end}")
+    if not found.readings:
+        raise typer.Exit(_FINDINGS)

@@ -1,0 +1,301 @@
+"""Enters what was measured elsewhere: sealed first, then indexed, or neither; the same content once.
+
+Each tuple is one sealed file and one transaction. What a file was made from is told by a hash of its sources
+in its provenance, so that a second import finds what is there and changes nothing.
+"""
+
+from __future__ import annotations
+
+import getpass
+import socket
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Any, Literal, TypeAlias
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+import sms_jobs
+from sms_jobs.archive import Archive, Provenance, Sealed, layout
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import (
+    CampaignRow,
+    ChannelRow,
+    FileRow,
+    LoadStateRow,
+    MeasurementRow,
+)
+from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.formats.importers.readings import Reading
+from sms_jobs.jobs.registration import index_definition, seal_definition
+from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.records.campaign import Campaign, CampaignDefinition, LoadState, Subject
+from sms_jobs.records.measurement import Measurement
+
+SOURCE_HASH = "source_sha256"
+"""The parameter of an imported file that tells what it was made from."""
+
+Status: TypeAlias = Literal["new", "there", "other"]
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the archive has of a tuple that is to be imported.
+
+    Attributes
+    ----------
+    status
+        new: nothing. there: the same content. other: another measurement.
+    path
+        Of the newest measurement.
+    """
+
+    status: Status
+    path: str = ""
+
+
+def known_of(catalogue: Catalogue, archive: Archive, subject: Subject, source_sha256: str) -> Known:
+    """Say whether a tuple has a measurement already, and whether it is of the same sources."""
+    with catalogue.reading() as session:
+        paths = _measurements(session, subject)
+    for path in paths:
+        provenance = archive.provenance(path)
+        if provenance is not None and provenance.parameters.get(SOURCE_HASH) == source_sha256:
+            return Known("there", path)
+    return Known("other", paths[0]) if paths else Known("new")
+
+
+def _measurements(session: Session, subject: Subject) -> list[str]:
+    """Return the paths of a tuple's measurements, the newest first; none where nothing is known of it."""
+    query = (
+        select(FileRow.path)
+        .join(CampaignRow, CampaignRow.id == FileRow.campaign_id)
+        .join(LoadStateRow, LoadStateRow.id == FileRow.state_id)
+        .where(
+            FileRow.source == MEASUREMENT,
+            CampaignRow.name == subject.campaign,
+            LoadStateRow.label == subject.state,
+            FileRow.pair == subject.pair,
+        )
+        .order_by(FileRow.id.desc())
+    )
+    return list(session.scalars(query))
+
+
+def import_measurement(
+    catalogue: Catalogue,
+    archive: Archive,
+    subject: Subject,
+    measurement: Measurement,
+    source_sha256: str,
+    parameters: Mapping[str, Any],
+    now: datetime,
+    *,
+    newer: bool = False,
+) -> Known:
+    """Seal and index the measurement of a tuple, unless it is there.
+
+    Parameters
+    ----------
+    source_sha256
+        Of the files that it is made from and of how they are read.
+    parameters
+        What else its provenance tells: the folder, the files, the layout.
+    newer
+        Whether it may be entered beside another measurement of the tuple; the newest is used from then on.
+
+    Returns
+    -------
+    What was known of the tuple before, with the path of the file that holds it now.
+
+    Raises
+    ------
+    Conflict
+        The tuple has another measurement; nothing is changed.
+    """
+    known = known_of(catalogue, archive, subject, source_sha256)
+    if known.status == "there":
+        return known
+    if known.status == "other" and not newer:
+        raise Conflict(
+            f"{subject} has another measurement already, {known.path}: say --newer to enter this one beside "
+            "it and use it from now on"
+        )
+    with catalogue.reading() as session:
+        before = _measurements(session, subject)
+    told = {SOURCE_HASH: source_sha256, **parameters}
+    sealed = _seal(archive, subject, {MEASUREMENT: measurement}, told, now)
+    try:
+        with catalogue.writing() as session:
+            _require_same(_measurements(session, subject), before, str(subject))
+            _index(session, subject, sealed, measurement.recorded_at, now)
+    except BaseException:
+        archive.discard(sealed.path)
+        raise
+    return Known(known.status, sealed.path)
+
+
+def _require_same(now: object, before: object, what: str) -> None:
+    if now != before:
+        raise Conflict(f"{what} was changed by somebody else meanwhile: import again")
+
+
+def _seal(
+    archive: Archive,
+    subject: Subject,
+    records: Mapping[str, Any],
+    parameters: Mapping[str, Any],
+    now: datetime,
+) -> Sealed:
+    provenance = Provenance(
+        kind=MEASUREMENT,
+        kind_version=1,
+        subject=subject,
+        job_id="",
+        attempt=1,
+        created_at=now,
+        parameters=parameters,
+        inputs=(),
+        program_version=sms_jobs.__version__,
+        host=socket.gethostname(),
+        operator=getpass.getuser(),
+    )
+    # Several may be brought in within a second.
+    while archive.path(layout.dataset_path(provenance)).exists():
+        provenance = replace(provenance, attempt=provenance.attempt + 1)
+    return archive.seal_dataset(records, provenance)
+
+
+def _index(session: Session, subject: Subject, sealed: Sealed, recorded_at: datetime, now: datetime) -> None:
+    campaign = campaigns.campaign_row(session, subject.campaign)
+    state_id = campaigns.state_ids(session, campaign.id)[subject.state or ""]
+    file = FileRow(
+        source=MEASUREMENT,
+        path=sealed.path,
+        content_hash=sealed.content_hash,
+        size_bytes=sealed.size_bytes,
+        media_type=sealed.media_type,
+        created_at=now,
+        campaign_id=campaign.id,
+        state_id=state_id,
+        pair=subject.pair,
+    )
+    session.add(file)
+    session.flush()
+    session.add(
+        MeasurementRow(file_id=file.id, state_id=state_id, pair=subject.pair or "", recorded_at=recorded_at)
+    )
+
+
+def with_states(campaign: Campaign, labels: Iterable[str]) -> Campaign:
+    """Return a campaign with states of further labels behind its own."""
+    known = {s.label for s in campaign.states}
+    added = tuple(LoadState(label) for label in labels if label not in known)
+    return replace(campaign, states=campaign.states + added)
+
+
+def measured_at(session: Session, campaign: Campaign) -> dict[str, datetime]:
+    """Return when the states of a campaign were held: as they say, or when they were first recorded."""
+    query = (
+        select(LoadStateRow.label, func.min(MeasurementRow.recorded_at))
+        .join(MeasurementRow, MeasurementRow.state_id == LoadStateRow.id)
+        .join(CampaignRow, CampaignRow.id == LoadStateRow.campaign_id)
+        .where(CampaignRow.name == campaign.name)
+        .group_by(LoadStateRow.label)
+    )
+    recorded = dict(session.execute(query).all())
+    times = {s.label: s.time or recorded.get(s.label) for s in campaign.states}
+    return {label: time for label, time in times.items() if time is not None}
+
+
+def with_readings(
+    campaign: Campaign, readings: Sequence[Reading], *, replace_others: bool = False
+) -> tuple[Campaign, list[str]]:
+    """Return a campaign whose states have further readings, and what has changed, in words.
+
+    Raises
+    ------
+    InvalidInput
+        A state is unknown.
+    Conflict
+        A state has another value already, and nobody has said that it is to be replaced.
+    """
+    changes: list[str] = []
+    states = {s.label: s for s in campaign.states}
+    for reading in readings:
+        campaign.state(reading.state)
+        states[reading.state] = _read(states[reading.state], reading, changes, replace_others)
+    return replace(campaign, states=tuple(states.values())), changes
+
+
+def _read(state: LoadState, reading: Reading, changes: list[str], replace_others: bool) -> LoadState:
+    given: dict[str, Any] = {
+        "load_n": reading.load_n,
+        "displacement_mm": reading.displacement_mm,
+        "time": reading.time,
+    }
+    given = {name: value for name, value in given.items() if value is not None}
+    had: dict[str, Any] = {name: getattr(state, name) for name in given} | dict(state.channels)
+    for name, value in (given | dict(reading.channels)).items():
+        old = had.get(name)
+        if old == value:
+            continue
+        if old is not None and not replace_others:
+            raise Conflict(
+                f"state {state.label} has {name} = {old} already, and {value} is to be entered: say "
+                "--replace to use the new one"
+            )
+        changes.append(f"{state.label}: {name} = {value}" + ("" if old is None else f" (was {old})"))
+    return replace(state, channels={**state.channels, **reading.channels}, **given)
+
+
+def amend_campaign(
+    catalogue: Catalogue, archive: Archive, before: Campaign, after: Campaign, now: datetime
+) -> None:
+    """Give a campaign further states, or its states further readings: sealed first, then in the catalogue.
+
+    Raises
+    ------
+    InvalidInput
+        Something else would change: name, rig, pairs, fringes, or the order of the states.
+    Conflict
+        The campaign is not `before` any more; nothing is changed.
+    """
+    same = replace(after, states=before.states) == before
+    kept = [s.label for s in after.states[: len(before.states)]] == [s.label for s in before.states]
+    if not same or not kept:
+        raise InvalidInput(
+            f"campaign {before.name} can be given states and readings, nothing else of it changes"
+        )
+    with catalogue.reading() as session:
+        plan = campaigns.campaign_row(session, before.name).plan
+    sealed = seal_definition(archive, CampaignDefinition(after, plan), now)
+    try:
+        with catalogue.writing() as session:
+            row = campaigns.campaign_row(session, before.name)
+            _require_same(campaigns.definition(row), before, f"campaign {before.name}")
+            _amend(session, row, after)
+            index_definition(session, before.name, sealed, now)
+    except BaseException:
+        archive.discard(sealed.path)
+        raise
+
+
+def _amend(session: Session, row: CampaignRow, after: Campaign) -> None:
+    row.definition = campaigns.as_json(after)
+    rows = {
+        r.label: r for r in session.scalars(select(LoadStateRow).where(LoadStateRow.campaign_id == row.id))
+    }
+    for position, state in enumerate(after.states):
+        state_row = rows.get(state.label)
+        if state_row is None:
+            state_row = LoadStateRow(campaign_id=row.id, label=state.label, position=position)
+            session.add(state_row)
+        state_row.load_n = state.load_n
+        state_row.displacement_mm = state.displacement_mm
+        state_row.time = state.time
+        session.flush()
+        for name, value in state.channels.items():
+            session.merge(ChannelRow(state_id=state_row.id, name=name, value=value))
