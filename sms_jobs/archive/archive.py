@@ -292,7 +292,7 @@ class Archive:
             document = layout.without_sidecar(relative)
             if layout.is_result(relative) or layout.writer_of(name) is not None:
                 continue
-            if name.startswith(_OF_A_NETWORK_DISK):
+            if name.startswith(_OF_A_NETWORK_DISK) or relative in layout.OF_A_CRATE:
                 continue
             if document == relative or not layout.is_result(document):
                 yield relative, "it is no file of this archive, which its name would tell"

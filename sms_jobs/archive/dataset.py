@@ -27,7 +27,7 @@ _BROKEN = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeErro
 
 
 @contextmanager
-def _readable(where: str) -> Iterator[None]:
+def readable(where: str) -> Iterator[None]:
     """Turn what h5py raises on damaged files into `ArchiveCorrupt`."""
     try:
         yield
@@ -57,13 +57,13 @@ class StoredFrames:
 
     def frame(self, index: int) -> NDArray[Any]:
         """Return one frame, (rows, columns)."""
-        with _readable(self._where):
+        with readable(self._where):
             frame: NDArray[Any] = self._dataset[index]
         return frame
 
     def rows(self, start: int, stop: int) -> NDArray[Any]:
         """Return a slab of every frame, (frames, stop - start, columns)."""
-        with _readable(self._where):
+        with readable(self._where):
             slab: NDArray[Any] = self._dataset[:, start:stop]
         return slab
 
@@ -73,10 +73,10 @@ def _opened(file: Path, where: str) -> Iterator[h5py.File]:
     """Open an HDF5 file for reading and check that it is one of ours, of a version that we read."""
     if not file.is_file():
         raise ArchiveCorrupt(f"{where} is missing from the archive; restore it from a backup")
-    with _readable(where):
+    with readable(where):
         opened = h5py.File(file, "r")
     with opened:
-        with _readable(where):
+        with readable(where):
             known = opened.attrs.get("format") == hdf5.FORMAT
             version = int(opened.attrs.get("format_version", 0))
         if not known:
@@ -125,12 +125,12 @@ class ArchivedDataset:
         if name not in self.names:
             raise NotFound(f"{self.path} has no record '{name}'; it has {', '.join(self.names)}")
         opened = until.enter_context(_opened(self._file, self.path))
-        with _readable(self.path):
+        with readable(self.path):
             return opened["entry"][name]
 
     def record_class(self, name: str) -> type:
         """Return the class of a record."""
-        with ExitStack() as briefly, _readable(self.path):
+        with ExitStack() as briefly, readable(self.path):
             stored = str(self._group(name, briefly).attrs["record"])
         return class_named(stored, self.path)
 
@@ -139,7 +139,7 @@ class ArchivedDataset:
         about: dict[str, dict[str, dict[str, Any]]] = {}
         for name in self.names:
             arrays = layout_of(self.record_class(name)).arrays
-            with ExitStack() as briefly, _readable(self.path):
+            with ExitStack() as briefly, readable(self.path):
                 group = self._group(name, briefly)
                 about[name] = {
                     field_name: {
@@ -168,7 +168,7 @@ class ArchivedDataset:
         declared = layout_of(record).arrays
         streamed = any(field.streamed for field in declared.values())
         arrays: dict[str, Any] = {}
-        with ExitStack() as briefly, _readable(where):
+        with ExitStack() as briefly, readable(where):
             group = self._group(name, self._streams if streamed else briefly)
             stored = group.attrs["record"]
             if stored != record.__name__:
@@ -198,7 +198,7 @@ def open_dataset(file: Path, where: str) -> Iterator[ArchivedDataset]:
     FormatTooNew
         When it was written by a newer version.
     """
-    with _opened(file, where) as opened, _readable(where):
+    with _opened(file, where) as opened, readable(where):
         entry = opened["entry"]
         text = hdf5.read_text(entry[hdf5.PROCESS]["provenance"])
         names = tuple(str(name) for name in entry.attrs["records"])
@@ -209,7 +209,7 @@ def open_dataset(file: Path, where: str) -> Iterator[ArchivedDataset]:
 
 def check_dataset(file: Path, where: str, content_hash: str) -> None:
     """Read everything in a dataset file; raise `ArchiveCorrupt` unless it has that content hash."""
-    with _opened(file, where) as opened, _readable(where):
+    with _opened(file, where) as opened, readable(where):
         refuse_excess(opened)
         found = hdf5.content_hash(opened)
         whole = hdf5.provenance_is_whole(opened)

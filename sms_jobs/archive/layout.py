@@ -18,6 +18,8 @@ from sms_jobs.records.campaign import RESERVED_NAME, Subject, checked_name
 
 CALIBRATIONS = RESERVED_NAME
 SET_ASIDE = ".set-aside"
+OF_A_CRATE = frozenset({"ro-crate-metadata.json", "provenance.prov.json"})
+"""Beside the files of an exported campaign, which is an archive too."""
 JOB_LETTERS = 8
 NO_JOB = "nojob"
 _JOB_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")

@@ -43,10 +43,11 @@ class FileView:
 
 @dataclass(frozen=True)
 class Ancestor:
-    """A file in a provenance tree, and what it was to the file below it.
+    """A file in a provenance tree, and what it was to the file above it in the tree, or that one to it.
 
-    `told` says that the same file stands elsewhere in the tree with its inputs, which are left out here: a
-    calibration is an input of everything, and has hundreds of its own.
+    In a tree of what was computed from a file, `inputs` are what was computed from this one. `told` says that
+    the same file stands elsewhere in the tree with its inputs, which are left out here: a calibration is an
+    input of everything, and has hundreds of its own.
     """
 
     role: str
@@ -104,20 +105,29 @@ def statistics(session: Session, file_id: int) -> dict[str, float]:
 
 def ancestry(session: Session, file: FileView) -> tuple[Ancestor, ...]:
     """Return what a file was computed from, and so on back to what was measured; each file's inputs once."""
-    return _ancestry(session, file, set())
+    return _related(session, file, set(), down=False)
 
 
-def _ancestry(session: Session, file: FileView, told: set[int]) -> tuple[Ancestor, ...]:
+def descent(session: Session, file: FileView) -> tuple[Ancestor, ...]:
+    """Return what was computed from a file, and so on to what nothing was made of; each file's outputs once.
+
+    The role is what the file above was to this one.
+    """
+    return _related(session, file, set(), down=True)
+
+
+def _related(session: Session, file: FileView, told: set[int], *, down: bool) -> tuple[Ancestor, ...]:
+    edge = ProvenanceRow
+    here, there = (edge.input_id, edge.output_id) if down else (edge.output_id, edge.input_id)
     rows = session.execute(
-        select(ProvenanceRow.role, ProvenanceRow.input_id)
-        .where(ProvenanceRow.output_id == file.id)
-        .order_by(ProvenanceRow.role)
+        select(edge.role, there).where(here == file.id).order_by(*((there,) if down else (edge.role,)))
     )
     found = []
     for role, key in rows.all():
         parent, known = file_view(session, str(key)), key in told
         told.add(key)
-        found.append(Ancestor(role, parent, () if known else _ancestry(session, parent, told), known))
+        below = () if known else _related(session, parent, told, down=down)
+        found.append(Ancestor(role, parent, below, known))
     return tuple(found)
 
 

@@ -15,7 +15,7 @@ from sms_jobs.catalogue import search
 from sms_jobs.catalogue.finding import restricted
 from sms_jobs.catalogue.query_language import parse
 from sms_jobs.catalogue.search import Ancestor
-from sms_jobs.cli import completion, found_files, outline, output, pins, saved_queries
+from sms_jobs.cli import completion, found_files, outline, output, pins, portable_data, saved_queries
 from sms_jobs.cli.found_files import After, As, Columns, Force, Format, Limit, Out, Wanted
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
@@ -27,6 +27,10 @@ app.command("pin")(pins.pin)
 app.command("unpin")(pins.unpin)
 app.command("pins")(pins.pins)
 app.command("outline")(outline.outline)
+app.command("pack")(portable_data.pack)
+app.command("check")(portable_data.check)
+app.command("unpack")(portable_data.unpack)
+app.command("provenance")(portable_data.provenance)
 
 File = Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")]
 
@@ -114,18 +118,21 @@ def show(file: File, home: Home = None, as_json: Json = False) -> None:
 def tree(
     file: File,
     whole: Annotated[bool, typer.Option("--all", help="Show every input, however many are alike.")] = False,
+    down: Annotated[
+        bool, typer.Option("--down", help="Show what was computed from it, and from that, instead.")
+    ] = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Show what a file was computed from, back to what was measured.
+    """Show what a file was computed from, back to what was measured; or all that was computed from it.
 
-    Example: sms data tree 17
+    Example: sms data tree 17; sms data tree 3 --down
     """
     with bootstrap.services(home) as services, services.catalogue.reading() as session:
         view = search.file_view(session, file)
-        inputs = search.ancestry(session, view)
+        inputs = search.descent(session, view) if down else search.ancestry(session, view)
     if as_json:
-        output.print_json({"file": view, "inputs": inputs})
+        output.print_json({"file": view, "outputs" if down else "inputs": inputs})
         return
     root = Tree(f"{view.source} {view.subject} ({view.id})")
     _grow(root, inputs, whole)

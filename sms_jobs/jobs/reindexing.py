@@ -17,7 +17,15 @@ from sqlalchemy import select
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
-from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, Checker, Found, Provenance, layout
+from sms_jobs.archive import (
+    DATASET_MEDIA_TYPE,
+    Archive,
+    Checker,
+    Found,
+    InputReference,
+    Provenance,
+    layout,
+)
 from sms_jobs.catalogue import campaigns, lineage
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
@@ -137,7 +145,7 @@ def reindex(
         archived = _Archived(archive, reader, of_jobs, definitions)
         for _, group in groupby(paths, key=lambda path: _order(path)[:2]):
             # A name tells the second in which a file was made, the file the rest.
-            seen = {path: _examined(archive, reader, path) for path in group if path in waiting}
+            seen = {path: examined(archive, reader, path) for path in group if path in waiting}
             ordered = _inputs_first(archive, reader, seen, waiting)
             if dry_run:
                 with catalogue.reading() as session:
@@ -148,7 +156,8 @@ def reindex(
             yield from done
 
 
-def _examined(archive: Archive, checker: Checker, path: str) -> Found | Reindexed:
+def examined(archive: Archive, checker: Checker, path: str) -> Found | Reindexed:
+    """Read a whole file; return what it says of itself, or why it is not entered."""
     try:
         return archive.examine(path, checker)
     except ArchiveCorrupt as error:
@@ -175,7 +184,7 @@ def _inputs_first(
         if path not in waiting:
             return
         waiting.remove(path)
-        one = seen[path] if path in seen else _examined(archive, checker, path)
+        one = seen[path] if path in seen else examined(archive, checker, path)
         if isinstance(one, Found):
             for given in one.provenance.inputs:
                 visit(given.path)
@@ -227,6 +236,8 @@ def _judged(session: Session, archived: _Archived, one: Found) -> list[str]:
         found = archived.hashes.get(given.path) or session.scalar(
             select(FileRow.content_hash).where(FileRow.path == given.path)
         )
+        if found != given.content_hash and _input(session, given) is not None:
+            continue
         if found is None:
             lacking.append(f"{given.path} is not there; restore it from a backup")
         elif found != given.content_hash:
@@ -285,7 +296,7 @@ def _newest_attempt(archived: _Archived, path: str, provenance: Provenance) -> i
     newest = provenance.attempt
     for other in archived.of_jobs.get(_job(path), ()):
         if int(layout.part(other, "attempt")) > newest:
-            found = _examined(archived.archive, archived.checker, other)
+            found = examined(archived.archive, archived.checker, other)
             if (
                 isinstance(found, Found)
                 and found.provenance.job_id == provenance.job_id
@@ -393,11 +404,18 @@ def _describe_output(session: Session, archive: Archive, one: Found, file: FileR
     )
 
 
+def _input(session: Session, given: InputReference) -> int | None:
+    """Return the number of an input; a calibration may have been entered from another file of the same."""
+    same = select(FileRow.id).where(FileRow.content_hash == given.content_hash)
+    number = session.scalar(same.where(FileRow.path == given.path))
+    if number is None and given.source == CALIBRATION:
+        number = session.scalar(same.where(FileRow.source == CALIBRATION))
+    return number
+
+
 def _add_edges(session: Session, one: Found, file_id: int) -> None:
     for given in one.provenance.inputs:
-        source = session.scalar(
-            select(FileRow.id).where(FileRow.path == given.path, FileRow.content_hash == given.content_hash)
-        )
+        source = _input(session, given)
         if source is not None:
             session.add(ProvenanceRow(output_id=file_id, role=given.role, input_id=source))
     lineage.note_calibrations(session, file_id)

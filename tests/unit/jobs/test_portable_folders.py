@@ -1,0 +1,371 @@
+"""A campaign that leaves in a portable folder is the same in the home that it comes to."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import h5py
+import pytest
+from support.archives import Clock, everything, registered, run_jobs
+from support.command import sms
+from support.sealing import calibration
+
+from sms_jobs import bootstrap
+from sms_jobs.archive import Archive, Checker
+from sms_jobs.catalogue import schema
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, NotFound
+from sms_jobs.formats import research_crate as crate
+from sms_jobs.formats.research_crate import CrateFile
+from sms_jobs.jobs import portable, portable_import, recovery, reindexing, verification
+from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.portable import Wanted
+from sms_jobs.jobs.registration import register_calibration
+
+NOW = datetime(2026, 3, 2, tzinfo=UTC)
+
+
+@dataclass(frozen=True)
+class Home:
+    """A folder with a catalogue and an archive."""
+
+    folder: Path
+    catalogue: Catalogue
+    archive: Archive
+    checker: Checker
+
+
+@pytest.fixture(scope="module")
+def checker() -> Iterator[Checker]:
+    with Checker() as reader:
+        yield reader
+
+
+def home(folder: Path, checker: Checker) -> Home:
+    bootstrap.initialise(folder)
+    catalogue = Catalogue(f"sqlite:///{folder / 'catalogue.sqlite'}")
+    return Home(folder, catalogue, Archive(folder / "archive"), checker)
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory, checker: Checker) -> Iterator[Home]:
+    """A home with two campaigns, one of them computed to its end, and a calibration that none needs."""
+    made, clock = home(tmp_path_factory.mktemp("portable") / "full", checker), Clock()
+    registered(made.catalogue, made.archive, clock)
+    registered(made.catalogue, made.archive, clock, "other")
+    register_calibration(made.catalogue, made.archive, calibration(), clock())
+    with made.catalogue.writing() as session:
+        recovery.register_worker(session, "w1", "here", 1, ["cpu", "io", "acquisition"], 2, clock())
+    kinds = ["acquire", "reconstruct", "correlate", "strain", "merge", "export"]
+    run_jobs(made.catalogue, made.archive, clock, [Request(kind) for kind in kinds])
+    yield made
+    made.catalogue.close()
+
+
+@pytest.fixture
+def empty(tmp_path: Path, checker: Checker) -> Iterator[Home]:
+    made = home(tmp_path / "empty", checker)
+    yield made
+    made.catalogue.close()
+
+
+def exported(full: Home, folder: Path, wanted: Wanted, stop_after: int | None = None) -> list[CrateFile]:
+    """Export as the command does; stop where it is said, as if the program were killed there."""
+    with full.catalogue.reading() as session:
+        parts = portable.chosen(session, wanted, NOW)
+    done = portable.begin(folder, wanted, parts)
+    files: list[CrateFile] = []
+    for part in parts:
+        before = portable.brought_before(part, done)
+        files += before or portable.bring(full.archive, folder, wanted, part, full.checker)
+        if stop_after is not None and len(files) >= stop_after:
+            return files
+    portable.finish(full.catalogue, full.archive, folder, wanted, files, NOW)
+    return files
+
+
+def imported(folder: Path, into: Home, **options: Any) -> list[reindexing.Reindexed]:
+    manifest = portable_import.manifest_of(folder)
+    assert [one for one in portable_import.check(folder, manifest) if one.fault] == []
+    return list(
+        portable_import.enter(into.catalogue, into.archive, folder, manifest, checker=into.checker, **options)
+    )
+
+
+def of_campaign(told: dict[str, list[Any]], repacked: bool) -> dict[str, list[Any]]:
+    """Leave of all that a catalogue says what is about one campaign; sizes only of files as they were."""
+    used = {row[2] for row in told["provenance"]}
+    files = [row for row in told["files"] if row[5] == "plate" or row[0] in used]
+    return {
+        "files": [row[:3] + row[4:] if repacked and row[0].endswith(".h5") else row for row in files],
+        "campaigns": [row for row in told["campaigns"] if row[0] == "plate"],
+        "states": [row for row in told["states"] if row[0] == "plate"],
+        "calibrations": [row[1:] for row in told["calibrations"] if row[2] in used],
+    } | {name: told[name] for name in ("statistics", "provenance", "jobs", "dependencies")}
+
+
+@pytest.mark.parametrize("how", ["copied", "without plugins"])
+def test_a_campaign_comes_to_another_home_as_it_was(
+    how: str, full: Home, empty: Home, tmp_path: Path
+) -> None:
+    folder, repacked = tmp_path / "plate", how == "without plugins"
+    files = exported(full, folder, Wanted("plate", without_plugins=repacked))
+    assert not any(one.path.startswith(("other/", "calibrations/rig/")) for one in files)
+    rehearsed = imported(folder, empty, dry_run=True)
+    assert not any(everything(empty.catalogue).values())
+    done = imported(folder, empty)
+    assert [one.outcome for one in done] == ["indexed"] * len(done) == [one.outcome for one in rehearsed]
+    before, after = everything(full.catalogue), everything(empty.catalogue)
+    assert of_campaign(after, repacked) == of_campaign(before, repacked)
+    # Nothing else came, and all is well there.
+    assert {row[5] for row in after["files"]} == {"plate", None}
+    checked = verification.check_known(empty.catalogue, empty.archive, checker=empty.checker)
+    assert [one.finding for one in checked if one.finding] == []
+    assert list(verification.check_unknown(empty.catalogue, empty.archive)) == []
+    assert imported(folder, empty) == []
+
+
+def test_the_folder_is_an_archive_itself(full: Home, tmp_path: Path) -> None:
+    exported(full, tmp_path / "plate", Wanted("plate"))
+    archive = Archive(tmp_path / "plate" / "data")
+    catalogue = Catalogue(f"sqlite:///{tmp_path / 'catalogue.sqlite'}", create=True)
+    schema.upgrade(catalogue)
+    paths = reindexing.unknown_files(catalogue, archive)
+    assert {one.outcome for one in reindexing.reindex(catalogue, archive, paths, checker=full.checker)} == {
+        "indexed"
+    }
+    assert of_campaign(everything(catalogue), False) == of_campaign(everything(full.catalogue), False)
+    assert list(verification.check_unknown(catalogue, archive)) == []
+    catalogue.close()
+
+
+READ_ALL = """
+import sys
+import h5py
+def read(name, node):
+    if isinstance(node, h5py.Dataset):
+        node[()]
+for path in sys.argv[1:]:
+    with h5py.File(path) as file:
+        file.visititems(read)
+assert "hdf5plugin" not in sys.modules
+"""
+
+
+def test_without_plugins_every_library_reads_the_files(full: Home, tmp_path: Path) -> None:
+    wanted = Wanted("plate", kinds=("measurement", "strain"), without_plugins=True)
+    files = [one for one in exported(full, tmp_path / "plate", wanted) if one.path.endswith(".h5")]
+    paths = [str(tmp_path / "plate" / "data" / one.path) for one in files]
+    subprocess.run([sys.executable, "-c", READ_ALL, *paths], check=True, timeout=120)
+    for one, path in zip(files, paths, strict=True):
+        with h5py.File(path) as new, h5py.File(full.archive.path(one.path)) as old:
+            assert tree(new) == tree(old)
+
+
+def tree(file: Any) -> dict[str, Any]:
+    """Return types, shapes and attributes of all that is in a file."""
+    found: dict[str, Any] = {}
+
+    def visit(name: str, node: Any) -> None:
+        about = {key: (node.attrs.get_id(key).dtype, str(node.attrs[key])) for key in node.attrs}
+        found[name] = about, getattr(node, "shape", None), getattr(node, "dtype", None)
+
+    file.visititems(visit)
+    visit("/", file)
+    return found
+
+
+@pytest.mark.parametrize("stop_after", [0, 4])
+def test_an_interrupted_export_goes_on_and_comes_to_the_same(
+    stop_after: int, full: Home, tmp_path: Path
+) -> None:
+    folder, wanted = tmp_path / "plate", Wanted("plate")
+    first = exported(full, folder, wanted, stop_after)
+    with pytest.raises(InvalidInput, match="come to its end"):
+        portable_import.manifest_of(folder)
+    with pytest.raises(Conflict, match="other options"):
+        exported(full, folder, replace(wanted, inputs=False))
+    (folder / "data").mkdir(exist_ok=True)
+    (folder / "data" / ".x.h5.part").write_bytes(b"half")
+    with (folder / ".journal").open("a") as journal:
+        journal.write('{"path": "torn')
+    times = {one.path: (folder / "data" / one.path).stat().st_mtime_ns for one in first}
+    exported(full, folder, wanted)
+    assert times == {path: (folder / "data" / path).stat().st_mtime_ns for path in times}
+    whole = tmp_path / "whole"
+    exported(full, whole, wanted)
+    assert contents(folder) == contents(whole)
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def test_what_is_chosen_comes_with_what_it_needs(full: Home, tmp_path: Path) -> None:
+    with full.catalogue.reading() as session:
+        every = portable.chosen(session, Wanted("plate"), NOW)
+        strain = portable.chosen(session, Wanted("plate", ("strain",)), NOW)
+        alone = portable.chosen(session, Wanted("plate", ("strain",), inputs=False), NOW)
+        with pytest.raises(InvalidInput, match="no file of kind strain"):
+            portable.chosen(session, Wanted("other", ("strain",)), NOW)
+        with pytest.raises(NotFound):
+            portable.chosen(session, Wanted("nobody"), NOW)
+    assert {part.path for part in alone} < {part.path for part in strain} < {part.path for part in every}
+    assert sorted(part.description.split()[0] for part in alone) == ["campaign", "strain"]
+    assert {part.description.split()[0] for part in strain} == {
+        "campaign",
+        "calibration",
+        "measurement",
+        "reconstruct",
+        "correlate",
+        "strain",
+    }
+    busy = tmp_path / "busy"
+    busy.mkdir()
+    (busy / "mine.txt").write_text("mine")
+    with pytest.raises(Conflict, match="not an empty folder"):
+        exported(full, busy, Wanted("plate"))
+
+
+def test_a_damaged_file_is_not_exported(full: Home, tmp_path: Path) -> None:
+    copy = replace(full, folder=tmp_path, archive=Archive(tmp_path / "archive"))
+    shutil.copytree(full.archive.root, copy.archive.root, dirs_exist_ok=True)
+    (victim,) = (p for p in copy.archive.files() if "/strain-" in p)
+    file = copy.archive.path(victim)
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.chmod(0o644)
+    file.write_bytes(data)
+    for without in (True, False):
+        with pytest.raises(ArchiveCorrupt, match="strain"):
+            exported(copy, tmp_path / f"to-{without}", Wanted("plate", ("strain",), without_plugins=without))
+
+
+def test_an_import_into_a_home_that_knows_some_of_it(full: Home, empty: Home, tmp_path: Path) -> None:
+    folder = tmp_path / "plate"
+    exported(full, folder, Wanted("plate"))
+    clock = Clock()
+    clock()
+    # The same rig was calibrated there too, and the calibration entered from another file.
+    registered(empty.catalogue, empty.archive, clock, "third")
+    done = imported(folder, empty)
+    assert {one.outcome for one in done} == {"indexed"}
+    assert not any(one.path.startswith("calibrations/") for one in done)
+    told = everything(empty.catalogue)
+    assert len(told["calibrations"]) == 1
+    mine = told["calibrations"][0][2]
+    theirs = everything(full.catalogue)["provenance"]
+    assert len(told["provenance"]) == len(theirs)
+    assert sum(edge[2] == mine for edge in told["provenance"]) == sum("calibrations/" in e[2] for e in theirs)
+
+
+def test_what_does_not_fit_is_taken_out_again(full: Home, empty: Home, tmp_path: Path) -> None:
+    folder = tmp_path / "plate"
+    exported(full, folder, Wanted("plate", ("strain",), inputs=False))
+    (definition,) = (folder / "data" / "plate").glob("campaign-*.h5")
+    definition.unlink()
+    manifest = portable_import.manifest_of(folder)
+    manifest = {path: sha256 for path, sha256 in manifest.items() if "/campaign-" not in path}
+    before = contents(empty.archive.root)
+    done = list(
+        portable_import.enter(empty.catalogue, empty.archive, folder, manifest, checker=empty.checker)
+    )
+    assert [one.outcome for one in done] == ["no-campaign"]
+    assert contents(empty.archive.root) == before
+
+
+def test_every_change_to_a_folder_is_named(full: Home, tmp_path: Path) -> None:
+    folder = tmp_path / "plate"
+    exported(full, folder, Wanted("plate", ("strain",)))
+    subprocess.run(["sha256sum", "--check", "--quiet", crate.MANIFEST], cwd=folder, check=True)
+    manifest = portable_import.manifest_of(folder)
+    lost, altered, linked, *_ = (path for path in manifest if path.endswith(".h5"))
+    (folder / lost).unlink()
+    (folder / altered).chmod(0o644)
+    (folder / altered).write_bytes(b"other")
+    target = tmp_path / "elsewhere.h5"
+    (folder / linked).rename(target)
+    (folder / linked).symlink_to(target)
+    (folder / "data" / "more.txt").write_text("more")
+    faults = {one.path: one.fault for one in portable_import.check(folder, manifest) if one.fault}
+    assert faults == {lost: "missing", altered: "altered", linked: "no-file", "data/more.txt": "unlisted"}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "0" * 64 + "  data/../../etc/passwd",
+        "0" * 64 + "  /etc/passwd",
+        "0" * 64 + "  bagit.txt",
+        "0" * 64 + "  data//x",
+        "0" * 63 + "  data/x",
+        "0" * 64,
+        "0" * 64 + "  data/x\n" + "1" * 64 + "  data/x",
+    ],
+)
+def test_a_manifest_names_files_inside_the_payload_once(line: str) -> None:
+    with pytest.raises(InvalidInput, match="line"):
+        crate.read_manifest(line + "\n")
+
+
+def test_names_of_any_kind_come_back_from_a_manifest() -> None:
+    hashes = {"data/a%0Ab": "0" * 64, "data/a\nb": "1" * 64, "data/ä b": "2" * 64}
+    assert crate.read_manifest(crate.manifest(hashes)) == hashes
+
+
+def test_the_crate_describes_every_file(full: Home, tmp_path: Path) -> None:
+    folder = tmp_path / "plate"
+    exported(full, folder, Wanted("plate"))
+    described = json.loads((folder / "data" / crate.METADATA).read_text())
+    graph = {one["@id"]: one for one in described["@graph"]}
+    assert graph[crate.METADATA]["conformsTo"] == {"@id": "https://w3id.org/ro/crate/1.1"}
+    assert graph[crate.METADATA]["about"] == {"@id": "./"}
+    root = graph["./"]
+    assert root["@type"] == "Dataset"
+    assert datetime.fromisoformat(root["datePublished"]) == NOW
+    parts = {part["@id"] for part in root["hasPart"]}
+    payload = portable_import.manifest_of(folder)
+    assert {f"data/{name}" for name in parts} == set(payload) - {f"data/{crate.METADATA}"}
+    for name in parts:
+        assert graph[name]["@type"] == "File"
+        assert graph[name]["sha256"] == payload[f"data/{name}"]
+        assert int(graph[name]["contentSize"]) == (folder / "data" / name).stat().st_size
+    said = (folder / "bag-info.txt").read_text()
+    size = sum((folder / path).stat().st_size for path in payload)
+    assert f"Payload-Oxum: {size}.{len(payload)}\n" in said
+    assert os.access(folder / crate.TAG_MANIFEST, os.R_OK)
+
+
+def test_the_commands_take_a_campaign_from_home_to_home(full: Home, tmp_path: Path) -> None:
+    folder, there = str(tmp_path / "plate"), ("--home", str(tmp_path / "there"))
+    options = ("--kind", "strain", "--link", "--home", str(full.folder))
+    done = sms("data", "pack", "-c", "plate", "--to", folder, *options)
+    assert done.returncode == 0, done.stderr
+    bootstrap.initialise(tmp_path / "there")
+    done = sms("data", "unpack", folder, *there)
+    assert done.returncode == 0, done.stderr
+    files = everything(full.catalogue)["files"]
+    (strain,) = (row[0] for row in files if row[1] == "strain")
+    first = next(row[0] for row in files if row[1] == "calibration")
+    told = json.loads(sms("data", "tree", first, "--down", "--json", *there).stdout)
+    assert {one["file"]["source"] for one in told["outputs"]} >= {"reconstruct", "correlate"}
+    assert strain in json.dumps(told)
+    document = tmp_path / "strain.prov.json"
+    done = sms("data", "provenance", strain, "--output", str(document), *there)
+    assert done.returncode == 0, done.stderr
+    entities = json.loads(document.read_text())["entity"].values()
+    assert {strain, first} <= {one["prov:location"] for one in entities}
