@@ -1,0 +1,163 @@
+"""A fatigue-like test on simulated instruments, from the first hold to the report, whatever goes wrong."""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from support.command import answer, service, sms
+
+from sms_jobs import bootstrap
+from sms_jobs.jobs.recordings import next_state
+from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.records.campaign import LoadState
+from sms_jobs.records.scene import Rigid, UniaxialStrain
+from sms_jobs.records.sensors import Rig
+from sms_jobs.virtual_rig.campaigns import Lens, aimed, small_plate
+
+pytestmark = pytest.mark.long
+
+LOADS_N = (0.0, 400.0, 800.0, 1200.0, 800.0, 0.0, -300.0, -600.0, -300.0, 0.0)
+"""Tension, then compression."""
+
+RIG = """
+name = "bench"
+cameras = [
+    { name = "C1", driver = "simulated", columns = 128, rows = 128, faults = [
+        { fault = "dropped-frame", state = "S02", frame = 15 },
+        { fault = "flash", state = "S04", frame = 3 },
+    ] },
+    { name = "C2", driver = "simulated", columns = 128, rows = 128, faults = [ #CABLE
+    ] },
+]
+projectors = [
+    { name = "P1", driver = "simulated", columns = 256, rows = 192, settle_ms = 10.0 },
+    { name = "P2", driver = "simulated", columns = 256, rows = 192, settle_ms = 10.0 },
+]
+
+[[file_channels]]
+name = "load_n"
+path = "LOAD"
+column = "load"
+unit = "N"
+stale_after_s = 30.0
+
+[[channels]]
+name = "temperature"
+link = { port = "simulated" }
+protocol = { terminator = "\\r", reply_terminator = "\\r\\n" }
+request = "T?"
+reply = '^(?P<value>[-+]?\\d+\\.\\d+)$'
+unit = "degC"
+faults = [{ fault = "garbled-byte", at = 1 }, { fault = "late-reply", at = 2, amount = 0.3 }]
+"""
+CABLE = '{ fault = "unplugged", state = "S06", frame = 60 },'
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """A home with a campaign of ten states before two cameras and two projectors."""
+    home = tmp_path / "home"
+    bootstrap.initialise(home)
+    calibration, campaign = small_plate("fatigue")
+    scene = campaign.scene
+    assert scene is not None
+    second = aimed("C2", 128, 128, Lens(7.0, -0.08, 0.1, 0.0, 0.0), (200.0, 60.0, 1230.0))
+    rig = Rig("bench", (scene.rig.sensors[0], second, *scene.rig.sensors[1:]))
+    states = tuple(
+        LoadState(
+            f"S{number:02d}",
+            load,
+            channels={"temperature": 21.5},
+            deformation=(UniaxialStrain(load * 4e-6, 0.3), Rigid(translation_mm=(load * 5e-4, 0.0, 0.0))),
+        )
+        for number, load in enumerate(LOADS_N)
+    )
+    with bootstrap.services(home) as services:
+        register_campaign(
+            services.catalogue,
+            services.archive,
+            replace(campaign, rig="bench", states=states, pairs=rig.pairs(), scene=replace(scene, rig=rig)),
+            replace(calibration, rig=rig),
+            datetime.now(UTC),
+        )
+    return home
+
+
+def connect(home: Path, cable: str) -> None:
+    file = home / "rig.toml"
+    file.write_text(RIG.replace("#CABLE", cable).replace('"LOAD"', f"'{home / 'load.csv'}'"))
+    assert sms("rig", "add", str(file), "--replace", "--home", str(home)).returncode == 0
+
+
+@pytest.fixture
+def load_frame(home: Path) -> Iterator[None]:
+    """Software of a load frame: it ramps to the next load, holds it, and writes what it reads."""
+    over = threading.Event()
+
+    def write() -> None:
+        load = 0.0
+        with bootstrap.services(home) as services, (home / "load.csv").open("w") as file:
+            file.write("time,load\n")
+            while not over.is_set():
+                with services.catalogue.reading() as session:
+                    state = next_state(session, "fatigue")
+                target = 0.0 if state is None or state.load_n is None else state.load_n
+                load += max(-100.0, min(100.0, target - load))
+                file.write(f"{datetime.now(UTC).isoformat()},{load:.1f}\n")
+                file.flush()
+                over.wait(0.1)
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    yield
+    over.set()
+    thread.join()
+
+
+def follow(home: Path) -> subprocess.CompletedProcess[str]:
+    options = ("--on", "load_n", "--tolerance", "5", "--hold", "0.3", "--process")
+    return sms("acquire", "follow", "fatigue", *options, "--home", str(home), timeout=1500.0)
+
+
+def test_ten_states_are_recorded_and_reported(home: Path, load_frame: None) -> None:
+    connect(home, CABLE)
+    with service(home):
+        first = follow(home)
+        # S06 lost a cable and waits; nobody asked the load frame for more.
+        assert first.returncode == 5, first.stderr
+        assert "camera C2 does not answer; check its cable" in first.stderr
+        (waiting,) = answer("acquire", "list", "--home", str(home))
+        assert (waiting["subject"], waiting["state"]) == ("fatigue/S06", "needs-operator")
+        connect(home, "")
+        assert answer("acquire", "resume", waiting["job_id"], "--home", str(home))["jobs"] == {"succeeded": 1}
+        second = follow(home)
+        assert second.returncode == 0, second.stderr
+        assert answer("job", "wait", "-c", "fatigue", "--home", str(home), timeout=1500.0)
+        report = answer(
+            "job", "submit", "report", "-c", "fatigue", "--wait", "--home", str(home), timeout=900.0
+        )
+    assert report["jobs"] == {"succeeded": 1}
+    files = answer("data", "find", "-c", "fatigue", "--kind", "measurement", "--home", str(home))
+    subjects = [f["subject"] for f in files]
+    assert sorted(subjects) == [
+        f"fatigue/S{n:02d}/{pair}" for n in range(len(LOADS_N)) for pair in ("C1P1", "C1P2", "C2P1", "C2P2")
+    ]
+    statistics = {
+        f["subject"]: answer("data", "show", str(f["id"]), "--home", str(home))["statistics"] for f in files
+    }
+    for subject, found in statistics.items():
+        # Each was recorded while its load was held.
+        load = LOADS_N[int(subject.split("/")[1][1:])]
+        assert abs(found["load_n_before"] - load) <= 5.0
+        assert found["temperature_before"] == 21.5  # a garbled reply and a late one were asked for again
+        assert found["doubts"] == 0.0
+    assert statistics["fatigue/S02/C1P1"]["retaken_frames"] == 1.0
+    assert statistics["fatigue/S04/C1P1"]["recordings"] == 2.0
+    states = [j["state"] for j in answer("job", "list", "-c", "fatigue", "--home", str(home))]
+    assert set(states) == {"succeeded"}
