@@ -23,7 +23,7 @@ from sms_jobs.virtual_rig.truth import Truth
 Floats = NDArray[np.float64]
 
 RADIUS = 8  # px: the thesis's windows had 16 x 16 px
-WIDTH_LIMIT = 0.01  # px of rms error, beyond which an edge is felt: twice what is left far from it
+WIDTH_LIMIT = 0.005  # px of rms error, beyond which an edge is felt: twice what is left far from it
 _THREADS = 2
 _FARTHEST = 25  # px
 _EDGES = ("step", "hole")

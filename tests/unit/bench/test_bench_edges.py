@@ -27,7 +27,7 @@ def test_regions_are_right_nearer_to_the_edge(plate) -> None:
     found = profiles(*plate, WAYS)
     step, hole = found["step"], found["hole"]
     # Results begin where the shape does, two pixels from the step and one from the hole; without regions the
-    # step's 0.1 px of difference is felt as far as the subset of radius 8 px reaches.
+    # step's 0.1 px of difference is felt nearly as far as the subset of radius 8 px reaches.
     assert step["regions"].width() <= 3.0
     assert step["plain"].width() >= 6.0
     assert hole["regions"].width() <= 1.0
