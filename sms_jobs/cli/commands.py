@@ -81,6 +81,7 @@ COMMANDS: Mapping[str, Command] = {
     "lock": Command("Devices that a job or a person holds.", "lock"),
     "data": Command("Measurements and results in the archive.", "data"),
     "import": Command("Bring in what was measured elsewhere: frames, readings, calibrations.", "importing"),
+    "speckle": Command("Speckle patterns for specimens.", "speckle"),
     "archive": Command("The archive: is everything there, and as it was sealed?", "archive"),
     "calibration": Command("Calibrations of rigs.", "calibration"),
     "worker": Command("Workers on this and other hosts.", "worker"),

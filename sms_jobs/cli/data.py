@@ -15,7 +15,17 @@ from sms_jobs.catalogue import search
 from sms_jobs.catalogue.finding import restricted
 from sms_jobs.catalogue.query_language import parse
 from sms_jobs.catalogue.search import Ancestor
-from sms_jobs.cli import completion, found_files, outline, output, pins, portable_data, saved_queries
+from sms_jobs.cli import (
+    advice,
+    completion,
+    found_files,
+    outline,
+    output,
+    pins,
+    portable_data,
+    saved_queries,
+    surface_fields,
+)
 from sms_jobs.cli.found_files import After, As, Columns, Force, Format, Limit, Out, Wanted
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
@@ -27,6 +37,9 @@ app.command("pin")(pins.pin)
 app.command("unpin")(pins.unpin)
 app.command("pins")(pins.pins)
 app.command("outline")(outline.outline)
+app.command("gauges")(surface_fields.gauges)
+app.command("section")(surface_fields.section)
+app.command("advise")(advice.advise)
 app.command("pack")(portable_data.pack)
 app.command("check")(portable_data.check)
 app.command("unpack")(portable_data.unpack)

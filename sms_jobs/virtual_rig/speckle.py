@@ -84,3 +84,18 @@ def reflectance(pattern: Floats, a: float, b: float, footprint: float) -> float:
                 covered = min(covered, pi * radius * radius / (footprint * footprint))
                 open_ground *= 1.0 - covered
     return float(pattern[1] + (pattern[2] - pattern[1]) * open_ground)
+
+
+@kernel
+def _fill_image(pattern: Floats, pitch: float, out: Floats) -> None:
+    """Fill an image with the reflectance of squares of `pitch` mm."""
+    for r in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            out[r, c] = reflectance(pattern, (c + 0.5) * pitch, (r + 0.5) * pitch, pitch)
+
+
+def speckle_image(speckle: Speckle, rows: int, columns: int, pitch_mm: float) -> Floats:
+    """Return the pattern on squares of `pitch_mm`, (rows, columns): reflectance, dark .. bright."""
+    image = np.empty((rows, columns))
+    _fill_image(packed_speckle(speckle), pitch_mm, image)
+    return image

@@ -1,0 +1,47 @@
+"""`sms speckle`: patterns for specimens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sms_jobs.cli import output
+from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.formats.printed_speckle import Sheet, as_pdf, as_png
+
+app = typer.Typer(help="Speckle patterns for specimens.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Keep `print` a command of a group."""
+
+
+@app.command("print")
+def print_(
+    width_mm: Annotated[float, typer.Option(help="Width of the printed area, mm.", min=1.0)],
+    height_mm: Annotated[float, typer.Option(help="Height of the printed area, mm.", min=1.0)],
+    speckle_mm: Annotated[
+        float, typer.Option(help="Mean diameter of a speckle, mm: five pixels of the camera or so.", min=0.01)
+    ],
+    out: Annotated[Path, typer.Option("--output", "-o", help="PDF or PNG file to write.")],
+    dpi: Annotated[int, typer.Option(help="Dots an inch of the printer.", min=50, max=4800)] = 600,
+    seed: Annotated[int, typer.Option(help="Another seed gives another pattern.", min=0)] = 1,
+    mirrored: Annotated[
+        bool, typer.Option("--mirrored", help="Exchange left and right, for transfer paper.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+) -> None:
+    """Write a speckle pattern of exact physical size; print it at 100 %, without fitting to the page.
+
+    Example: sms speckle print --width-mm 200 --height-mm 100 --speckle-mm 1.2 --output speckle.pdf --mirrored
+    """
+    if out.suffix not in (".pdf", ".png"):
+        raise InvalidInput(f"'{out}' must end in .pdf or .png")
+    if out.exists() and not force:
+        raise Conflict(f"{out} exists; choose another name or add --force")
+    sheet = Sheet(width_mm, height_mm, speckle_mm, dpi, seed, mirrored)
+    out.write_bytes(as_pdf(sheet) if out.suffix == ".pdf" else as_png(sheet))
+    output.say(f"wrote {out}: {width_mm:g} mm x {height_mm:g} mm at {dpi} dpi")
