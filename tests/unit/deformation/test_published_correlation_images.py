@@ -8,6 +8,7 @@ from typing import Literal
 import cv2
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.optimize import least_squares
 
 from sms_jobs.metrology.deformation.correlation import (
@@ -19,6 +20,12 @@ from sms_jobs.metrology.deformation.correlation import (
 )
 from sms_jobs.metrology.deformation.matching import GridSettings, match_grid
 from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.images.region_of_interest import (
+    inside_outlines,
+    outlines_of,
+    parse_outlines,
+    written,
+)
 from sms_jobs.metrology.images.spline import Interpolant
 
 FOLDER = Path(__file__).resolve().parents[4] / "shared" / "data" / "dic"
@@ -152,6 +159,30 @@ def test_seeds_find_a_shift_of_ten_pixels_with_strong_gradients() -> None:
     found = match_grid(images, deformed, *settings, threads=2)
     inner = (found.y > 30) & (found.y < 970) & (found.x > 30) & (found.x < 1970)
     assert (found.matches.ending == CONVERGED)[inner].mean() > 0.99
+
+
+def test_a_foam_with_holes_is_matched_to_their_rims() -> None:
+    """Polymer foam in compression; the published mask is the image with its holes painted black."""
+    first, second, painted = (
+        image(f"foam/{name}.tif")
+        for name in (
+            "dit155_0p01_3_1_3hz_000001", "dit155_0p01_3_1_3hz_000021", "ImgMask_dit155_0p01_3_1_3hz_100001",
+        )
+    )  # fmt: skip
+    # Without the dark pixels of the texture, and without what lies beside the specimen.
+    holes = ndimage.binary_propagation(ndimage.binary_opening(painted == 0, iterations=8), mask=painted == 0)
+    mask = ~holes
+    mask[:, :250] = mask[:, 1500:] = mask[:10] = False
+    outlines = parse_outlines(written(outlines_of(mask)))
+    np.testing.assert_array_equal(inside_outlines(outlines, mask.shape), mask)
+    images = prepare_images(first, second, mask.astype(np.int32))
+    settings = MatchSettings(radius=12), GridSettings(spacing=12), SearchSettings()
+    found = match_grid(images, second, *settings, threads=2)
+    good = found.matches.ending == CONVERGED
+    off = ndimage.distance_transform_edt(mask)[found.y, found.x]
+    below = found.y > 30  # it moves up by 11 px, and what was above has left
+    assert good[below & (off > 17)].mean() > 0.999
+    assert good[below & (off <= 17)].mean() > 0.95
 
 
 def image_noise(grey: np.ndarray) -> float:
