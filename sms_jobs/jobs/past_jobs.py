@@ -56,7 +56,10 @@ def tell_again(session: Session, campaign: Campaign, provenance: Provenance) -> 
     """Add the job that made a file, unless the catalogue knows it: succeeded when its last file was made.
 
     Who asked for it, how long it took, and the jobs that were answered by its result are not told by files.
+    What a person brought in was made by none.
     """
+    if not provenance.job_id:
+        return
     row = session.get(JobRow, provenance.job_id)
     if row is not None:
         if row.finished_at is None or row.finished_at < provenance.created_at:
@@ -123,6 +126,8 @@ def _add_dependencies(
 
 def make_reusable(session: Session, campaign: Campaign, provenance: Provenance) -> None:
     """Give a job back its reuse key, once all that it makes is there and its version is the present one."""
+    if not provenance.job_id:
+        return
     row = session.get_one(JobRow, provenance.job_id)
     kind = all_kinds().get(provenance.kind)
     if kind is None or row.reuse_key is not None or row.kind_version != kind.version:
