@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +17,7 @@ from sms_jobs.catalogue.search import Ancestor
 from sms_jobs.cli import (
     advice,
     completion,
+    exporting,
     found_files,
     outline,
     output,
@@ -33,6 +33,8 @@ from sms_jobs.formats.figures import plot_record
 
 app = typer.Typer(help="Measurements and results in the archive.", no_args_is_help=True)
 app.add_typer(saved_queries.app, name="query")
+app.command("export")(exporting.export)
+app.command("formats")(exporting.formats)
 app.command("pin")(pins.pin)
 app.command("unpin")(pins.unpin)
 app.command("pins")(pins.pins)
@@ -180,26 +182,6 @@ def plot(
             name = record or dataset.names[0]
             png = plot_record(dataset.read(name, dataset.record_class(name)), field, component)
     out.write_bytes(png)
-    output.say(f"wrote {out}")
-
-
-@app.command()
-def export(
-    file: File,
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
-    home: Home = None,
-) -> None:
-    """Copy a sealed file, e.g. an exported mesh or a report, out of the archive.
-
-    Example: sms data find --kind export; sms data export 42 --out field.vtu
-    """
-    _refuse_existing(out, force)
-    with bootstrap.services(home) as services:
-        with services.catalogue.reading() as session:
-            view = search.file_view(session, file)
-        services.archive.verify(view.path, view.content_hash)
-        shutil.copyfile(services.archive.path(view.path), out)
     output.say(f"wrote {out}")
 
 

@@ -23,6 +23,7 @@ from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.row_tables import write_csv, write_parquet
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+from sms_jobs.records.surfaces import SURFACE
 
 _PAGE = 1000
 """Files that are fetched at once, however many are wanted."""
@@ -89,7 +90,7 @@ def vocabulary() -> Vocabulary:
     """Return the kinds and parameters that this version of the program knows."""
     kinds = all_kinds().values()
     return Vocabulary(
-        frozenset({MEASUREMENT, CALIBRATION} | {kind.makes or kind.name for kind in kinds}),
+        frozenset({MEASUREMENT, CALIBRATION, SURFACE} | {kind.makes or kind.name for kind in kinds}),
         frozenset(name for kind in kinds for name in kind.parameters.model_fields),
     )
 

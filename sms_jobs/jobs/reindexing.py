@@ -45,6 +45,7 @@ from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.records.campaign import Campaign, CampaignDefinition, Subject
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.surfaces import SURFACE
 
 Outcome: TypeAlias = Literal["indexed", "incomplete", "refused", "no-campaign", "too-new"]
 
@@ -282,9 +283,11 @@ def _judge_output(session: Session, archived: _Archived, one: Found) -> None:
         )
     if subject.state is not None:
         campaign.state(subject.state)
-    objection = past_jobs.objection(session, provenance, _newest_attempt(archived, path, provenance))
-    if objection is not None:
-        raise _Refused(objection)
+    if provenance.kind != SURFACE:
+        # No job made a surface: attempts tell those apart that were brought in within one second.
+        objection = past_jobs.objection(session, provenance, _newest_attempt(archived, path, provenance))
+        if objection is not None:
+            raise _Refused(objection)
     newer = _newer(session, one)
     if newer is not None:
         # The newest is the one with the highest number: an old one must not come after it.

@@ -1,0 +1,276 @@
+"""Reference surfaces in catalogue and archive, and results that leave it in other formats."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from support.homes import make_home
+
+from sms_jobs import bootstrap
+from sms_jobs.archive import Provenance
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import campaigns, search
+from sms_jobs.catalogue.models import FileRow
+from sms_jobs.cli import exporting, importing_surface
+from sms_jobs.errors import Conflict, InvalidInput, NotFound
+from sms_jobs.formats.exporters import exporter_named
+from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.reindexing import reindex, unknown_files
+from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.surfaces import register_surface
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.fields import Mesh, PointCloud
+from sms_jobs.records.surfaces import SURFACE, ReferenceSurface
+from sms_jobs.virtual_rig.campaigns import small_plate
+
+WHEN = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
+CORNERS = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]])
+TRIANGLE = np.array([[0, 1, 2]], np.int32)
+
+
+@pytest.fixture
+def services(home: Path) -> Iterator[Services]:
+    make_home(home, {})
+    with bootstrap.services(home) as opened:
+        yield opened
+
+
+def reference(scale: float = 1.0) -> ReferenceSurface:
+    return ReferenceSurface("part.stl", "0" * 64, "mm", False, scale * CORNERS, TRIANGLE)
+
+
+def stored(
+    services: Services, kind: str, subject: str, records: dict[str, Any] | None, number: int = 0
+) -> int:
+    """Seal and enter what a job would have made: records, or a text document."""
+    about = Subject.parse(subject)
+    made = Provenance(
+        kind, 1, about, f"{number:032x}", 1, WHEN + timedelta(seconds=number), {}, (), "0.1", "h", "me"
+    )
+    if records is None:
+        sealed = services.archive.seal_document(
+            "page.html", "text/html", lambda path: path.write_text("<p>page</p>") and None, made
+        )
+    else:
+        sealed = services.archive.seal_dataset(records, made)
+    with services.catalogue.writing() as session:
+        campaign = campaigns.campaign_row(session, about.campaign)
+        states = campaigns.state_ids(session, campaign.id)
+        row = FileRow(
+            source=kind,
+            path=sealed.path,
+            content_hash=sealed.content_hash,
+            size_bytes=sealed.size_bytes,
+            media_type=sealed.media_type,
+            created_at=made.created_at,
+            campaign_id=campaign.id,
+            state_id=states[about.state] if about.state else None,
+            pair=about.pair,
+        )
+        session.add(row)
+        session.flush()
+        return row.id
+
+
+def cloud(height: float = 0.0) -> PointCloud:
+    y, x = np.mgrid[0:6, 0:8].astype(float)
+    zeros = np.zeros((6, 8), np.float32)
+    return PointCloud(
+        "C1",
+        "P1",
+        np.stack([x, y, height + 0.0 * x]),
+        np.full((6, 6, 8), 1e-6, np.float32),
+        zeros,
+        zeros.astype(np.uint32),
+    )
+
+
+def mesh() -> Mesh:
+    return Mesh(("u", "v"), ("mm", "1"), CORNERS, TRIANGLE, np.ones((2, 3)))
+
+
+def test_the_newest_surface_of_a_campaign_counts_and_is_entered_once(services: Services) -> None:
+    def add(surface: ReferenceSurface, seconds: int) -> tuple[int, bool]:
+        at = WHEN + timedelta(seconds=seconds)
+        return register_surface(services.catalogue, services.archive, "plate", surface, at)
+
+    first, new = add(reference(), 0)
+    assert new
+    assert add(reference(), 0) == (first, False)
+    second, new = add(reference(2.0), 0)  # within the same second
+    assert new
+    assert second != first
+    third, new = add(reference(), 1)  # back to the first: the newest has to be that again
+    assert new
+    with services.catalogue.reading() as session:
+        files = search.find_files(session, source=SURFACE, campaign="plate")
+        assert [f.id for f in files] == [third, second, first]
+        assert search.statistics(session, third) == {"vertices": 3.0, "faces": 1.0}
+    with services.archive.open(files[0].path) as dataset:
+        np.testing.assert_array_equal(dataset.read("surface", ReferenceSurface).vertices, CORNERS)
+        assert dataset.provenance.parameters["file_sha256"] == "0" * 64
+    with pytest.raises(NotFound, match="no campaign 'other'"):
+        register_surface(services.catalogue, services.archive, "other", reference(), WHEN)
+
+
+def test_a_comparison_needs_a_surface_and_takes_the_newest(services: Services) -> None:
+    for pair in small_plate("plate")[1].pairs:
+        stored(services, "reconstruct", f"plate/S00/{pair}", {"cloud": cloud()})
+    request = [Request("deviate", states=("S00",))]
+    with (
+        pytest.raises(NotFound, match="bring one in with 'sms import surface FILE -c plate'"),
+        services.catalogue.writing() as session,
+    ):
+        submit(session, "plate", request, WHEN)
+    register_surface(services.catalogue, services.archive, "plate", reference(), WHEN)
+    with services.catalogue.writing() as session:
+        assert submit(session, "plate", request, WHEN).kinds == ("deviate",)
+
+
+def test_surfaces_are_told_by_files_alone(services: Services, tmp_path: Path) -> None:
+    for scale, seconds in ((1.0, 0), (2.0, 0), (3.0, 1)):
+        at = WHEN + timedelta(seconds=seconds)
+        register_surface(services.catalogue, services.archive, "plate", reference(scale), at)
+    other = tmp_path / "again"
+    bootstrap.initialise(other)
+    with bootstrap.services(other) as again:
+        paths = unknown_files(again.catalogue, services.archive)
+        outcomes = [one.outcome for one in reindex(again.catalogue, services.archive, paths)]
+        assert set(outcomes) == {"indexed"}
+        with again.catalogue.reading() as session:
+            found = search.find_files(session, source=SURFACE, campaign="plate")
+            assert len(found) == 3
+            newest = found[0]
+            assert newest.job_id is None
+            assert search.statistics(session, newest.id) == {"vertices": 3.0, "faces": 1.0}
+        with services.archive.open(newest.path) as dataset:
+            np.testing.assert_array_equal(dataset.read("surface", ReferenceSurface).vertices, 3.0 * CORNERS)
+
+
+def test_a_surface_is_imported_from_a_file(
+    services: Services, home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "part.stl"
+    exporter_named("stl").write(mesh(), path)
+    importing_surface.surface(path, "plate", unit="cm", home=home, as_json=True)
+    told = json.loads(capsys.readouterr().out)
+    assert (told["new"], told["triangles"], told["size_mm"]) == (True, 1, [100.0, 100.0, 0.0])
+    importing_surface.surface(path, "plate", unit="cm", home=home)
+    assert f"is already file {told['file']}" in capsys.readouterr().err
+
+
+def export(home: Path, file: str | None = None, **given: Any) -> None:
+    """Call the command as typer would, with every option at its default."""
+    options: dict[str, Any] = dict.fromkeys(
+        ("form", "out", "record", "fields", "kind", "campaign", "state", "pair")
+    )
+    exporting.export(file, **(options | {"force": False, "home": home, "as_json": False} | given))
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def test_a_result_is_written_in_the_format_that_is_asked_for(
+    services: Services, home: Path, here: Path
+) -> None:
+    number = str(stored(services, "merge", "plate/S01", {"C1": cloud(), "mesh": mesh()}))
+    export(home, number, form="obj")
+    assert (here / "plate-S01-merge.obj").read_text().count("\nf ") == 1
+    export(home, number, out=here / "other.vtu", fields="v")
+    assert 'Name="v [1]"' in (here / "other.vtu").read_text()
+    assert 'Name="u [mm]"' not in (here / "other.vtu").read_text()
+    export(home, number, form="csv", record="C1")
+    assert len((here / "plate-S01-merge.csv").read_text().splitlines()) == 1 + 6 * 8
+    export(home, number, out=here / "sealed.h5")
+    with services.catalogue.reading() as session:
+        sealed = services.archive.path(search.file_view(session, number).path)
+    assert (here / "sealed.h5").read_bytes() == sealed.read_bytes()
+
+
+def test_the_newest_of_a_kind_of_each_subject(services: Services, home: Path, here: Path) -> None:
+    for number, (state, height) in enumerate((("S00", 1.0), ("S01", 2.0), ("S00", 3.0))):
+        stored(services, "reconstruct", f"plate/{state}/C1P1", {"cloud": cloud(height)}, number)
+    export(home, kind="reconstruct", campaign="plate", form="xyz")
+    assert sorted(p.name for p in here.iterdir()) == [
+        "plate-S00-C1P1-reconstruct.xyz",
+        "plate-S01-C1P1-reconstruct.xyz",
+    ]
+    np.testing.assert_array_equal(np.loadtxt("plate-S00-C1P1-reconstruct.xyz", comments="//")[:, 2], 3.0)
+    with pytest.raises(InvalidInput, match="2 files are to be written"):
+        export(home, kind="reconstruct", campaign="plate", form="xyz", out=here / "one.xyz")
+    stored(services, "report", "plate", None, 7)
+    export(home, kind="report", campaign="plate")
+    (page,) = here.glob("*.html")
+    assert page.read_text() == "<p>page</p>"
+
+
+def test_several_records_need_a_choice_or_a_folder(services: Services, home: Path, here: Path) -> None:
+    number = str(stored(services, "merge", "plate/S01", {"C1": cloud(), "C2": cloud(1.0), "mesh": mesh()}))
+    with pytest.raises(InvalidInput, match="has the records C1, C2: choose one with --record, or give"):
+        export(home, number, out=here / "x.ptx")
+    export(home, number, form="ptx", out=here)
+    assert sorted(p.name for p in here.iterdir()) == [
+        "plate-S01-merge-C1.ptx",
+        "plate-S01-merge-C2.ptx",
+    ]
+    with pytest.raises(Conflict, match="exists already"):
+        export(home, number, form="ptx")
+    export(home, number, form="ptx", force=True)
+
+
+def test_wrong_requests_are_refused_with_a_way_out(services: Services, home: Path, here: Path) -> None:
+    number = str(stored(services, "merge", "plate/S01", {"mesh": mesh()}))
+    page = str(stored(services, "report", "plate", None))
+    for given, words in (
+        ({"file": number, "form": "plyy"}, "choose one of csv, e57"),
+        ({"file": number, "form": "ply", "fields": "w"}, "choose among u, v"),
+        ({"file": number, "form": "ply", "fields": "u,,v"}, "empty name"),
+        ({"file": number, "fields": "u"}, "need a format"),
+        ({"file": number, "form": "ptx"}, "points in the order of an image"),
+        ({"file": page, "form": "ply"}, "leave out --as"),
+        ({"file": number, "kind": "merge"}, "name one file"),
+        ({}, "name one file"),
+        ({"kind": "merge"}, "needs --campaign"),
+        ({"file": number, "campaign": "plate"}, "choose with --kind"),
+        ({"file": number, "form": "ply", "out": here / "no" / "x.ply"}, "make it first"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            export(home, **given)  # type: ignore[arg-type]
+    with pytest.raises(NotFound, match="no such result of kind strain"):
+        export(home, kind="strain", campaign="plate")
+    with pytest.raises(NotFound, match="no record 'C9'"):
+        export(home, number, form="ply", record="C9")
+    assert list(here.iterdir()) == []
+
+
+def test_a_result_is_written_without_plugins(services: Services, home: Path, here: Path) -> None:
+    number = str(stored(services, "reconstruct", "plate/S00/C1P1", {"cloud": cloud()}))
+    export(home, number, form="hdf5")
+    with h5py.File(here / "plate-S00-C1P1-reconstruct.h5") as file:
+        xyz = file["entry/cloud/xyz"]
+        assert xyz.compression == "gzip"
+        np.testing.assert_array_equal(xyz, cloud().xyz)
+        assert xyz.attrs["units"] == "mm"
+    with pytest.raises(InvalidInput, match="takes the whole file"):
+        export(home, number, form="hdf5", fields="xyz")
+    export(home, number, form="hdf5", force=True)
+
+
+def test_formats_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    exporting.formats(as_json=True)
+    told = json.loads(capsys.readouterr().out)
+    assert {"format": "ply", "suffix": ".ply", "summary": exporter_named("ply").summary} in told
+    exporting.formats()
+    assert "tecplot-block" in capsys.readouterr().out
