@@ -22,6 +22,7 @@ import psutil
 from sqlalchemy import exists, select
 
 from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import upkeep
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import SmsError, StorageFull
 from sms_jobs.jobs import limits, queues, recovery, schedules
@@ -36,6 +37,7 @@ logger = logging.getLogger(__name__)
 
 _TICK_S = 0.2
 _RECOVER_EVERY_S = 1.0
+_ANALYSE_EVERY_S = 3600.0
 _RESTART_AFTER_S = 2.0
 _PATIENCE_WITH_JOBS_S = 600.0
 """How long a worker that is told to stop may finish what it runs."""
@@ -89,13 +91,16 @@ class Supervisor:
             self._stop_worker()
 
     def _serve(self, until_idle: bool) -> None:
-        beat_at = recover_at = 0.0
+        beat_at = recover_at = analyse_at = 0.0
         while not self._stop_asked:
             moment = time.monotonic()
             try:
                 if moment >= beat_at:
                     self._beat()
                     beat_at = moment + self._settings.lease_s / 3
+                if moment >= analyse_at:
+                    analyse_at = moment + _ANALYSE_EVERY_S
+                    upkeep.analyse(self._services.catalogue)
                 if moment >= recover_at:
                     self._fire_schedules()
                     self._enforce()

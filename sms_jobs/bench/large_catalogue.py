@@ -19,11 +19,10 @@ from sqlalchemy import (
     insert,
     literal,
     select,
-    text,
 )
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue import lineage
+from sms_jobs.catalogue import lineage, upkeep
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
     BigId,
@@ -134,8 +133,7 @@ def fill(catalogue: Catalogue, files: int, say: Callable[[str], None] = lambda t
         say(f"filled {min(files, first + at_once)} files")
     with catalogue.writing() as session:
         lineage.note_all_calibrations(session)
-    with catalogue.writing() as session:
-        session.execute(text("ANALYZE"))
+    upkeep.analyse(catalogue)
 
 
 def _rows_above(session: Session, campaigns: int, calibrations: int) -> None:

@@ -156,6 +156,7 @@ class Fields:
         self._vocabulary = vocabulary
         self._built_in = _built_in(session.get_bind().dialect.name)
         self._names: dict[str, tuple[str, ...]] = {}
+        self._found: dict[str, Field] = {}
 
     def field(self, name: Name, text: str) -> Field:
         """Return what a name of a query means.
@@ -165,6 +166,8 @@ class Fields:
         InvalidInput
             Nothing is called so; the message points at the place in `text` and names what there is.
         """
+        if name.text in self._found:
+            return self._found[name.text]
         space, dot, rest = name.text.partition(".")
         if dot:
             if space.lower() not in _SPACES:
@@ -177,6 +180,7 @@ class Fields:
             found = self._plain(name.text)
         if not isinstance(found, Field):
             self._refuse(name, text, found, space.lower() if dot else "")
+        self._found[name.text] = found
         return found
 
     def _refuse(self, name: Name, text: str, found: list[str], space: str) -> NoReturn:
@@ -268,17 +272,22 @@ class Fields:
         return made(begun[0], 1.0) if len(begun) == 1 else begun
 
     def _distinct(self, column: InstrumentedAttribute[str]) -> tuple[str, ...]:
-        """Return the different values of an indexed column: one look into the index for each."""
+        """Return the different values of an indexed column."""
         key = str(column)
         if key not in self._names:
-            seen = select(func.min(column).label("name")).cte("seen", recursive=True)
-            other = aliased(column.class_)
-            own = getattr(other, column.key)
-            later = select(func.min(own)).where(own > seen.c.name).correlate(seen).scalar_subquery()
-            seen = seen.union_all(select(later).where(seen.c.name.is_not(None)))
-            found = self._session.scalars(select(seen.c.name).where(seen.c.name.is_not(None)))
-            self._names[key] = tuple(sorted(found))
+            self._names[key] = tuple(sorted(self._session.scalars(_different(column))))
         return self._names[key]
+
+
+@cache
+def _different(column: InstrumentedAttribute[str]) -> Select[str]:
+    """Select the different values of an indexed column: one look into the index for each."""
+    seen = select(func.min(column).label("name")).cte("seen", recursive=True)
+    other = aliased(column.class_)
+    own = getattr(other, column.key)
+    later = select(func.min(own)).where(own > seen.c.name).correlate(seen).scalar_subquery()
+    seen = seen.union_all(select(later).where(seen.c.name.is_not(None)))
+    return select(seen.c.name).where(seen.c.name.is_not(None))
 
 
 def parameter_as(kept: Field, type_: Literal["number", "text", "truth"], dialect: str) -> ColumnElement[Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cache
 from typing import Any
 
 from sqlalchemy import ColumnElement, Select, select
@@ -191,6 +192,7 @@ def views_with(
             yield _view(*row[:3]), tuple(row[3:])
 
 
+@cache
 def _views() -> Select[FileRow, str, str]:
     return (
         select(FileRow, CampaignRow.name, LoadStateRow.label)

@@ -13,6 +13,7 @@ from rich.progress import Progress
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import upkeep
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
@@ -106,6 +107,8 @@ def reindex(
             for one in reindexing.reindex(services.catalogue, services.archive, paths, dry_run=dry_run):
                 done.append(one)
                 bar.advance(task)
+        if done and not dry_run:
+            upkeep.analyse(services.catalogue)
     bad = [one for one in done if one.outcome != "indexed"]
     size, entered = sum(one.size_bytes for one in done), sum(one.outcome in _ENTERED for one in done)
     took = time.monotonic() - started

@@ -12,7 +12,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs import settings as settings_file
-from sms_jobs.catalogue import copying, schema
+from sms_jobs.catalogue import copying, schema, upkeep
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
@@ -84,6 +84,7 @@ def copy(
             task = bar.add_task("copying", total=None)
             for done in copying.copy(services.catalogue, target):
                 bar.update(task, description=f"copying {done.table}", completed=done.done, total=done.total)
+        upkeep.analyse(target)
         into = target.describe()
     rows = done.total if done else 0
     if as_json:

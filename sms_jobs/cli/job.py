@@ -11,7 +11,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import search
+from sms_jobs.catalogue import search, upkeep
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.kind_options import CONTEXT, KindCommand, split_words
 from sms_jobs.cli.output import Home, Json
@@ -107,6 +107,8 @@ def submit(
                 ahead = estimate(session, done.job_ids, now, services.settings.workers)
                 session.rollback()
         if not dry_run:
+            if len(done.job_ids) >= upkeep.MANY:
+                upkeep.analyse(services.catalogue)
             with services.catalogue.reading() as session:
                 ahead = estimate(session, done.job_ids, now, services.settings.workers)
         counted = {name: done.kinds.count(name) for name in dict.fromkeys(done.kinds)}
