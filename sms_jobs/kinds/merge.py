@@ -110,6 +110,7 @@ def _merged_camera(inputs: Inputs, camera: str, pairs: tuple[str, ...]) -> Merge
         displacement.covariance.astype(np.float32),
         displacement.contributors,
         reason,
+        displacement.discrepancy.astype(np.float32),
     )
 
 
@@ -152,7 +153,7 @@ def _statistics(fields: dict[str, MergedField], mesh: Mesh) -> dict[str, float]:
 KIND = Kind(
     name="merge",
     summary="pairs of a camera merged by inverse variance, and all cameras joined into one surface",
-    version=1,
+    version=2,
     scope=Scope.STATE,
     parameters=MergeParameters,
     needs=_needs,

@@ -187,6 +187,9 @@ class MergedField:
     covariance: Single = array("mm^2", "covariance of the displacement", VECTOR_IMAGE, SYMMETRIC)
     contributors: NDArray[np.uint8] = array("1", "number of pairs that gave a value")
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
+    discrepancy: Single | None = array(
+        "mm", "rms distance between the displacements of the pairs", default=None
+    )
 
 
 @dataclass(frozen=True)

@@ -29,12 +29,15 @@ class Merged:
         (rows, columns), number of pairs that gave a value.
     discrepancy_rms
         Rms length of the difference between pairs where several have a value; NaN where none do.
+    discrepancy
+        (rows, columns), the same at each pixel (thesis Fig. 65).
     """
 
     value: Floats
     covariance: Floats
     contributors: NDArray[np.uint8]
     discrepancy_rms: float
+    discrepancy: Floats
 
 
 def merge_by_variance(
@@ -73,14 +76,16 @@ def merge_by_variance(
     contributors = used.sum(axis=0).astype(np.uint8)
     mean[:, contributors == 0] = np.nan
     spread[:, contributors == 0] = np.nan
-    squares, differences = 0.0, 0
+    squares, differences = np.zeros(shape), np.zeros(shape, dtype=np.int64)
     for a in range(len(values)):
         for b in range(a + 1, len(values)):
             both = used[a] & used[b]
-            squares += float(np.sum((values[a][:, both] - values[b][:, both]) ** 2))
-            differences += int(np.count_nonzero(both))
-    rms = float(np.sqrt(squares / differences)) if differences else float("nan")
-    return Merged(mean, spread, contributors, rms)
+            squares[both] += np.sum((values[a][:, both] - values[b][:, both]) ** 2, axis=0)
+            differences += both
+    total_differences = int(differences.sum())
+    rms = float(np.sqrt(squares.sum() / total_differences)) if total_differences else float("nan")
+    local = np.sqrt(squares / np.where(differences > 0, differences, np.nan))
+    return Merged(mean, spread, contributors, rms, local)
 
 
 def combine_labels(maps: Sequence[NDArray[np.int32]]) -> NDArray[np.int32]:

@@ -84,3 +84,23 @@ def test_views_apart_are_kept_and_empty_ones_do_no_harm() -> None:
     assert set(camera) == {1, 3}
     assert faces.max() == len(vertices) - 1
     assert len(join_meshes([empty])[1]) == 0
+
+
+def test_pairs_disagree_where_they_do(rng: np.random.Generator) -> None:
+    shape = (3, 6, 7)
+    values = [rng.normal(size=shape) for _ in range(3)]
+    values[2][:, :3] = np.nan
+    values[1][:, :, :2] = np.nan
+    spread = np.zeros((6, 6, 7))
+    spread[[0, 3, 5]] = 1.0
+    found = merge_by_variance(values, [spread] * 3)
+    # One pair alone disagrees with nobody; two or three by the rms of their one or three distances.
+    assert np.isnan(found.discrepancy[:3, :2]).all()
+    np.testing.assert_allclose(
+        found.discrepancy[:3, 2:], np.linalg.norm(values[0] - values[1], axis=0)[:3, 2:], rtol=1e-12
+    )
+    three = [np.sum((values[a] - values[b]) ** 2, axis=0) for a, b in ((0, 1), (0, 2), (1, 2))]
+    np.testing.assert_allclose(found.discrepancy[3:, 2:], np.sqrt(np.mean(three, axis=0))[3:, 2:], rtol=1e-12)
+    count = np.where(found.contributors == 3, 3, np.where(found.contributors == 2, 1, 0))
+    total = np.nansum(found.discrepancy**2 * count) / count.sum()
+    assert found.discrepancy_rms == pytest.approx(np.sqrt(total), rel=1e-12)
