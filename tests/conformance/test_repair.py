@@ -76,6 +76,9 @@ def test_nothing_is_lost_and_what_can_be_mended_is(
     shutil.copy(made.path(recorded[0]), made.root / stranger)
     half = f"plate/.{Path(recorded[0]).name}.0123456789abcdef.tmp"
     (made.root / half).write_bytes(b"half")
+    note, beside = "plate/note.txt", f"plate/{Path(recorded[0]).stem}-page.txt.provenance.json"
+    (made.root / note).write_bytes(b"a note")
+    (made.root / beside).write_bytes(b"{}")
     contents = on_disk(made)
     plan = planned(catalogue, made)
     steps = {(one.path, one.problem): one for one in plan}
@@ -83,6 +86,8 @@ def test_nothing_is_lost_and_what_can_be_mended_is(
         (forgotten, "unknown"): "index",
         (stranger, "unknown"): "set-aside",
         (half, "unfinished"): "set-aside",
+        (note, "stray"): "set-aside",
+        (beside, "stray"): "set-aside",
         (damaged, "corrupt"): "set-aside",
         (lost, "missing"): "nothing",
         (definition, "missing"): "seal-again",
@@ -100,7 +105,7 @@ def test_nothing_is_lost_and_what_can_be_mended_is(
     kept = on_disk(made)
     assert sorted(contents.values()) == sorted(v for v in kept.values() if v in set(contents.values()))
     assert {Path(p).name for p in kept if p.startswith(".set-aside")} == {
-        Path(p).name for p in (stranger, half, damaged)
+        Path(p).name for p in (stranger, half, note, beside, damaged)
     }
     after = everything(catalogue)
     for table in ("statistics", "provenance", "campaigns", "jobs"):

@@ -178,6 +178,21 @@ def test_what_lies_beside_a_document_is_read_with_care(what: str, archive: Archi
         archive.verify_provenance(sealed.path, sealed.content_hash)
 
 
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_numbers_that_files_are_found_by_are_finite(value: float, archive: Archive, checker: Checker) -> None:
+    sealed = archive.seal_document(
+        "page.txt", "text/plain", lambda p: p.write_text("1"), provenance(statistics={"mean": 1.0})
+    )
+    beside = archive.path(f"{sealed.path}.provenance.json")
+    told = json.loads(beside.read_text())
+    del told["sha256"]
+    told["provenance"]["statistics"]["mean"] = value
+    beside.chmod(0o644)
+    beside.write_text(json.dumps(told))
+    with pytest.raises(ArchiveCorrupt, match=r"mean of .* is not finite"):
+        archive.examine(sealed.path, checker)
+
+
 def test_documents_of_older_programs_are_read(archive: Archive, checker: Checker) -> None:
     sealed = document(archive)
     beside = archive.path(f"{sealed.path}.provenance.json")
