@@ -179,6 +179,8 @@ def simulate(
 
     with bootstrap.services(home) as services:
         described = services.stations.rig(rig)
+    # Until the ports are waited for, so that their links are removed however it is ended.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     with put_on_terminals(described.serial, folder) as simulated:
         output.print_table(
             ["instrument", "port", "baud rate"],
@@ -187,7 +189,7 @@ def simulate(
         )
         sys.stdout.flush()
         if simulated.ports:
-            signal.pause()
+            signal.sigwait({signal.SIGINT, signal.SIGTERM})
 
 
 def _with_stage(home: Path | None, rig: str) -> RigFile:

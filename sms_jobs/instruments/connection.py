@@ -53,8 +53,8 @@ def connected(
     with ExitStack() as stack:
 
         def open_(device: Device) -> None:
-            device.connect()
             stack.callback(device.close)
+            device.connect()
 
         stage = None if rig.stage is None else connector.stage(rig.stage)
         angles = None
@@ -78,6 +78,7 @@ def connected(
             {c.name: ChannelValue(c) for c in channels},
             stage,
             WiredVideo(tuple(zip(switches, map(_sensors, rig.serial.splitters), strict=True))),
+            None if hall is None else hall.simulation,
         )
 
 
@@ -99,8 +100,8 @@ def channel_reader(rig: RigFile, name: str, clock: Clock | None = None) -> Itera
     clock = clock or RealClock()
     simulation = SerialSimulation(rig.serial, clock)
     channel = Connector(clock, OperationLog(clock), simulation).channel(settings)
-    channel.connect()
     try:
+        channel.connect()
         yield ChannelValue(channel).read
     finally:
         channel.close()

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from sms_jobs.errors import FrameLost, InstrumentError, InvalidInput
 from sms_jobs.instruments.clock import Clock
@@ -39,6 +40,7 @@ from sms_jobs.instruments.spool import Spooled, SpooledFrames, SpoolHeader, Spoo
 from sms_jobs.metrology.phase.recording_quality import recording_quality
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.recording import InterruptedRecording, Recording, Verdict
+from sms_jobs.records.scene import Simulation
 from sms_jobs.records.sensors import split_pair
 
 FRAME_TIMEOUT_S = 5.0
@@ -49,6 +51,7 @@ _LOOKED_AT = 4
 """Every so manieth row and column is looked at for the verdict."""
 _WAITING_FRAMES = 4
 """Of each camera that may wait for the disk."""
+_SIMULATION = TypeAdapter(Simulation)
 _FRAMES = ".frames"
 _INTERRUPTED = ".interrupted"
 
@@ -75,6 +78,8 @@ class ConnectedRig:
         That carries a calibration artefact; None where there is none.
     video
         What brings the picture to a projector.
+    simulation
+        What a pair truly sees now; None for real instruments.
     """
 
     name: str
@@ -85,6 +90,7 @@ class ConnectedRig:
     channels: Mapping[str, Channel] = field(default_factory=dict)
     stage: Stage | None = None
     video: Video = field(default_factory=DirectVideo)
+    simulation: Callable[[str], Simulation] | None = None
 
     def read_channels(self) -> dict[str, float]:
         """Return what every channel reads now."""
@@ -178,6 +184,7 @@ def recorded(spool: Path, pair: str, sequence: FringeSequence) -> tuple[Measurem
         told["read_noise"],
         file.frame(sequence.frames).astype(np.uint16),
         SpooledFrames(file, sequence.frames),
+        None if told["simulation"] is None else _SIMULATION.validate_python(told["simulation"]),
     )
     return measurement, Recording(
         told["rig"],
@@ -186,6 +193,7 @@ def recorded(spool: Path, pair: str, sequence: FringeSequence) -> tuple[Measurem
         facts["recordings"],
         told["channels"],
         facts["channels"],
+        None if told["stage_rad"] is None else tuple(told["stage_rad"]),
         numbers=numbers,
         times_s=times,
     )
@@ -261,7 +269,12 @@ class _Set:
             "gain": facts.gain,
             "read_noise": facts.read_noise,
             "channels": channels,
+            "stage_rad": None if self.rig.stage is None else self.rig.stage.angles(),
+            "simulation": None,
         }
+        if self.rig.simulation is not None:
+            truth = self.rig.simulation(camera + self.projector)
+            about["simulation"] = _SIMULATION.dump_python(truth, mode="json")
         header = SpoolHeader(begun, facts.rows, facts.columns, facts.dtype, self.sequence.frames + 1, about)
         return _Writer(_new_path(self.spool, camera + self.projector), header, self.rig.clock)
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from sms_jobs.errors import ArchiveCorrupt, StorageFull
 
 _MAGIC = b"sms-spool 1\n"
-_HEADER_BYTES = 4096
+_HEADER_BYTES = 65_536
 _RECORD = struct.Struct("<QdII")  # number, time, CRC-32 of all the rest, length of the image in bytes
 _WHATEVER = 0o600
 

@@ -53,6 +53,8 @@ class Recording:
         How many times the whole set was recorded; the last is the one that is kept.
     channels_before, channels_after
         Scalar channels read before and after the set, by name, in the unit of their name.
+    stage_rad
+        Pan and tilt as the stage read them; None where there is none.
     numbers
         What each camera frame was numbered by the camera: fringe frames in order, then the white frame.
     times_s
@@ -65,6 +67,7 @@ class Recording:
     recordings: int
     channels_before: dict[str, float] = field(default_factory=dict)
     channels_after: dict[str, float] = field(default_factory=dict)
+    stage_rad: tuple[float, float] | None = None
     numbers: NDArray[np.int64] = array("1", "number that the camera gave the frame", PER_FRAME, kw_only=True)
     times_s: NDArray[np.float64] = array(
         "s", "time since the start of the recording", PER_FRAME, kw_only=True

@@ -15,6 +15,7 @@ from sms_jobs.instruments.protocols import CameraFacts, Frame
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import OpticalFault
 from sms_jobs.records.scene import Deformation, PanTilt, Scene, Simulation
+from sms_jobs.records.sensors import split_pair
 from sms_jobs.virtual_rig.rendering import Noise, Rendering, render
 
 _WHITE = -1
@@ -87,6 +88,13 @@ class Hall:
         place = sequence.exposures.index(exposure) * sequence.frames_per_exposure + number
         return rendering.frames.frame(place)
 
+    def simulation(self, pair: str) -> Simulation:
+        """Return what a pair truly sees now."""
+        camera, projector = split_pair(pair)
+        return Simulation(
+            self.setting.scene, camera, projector, self._present_deformation(), self.setting.state
+        )
+
     def _size(self, camera: str) -> tuple[int, int]:
         sensor = self.setting.scene.rig.sensor(camera)
         return sensor.rows, sensor.columns
@@ -98,8 +106,7 @@ class Hall:
         if key not in self._seen:
             # Those of another projector or pose will not be asked for again.
             self._seen = {k: v for k, v in self._seen.items() if k[1:] == key[1:]}
-            simulation = Simulation(self.setting.scene, camera, projector, deformation, self.setting.state)
-            self._seen[key] = render(simulation, sequence, threads=self.threads)
+            self._seen[key] = render(self.simulation(camera + projector), sequence, threads=self.threads)
         return self._seen[key]
 
     def _present_deformation(self) -> tuple[Deformation, ...]:

@@ -45,6 +45,7 @@ def make_rig(clock: SimulatedClock) -> MakeRig:
             {n: SimulatedProjector(n, hall, 0.05) for n in names if n.startswith("P")},
             clock,
             channels=channels or {},
+            simulation=hall.simulation,
         )
 
     return make

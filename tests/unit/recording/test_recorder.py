@@ -70,6 +70,7 @@ def test_every_pair_gets_the_frames_that_it_would_see(
         measurement, recording = recorded(tmp_path / "s", pair, SEQUENCE)
         expected = seen.record(pair, SEQUENCE)
         np.testing.assert_array_equal(measurement.texture, expected.texture)
+        assert measurement.simulation == expected.simulation
         assert measurement.frames.shape == expected.frames.shape
         for k in range(FRAMES):
             np.testing.assert_array_equal(measurement.frames.frame(k), expected.frames.frame(k))

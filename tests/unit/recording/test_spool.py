@@ -17,6 +17,7 @@ from sms_jobs.errors import ArchiveCorrupt, StorageFull
 from sms_jobs.instruments.spool import Spooled, SpooledFrames, SpoolHeader, SpoolWriter
 
 HEADER = SpoolHeader(datetime(2026, 5, 4, 10, 0, tzinfo=UTC), 24, 32, "uint16", 5, {"rig": "r", "gain": 0.25})
+HEAD = 65_536  # bytes before the first frame
 RECORD = 24 + 2 * 24 * 32  # head and image, in bytes
 
 
@@ -72,7 +73,7 @@ def test_a_last_frame_that_is_not_as_it_was_written_is_left_out(tmp_path: Path) 
 def test_a_changed_frame_is_refused(tmp_path: Path, rng: np.random.Generator) -> None:
     written(tmp_path / "a", images(rng))
     with (tmp_path / "a").open("r+b") as file:
-        file.seek(4096 + RECORD + 100)
+        file.seek(HEAD + RECORD + 100)
         byte = file.read(1)
         file.seek(-1, os.SEEK_CUR)
         file.write(bytes([byte[0] ^ 1]))
@@ -88,8 +89,8 @@ def test_a_changed_frame_is_refused(tmp_path: Path, rng: np.random.Generator) ->
         b"",
         b"sms-spool 1\n",
         b"other".ljust(5000),
-        b"sms-spool 1\n{}".ljust(4096),
-        b"sms-spool 1\n[".ljust(4096),
+        b"sms-spool 1\n{}".ljust(HEAD),
+        b"sms-spool 1\n[".ljust(HEAD),
     ],
 )
 def test_a_file_without_header_is_no_spool(tmp_path: Path, content: bytes) -> None:
@@ -138,7 +139,7 @@ def test_a_full_disk_is_told(tmp_path: Path) -> None:
     with SpoolWriter(tmp_path / "a", header) as file:
         before = resource.getrlimit(resource.RLIMIT_FSIZE)
         ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4096 + 1000, before[1]))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (HEAD + 1000, before[1]))
         try:
             with pytest.raises(StorageFull, match="free some space"):
                 file.append(1, 0.0, np.zeros((512, 512), np.uint16))
