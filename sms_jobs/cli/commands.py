@@ -80,7 +80,9 @@ COMMANDS: Mapping[str, Command] = {
     "schedule": Command("Schedules: jobs that are submitted at their time.", "schedule"),
     "lock": Command("Devices that a job or a person holds.", "lock"),
     "data": Command("Measurements and results in the archive.", "data"),
-    "import": Command("Bring in what was made elsewhere: frames, readings, calibrations, surfaces.", "importing"),
+    "import": Command(
+        "Bring in what was made elsewhere: frames, readings, calibrations, surfaces.", "importing"
+    ),
     "speckle": Command("Speckle patterns for specimens.", "speckle"),
     "archive": Command("The archive: is everything there, and as it was sealed?", "archive"),
     "calibration": Command("Calibrations of rigs.", "calibration"),
