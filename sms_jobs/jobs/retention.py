@@ -55,7 +55,12 @@ class Pin:
 
 
 def pin(session: Session, file_id: int, reason: str, now: datetime) -> None:
-    """Keep a file; raise `Conflict` when it is pinned already."""
+    """Keep a file; raise `Conflict` when it is pinned already, `NotFound` when it is gone."""
+    # Locked, so that nobody lets it go before this is committed.
+    if session.get(FileRow, file_id, with_for_update={"read": True, "key_share": True}) is None:
+        raise NotFound(
+            f"file {file_id} is not in the catalogue any more; 'sms data find' shows those that are"
+        )
     if session.get(PinRow, file_id) is not None:
         raise Conflict(f"file {file_id} is pinned already; 'sms data pins' shows why")
     session.add(PinRow(file_id=file_id, reason=reason, pinned_at=now))
@@ -122,6 +127,10 @@ def removable(
     kinds
         Only results of these; of all when empty.
     """
+    return without_needed(session, _old(session, now, older_than, kinds))
+
+
+def _old(session: Session, now: datetime, older_than: timedelta, kinds: Collection[str]) -> list[Removable]:
     reused = dict(
         session.execute(
             select(JobRow.reused_from, func.max(JobRow.finished_at))
@@ -134,7 +143,7 @@ def removable(
         last = max(one.created_at, reused.get(one.job_id) or one.created_at)
         if now - last > older_than:
             old.append(one)
-    return without_needed(session, old)
+    return old
 
 
 def without_needed(session: Session, candidates: Iterable[Removable]) -> list[Removable]:
@@ -142,14 +151,7 @@ def without_needed(session: Session, candidates: Iterable[Removable]) -> list[Re
     going = {one.file_id: one for one in candidates}
     kept = set(session.scalars(select(PinRow.file_id)))
     kept.update(session.scalars(select(CalibrationRow.file_id)))
-    # Jobs that may still run will open their inputs; those that have succeeded will not.
-    kept.update(
-        session.scalars(
-            select(DependencyRow.file_id)
-            .join(JobRow, JobRow.id == DependencyRow.job_id)
-            .where(JobRow.state != JobState.SUCCEEDED, DependencyRow.file_id.is_not(None))
-        )
-    )
+    kept.update(_inputs_of_the_unfinished(session))
     inputs: dict[int, list[int]] = {}
     for output, given in session.execute(select(ProvenanceRow.output_id, ProvenanceRow.input_id)):
         inputs.setdefault(output, []).append(given)
@@ -163,6 +165,25 @@ def without_needed(session: Session, candidates: Iterable[Removable]) -> list[Re
                 seen.add(given)
                 pending.append(given)
     return list(going.values())
+
+
+def _inputs_of_the_unfinished(session: Session) -> set[int]:
+    """Return what jobs that may still run will open; those that have succeeded will not."""
+    unfinished = (
+        select(DependencyRow.file_id, DependencyRow.producer_id)
+        .join(JobRow, JobRow.id == DependencyRow.job_id)
+        .where(JobRow.state != JobState.SUCCEEDED)
+        .subquery()
+    )
+    producer = aliased(JobRow)
+    # Which of its producer's files a job needs is noted only when it begins; a reused one has another's.
+    made = (
+        select(FileRow.id)
+        .join(producer, FileRow.job_id == func.coalesce(producer.reused_from, producer.id))
+        .join(unfinished, unfinished.c.producer_id == producer.id)
+    )
+    given = select(unfinished.c.file_id).where(unfinished.c.file_id.is_not(None))
+    return {*session.scalars(given), *session.scalars(made)}
 
 
 def forget(session: Session, files: Collection[int]) -> None:
@@ -191,13 +212,29 @@ def remove(
 ) -> list[Removable]:
     """Remove the results that a policy lets go, and return them.
 
+    They are locked before they are looked at for the last time: whoever begins to need one meanwhile is
+    either seen, or finds it gone. One that somebody else has locked stays.
+
     The catalogue forgets them in one transaction before the first file is removed. Killed in between, some
     files are left that the catalogue does not know: 'sms archive verify' names them, nothing that is known
     is missing.
     """
     with catalogue.writing() as session:
-        gone = removable(session, now, older_than, kinds)
+        chosen = removable(session, now, older_than, kinds)
+        locked = _lock(session, [one.file_id for one in chosen])
+        old = _old(session, now, older_than, kinds)
+        gone = without_needed(session, [one for one in old if one.file_id in locked])
         forget(session, [one.file_id for one in gone])
     for one in gone:
         archive.discard(one.path)
     return gone
+
+
+def _lock(session: Session, files: Collection[int]) -> set[int]:
+    """Keep everybody from referring to files until the transaction ends; return those that were free."""
+    numbers = sorted(files)
+    locked: set[int] = set()
+    for start in range(0, len(numbers), _AT_ONCE):
+        some = FileRow.id.in_(numbers[start : start + _AT_ONCE])
+        locked.update(session.scalars(select(FileRow.id).where(some).with_for_update(skip_locked=True)))
+    return locked

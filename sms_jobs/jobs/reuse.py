@@ -29,7 +29,13 @@ _NEWEST = (
     .order_by(JobRow.finished_at.desc())
     .limit(1)
 )
-_PATHS = select(FileRow.path).where(FileRow.job_id == bindparam("job"))
+_PATHS = (
+    select(FileRow.path)
+    .where(FileRow.job_id == bindparam("job"))
+    .order_by(FileRow.id)
+    .with_for_update(read=True, key_share=True)
+)
+_KEY = select(JobRow.reuse_key).where(JobRow.id == bindparam("job"))
 
 
 def reuse_key(
@@ -69,4 +75,9 @@ def reuse_key(
 def earlier_success(session: Session, key: str) -> tuple[str, tuple[str, ...]] | None:
     """Return (job id, paths of its files) of the newest job that computed the same, if there is one."""
     job_id = session.scalar(_NEWEST, {"key": key})
-    return None if job_id is None else (job_id, tuple(session.scalars(_PATHS, {"job": job_id})))
+    if job_id is None:
+        return None
+    # Locked, so that no policy lets them go before this is committed. One that did so meanwhile is seen by
+    # the key, which is gone with the first of them.
+    paths = tuple(session.scalars(_PATHS, {"job": job_id}))
+    return (job_id, paths) if session.scalar(_KEY, {"job": job_id}) == key else None
