@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sms_jobs.bench.figures import Condition, Figure, Run
-from sms_jobs.bench.groups import all_groups, archive, catalogue, jobs
+from sms_jobs.bench.groups import all_groups, archive, catalogue, jobs, recording
 from sms_jobs.bench.servers import POSTGRESQL
 from sms_jobs.settings import load
 
@@ -45,3 +45,15 @@ def test_workers_that_compete_claim_no_job_twice(home: Path) -> None:
         jobs.submit(session, "long-test", [jobs.Request("acquire")], jobs.datetime.now(jobs.UTC))
     # `_contended` raises where two workers hold the same job; there are three jobs, one a state.
     assert jobs._contended(load(home).catalogue_url, 100) > 0.0
+
+
+def test_recording_is_measured_from_camera_to_disk(home: Path) -> None:
+    (home / "bench").mkdir()
+    found = list(recording.measure(Run(True, said, 1, home / "bench")))
+    figures = {f.name: f.value for f in found if isinstance(f, Figure)}
+    assert figures["frames_4mpx_per_s"] > 0.0
+    assert figures["slowest_second_frames"] is None  # so few frames last no second
+    files = list((home / "bench" / "spool").glob("*.frames"))
+    assert len(files) == 2
+    # 2 orientations of 2 densities of 3 steps, and white, all of them whole.
+    assert all(f.stat().st_size > 13 * 2 * recording.SIDE**2 for f in files)
