@@ -24,7 +24,8 @@ Ints: TypeAlias = NDArray[np.int64]
 OUTSIDE_REGION, NO_MATCH_NEAR, LEFT_IMAGE, NO_SHAPE_AT_END = range(1, 5)
 """Why a pixel has no displacement; 0 where it has one."""
 
-_BLEND = 1.633  # blending distance, in subset radii, at which curvature leaves no bias: see `blend_matches`
+BLEND_RADII = 1.633
+"""Blending distance, in subset radii, at which curvature leaves no bias: see `blend_matches`."""
 _BLEND_NOISE = 1.39  # variance of blended matches over that of one: their gradients' noise (by quadrature)
 
 
@@ -240,7 +241,7 @@ def displacement_field(
     xyz, covariance, labels = reference
     end_xyz, end_covariance, end_labels = deformed
     rows, columns = labels.shape
-    image, variance = blend_matches(points, xyz, labels, _BLEND * subset_radius, threads)
+    image, variance = blend_matches(points, xyz, labels, BLEND_RADII * subset_radius, threads)
     y, x = np.mgrid[0:rows, 0:columns]
     end_x, end_y = x + image[0], y + image[1]
     end, _, slope = interpolate_in_region(end_xyz, end_covariance[:0], end_labels, end_x, end_y, threads)
