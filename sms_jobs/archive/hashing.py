@@ -6,10 +6,48 @@ its plain fields, and of every array the name, type, shape, unit and the SHA-256
 
 from __future__ import annotations
 
+import hashlib
 import json
+import threading
 from dataclasses import dataclass, field
+from typing import Any
+
+from numpy.typing import NDArray
 
 from sms_jobs.archive.provenance import digest
+
+_WORTH_A_THREAD_BYTES = 1 << 20
+
+
+class SlabHash:
+    """The SHA-256 of slabs that are read or written one after the other, taken by a thread of its own.
+
+    Hashing costs about as much as packing and unpacking do, and Python lets others go on meanwhile. A slab
+    must not change before the next one is given or the digest is asked for.
+    """
+
+    def __init__(self) -> None:
+        self._sha = hashlib.sha256()
+        self._thread: threading.Thread | None = None
+
+    def update(self, slab: NDArray[Any]) -> None:
+        """Add the bytes of an array in C order."""
+        self._wait()
+        if slab.nbytes < _WORTH_A_THREAD_BYTES:
+            self._sha.update(slab.data)
+            return
+        self._thread = threading.Thread(target=self._sha.update, args=(slab.data,), name="hashing")
+        self._thread.start()
+
+    def hexdigest(self) -> str:
+        """Return the digest of all that was added."""
+        self._wait()
+        return self._sha.hexdigest()
+
+    def _wait(self) -> None:
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.archive.codec import ArrayField, checked_array, layout_of, plain_to_json
-from sms_jobs.archive.hashing import ArrayDigest, Manifest
+from sms_jobs.archive.hashing import ArrayDigest, Manifest, SlabHash
 from sms_jobs.archive.limits import LARGEST_TEXT_BYTES
 from sms_jobs.archive.provenance import Provenance, digest, provenance_to_json
 from sms_jobs.errors import InvalidInput
@@ -81,13 +80,13 @@ def _create(group: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any, st
 def _write_stack(dataset: Any, stack: Any) -> str:
     """Write a frame stack, a few frames in memory at a time; return the SHA-256 of its bytes."""
     count, rows, columns = stack.shape
-    sha = hashlib.sha256()
+    sha = SlabHash()
     for start in range(0, count, FRAMES_IN_CHUNK):
         stop = min(start + FRAMES_IN_CHUNK, count)
         slab = np.empty((stop - start, rows, columns), dataset.dtype)
         for index in range(start, stop):
             slab[index - start] = stack.frame(index)
-        sha.update(slab.data)
+        sha.update(slab)
         dataset[start:stop] = slab
     return sha.hexdigest()
 
@@ -160,8 +159,10 @@ def _write_record(entry: h5py.Group, name: str, record: Any, manifest: Manifest)
         if field.streamed:
             sha = _write_stack(dataset, array)
         else:
+            hashed = SlabHash()
+            hashed.update(array)
             dataset[...] = array
-            sha = hashlib.sha256(array.data).hexdigest()
+            sha = hashed.hexdigest()
         dataset.attrs["sha256"] = sha
         digests.append(ArrayDigest(field_name, dataset.dtype.str, dataset.shape, field.quantity.unit, sha))
     group.attrs["record"] = type(record).__name__
@@ -238,9 +239,9 @@ def _slabs(dataset: Any) -> Iterator[NDArray[Any]]:
 
 def array_digest(name: str, dataset: Any) -> ArrayDigest:
     """Read a whole dataset and return what the manifest says of it."""
-    sha = hashlib.sha256()
+    sha = SlabHash()
     for slab in _slabs(dataset):
-        sha.update(slab.data)
+        sha.update(slab)
     return ArrayDigest(name, dataset.dtype.str, dataset.shape, dataset.attrs["units"], sha.hexdigest())
 
 
