@@ -46,6 +46,11 @@ class ExportParameters(Parameters):
         (), description="values of the mesh to write, e.g. 'displacement Z'; all if not given"
     )
 
+    @field_validator("formats", "fields", mode="before")
+    @classmethod
+    def _one_or_several(cls, given: Any) -> Any:
+        return (given,) if isinstance(given, str) else given
+
     @field_validator("formats")
     @classmethod
     def _known_and_different(cls, formats: tuple[str, ...]) -> tuple[str, ...]:

@@ -266,6 +266,8 @@ def test_export_writes_only_what_is_asked_for(run: Run) -> None:
         export.ExportParameters(formats=("docx",))
     with pytest.raises(ValidationError):
         export.ExportParameters(formats=())
+    alone = export.ExportParameters.model_validate({"formats": "stl", "fields": "displacement Z"})
+    assert (alone.formats, alone.fields) == (("stl",), ("displacement Z",))
 
 
 def test_export_gives_each_vertex_the_texture_of_its_pixel(run: Run) -> None:
