@@ -93,8 +93,8 @@ def measure(run: Run) -> Iterator[Found]:
     yield Condition(
         "frames",
         f"{count} frames of {SIDE} x {SIDE} px in uint16, {count * 2e-9 * SIDE**2:.1f} GB in {wall:.1f} s, "
-        "from two cameras that hand out frames made before, through the recorder with numbers, checksums, a look "
-        "at every frame for saturation and a sync every second, to the disk of the temporary folder; "
+        "from two cameras that hand out frames made before, through the recorder with numbers, checksums, a "
+        "look at every frame for saturation and a sync every second, to the disk of the temporary folder; "
         "compressing and sealing come later and are not in it; the slowest second is of both cameras",
     )
 
