@@ -17,6 +17,7 @@ from sms_jobs.catalogue.search import Ancestor
 from sms_jobs.cli import (
     advice,
     completion,
+    field_comparison,
     exporting,
     found_files,
     outline,
@@ -42,6 +43,7 @@ app.command("outline")(outline.outline)
 app.command("gauges")(surface_fields.gauges)
 app.command("section")(surface_fields.section)
 app.command("advise")(advice.advise)
+app.command("compare")(field_comparison.compare)
 app.command("pack")(portable_data.pack)
 app.command("check")(portable_data.check)
 app.command("unpack")(portable_data.unpack)

@@ -1,0 +1,89 @@
+"""Fields of other programs: results of calculations, read through meshio."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.formats.figures import as_png, new_figure
+
+Floats: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PointField:
+    """A field at points: (n, 3) in mm, and its values (n, components)."""
+
+    points: Floats
+    values: Floats
+
+
+def read_point_field(path: Path, name: str | None, scale_mm: float) -> PointField:
+    """Read the nodes of a mesh file and a field at them, by name or the first with three components.
+
+    Parameters
+    ----------
+    path
+        In any format that meshio knows: VTK, VTU, Abaqus, Nastran, Gmsh, Exodus, ...
+    name
+        Of the data at the nodes.
+    scale_mm
+        Length of the file's unit in mm, for its nodes and for a displacement alike.
+
+    Raises
+    ------
+    NotFound
+        There is no such file, or no such field in it.
+    InvalidInput
+        It cannot be read.
+    """
+    import meshio
+
+    if not path.is_file():
+        raise NotFound(f"there is no file {path}; give a mesh file with a field at its nodes")
+    try:
+        mesh = meshio.read(path)
+    except (meshio.ReadError, ValueError, KeyError, IndexError, SystemExit) as error:
+        raise InvalidInput(
+            f"{path} cannot be read as a mesh: {error or 'unknown format'}; save it as VTU"
+        ) from error
+    fields = {key: np.asarray(value, dtype=np.float64) for key, value in mesh.point_data.items()}
+    vectors = [key for key, value in fields.items() if value.ndim == 2 and value.shape[1] == 3]
+    chosen = name if name is not None else next(iter(vectors), None)
+    if chosen not in vectors:
+        raise NotFound(
+            f"{path} has no field '{chosen or 'with three components'}' at its nodes; "
+            f"those with three components are {', '.join(vectors) or 'none'}"
+        )
+    points = np.zeros((len(mesh.points), 3))
+    points[:, : mesh.points.shape[1]] = mesh.points
+    return PointField(points * scale_mm, fields[chosen] * scale_mm)
+
+
+def draw_difference(points: Floats, difference: Floats, title: str) -> bytes:
+    """Draw the components of a difference of displacements (n, 3) over x and y, as PNG (thesis Fig. 72)."""
+    figure = new_figure(11.0, 3.8)
+    known = np.isfinite(difference).all(axis=1)
+    largest = float(np.quantile(np.abs(difference[known]), 0.99)) if known.any() else 1.0
+    for column, axis in enumerate("XYZ"):
+        axes = figure.add_subplot(1, 3, column + 1)
+        drawn = axes.scatter(
+            points[known, 0],
+            points[known, 1],
+            c=difference[known, column],
+            s=2.0,
+            cmap="RdBu_r",
+            vmin=-largest,
+            vmax=largest,
+            linewidths=0.0,
+        )
+        axes.set_aspect("equal")
+        axes.set_title(f"{axis} [mm]", fontsize="medium")
+    figure.colorbar(drawn, ax=figure.axes)
+    figure.suptitle(title, fontsize="medium")
+    return as_png(figure)
