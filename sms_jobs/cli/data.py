@@ -17,8 +17,8 @@ from sms_jobs.catalogue.search import Ancestor
 from sms_jobs.cli import (
     advice,
     completion,
-    field_comparison,
     exporting,
+    field_comparison,
     found_files,
     outline,
     output,
