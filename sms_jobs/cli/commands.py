@@ -81,7 +81,7 @@ COMMANDS: Mapping[str, Command] = {
     "lock": Command("Devices that a job or a person holds.", "lock"),
     "data": Command("Measurements and results in the archive.", "data"),
     "import": Command(
-        "Bring in what was made elsewhere: frames, readings, calibrations, surfaces.", "importing"
+        "Bring in what was made elsewhere: frames, images, readings, calibrations, surfaces.", "importing"
     ),
     "speckle": Command("Speckle patterns for specimens.", "speckle"),
     "archive": Command("The archive: is everything there, and as it was sealed?", "archive"),

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import typer
 
-from sms_jobs.cli import calibration_files, importing_frames, importing_readings, importing_surface
+from sms_jobs.cli import (
+    calibration_files,
+    importing_frames,
+    importing_images,
+    importing_readings,
+    importing_surface,
+)
 
 app = typer.Typer(
-    help="Bring in what was made elsewhere: frames, readings, calibrations, surfaces.", no_args_is_help=True
+    help="Bring in what was made elsewhere: frames, images, readings, calibrations, surfaces.",
+    no_args_is_help=True,
 )
 app.command("frames")(importing_frames.frames)
+app.command("images")(importing_images.images)
 app.command("channels")(importing_readings.channels)
 app.command("gauges")(importing_readings.gauges)
 app.command("calibration")(calibration_files.import_)

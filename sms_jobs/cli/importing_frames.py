@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -14,10 +13,10 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import campaigns
 from sms_jobs.cli import completion, output
+from sms_jobs.cli.import_outcomes import TOLD, Outcome, existing_campaign, row_of, tell, time_given
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import Conflict, InvalidInput, NotFound
+from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats import configuration
 from sms_jobs.formats.importers.folders import Listing, list_folder
 from sms_jobs.formats.importers.frames import Arrangement, arrange, roles_told
@@ -34,9 +33,6 @@ from sms_jobs.formats.importers.layout import FrameLayout, layout_of, load_layou
 from sms_jobs.jobs.importing import amend_campaign, import_measurement, known_of, with_states
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
-
-_FINDINGS = 6
-_TOLD = 20
 
 
 @dataclass(frozen=True)
@@ -143,7 +139,7 @@ def frames(
     --layout layout.toml --yes
     """
     listing = list_folder(folder)
-    task = _Task(folder, campaign, rig, specimen, plan, _time(recorded_at), add_states, newer)
+    task = _Task(folder, campaign, rig, specimen, plan, time_given(recorded_at), add_states, newer)
     given: dict[str, Any] = {
         "pattern": pattern,
         "state": state,
@@ -163,7 +159,7 @@ def frames(
         "camera.raw": raw,
     }
     with bootstrap.services(home) as services:
-        existing = _existing(services, campaign)
+        existing = existing_campaign(services, campaign)
         table = with_options({} if layout is None else load_layout(layout), given)
         guess = guess_layout(listing, table, None if existing is None else existing.sequence)
         if print_layout:
@@ -181,19 +177,14 @@ def frames(
         if not (yes or dry_run or layout is not None):
             typer.confirm("Is this right?", abort=True, err=True)
         outcome = _import(services, task, listing, found_layout, arrangement, existing, wanted, dry_run)
-    _tell(outcome, arrangement, as_json=as_json, dry_run=dry_run, campaign=campaign)
-
-
-def _time(text: str | None) -> datetime | None:
-    if text is None:
-        return None
-    try:
-        at = datetime.fromisoformat(text)
-    except ValueError:
-        at = None
-    if at is None or at.tzinfo is None:
-        raise InvalidInput(f"--recorded-at should be a time as in 2026-05-04T10:00:00+02:00, not '{text}'")
-    return at
+    tell(
+        outcome,
+        arrangement.left_out,
+        as_json=as_json,
+        dry_run=dry_run,
+        campaign=campaign,
+        then="pipeline",
+    )
 
 
 def _numbers(text: str | None, option: str, kind: type) -> tuple[Any, ...] | None:
@@ -203,14 +194,6 @@ def _numbers(text: str | None, option: str, kind: type) -> tuple[Any, ...] | Non
         return tuple(kind(part) for part in text.replace(",", " ").split())
     except ValueError:
         raise InvalidInput(f"{option} should be numbers with spaces between, not '{text}'") from None
-
-
-def _existing(services: Services, name: str) -> Campaign | None:
-    with services.catalogue.reading() as session:
-        try:
-            return campaigns.definition(campaigns.campaign_row(session, name))
-        except NotFound:
-            return None
 
 
 def _wanted(
@@ -276,20 +259,8 @@ def _preview(listing: Listing, guess: Guess, layout: FrameLayout, arrangement: A
     if complete is not None:
         told = list(roles_told(layout, complete))
         output.say(f"frames of {complete.state}/{complete.pair}:")
-        for name, what in told if len(told) <= 2 * _TOLD else [*told[:_TOLD], ("...", ""), *told[-3:]]:
+        for name, what in told if len(told) <= 2 * TOLD else [*told[:TOLD], ("...", ""), *told[-3:]]:
             output.say(f"  {name}  {what}")
-
-
-@dataclass
-class _Outcome:
-    """What became of every tuple, in order."""
-
-    rows: list[dict[str, Any]]
-    remarks: list[str]
-
-    @property
-    def bad(self) -> bool:
-        return any(r["outcome"] == "refused" for r in self.rows)
 
 
 def _import(
@@ -301,11 +272,11 @@ def _import(
     existing: Campaign | None,
     wanted: Campaign,
     dry_run: bool,
-) -> _Outcome:
+) -> Outcome:
     inspected = _inspect_all(listing, layout, arrangement)
     good = [one for one in inspected if not one.found.faults]
     remarks = list(dict.fromkeys(r for one in good for r in one.remarks))
-    outcome = _Outcome([], remarks)
+    outcome = Outcome([], remarks)
     camera = camera_model(listing.folder, good, layout) if good else None
     if camera is not None:
         remarks += camera.remarks
@@ -315,7 +286,7 @@ def _import(
         step = bar.add_task("importing", total=len(inspected))
         for one in inspected:
             if one.found.faults:
-                outcome.rows.append(_row(one, "refused", "; ".join(one.found.faults)))
+                outcome.rows.append(row_of(one, "refused", "; ".join(one.found.faults)))
             else:
                 assert camera is not None
                 outcome.rows.append(_enter(services, task, listing, layout, camera, one, dry_run))
@@ -327,7 +298,10 @@ def _inspect_all(listing: Listing, layout: FrameLayout, arrangement: Arrangement
     """Read every file once, before anything is written."""
     with output.progress_bar() as bar:
         step = bar.add_task("reading", total=sum(len(t.files) for t in arrangement.tuples))
-        return [inspect(listing.folder, t, layout, lambda: bar.advance(step)) for t in arrangement.tuples]
+        return [
+            inspect(listing.folder, t, layout.raw, layout.full_scale, lambda: bar.advance(step))
+            for t in arrangement.tuples
+        ]
 
 
 def _prepare(services: Services, task: _Task, existing: Campaign | None, wanted: Campaign) -> None:
@@ -359,11 +333,11 @@ def _enter(
     digest = source_hash(one, layout)
     known = known_of(services.catalogue, services.archive, subject, digest)
     if known.status == "there":
-        return _row(one, "already there", known.path)
+        return row_of(one, "already there", known.path)
     if dry_run:
         differs = known.status == "other" and not task.newer
         detail = "it has another measurement already: say --newer" if differs else ""
-        return _row(one, "refused" if differs else "would be imported", detail)
+        return row_of(one, "refused" if differs else "would be imported", detail)
     at = task.recorded_at or one.recorded_at
     try:
         measurement = measurement_of(listing.folder, one, layout, camera, at)
@@ -378,8 +352,8 @@ def _enter(
             newer=task.newer,
         )
     except (Conflict, InvalidInput) as error:
-        return _row(one, "refused", str(error))
-    return _row(one, "imported", done.path)
+        return row_of(one, "refused", str(error))
+    return row_of(one, "imported", done.path)
 
 
 def _sources(task: _Task, listing: Listing, one: Inspected, layout: FrameLayout) -> Mapping[str, Any]:
@@ -396,60 +370,3 @@ def _sources(task: _Task, listing: Listing, one: Inspected, layout: FrameLayout)
             for name in dict.fromkeys(one.found.files)
         ],
     }
-
-
-def _row(one: Inspected, outcome: str, detail: str) -> dict[str, Any]:
-    facts = next(iter(one.facts.values()), None)
-    return {
-        "state": one.found.state,
-        "pair": one.found.pair,
-        "frames": len(set(one.found.files)),
-        "size": None if facts is None else f"{facts.columns} x {facts.rows}",
-        "outcome": outcome,
-        "detail": detail,
-    }
-
-
-def _short(row: Mapping[str, Any]) -> str:
-    """Return what a table shows of a detail; why a tuple is refused stands below it."""
-    return "see below" if row["outcome"] == "refused" else row["detail"]
-
-
-def _tell(
-    outcome: _Outcome, arrangement: Arrangement, *, as_json: bool, dry_run: bool, campaign: str
-) -> None:
-    counts = Counter(row["outcome"] for row in outcome.rows)
-    left_out = [{"file": one.name, "why": one.why} for one in arrangement.left_out]
-    if as_json:
-        output.print_json(
-            {
-                "campaign": campaign,
-                "dry_run": dry_run,
-                "tuples": outcome.rows,
-                "left_out": left_out,
-                "remarks": outcome.remarks,
-            }
-        )
-    else:
-        output.print_table(
-            ["state", "pair", "frames", "size [px]", "outcome", "detail"],
-            [tuple({**row, "detail": _short(row)}.values()) for row in outcome.rows],
-            empty="there is nothing to import",
-        )
-        for row in outcome.rows:
-            if row["outcome"] == "refused":
-                output.say(f"refused: {row['state']}/{row['pair']}: {row['detail']}")
-        for remark in outcome.remarks:
-            output.say(f"note: {remark}")
-        for one in left_out[:_TOLD]:
-            output.say(f"left out: {one['file']} {one['why']}")
-        if len(left_out) > _TOLD:
-            output.say(f"left out: {len(left_out) - _TOLD} more files; --json lists all")
-        output.say(
-            ", ".join(f"{n} {what}" for what, n in counts.items())
-            + ("; nothing was changed" if dry_run else "")
-        )
-        if counts["imported"]:
-            output.say(f"next: sms job submit pipeline --campaign {campaign}")
-    if outcome.bad:
-        raise typer.Exit(_FINDINGS)

@@ -59,7 +59,11 @@ class CameraModel:
 
 
 def inspect(
-    folder: Path, found: FoundTuple, layout: FrameLayout, progress: Progress = lambda: None
+    folder: Path,
+    found: FoundTuple,
+    raw: RawFormat | None = None,
+    full_scale: int | None = None,
+    progress: Progress = lambda: None,
 ) -> Inspected:
     """Read every file of a tuple once and say whether they fit together."""
     facts: dict[str, ImageFacts] = {}
@@ -70,7 +74,7 @@ def inspect(
         if name in facts:
             continue
         try:
-            _, about = read_image(folder / name, layout.raw)
+            _, about = read_image(folder / name, raw)
         except InvalidInput as error:
             faults.append(str(error))
         else:
@@ -81,7 +85,7 @@ def inspect(
                 remarks["JPEG files have lost detail by their compression"] = None
         progress()
     if not found.faults:
-        faults += _differences(facts, layout.full_scale)
+        faults += _differences(facts, full_scale)
     at = datetime.fromtimestamp(min(times), UTC) if times else datetime(1970, 1, 1, tzinfo=UTC)
     return Inspected(replace(found, faults=told(faults)), facts, tuple(remarks), at)
 
@@ -174,17 +178,12 @@ def camera_model(folder: Path, inspected: Sequence[Inspected], layout: FrameLayo
     facts = [about for one in inspected for about in one.facts.values()]
     full_scale = layout.full_scale
     if full_scale is None:
-        full_scale = _full_scale(facts, layout.raw, remarks)
+        full_scale = full_scale_of(facts, layout.raw, remarks)
     gain, read_noise = layout.gain, layout.read_noise
     if gain is None or read_noise is None:
         found = _noise(folder, inspected[0], layout, full_scale)
         if found is None:
-            # A sensor of 10,000 electrons, the quantisation and half a level besides.
-            found = FrameNoise(full_scale / 10_000.0, float(np.hypot(0.5, full_scale / 4096.0)))
-            remarks.append(
-                f"noise is taken for that of a sensor of 10,000 electrons, gain {found.gain:.3g} and read "
-                f"noise {found.read_noise:.3g} grey levels: give gain and read_noise where they are known"
-            )
+            found = usual_noise(full_scale, remarks)
         else:
             remarks.append(
                 f"noise found in the frames of {inspected[0].found.state}: gain {found.gain:.3g}, read noise "
@@ -195,7 +194,21 @@ def camera_model(folder: Path, inspected: Sequence[Inspected], layout: FrameLayo
     return CameraModel(full_scale, gain, read_noise, tuple(remarks))
 
 
-def _full_scale(facts: Sequence[ImageFacts], raw: RawFormat | None, remarks: list[str]) -> int:
+def usual_noise(full_scale: int, remarks: list[str]) -> FrameNoise:
+    """Return the noise of a sensor of 10,000 electrons, with half a level besides, and remark on it."""
+    found = FrameNoise(full_scale / 10_000.0, float(np.hypot(0.5, full_scale / 4096.0)))
+    remarks.append(
+        f"noise is taken for that of a sensor of 10,000 electrons, gain {found.gain:.3g} and read noise "
+        f"{found.read_noise:.3g} grey levels: give gain and read noise where they are known"
+    )
+    return found
+
+
+def full_scale_of(facts: Sequence[ImageFacts], raw: RawFormat | None, remarks: list[str]) -> int:
+    """Return the grey level at which the camera saturates, as the files show it, and remark on guesses.
+
+    Raises `InvalidInput` where it cannot be told.
+    """
     if raw is not None and any(f.dtype == raw.dtype.newbyteorder("=").name for f in facts):
         return (1 << raw.bits) - 1
     if all(f.dtype == "uint8" for f in facts):

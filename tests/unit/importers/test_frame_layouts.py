@@ -31,7 +31,7 @@ NOW = datetime(2026, 5, 4, tzinfo=UTC)
 def imported(folder: Path, layout: FrameLayout) -> Measurement:
     listing = list_folder(folder)
     (one,) = arrange(listing, layout).tuples
-    inspected = inspect(listing.folder, one, layout)
+    inspected = inspect(listing.folder, one, layout.raw, layout.full_scale)
     assert not inspected.found.faults
     camera = camera_model(listing.folder, [inspected], layout)
     return measurement_of(listing.folder, inspected, layout, camera, NOW)
@@ -208,7 +208,7 @@ def test_the_hash_follows_content_and_reading_alone(tmp_path: Path) -> None:
     def told(**changes: object) -> str:
         layout = layout_of({**table, **changes}, "here")
         listing = list_folder(tmp_path)
-        return source_hash(inspect(listing.folder, arrange(listing, layout).tuples[0], layout), layout)
+        return source_hash(inspect(listing.folder, arrange(listing, layout).tuples[0], layout.raw), layout)
 
     first = told()
     paths[0].touch()

@@ -32,7 +32,7 @@ def measured(folder: Path, given: dict[str, Any]) -> tuple[dict[str, Any], Measu
     guess = guess_layout(listing, given, None)
     layout = layout_of(guess.table, "the guess")
     (found,) = arrange(listing, layout).tuples
-    one = inspect(listing.folder, found, layout)
+    one = inspect(listing.folder, found, layout.raw, layout.full_scale)
     assert not one.found.faults
     camera = camera_model(listing.folder, [one], layout)
     return guess.table, measurement_of(listing.folder, one, layout, camera, datetime(2020, 1, 1, tzinfo=UTC))

@@ -1,0 +1,150 @@
+"""Folders of images of one camera or several, without a projector: one image a state and camera."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.importers.folders import LeftOut, Listing, NamePattern, natural
+from sms_jobs.formats.importers.frames import Arrangement, FoundTuple, is_image, told
+from sms_jobs.formats.importers.image_files import RawFormat, read_image
+from sms_jobs.formats.importers.inspection import Inspected
+from sms_jobs.records.campaign import checked_name
+from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
+
+_CAMERA = re.compile(r"C[1-9]\d*")
+
+
+@dataclass(frozen=True)
+class ImageCamera:
+    """What is known of the camera: full scale and noise in grey levels."""
+
+    full_scale: int
+    gain: float
+    read_noise: float
+
+
+def guess_image_pattern(images: list[str]) -> str:
+    """Return the pattern of the names that most images have: what varies last is the state.
+
+    Raises `InvalidInput` where nothing of the names varies.
+    """
+    shapes = Counter(_shape(name) for name in images)
+    shape = shapes.most_common(1)[0][0]
+    alike = [PurePosixPath(name) for name in images if _shape(name) == shape]
+    parts = [re.split(r"(\d+)", str(p.with_suffix(""))) for p in alike]
+    varying = [i for i in range(len(parts[0])) if len({p[i] for p in parts}) > 1]
+    if not varying:
+        raise InvalidInput(
+            f"no part of the name {alike[0]} varies: say what is the state, as in --pattern '{{state}}.png'"
+        )
+    tokens = ["{state}" if i == varying[-1] else "*" if i in varying else t for i, t in enumerate(parts[0])]
+    return "".join(tokens) + alike[0].suffix
+
+
+def _shape(name: str) -> str:
+    return re.sub(r"\d+", "0", name)
+
+
+def arrange_images(
+    listing: Listing, pattern: NamePattern, camera: str | None, reference: str | None
+) -> Arrangement:
+    """Sort images into states and cameras by their names; nothing is read.
+
+    Raises
+    ------
+    InvalidInput
+        The pattern does not say the state, or says what has no place here; the camera is no name of one; no
+        image is of the reference.
+    """
+    foreign = [n for n in pattern.names if n not in ("state", "camera")]
+    if "state" not in pattern.names or foreign:
+        raise InvalidInput(
+            f"the pattern '{pattern.text}' of images has to have {{state}} and may have {{camera}} and *, "
+            "nothing else"
+        )
+    if camera is not None and not _CAMERA.fullmatch(camera):
+        raise InvalidInput(f"'{camera}' is no camera: write it like C1")
+    left_out = list(listing.left_out)
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name in listing.files:
+        said = pattern.match(name)
+        if said is None or not is_image(name):
+            left_out.append(LeftOut(name, "does not fit the pattern" if is_image(name) else "is no image"))
+            continue
+        groups.setdefault((said["state"], said.get("camera", camera or "C1")), []).append(name)
+    states = {state for state, _ in groups}
+    if reference is not None and reference not in states:
+        raise InvalidInput(
+            f"no image is of the reference {reference}; there are "
+            f"{', '.join(sorted(states, key=natural)[:10]) or 'none'}"
+        )
+    tuples = [_found(state, name, files) for (state, name), files in groups.items()]
+    tuples.sort(key=lambda t: (t.state != reference, natural(t.state), natural(t.pair)))
+    return Arrangement(tuple(tuples), tuple(left_out))
+
+
+def _found(state: str, camera: str, files: list[str]) -> FoundTuple:
+    faults = []
+    try:
+        checked_name(state, "state")
+    except InvalidInput as error:
+        faults.append(str(error))
+    if len(files) > 1:
+        faults.append(f"{' and '.join(files[:3])} are of one state: take all but one out of the folder")
+    return FoundTuple(state, camera, white=files[0], faults=tuple(faults))
+
+
+def of_one_size(inspected: list[Inspected]) -> list[Inspected]:
+    """Add a fault to the images whose size is not that of most of their camera's."""
+    checked = []
+    for one in inspected:
+        mine = _size(one)
+        sizes = Counter(_size(i) for i in inspected if i.found.pair == one.found.pair and not i.found.faults)
+        usual = sizes.most_common(1)[0][0] if sizes else mine
+        if mine == usual or one.found.faults:
+            checked.append(one)
+            continue
+        fault = f"it has {mine} and the others of {one.found.pair} {usual}: crop them alike, or leave it out"
+        checked.append(replace(one, found=replace(one.found, faults=told([*one.found.faults, fault]))))
+    return checked
+
+
+def _size(one: Inspected) -> str:
+    for about in one.facts.values():
+        return f"{about.columns} x {about.rows} px"
+    return "no image"
+
+
+def image_hash(one: Inspected, given: Mapping[str, float | None]) -> str:
+    """Return the SHA-256 of what the measurement is made of: its file, and what is said of the camera."""
+    parts = {"image": [about.sha256 for about in one.facts.values()], "camera": dict(given)}
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def image_measurement(
+    folder: Path, one: Inspected, raw: RawFormat | None, camera: ImageCamera, recorded_at: datetime
+) -> Measurement:
+    """Return an image as a measurement: it is the texture, and the only frame; nothing was projected."""
+    assert one.found.white is not None
+    levels, about = read_image(folder / one.found.white, raw)
+    if about.sha256 != one.facts[one.found.white].sha256:
+        raise InvalidInput(f"{one.found.white} was changed while it was imported: import it again")
+    return Measurement(
+        recorded_at=recorded_at,
+        sequence=FringeSequence(),
+        full_scale=camera.full_scale,
+        gain=camera.gain,
+        read_noise=camera.read_noise,
+        texture=levels.astype(np.uint16),
+        frames=ArrayStack(levels[None]),
+    )
