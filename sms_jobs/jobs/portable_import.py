@@ -187,6 +187,7 @@ def _place(brought: Archive, archive: Archive, path: str, link: bool) -> None:
     if target.is_file():
         return
     with sealing(archive.root, target, _IMPORT) as temporary:
+        temporary.unlink(missing_ok=True)  # of an import that was interrupted
         if not link:
             shutil.copyfile(source, temporary)
             return

@@ -32,6 +32,7 @@ from sms_jobs.catalogue.models import (
     CalibrationRow,
     CampaignRow,
     FileRow,
+    JobRow,
     LoadStateRow,
     MeasurementRow,
     ProvenanceRow,
@@ -285,6 +286,7 @@ def _judge_output(session: Session, archived: _Archived, one: Found) -> None:
         campaign.state(subject.state)
     if provenance.kind != SURFACE:
         # No job made a surface: attempts tell those apart that were brought in within one second.
+        _judge_job(session, provenance)
         objection = past_jobs.objection(session, provenance, _newest_attempt(archived, path, provenance))
         if objection is not None:
             raise _Refused(objection)
@@ -292,6 +294,16 @@ def _judge_output(session: Session, archived: _Archived, one: Found) -> None:
     if newer is not None:
         # The newest is the one with the highest number: an old one must not come after it.
         raise _Refused(f"the catalogue has a newer one about the same: file {newer}")
+
+
+def _judge_job(session: Session, provenance: Provenance) -> None:
+    """Refuse a file that names a job of the catalogue which was about something else."""
+    job = session.get(JobRow, provenance.job_id)
+    if job is None:
+        return
+    about = f"{provenance.subject}/".startswith(f"{job.subject}/")
+    if job.kind != provenance.kind or not about:
+        raise _Refused(f"its job {job.id[:8]} is known as {job.kind} of {job.subject}")
 
 
 def _newest_attempt(archived: _Archived, path: str, provenance: Provenance) -> int:

@@ -288,6 +288,26 @@ def test_what_does_not_fit_is_taken_out_again(full: Home, empty: Home, tmp_path:
     assert contents(empty.archive.root) == before
 
 
+def test_a_file_cannot_pass_for_the_output_of_another_job(full: Home, empty: Home, tmp_path: Path) -> None:
+    folder = tmp_path / "plate"
+    exported(full, folder, Wanted("plate"))
+    brought = Archive(folder / "data")
+    (strain,) = (path for path in brought.files() if "/strain-" in path)
+    (correlated,) = (path for path in brought.files() if "/correlate-" in path)
+    with brought.open(strain) as dataset:
+        names = {name: dataset.read(name, dataset.record_class(name)) for name in dataset.names}
+        told = dataset.provenance
+    with brought.open(correlated) as dataset:
+        forged = replace(told, job_id=dataset.provenance.job_id)
+    made = brought.seal_dataset(names, forged)
+    manifest = {f"data/{path}": sha256 for path, sha256 in contents(folder / "data").items()}
+    done = portable_import.enter(empty.catalogue, empty.archive, folder, manifest, checker=empty.checker)
+    bad = {one.path: one.detail for one in done if one.outcome != "indexed"}
+    assert list(bad) == [made.path]
+    assert "is known as correlate of plate/S01/C1P1" in bad[made.path]
+    assert not empty.archive.path(made.path).exists()
+
+
 def test_every_change_to_a_folder_is_named(full: Home, tmp_path: Path) -> None:
     folder = tmp_path / "plate"
     exported(full, folder, Wanted("plate", ("strain",)))
