@@ -48,6 +48,8 @@ def advise(
 ) -> None:
     """Say how coarse and how noisy a texture is, and what subsets and gauge lengths it is good for.
 
+    The middle half of the image is examined, each way, since a specimen seldom fills its rim.
+
     The noise of a measurement is that of its camera; of image files it comes from a second image of the same
     state or from --noise. Strain is what matches alone make of it: shape adds its own noise in 3D.
 
@@ -62,8 +64,8 @@ def advise(
                 f"{again} has {second.shape[1]} x {second.shape[0]} px, {image} has "
                 f"{texture.shape[1]} x {texture.shape[0]}; give two images of one camera and state"
             )
-        sigma = noise_of_pair(texture, second)
-    found = examine_texture(texture, sigma or 0.0, full_scale)
+        sigma = noise_of_pair(_middle(texture), _middle(second))
+    found = examine_texture(_middle(texture), sigma or 0.0, full_scale)
     scale = mm_per_px or 1.0
     unit = "px" if mm_per_px is None else "mm"
     choices = [
@@ -111,6 +113,11 @@ def advise(
         output.say(remark)
 
 
+def _middle(image: NDArray[np.generic]) -> NDArray[np.generic]:
+    rows, columns = image.shape
+    return image[rows // 4 : rows - rows // 4, columns // 4 : columns - columns // 4]
+
+
 def _known(value: float, sigma: float | None) -> float | None:
     return float(f"{value:.3g}") if sigma and isfinite(value) else None
 
@@ -148,6 +155,6 @@ def _texture(which: str, home: Path | None) -> tuple[NDArray[np.generic], float,
             raise InvalidInput(f"file {which} is a {view.source}, which has no texture; choose a measurement")
         with services.archive.open(view.path) as dataset:
             measurement = dataset.read("measurement", Measurement)
-    mean = float(np.mean(measurement.texture))
+    mean = float(_middle(measurement.texture).astype(np.float64).mean())
     noise = float(np.sqrt(measurement.read_noise**2 + measurement.gain * mean))
     return measurement.texture, float(measurement.full_scale), noise
