@@ -163,7 +163,7 @@ def _statistics(measurement: Measurement) -> dict[str, float]:
 KIND = Kind(
     name="acquire",
     summary="record every pair of a state",
-    version=1,
+    version=2,
     scope=Scope.STATE,
     parameters=AcquireParameters,
     needs=no_needs,
