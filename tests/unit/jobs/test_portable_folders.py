@@ -17,13 +17,14 @@ from typing import Any
 import h5py
 import pytest
 from support.archives import Clock, everything, registered, run_jobs
-from support.command import sms
 from support.sealing import calibration
+from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, Checker
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.cli import data
 from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, NotFound
 from sms_jobs.formats import research_crate as crate
 from sms_jobs.formats.research_crate import CrateFile
@@ -370,22 +371,30 @@ def test_the_crate_describes_every_file(full: Home, tmp_path: Path) -> None:
     assert os.access(folder / crate.TAG_MANIFEST, os.R_OK)
 
 
+def told_by(*arguments: str) -> str:
+    """Run a command of `sms data` in this process; return what it prints on stdout."""
+    done = CliRunner().invoke(data.app, arguments)
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
 def test_the_commands_take_a_campaign_from_home_to_home(full: Home, tmp_path: Path) -> None:
     folder, there = str(tmp_path / "plate"), ("--home", str(tmp_path / "there"))
     options = ("--kind", "strain", "--link", "--home", str(full.folder))
-    done = sms("data", "pack", "-c", "plate", "--to", folder, *options)
-    assert done.returncode == 0, done.stderr
+    told_by("pack", "-c", "plate", "--to", folder, *options)
+    told_by("check", folder)
     bootstrap.initialise(tmp_path / "there")
-    done = sms("data", "unpack", folder, *there)
-    assert done.returncode == 0, done.stderr
+    told_by("unpack", folder, *there)
     files = everything(full.catalogue)["files"]
     (strain,) = (row[0] for row in files if row[1] == "strain")
     first = next(row[0] for row in files if row[1] == "calibration")
-    told = json.loads(sms("data", "tree", first, "--down", "--json", *there).stdout)
-    assert {one["file"]["source"] for one in told["outputs"]} >= {"reconstruct", "correlate"}
-    assert strain in json.dumps(told)
+    down = json.loads(told_by("tree", first, "--down", "--json", *there))
+    assert {one["file"]["source"] for one in down["outputs"]} >= {"reconstruct", "correlate"}
+    assert strain in json.dumps(down)
     document = tmp_path / "strain.prov.json"
-    done = sms("data", "provenance", strain, "--output", str(document), *there)
-    assert done.returncode == 0, done.stderr
+    told_by("provenance", strain, "--output", str(document), *there)
     entities = json.loads(document.read_text())["entity"].values()
     assert {strain, first} <= {one["prov:location"] for one in entities}
+    (Path(folder) / "data" / "more.txt").write_text("more")
+    assert CliRunner().invoke(data.app, ["check", folder]).exit_code == ArchiveCorrupt.exit_code
+    assert CliRunner().invoke(data.app, ["unpack", folder, *there]).exit_code == ArchiveCorrupt.exit_code
