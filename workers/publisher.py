@@ -8,10 +8,8 @@ import time
 from datetime import UTC, datetime, timedelta
 
 from celery import Celery
-from kombu.exceptions import OperationalError
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.errors import SmsError
 from sms_jobs.jobs import doorbell
 from sms_jobs.workers.celery_app import RUN, message_queue
 
@@ -46,7 +44,7 @@ class Publisher(threading.Thread):
                 if time.monotonic() >= ring_again_at:
                     ring_again_at = time.monotonic() + _RING_AGAIN_EVERY_S
                     self._ring_again()
-            except (SmsError, OperationalError, OSError) as error:
+            except Exception as error:  # noqa: BLE001 - without this thread no job would begin any more
                 logger.warning("messages cannot be sent now (%s); trying again", type(error).__name__)
                 self._stop_asked.wait(_AFTER_FAULT_S)
 

@@ -14,7 +14,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from types import FrameType
 
@@ -65,6 +65,7 @@ class Supervisor:
         self._app = make_app(self._settings, self._queues)
         self._process: subprocess.Popen[bytes] | None = None
         self._stop_asked = 0
+        self._idle = False
 
     def run(self, *, until_idle: bool = False) -> None:
         """Serve until a signal asks to stop, or, if wished, until no job is left that can run."""
@@ -94,25 +95,33 @@ class Supervisor:
         beat_at = recover_at = analyse_at = 0.0
         while not self._stop_asked:
             moment = time.monotonic()
-            try:
-                if moment >= beat_at:
-                    self._beat()
-                    beat_at = moment + self._settings.lease_s / 3
-                if moment >= analyse_at:
-                    analyse_at = moment + _ANALYSE_EVERY_S
-                    upkeep.analyse(self._services.catalogue)
-                if moment >= recover_at:
-                    self._fire_schedules()
-                    self._enforce()
-                    self._recover()
+            if moment >= beat_at and self._done(self._beat):
+                beat_at = moment + self._settings.lease_s / 3
+            if moment >= analyse_at:
+                analyse_at = moment + _ANALYSE_EVERY_S
+                self._done(self._analyse)
+            if moment >= recover_at:
+                duties = (self._fire_schedules, self._enforce, self._recover, self._look_whether_idle)
+                if sum(map(self._done, duties)) == len(duties):
                     recover_at = moment + _RECOVER_EVERY_S
-                    if until_idle and self._is_idle():
+                    if until_idle and self._idle:
                         return
-            except SmsError as error:
-                # The catalogue is away or its disk is full: both pass, and jobs go on meanwhile.
-                logger.warning("%s", error)
             self._restart_if_dead()
             time.sleep(_TICK_S)
+
+    def _done(self, duty: Callable[[], None]) -> bool:
+        """Do one duty; False when it could not be done, which keeps the supervisor from no other."""
+        try:
+            duty()
+        except SmsError as error:
+            # The catalogue is away or its disk is full: both pass, and jobs go on meanwhile.
+            logger.warning("%s", error)
+            return False
+        except Exception:
+            # Whatever it is, jobs would be lost with a supervisor that ends for it.
+            logger.exception("a duty failed; trying again")
+            return False
+        return True
 
     def _beat(self) -> None:
         with self._services.catalogue.writing() as session:
@@ -158,9 +167,12 @@ class Supervisor:
             resumed = queues.resume_for_room(session)
         logger.info("there is room again: %s go on", ", ".join(resumed))
 
-    def _is_idle(self) -> bool:
+    def _analyse(self) -> None:
+        upkeep.analyse(self._services.catalogue)
+
+    def _look_whether_idle(self) -> None:
         with self._services.catalogue.reading() as session:
-            return not session.scalar(select(exists().where(JobRow.state.in_(ACTIVE))))
+            self._idle = not session.scalar(select(exists().where(JobRow.state.in_(ACTIVE))))
 
     def _start_worker(self) -> None:
         threads = str(self._settings.threads)
