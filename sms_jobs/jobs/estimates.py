@@ -30,7 +30,6 @@ from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Queue
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import ACTIVE, JobState
 from sms_jobs.records.measurement import FringeSequence
-from sms_jobs.records.sensors import split_pair
 
 ALIVE_WITHIN = timedelta(seconds=60)
 """A worker that gave a sign of life since then counts."""
@@ -344,7 +343,8 @@ def _images(session: Session, campaign_id: int) -> _Images | None:
     pixels = dict(cameras.all())
     states = session.scalar(select(func.count()).where(LoadStateRow.campaign_id == campaign_id)) or 0
     frames = _SEQUENCE.validate_python(sequence).frames
-    return _Images({pair: pixels.get(split_pair(pair)[0], 0) for pair in pairs}, frames, states)
+    # A campaign of images alone has cameras in place of pairs.
+    return _Images({pair: pixels.get(pair.partition("P")[0], 0) for pair in pairs}, frames, states)
 
 
 def _between(begun: datetime | None, ended: datetime | None) -> float:
