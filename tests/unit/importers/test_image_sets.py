@@ -1,0 +1,116 @@
+"""Images of a camera without a projector: one a state, of one size, entered once."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from sms_jobs import bootstrap
+from sms_jobs.catalogue import campaigns
+from sms_jobs.cli.importing import app
+from sms_jobs.errors import InvalidInput, SmsError
+from sms_jobs.formats.importers.image_sets import guess_image_pattern
+from sms_jobs.records.measurement import Measurement
+from tests.support.foreign_frames import save
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    bootstrap.initialise(tmp_path / "home")
+    return tmp_path / "home"
+
+
+def images(folder: Path, home: Path, *options: str, code: int = 0) -> Any:
+    done = CliRunner().invoke(
+        app, ["images", str(folder), "-c", "coupon", "--home", str(home), "--json", "--yes", *options]
+    )
+    if isinstance(done.exception, SmsError):
+        raise done.exception
+    assert done.exit_code == code, (done.exception, done.stderr)
+    return json.loads(done.stdout)
+
+
+def outcomes(told: Any) -> list[tuple[str, str, str]]:
+    return [(t["state"], t["pair"], t["outcome"]) for t in told["tuples"]]
+
+
+@pytest.fixture
+def levels(rng: np.random.Generator) -> np.ndarray:
+    return rng.integers(0, 256, (4, 16, 20)).astype(np.uint8)
+
+
+def test_images_arrive_as_they_are_and_once(home: Path, tmp_path: Path, levels: np.ndarray) -> None:
+    save(tmp_path / "test", levels, "load_{}.tif", first=8)
+    told = images(tmp_path / "test", home, "--reference", "9")
+    assert outcomes(told) == [(s, "C1", "imported") for s in ("9", "8", "10", "11")]
+    with bootstrap.services(home) as services:
+        for one, shown in zip(told["tuples"], levels[[1, 0, 2, 3]], strict=True):
+            with services.archive.open(one["detail"]) as dataset:
+                measurement = dataset.read("measurement", Measurement)
+                np.testing.assert_array_equal(measurement.texture, shown)
+                assert measurement.full_scale == 255
+        with services.catalogue.reading() as session:
+            campaign = campaigns.definition(campaigns.campaign_row(session, "coupon"))
+    assert campaign.reference.label == "9"
+    assert campaign.pairs == ("C1",)
+    again = images(tmp_path / "test", home)
+    assert {o for _, _, o in outcomes(again)} == {"already there"}
+    save(tmp_path / "test", 255 - levels[:1], "load_{}.tif", first=12)
+    with pytest.raises(InvalidInput, match="no state 12: say --add-states"):
+        images(tmp_path / "test", home)
+    assert outcomes(images(tmp_path / "test", home, "--add-states"))[-1] == ("12", "C1", "imported")
+
+
+def test_an_image_that_does_not_fit_is_left_out(home: Path, tmp_path: Path, levels: np.ndarray) -> None:
+    for camera in ("C1", "C2"):
+        save(tmp_path / "test" / camera, levels, "s{}.png")
+    save(tmp_path / "test" / "C1", levels[2:3, :9], "s{}.png", first=2)
+    whole = (tmp_path / "test" / "C2" / "s1.png").read_bytes()
+    (tmp_path / "test" / "C2" / "s1.png").write_bytes(whole[:-30])
+    told = images(tmp_path / "test", home, "--pattern", "{camera}/s{state}.png", code=6)
+    refused = [(s, c) for s, c, outcome in outcomes(told) if outcome == "refused"]
+    assert refused == [("1", "C2"), ("2", "C1")]
+    assert "20 x 9 px and the others of C1 20 x 16 px" in told["tuples"][4]["detail"]
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (("--pattern", "s*.png"), r"has to have \{state\}"),
+        (("--pattern", "{state}{number}.png"), r"may have \{camera\}"),
+        (("--camera", "X"), "'X' is no camera"),
+        (("--reference", "99"), "no image is of the reference 99"),
+        (("--pattern", "x{state}.png"), "no file of"),
+        (("--raw", "nonsense"), "described as in"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    home: Path, tmp_path: Path, levels: np.ndarray, options: tuple[str, ...], complaint: str
+) -> None:
+    save(tmp_path / "test", levels, "s{}.png")
+    with pytest.raises(InvalidInput, match=complaint):
+        images(tmp_path / "test", home, *options)
+    with bootstrap.services(home) as services:
+        assert not list(services.archive.files())
+
+
+@pytest.mark.parametrize(
+    ("names", "pattern"),
+    [
+        (["oht_cfrp_00.tiff", "oht_cfrp_01.tiff"], "oht_cfrp_{state}.tiff"),
+        (["cam0_f1.png", "cam0_f2.png"], "cam0_f{state}.png"),
+        (["r1/a_1.png", "r2/a_2.png", "r2/a_3.png"], "r*/a_{state}.png"),
+    ],
+)
+def test_what_varies_last_is_the_state(names: list[str], pattern: str) -> None:
+    assert guess_image_pattern(names) == pattern
+
+
+def test_names_that_do_not_vary_are_no_states() -> None:
+    with pytest.raises(InvalidInput, match=r"no part of the name a\.png varies"):
+        guess_image_pattern(["a.png"])
