@@ -15,14 +15,6 @@ from sms_jobs.catalogue import search
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.importers.image_files import read_image
-from sms_jobs.metrology.images.texture_quality import (
-    examine_texture,
-    gauge_sigma,
-    match_sigma,
-    noise_of_pair,
-    suggested_radius,
-)
 from sms_jobs.records.measurement import Measurement
 
 _RADII_PX = (7, 10, 13, 16, 20, 26, 32)
@@ -55,6 +47,15 @@ def advise(
 
     Example: sms data advise reference.tif again.tif --mm-per-px 0.3
     """
+    # Other commands of this group load without what this one computes with.
+    from sms_jobs.metrology.images.texture_quality import (
+        examine_texture,
+        gauge_sigma,
+        match_sigma,
+        noise_of_pair,
+        suggested_radius,
+    )
+
     texture, full_scale, known = _texture(image, home)
     sigma = known if noise is None else noise
     if again is not None:
@@ -146,6 +147,8 @@ def _remarks(speckle_px: float, use: float, saturated: float, noise: float | Non
 def _texture(which: str, home: Path | None) -> tuple[NDArray[np.generic], float, float | None]:
     """Return an image, the grey level at which it saturates, and its noise where that is known."""
     if Path(which).suffix.lower() in _PICTURES:
+        from sms_jobs.formats.importers.image_files import read_image
+
         levels, _ = read_image(Path(which))
         return levels, float(np.iinfo(levels.dtype).max), None
     with bootstrap.services(home) as services:

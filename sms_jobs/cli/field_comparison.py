@@ -17,8 +17,6 @@ from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.other_fields import PointField, draw_difference, read_point_field
-from sms_jobs.metrology.deformation.comparison import free_of_motion, laid_on, values_at
-from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.records.fields import Mesh
 
 _AXES = ("X", "Y", "Z")
@@ -56,6 +54,10 @@ def compare(
 
     Example: sms data compare 42 --with panel.vtu --field U --scale-mm 1000 --free-of-motion --out diff.png
     """
+    # Other commands of this group load without what this one computes with.
+    from sms_jobs.metrology.deformation.comparison import free_of_motion, laid_on, values_at
+    from sms_jobs.metrology.geometry.transforms import transform
+
     if out is not None and out.suffix not in (".csv", ".png"):
         raise InvalidInput(f"'{out}' must end in .csv or .png")
     if out is not None and out.exists() and not force:

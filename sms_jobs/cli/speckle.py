@@ -9,7 +9,6 @@ import typer
 
 from sms_jobs.cli import output
 from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.formats.printed_speckle import Sheet, as_pdf, as_png
 
 app = typer.Typer(help="Speckle patterns for specimens.", no_args_is_help=True)
 
@@ -38,6 +37,8 @@ def print_(
 
     Example: sms speckle print --width-mm 200 --height-mm 100 --speckle-mm 1.2 --output speckle.pdf --mirrored
     """
+    from sms_jobs.formats.printed_speckle import Sheet, as_pdf, as_png
+
     if out.suffix not in (".pdf", ".png"):
         raise InvalidInput(f"'{out}' must end in .pdf or .png")
     if out.exists() and not force:

@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -18,11 +18,11 @@ from sms_jobs.catalogue.search import FileView
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
-from sms_jobs.formats.gauge_descriptions import read_gauge_file
-from sms_jobs.formats.profiles import GaugeRow, compared, draw_gauges, draw_profile, named_field
-from sms_jobs.metrology.deformation.gauges import profile_along
 from sms_jobs.records.fields import PointCloud
 from sms_jobs.records.gauges import GaugeReadings
+
+if TYPE_CHECKING:
+    from sms_jobs.formats.profiles import GaugeRow
 
 _MICROSTRAIN = 1e6
 _MOST_STATES = 100_000
@@ -53,6 +53,10 @@ def gauges(
 
     Example: sms data gauges -c panel --readings strain_gauges.csv --out gauges.png
     """
+    # Other commands of this group load without what this one computes with.
+    from sms_jobs.formats.gauge_descriptions import read_gauge_file
+    from sms_jobs.formats.profiles import compared, draw_gauges
+
     real = () if readings is None else read_gauge_file(readings)
     with bootstrap.services(home) as services:
         rows = compared(_virtual(services, campaign, pair), real)
@@ -82,6 +86,8 @@ def _in(strain: float | None) -> str | None:
 
 def _virtual(services: Services, campaign: str, pair: str | None) -> list[GaugeRow]:
     """Return the newest readings of every state and pair, in order."""
+    from sms_jobs.formats.profiles import GaugeRow
+
     with services.catalogue.reading() as session:
         files = search.find_files(session, source="gauges", campaign=campaign, pair=pair, limit=_MOST_STATES)
     newest: dict[str, FileView] = {}
@@ -142,6 +148,9 @@ def section(
 
     Example: sms data section 17 --from -100,0 --to 100,0 --field strain --out profile.png
     """
+    from sms_jobs.formats.profiles import draw_profile, named_field
+    from sms_jobs.metrology.deformation.gauges import profile_along
+
     ends = (_point(start, "--from"), _point(end, "--to"))
     if ends[0] == ends[1]:
         raise InvalidInput(f"the section begins and ends at {start}; give two different points in mm")
