@@ -11,7 +11,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns
-from sms_jobs.cli import completion, output
+from sms_jobs.cli import completion, output, simulated_campaigns
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats import configuration
@@ -21,6 +21,7 @@ from sms_jobs.jobs.registration import register_campaign
 app = typer.Typer(
     help="Campaigns: a specimen, its load states, and how they are measured.", no_args_is_help=True
 )
+app.command("simulate")(simulated_campaigns.simulate)
 
 
 @app.command()
