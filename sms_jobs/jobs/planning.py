@@ -103,6 +103,9 @@ def plan(
     for name, (kind, request) in wanted.items():
         for subject in _selected(kind, campaign, request):
             jobs[(name, subject)] = None
+    # What cannot be asked for twice is made where it was asked for and nowhere else.
+    once = {name for name, (kind, _) in wanted.items() if not kind.repeatable(parameters[name])}
+    asked_for = frozenset(key for key in jobs if key[0] in once)
     producers: dict[_Key, dict[_Key, None]] = {}
     inputs: dict[_Key, list[tuple[Need, _Key | None, Existing | None]]] = {}
     # A wanted kind also makes what the other jobs need of it, e.g. the reference state's shape.
@@ -113,7 +116,11 @@ def plan(
         found = inputs.setdefault(key, [])
         producers.setdefault(key, {})
         for need in wanted[name][0].all_needs(campaign, subject, parameters[name]):
-            producer, existing = _source(need, makers, campaign, find, f"{name} {subject}")
+            maker = makers.get(need.source)
+            producer = None if maker is None else (maker.name, covering(maker, need.subject))
+            if producer is not None and producer[0] in once and producer not in asked_for:
+                producer = None
+            existing = None if producer is not None else _existing(need, find, f"{name} {subject}")
             if producer is not None:
                 if producer not in jobs:
                     jobs[producer] = None
@@ -182,20 +189,11 @@ def _selected(kind: Kind[Any], campaign: Campaign, request: Request) -> list[Sub
     ]
 
 
-def _source(
-    need: Need,
-    makers: Mapping[str, Kind[Any]],
-    campaign: Campaign,
-    find: Callable[[Need], Existing | None],
-    who: str,
-) -> tuple[_Key | None, Existing | None]:
-    maker = makers.get(need.source)
-    if maker is not None:
-        return (maker.name, covering(maker, need.subject)), None
+def _existing(need: Need, find: Callable[[Need], Existing | None], who: str) -> Existing:
     existing = find(need)
     if existing is None:
         raise NotFound(f"{who} needs the {need.source} of {need.subject}, and there is none; {_way_to(need)}")
-    return None, existing
+    return existing
 
 
 def _way_to(need: Need) -> str:

@@ -95,6 +95,23 @@ def test_a_campaign_on_a_real_rig_is_neither_simulated_nor_assessed() -> None:
     assert kinds["report"] == 1
 
 
+def test_what_cannot_be_repeated_is_made_only_where_it_was_asked_for() -> None:
+    requests = [Request("record", states=("S02",)), Request("pipeline", states=("S02",))]
+    jobs = plan(CAMPAIGN, requests, everything_exists)
+    # The reference state is compared with, as it was recorded; its load is gone.
+    assert [str(job.subject) for job in jobs if job.kind.name == "record"] == ["hat/S02"]
+    references = [
+        i.existing
+        for job in jobs
+        for i in job.inputs
+        if i.need.source == MEASUREMENT and i.need.subject.state == "S00"
+    ]
+    assert references
+    assert all(existing == Existing(file_id=1) for existing in references)
+    with pytest.raises(NotFound, match="needs the measurement of hat/S00"):
+        plan(CAMPAIGN, requests, only_calibration)
+
+
 def test_parameters_reach_their_kind() -> None:
     request = Request("pipeline", {"strain.gauge_length_mm": "25"})
     jobs = plan(CAMPAIGN, [request], everything_exists)
