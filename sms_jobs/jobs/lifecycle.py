@@ -120,7 +120,8 @@ def claim(
     """
     attempt = {"queues": tuple(queues), "worker": worker_id, "process": pid, "now": now, "until": now + lease}
     session.flush()
-    while (row := session.execute(_claiming(), attempt).one_or_none()) is not None:
+    connection = session.connection()
+    while (row := connection.execute(_claiming(), attempt).one_or_none()) is not None:
         if row.needs_devices and not locks.take_needed(session, row.id, row.fence, now):
             # Somebody was faster: as if it had never been claimed, and the next look leaves it out.
             session.execute(_UNCLAIM, {"job": row.id})

@@ -122,11 +122,14 @@ class Runner:
 
     def _run(self, held: Claim) -> None:
         kind = kind_named(held.kind)
-        task = self._load(kind, held)
-        key = reuse.reuse_key(
-            kind, held.subject, held.parameters, task.context, {i.role: i.content_hash for i in task.inputs}
-        )
-        if held.use_cache and held.repeatable and self._reuse(held, key):
+        # Looked up and, if there is one, reused in one transaction: with most of what such a job costs.
+        with self.catalogue.writing() as session:
+            task = self._load(session, kind, held)
+            hashes = {i.role: i.content_hash for i in task.inputs}
+            key = reuse.reuse_key(kind, held.subject, held.parameters, task.context, hashes)
+            earlier = self._reuse(session, held, key) if held.use_cache and held.repeatable else None
+        if earlier is not None:
+            logger.info("job %s: reused from %s", held.job_id, earlier)
             return
         if held.attempt > 1 and (held.repeatable or kind.with_instruments):
             self._clear_leftovers(held)
@@ -158,31 +161,22 @@ class Runner:
             for output in sealed:
                 self.archive.discard(output.file.path)
 
-    def _load(self, kind: Kind[Any], held: Claim) -> _Task:
-        with self.catalogue.writing() as session:
-            definition = campaigns.definition(campaigns.campaign_row(session, held.subject.campaign))
-            inputs = indexing.resolve_inputs(session, held.job_id)
+    def _load(self, session: Session, kind: Kind[Any], held: Claim) -> _Task:
+        definition = campaigns.definition(campaigns.campaign_row(session, held.subject.campaign))
+        inputs = indexing.resolve_inputs(session, held.job_id)
         station = self.stations.station(definition.rig, held.job_id) if kind.with_instruments else None
         context = kind.context(definition, held.subject)
         return _Task(inputs, context, kind.parameters(**held.parameters), station)
 
-    def _reuse(self, held: Claim, key: str) -> bool:
-        with self.catalogue.writing() as session:
-            earlier = reuse.earlier_success(session, key)
-            if earlier is None or not all(self.archive.path(p).is_file() for p in earlier[1]):
-                return False
-            done = lifecycle.succeed(
-                session,
-                held,
-                self.now(),
-                f"reused from job {earlier[0][:8]}",
-                reuse_key=key,
-                reused_from=earlier[0],
-            )
-        if not done:
+    def _reuse(self, session: Session, held: Claim, key: str) -> str | None:
+        """End a job with the result of an earlier one, whose id is returned; None where there is none."""
+        earlier = reuse.earlier_success(session, key)
+        if earlier is None or not all(self.archive.path(p).is_file() for p in earlier[1]):
+            return None
+        message = f"reused from job {earlier[0][:8]}"
+        if not lifecycle.succeed(session, held, self.now(), message, reuse_key=key, reused_from=earlier[0]):
             raise LeaseLost("a newer attempt has begun")
-        logger.info("job %s: reused from %s", held.job_id, earlier[0])
-        return True
+        return earlier[0]
 
     def _clear_leftovers(self, held: Claim) -> None:
         with self.catalogue.reading() as session:
