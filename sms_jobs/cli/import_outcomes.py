@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +22,13 @@ from sms_jobs.records.campaign import Campaign
 _FINDINGS = 6
 TOLD = 20
 """Lines of a list that are shown; --json has all."""
+
+
+def confirm(question: str) -> None:
+    """Ask whether a guess is right, and end if it is not; where nobody can answer, say how to."""
+    if not sys.stdin.isatty():
+        raise InvalidInput("what was guessed has to be confirmed: look at it with --dry-run, then say --yes")
+    typer.confirm(question, abort=True, err=True)
 
 
 @dataclass

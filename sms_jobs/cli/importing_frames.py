@@ -14,7 +14,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli import completion, output
-from sms_jobs.cli.import_outcomes import TOLD, Outcome, existing_campaign, row_of, tell, time_given
+from sms_jobs.cli.import_outcomes import TOLD, Outcome, confirm, existing_campaign, row_of, tell, time_given
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats import configuration
@@ -175,7 +175,7 @@ def frames(
                 "--pattern; '--print-layout' shows the guess"
             )
         if not (yes or dry_run or layout is not None):
-            typer.confirm("Is this right?", abort=True, err=True)
+            confirm("Is this right?")
         outcome = _import(services, task, listing, found_layout, arrangement, existing, wanted, dry_run)
     tell(
         outcome,

@@ -12,7 +12,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli import completion, output
-from sms_jobs.cli.import_outcomes import TOLD, Outcome, existing_campaign, row_of, tell, time_given
+from sms_jobs.cli.import_outcomes import TOLD, Outcome, confirm, existing_campaign, row_of, tell, time_given
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.importers.folders import Listing, NamePattern, list_folder
@@ -118,7 +118,7 @@ def images(
         wanted = _wanted(existing, campaign, rig, specimen, arrangement, add_states)
         _preview(text, arrangement)
         if pattern is None and not (yes or dry_run):
-            typer.confirm("Is this right?", abort=True, err=True)
+            confirm("Is this right?")
         inspected = _inspect_all(listing, arrangement, settings)
         good = [one for one in inspected if not one.found.faults]
         if good and not dry_run:

@@ -13,6 +13,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns
 from sms_jobs.cli import completion, output
+from sms_jobs.cli.import_outcomes import confirm
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.importers.readings import (
@@ -194,7 +195,7 @@ def _columns(table: Table, maps: list[str] | None, key: str, unit: str) -> list[
 def _confirm(table: Table, columns: list[Column], changes: list[str]) -> None:
     for column in columns:
         output.say(f"guessed: {column.header} becomes {column.target}")
-    typer.confirm(f"Enter {len(changes)} values of {table.source}?", abort=True, err=True)
+    confirm(f"Enter {len(changes)} values of {table.source}?")
 
 
 def _tell(

@@ -178,7 +178,7 @@ def _guess_sequence(
     seen = None if known else _look(listing, images, table)
     if "steps" not in inner and seen is not None and seen.steps:
         inner["steps"] = seen.steps
-        remarks.append(f"guessed: {seen.runs} runs of {seen.steps} phase steps")
+        remarks.append(f"guessed: {_runs(seen)} phase steps")
     if "frames" not in table and "gray" in table:
         table["frames"] = "fringes gray"
     if "frames" not in table:
@@ -196,11 +196,15 @@ def _guess_sequence(
             f"are {table['pattern']}"
         )
     if "densities" not in inner:
-        runs = f" of the {seen.runs} runs of {seen.steps} steps" if seen is not None and seen.steps else ""
+        runs = f" of the {_runs(seen)} steps" if seen is not None and seen.steps else ""
         raise InvalidInput(
             f"how many fringes go across the projector no image tells: say it{runs}, in order of recording, "
             "as in --densities '16 1', and --orientations '0 90' where there are two directions"
         )
+
+
+def _runs(seen: FrameOrder) -> str:
+    return f"{seen.runs} run{'s' * (seen.runs != 1)} of {seen.steps}"
 
 
 def _guess_frames(sequence: Mapping[str, Any], seen: FrameOrder | None, remarks: list[str]) -> str:

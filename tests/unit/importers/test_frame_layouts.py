@@ -170,7 +170,7 @@ def test_a_guess_finds_names_steps_and_gray_code(tmp_path: Path) -> None:
     assert guess.table["sequence"]["steps"] == 12
     arrangement = arrange(listing, layout_of(guess.table, "here"))
     assert arrangement.states == ("load_0", "load_10")
-    with pytest.raises(InvalidInput, match="1 runs of 12 steps"):
+    with pytest.raises(InvalidInput, match="1 run of 12 steps"):
         guess_layout(listing, {}, None)
 
 

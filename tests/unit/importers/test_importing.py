@@ -125,6 +125,14 @@ def test_what_contradicts_the_campaign_is_refused(run: Import, tmp_path: Path) -
     assert outcomes(run(*frames(folder, "--newer")))[0] == ("S00", "imported")
 
 
+def test_a_guess_that_nobody_confirms_changes_nothing(run: Import, tmp_path: Path) -> None:
+    save(tmp_path / "scans" / "S00", fringes())
+    with pytest.raises(InvalidInput, match="say --yes"):
+        run("frames", str(tmp_path / "scans"), "--densities", "16 1", "--rig", "desk")
+    with bootstrap.services(tmp_path / "home") as services:
+        assert not list(services.archive.files())
+
+
 def test_readings_become_load_and_channels(run: Import, tmp_path: Path) -> None:
     folder = tmp_path / "scans"
     for i in range(3):
