@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.kinds.foreign_patterns import refuse_foreign_patterns
 from sms_jobs.kinds.fringe_response import SampledResponse, SampleParameters, sampled_response
 from sms_jobs.kinds.kind import (
     CALIBRATION,
@@ -47,6 +48,7 @@ def run(inputs: Inputs, parameters: DiagnoseParameters, progress: Progress) -> I
     """Find the response in each orientation's frames, and what its ripple does to the points."""
     measurement = inputs.read("measurement", "measurement", Measurement)
     calibration = inputs.read("calibration", "calibration", Calibration)
+    refuse_foreign_patterns(inputs.subject, measurement, "method=temporal-unwrapping of reconstruct")
     sample = sampled_response(inputs.subject, measurement, parameters, inputs.threads)
     progress(0.9, "found the response")
     steps = measurement.sequence.steps
