@@ -218,7 +218,7 @@ def test_an_aborted_recording_goes_on_where_it_stopped(home: Path) -> None:
         job = run(home, "acquire", "run", "plate", "--state", "S00", "--no-wait")["jobs"][0]
         wait_until(lambda: spooled(home) > 5)
         assert sms("acquire", "abort", "--home", str(home)).returncode == 0
-        wait_until(lambda: run(home, "job", "show", job)["state"] == "cancelled")
+        wait_until(lambda: run(home, "job", "list", "-c", "plate")[0]["state"] == "cancelled")
         assert run(home, "acquire", "resume", job)["jobs"] == {"succeeded": 1}
     assert len(measurements(home)) == 2
     nothing = sms("acquire", "abort", "--home", str(home))
