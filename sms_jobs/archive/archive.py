@@ -313,6 +313,10 @@ class Archive:
         """Tell whether a job sealed a file."""
         return layout.may_be_of(path.rsplit("/", 1)[-1], job_id) and self._job_of(path) == job_id
 
+    def attempt_of(self, path: str, job_id: str) -> int:
+        """Return which attempt of a job sealed a file, or was writing it."""
+        return layout.attempt_of(path, job_id)
+
     def leftovers(self, job_id: str, within: Subject | None = None) -> tuple[str, ...]:
         """Return every file, sealed or still being written, of a job's attempts so far, in order of path.
 

@@ -133,6 +133,14 @@ def part(relative: str, key: str) -> str:
     return found[key]
 
 
+def attempt_of(relative: str, job_id: str) -> int:
+    """Return which attempt of a job sealed a file, or was writing it."""
+    name = PurePosixPath(relative).name
+    if is_temporary_of(name, job_id):
+        name = name[1:].removesuffix(f".{job_id}.tmp")
+    return int(part(name, "attempt"))
+
+
 def fits(relative: str, provenance: Provenance) -> bool:
     """Say whether a sealed file lies where its provenance wants it, under the name that follows from it."""
     wanted = str(folder(provenance.subject) / stem(provenance))

@@ -182,7 +182,8 @@ class Runner:
         with self.catalogue.reading() as session:
             indexed = indexing.paths_of(session, held.job_id)
         for path in self.archive.leftovers(held.job_id, held.subject):
-            if path not in indexed:
+            # One that was given up and does not know it must not take away what a newer one writes.
+            if path not in indexed and self.archive.attempt_of(path, held.job_id) < held.attempt:
                 logger.warning("job %s: discarding %s of an earlier attempt", held.job_id, path)
                 self.archive.discard(path)
 
