@@ -10,10 +10,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from sqlalchemy import func, select
 from support.command import answer, service, sms
 
 from sms_jobs import bootstrap
-from sms_jobs.jobs.recordings import next_state
+from sms_jobs.catalogue.models import FileRow
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.scene import Rigid, UniaxialStrain
@@ -56,6 +57,7 @@ reply = '^(?P<value>[-+]?\\d+\\.\\d+)$'
 unit = "degC"
 faults = [{ fault = "garbled-byte", at = 1 }, { fault = "late-reply", at = 2, amount = 0.3 }]
 """
+MEASURED = FileRow.source == "measurement"
 CABLE = '{ fault = "unplugged", state = "S06", frame = 60 },'
 
 
@@ -97,7 +99,7 @@ def connect(home: Path, cable: str) -> None:
 
 @pytest.fixture
 def load_frame(home: Path) -> Iterator[None]:
-    """Software of a load frame: it ramps to the next load, holds it, and writes what it reads."""
+    """Software of a load frame: it ramps to a load, holds it until its state is recorded, and writes it."""
     over = threading.Event()
 
     def write() -> None:
@@ -106,8 +108,10 @@ def load_frame(home: Path) -> Iterator[None]:
             file.write("time,load\n")
             while not over.is_set():
                 with services.catalogue.reading() as session:
-                    state = next_state(session, "fatigue")
-                target = 0.0 if state is None or state.load_n is None else state.load_n
+                    done = (
+                        session.scalar(select(func.count(FileRow.state_id.distinct())).where(MEASURED)) or 0
+                    )
+                target = (*LOADS_N, 0.0)[done]
                 load += max(-100.0, min(100.0, target - load))
                 file.write(f"{datetime.now(UTC).isoformat()},{load:.1f}\n")
                 file.flush()
