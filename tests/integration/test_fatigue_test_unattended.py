@@ -57,7 +57,7 @@ reply = '^(?P<value>[-+]?\\d+\\.\\d+)$'
 unit = "degC"
 faults = [{ fault = "garbled-byte", at = 1 }, { fault = "late-reply", at = 2, amount = 0.3 }]
 """
-MEASURED = FileRow.source == "measurement"
+MEASURED_STATES = select(func.count(FileRow.state_id.distinct())).where(FileRow.source == "measurement")
 CABLE = '{ fault = "unplugged", state = "S06", frame = 60 },'
 
 
