@@ -1,0 +1,118 @@
+"""Nothing is lost and nothing done twice, whatever breaks at whatever moment; on both deployments."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.fault_campaign import FaultCampaign, Place, judge, prepare
+from support.servers import PostgresqlServer, RedisServer, postgresql_programs
+
+KILLS = (
+    *(6 * ["worker's child killed"]),
+    "worker killed",
+    "supervisor killed, and with it the publisher",
+)
+"""In the long form these take turns."""
+
+
+def missing(what: str) -> None:
+    reason = f"needs {what} to start a server of its own: install it, or run ops/test.sh"
+    if os.environ.get("CI", "").lower() == "true":
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[tuple[Path, bool]]:
+    """A folder, and whether it is a file system of its own that may be filled up."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=1500m", "none", str(folder)]
+    mounted = os.geteuid() == 0 and subprocess.run(mount, capture_output=True, check=False).returncode == 0
+    try:
+        yield folder, mounted
+    finally:
+        if mounted:
+            subprocess.run(["umount", "--lazy", folder], check=True)
+
+
+@pytest.fixture(params=["embedded", "grown"])
+def place(request: pytest.FixtureRequest, disk: tuple[Path, bool], tmp_path: Path) -> Iterator[Place]:
+    """A deployment that belongs to this test alone, with its servers."""
+    folder, may_be_filled = disk
+    if request.param == "embedded":
+        # Catalogue and archive on one disk: when it is full, neither can be written.
+        yield Place(folder / "home", folder / "archive", may_be_filled)
+        return
+    programs = postgresql_programs()
+    if programs is None:
+        missing("PostgreSQL")
+    if shutil.which("redis-server") is None:
+        missing("Redis")
+    assert programs is not None
+    # A short path: that of a unix socket is limited. Not below pytest's, which is root's alone.
+    postgresql = PostgresqlServer(Path(f"/tmp/sms-faults-{os.getpid()}"), programs)
+    redis = RedisServer(tmp_path / "redis")
+    try:
+        yield Place(tmp_path / "home", folder / "archive", may_be_filled, postgresql, redis)
+    finally:
+        redis.kill()
+        postgresql.crash()
+        shutil.rmtree(f"/tmp/sms-faults-{os.getpid()}")
+
+
+@pytest.mark.long
+def test_every_fault_once(place: Place) -> None:
+    prepare(place, states=8)
+    campaign = FaultCampaign(place, seed=7, absence_s=3.0)
+    with campaign.served():
+        for name in campaign.faults:
+            for _ in range(5):  # the job that it is aimed at may end before it is hit
+                if campaign.left() < 10:
+                    campaign.submit("acquire", "reconstruct")
+                campaign.inject(name)
+                campaign.rest(1)
+                if campaign.injected[name]:
+                    break
+        campaign.settle()
+    verdict = judge(place)
+    assert verdict.complaints == ()
+    assert (verdict.jobs, verdict.lost, verdict.duplicated) == (campaign.jobs, (), ())
+    assert set(campaign.injected.values()) == {1}, campaign.injected
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1])
+def test_two_hundred_kills_over_a_thousand_jobs(place: Place, seed: int) -> None:
+    prepare(place, states=500)
+    campaign = FaultCampaign(place, seed, absence_s=60.0)
+    others = [name for name in campaign.faults if name not in KILLS]
+    plan = [KILLS[n % len(KILLS)] for n in range(200)]
+    plan += others + [name for name in others if name != "broker absent"]
+    campaign.shuffle(plan)
+    started = time.monotonic()
+    with campaign.served():
+        campaign.submit("acquire", "reconstruct")
+        while plan or campaign.kills < 200:
+            if campaign.left() < 10:
+                campaign.submit("acquire", "reconstruct")
+            campaign.inject(plan.pop() if plan else KILLS[0])
+            campaign.rest(2)
+            print(
+                f"{campaign.kills} kills, {campaign.left()} jobs left, {len(plan)} faults to come", flush=True
+            )
+        campaign.settle()
+    took = time.monotonic() - started
+    verdict = judge(place)
+    print(
+        f"\n{verdict.jobs} jobs, {verdict.attempts} attempts, {campaign.kills} kills, {took:.0f} s, "
+        f"{len(verdict.lost)} lost, {len(verdict.duplicated)} duplicated; {dict(campaign.injected)}"
+    )
+    assert verdict.complaints == ()
+    assert (verdict.jobs, verdict.lost, verdict.duplicated) == (campaign.jobs, (), ())
