@@ -108,9 +108,7 @@ def load_frame(home: Path) -> Iterator[None]:
             file.write("time,load\n")
             while not over.is_set():
                 with services.catalogue.reading() as session:
-                    done = (
-                        session.scalar(select(func.count(FileRow.state_id.distinct())).where(MEASURED)) or 0
-                    )
+                    done = session.scalar(MEASURED_STATES) or 0
                 target = (*LOADS_N, 0.0)[done]
                 load += max(-100.0, min(100.0, target - load))
                 file.write(f"{datetime.now(UTC).isoformat()},{load:.1f}\n")
