@@ -74,6 +74,7 @@ def test_queues_wait_for_room_and_go_on_by_themselves(home: Path, catalogue: Cat
     assert {(found[i].state, found[i].attempts) for i in submitted} == {(JobState.SUCCEEDED, 1)}
 
 
+@pytest.mark.long
 def test_a_job_that_fills_the_disk_leaves_nothing_and_is_tried_again(
     home: Path, catalogue: Catalogue, small_disk: Path
 ) -> None:

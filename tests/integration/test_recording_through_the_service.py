@@ -173,6 +173,7 @@ def _kill_recorder(supervisor: psutil.Process) -> None:
     raise AssertionError("nobody writes to the spool")
 
 
+@pytest.mark.long
 def test_an_unplugged_cable_waits_for_an_operator(home: Path) -> None:
     rig(home, UNPLUGGED)
     with service(home):
@@ -191,6 +192,7 @@ def test_an_unplugged_cable_waits_for_an_operator(home: Path) -> None:
     assert len(interrupted(home)) == 1
 
 
+@pytest.mark.long
 def test_a_doubtful_set_is_asked_about_while_the_specimen_is_held(home: Path) -> None:
     rig(home, FLASH)
     with service(home):
@@ -212,6 +214,7 @@ def test_a_doubtful_set_is_asked_about_while_the_specimen_is_held(home: Path) ->
     assert refused.returncode == 4
 
 
+@pytest.mark.long
 def test_an_aborted_recording_goes_on_where_it_stopped(home: Path) -> None:
     rig(home, SLOW)
     with service(home):
