@@ -54,6 +54,7 @@ def known(catalogue: Catalogue, of_jobs: Collection[str]) -> set[str]:
         return set(session.scalars(select(FileRow.path).where(FileRow.job_id.in_(of_jobs))))
 
 
+@pytest.mark.long
 def test_queues_wait_for_room_and_go_on_by_themselves(home: Path, catalogue: Catalogue) -> None:
     submitted = acquire(catalogue)
 

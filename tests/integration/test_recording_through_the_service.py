@@ -93,6 +93,7 @@ def spooled(home: Path) -> int:
     return sum(Spooled(p).complete for p in (home / "spool").glob("*/C1P2.*.frames"))
 
 
+@pytest.mark.long
 def test_a_state_is_recorded_and_processed(home: Path) -> None:
     with service(home):
         done = run(home, "acquire", "run", "plate", "--process")
