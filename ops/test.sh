@@ -46,10 +46,9 @@ start_servers
 say "== servers: $SMS_TEST_POSTGRESQL_URL and $SMS_TEST_REDIS_URL"
 export CI="${CI:-true}"
 if [ $# = 0 ]; then
-    # One process more than there are cores, since tests of the service wait a good part of their time. A file's
-    # tests stay in one, since they share what is costly to make. In the order of the folders, so that those of
-    # the whole service, which take longest, are not left for the end.
-    set -- -n "$(($(nproc) + 1))" --dist loadfile --no-loadscope-reorder --durations=25
+    # As many processes as cores; a file's tests stay in one, since they share what is costly to make. In the
+    # order of the folders, so that those of the whole service, which take longest, are not left for the end.
+    set -- -n auto --dist loadfile --no-loadscope-reorder --durations=25
 fi
 step "pytest" .venv/bin/python -m pytest "$@"
 if [ -n "$failed" ]; then

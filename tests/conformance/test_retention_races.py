@@ -110,6 +110,7 @@ class Between:
         self._left -= 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("need", [pins, uses, certifies])
 def test_whoever_comes_between_choice_and_removal_is_seen_or_refused(
     catalogue: Catalogue, deployment: Deployment, need: Need

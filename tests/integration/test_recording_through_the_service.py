@@ -122,6 +122,7 @@ def test_a_state_is_recorded_and_processed(home: Path) -> None:
     assert np.diff(recording.times_s).min() >= 0.04
 
 
+@pytest.mark.long
 def test_a_killed_worker_loses_no_complete_frame(home: Path) -> None:
     rig(home, SLOW)
     with service(home) as supervisor:
