@@ -18,6 +18,7 @@ commit; real devices ignore them. `link` is a `serial_links.SerialLink`, whose `
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from math import isfinite, pi, radians
 from typing import Literal
@@ -33,6 +34,9 @@ from sms_jobs.records.serial_links import (
     Wire,
     check_pattern,
 )
+
+REQUEST = re.compile(r"(?:[^{}]|\{output(?::0?[0-9]?[dxX])?\})*")
+"""What may be replaced in a request; the file of a rig is not trusted with Python's whole format language."""
 
 
 @dataclass(frozen=True)
@@ -395,14 +399,10 @@ def _check_wiring(name: str, wiring: tuple[Wire, ...]) -> None:
 
 def _check_requests(name: str, requests: tuple[str, ...]) -> None:
     for request in requests:
-        try:
-            text = request.format(output=1)
-        except (KeyError, IndexError, ValueError, AttributeError):
-            text = "\x00\x80"
-        if not text.isascii():
+        if not request.isascii() or not REQUEST.fullmatch(request):
             raise InvalidInput(
                 f"'{name}' cannot send {request!r}: a request is ASCII text in which only {{output}} is "
-                "replaced"
+                "replaced, or {output:02d} for two digits"
             )
 
 

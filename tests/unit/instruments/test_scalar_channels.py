@@ -117,8 +117,15 @@ def test_records_of_text_protocols_refuse_what_cannot_work() -> None:
         LineProtocol(accepted="(")
     with pytest.raises(InvalidInput, match="no group 'value'"):
         SerialChannel("load", link, protocol, "N", reply=r"\d+")
-    with pytest.raises(InvalidInput, match=r"only \{output\} is replaced"):
-        TriggerController("box", link, protocol, (Wire("C1", 1),), "fire {channel}")
+    for request in (
+        "fire {channel}",
+        "fire {output.__class__}",
+        "fire {output!r}",
+        "fire {output:999999999d}",
+        "fire {",
+    ):
+        with pytest.raises(InvalidInput, match=r"only \{output\} is replaced"):
+            TriggerController("box", link, protocol, (Wire("C1", 1),), request)
     with pytest.raises(InvalidInput, match="each to another sensor"):
         TriggerController("box", link, protocol, (Wire("C1", 1), Wire("C1", 2)), "fire")
     with pytest.raises(InvalidInput, match="has no axes"):
