@@ -182,7 +182,7 @@ def seal(folder: Path, name: str, pixels: int, threads: int) -> float:
         START, sequence, _FULL_SCALE, GAIN, float(np.hypot(READ_NOISE, 12**-0.5)), texture, frames
     )
     subject = Subject(name, "S00", "C1P1")
-    sealed = archive.seal_dataset({"measurement": measurement}, _provenance("acquire", subject))
+    sealed = archive.seal_dataset({"measurement": measurement}, _provenance("simulate", subject))
     known = archive.seal_dataset({"calibration": calibration}, _provenance("calibrate", subject))
     (folder / f"{name}.json").write_text(json.dumps([sealed.path, known.path]), encoding="utf-8")
     return sealed.size_bytes / 1e9

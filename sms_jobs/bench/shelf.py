@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sms_jobs.bench.in_memory import InMemory
-from sms_jobs.kinds import acquire, reconstruct
+from sms_jobs.kinds import reconstruct, simulate
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Parameters
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import ArrayStack, Measurement
@@ -53,7 +53,7 @@ def reconstructed(
         subject = Subject(campaign.name, label, campaign.pairs[0])
         say(f"recording and reconstructing {subject}")
         shelf.records[CALIBRATION, subject] = {"calibration": calibration}
-        shelf.run(acquire.KIND, Subject(campaign.name, label), acquire.KIND.parameters())
+        shelf.run(simulate.KIND, Subject(campaign.name, label), simulate.KIND.parameters())
         recorded: Measurement = shelf.records[MEASUREMENT, subject]["measurement"]
         frames = np.stack([recorded.frames.frame(i) for i in range(recorded.frames.shape[0])])
         shelf.records[MEASUREMENT, subject] = {"measurement": replace(recorded, frames=ArrayStack(frames))}

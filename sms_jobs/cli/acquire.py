@@ -22,7 +22,7 @@ from sms_jobs.jobs import inquiry, lifecycle, recordings
 from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.recordings import state_value
 from sms_jobs.jobs.submission import Submission, submit
-from sms_jobs.kinds.record import KIND
+from sms_jobs.kinds.acquire import KIND
 from sms_jobs.records.job import JobState
 
 app = typer.Typer(help="Recordings: states, with the instruments of a rig.", no_args_is_help=True)

@@ -67,7 +67,7 @@ def create(
         return
     output.say(
         f"campaign {campaign.name} has {len(campaign.states)} states and {len(campaign.pairs)} pairs; "
-        f"next: sms job submit acquire --campaign {campaign.name}"
+        f"next: sms job submit simulate --campaign {campaign.name}"
     )
 
 

@@ -49,7 +49,7 @@ def job_ids(context: typer.Context, incomplete: str) -> list[tuple[str, str]]:
 
 def kind_names(incomplete: str) -> list[tuple[str, str]]:
     """Offer the job kinds."""
-    offered = [(PIPELINE, "all kinds but acquire")]
+    offered = [(PIPELINE, "all kinds but simulate")]
     offered += [(kind.name, kind.summary) for kind in all_kinds().values()]
     return [(name, summary) for name, summary in offered if name.startswith(incomplete)]
 

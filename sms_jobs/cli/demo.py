@@ -67,8 +67,8 @@ def demo(
             _register(services, campaign)
         with _service(home) as still_there:
             # The specimen is recorded while the rig is still being calibrated: its frames do not need that.
-            calibrating = _submit(services, session.name, [Request("acquire"), Request(PIPELINE)])
-            recording = _submit(services, test.name, [Request("acquire")])
+            calibrating = _submit(services, session.name, [Request("simulate"), Request(PIPELINE)])
+            recording = _submit(services, test.name, [Request("simulate")])
             if not as_json:
                 count = len(calibrating) + len(recording)
                 output.say(

@@ -46,7 +46,7 @@ def submit(
     kind: Annotated[
         list[str],
         typer.Argument(
-            help="Job kinds, or 'pipeline' for all but acquire; see 'sms job kinds'.",
+            help="Job kinds, or 'pipeline' for all but simulate; see 'sms job kinds'.",
             autocompletion=completion.kind_names,
         ),
     ],

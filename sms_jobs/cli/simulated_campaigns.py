@@ -42,7 +42,7 @@ def simulate(
 ) -> None:
     """Create an experiment of the thesis on the virtual rig, with its exact calibration.
 
-    Example: sms campaign simulate tension-panel; sms job submit acquire pipeline -c tension-panel --wait
+    Example: sms campaign simulate tension-panel; sms job submit simulate pipeline -c tension-panel --wait
     """
     if experiment is None:
         listed = [{"experiment": key, "about": about} for key, about in EXPERIMENTS.items()]
@@ -72,5 +72,5 @@ def simulate(
         return
     output.say(
         f"created campaign {campaign.name}: {len(campaign.states)} states, {', '.join(campaign.pairs)}; "
-        f"'sms job submit acquire pipeline -c {campaign.name}' measures it"
+        f"'sms job submit simulate pipeline -c {campaign.name}' measures it"
     )

@@ -93,7 +93,7 @@ def session_result(
         datasets = [f for f in files if f.subject == str(subject) and f.media_type == DATASET_MEDIA_TYPE]
     if not datasets:
         raise NotFound(
-            f"session {campaign} has given no calibration yet; run 'sms job submit acquire pipeline -c "
+            f"session {campaign} has given no calibration yet; run 'sms job submit simulate pipeline -c "
             f"{campaign}'"
         )
     with archive.open(datasets[0].path) as dataset:

@@ -1,176 +1,207 @@
-"""Acquire: one measurement of every pair at a state, here by the virtual rig."""
+"""Acquire: one measurement of every pair at a state, with the instruments of the rig.
+
+It happens once: what was recorded cannot be asked for again when the load has gone. Interrupted, the job
+waits for an operator; resumed, it records what is missing and nothing else.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
-from sms_jobs.errors import InvalidInput
-from sms_jobs.instruments.protocols import Recorder
-from sms_jobs.instruments.simulated.rig import SimulatedRig
-from sms_jobs.kinds.adaptation import QUICK, outlook
+from sms_jobs.errors import InstrumentError, InvalidInput
+from sms_jobs.instruments.connection import connected
+from sms_jobs.instruments.devices.device import POLLS_EVERY_S
+from sms_jobs.instruments.devices.pose_table import StagePose
+from sms_jobs.instruments.recorder import (
+    ConnectedRig,
+    Limits,
+    interrupted,
+    is_finished,
+    record_state,
+    recorded,
+)
+from sms_jobs.instruments.simulated.optics import Setting
 from sms_jobs.kinds.kind import (
     MEASUREMENT,
     DatasetOutput,
     Inputs,
     Kind,
-    Need,
     Output,
     Parameters,
     Progress,
     Queue,
     Scope,
+    no_needs,
+    rig_queue,
 )
-from sms_jobs.records.campaign import Campaign, LoadState, Subject
-from sms_jobs.records.measurement import FringeSequence, Measurement
-from sms_jobs.records.scene import Deformation, Scene
-from sms_jobs.records.sensors import split_pair
-
-UNTIMED = datetime(2000, 1, 1, tzinfo=UTC)
-"""What a simulated measurement bears whose state has no time: a clock would make every run differ."""
+from sms_jobs.kinds.simulate import scene_at
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.recording import Recording
 
 
 class AcquireParameters(Parameters):
-    """What is recorded follows from the campaign; how it is exposed may follow from what stands there."""
+    """What is recorded follows from the campaign; when a set is good enough is said here."""
 
-    adaptive: Literal["none", "exposures", "projector"] = Field(
-        "none",
-        description="what a quick pre-exposure of every pair decides: nothing, the set of exposures that "
-        "keeps every pixel in the camera's range instead of that of the sequence, or where the projector is "
-        "dimmed so that one exposure does",
+    saturated_fraction: float = Field(
+        0.02, ge=0.0, le=1.0, description="most of the lit region that may be saturated"
     )
-    longest_exposure: float = Field(
-        1.0,
-        gt=0.0,
-        description="exposure that an adaptive set does not exceed, in units of the camera's own",
+    lit_fraction: float = Field(
+        0.01, ge=0.0, le=1.0, description="least part of the image in which fringes must stand out"
+    )
+    recordings: int = Field(
+        2, ge=1, le=10, description="how often a set is recorded until it keeps these limits"
+    )
+    doubtful: Literal["keep", "ask"] = Field(
+        "keep",
+        description="what becomes of a set that does not keep them even so: it is kept and says so, or an "
+        "operator is asked while the specimen is still held",
     )
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """What the virtual rig is to record.
+class Order:
+    """What is to be recorded.
 
     Attributes
     ----------
-    scene
-        With the artefact in place of a specimen where the state shows one.
-    state
-        Label of the load state.
-    deformation
-        What that state does to the specimen.
     pairs, sequence
-        Recorded one after the other, each with the whole sequence.
-    recorded_at
-        The time that the measurements bear.
+        All of them, projector by projector.
+    angles_rad
+        Where a stage has to bring an artefact: pan and tilt; None where nothing moves.
+    setting
+        What stands before simulated instruments; None where nothing is simulated.
     """
 
-    scene: Scene
-    state: str
-    deformation: tuple[Deformation, ...]
     pairs: tuple[str, ...]
     sequence: FringeSequence
-    recorded_at: datetime
+    angles_rad: tuple[float, float] | None
+    setting: Setting | None
 
 
-def recipe(campaign: Campaign, subject: Subject) -> Recipe:
-    """Return what is to be recorded at a state.
+def order(campaign: Campaign, subject: Subject) -> Order:
+    """Return what is to be recorded at a state."""
+    state = campaign.state(subject.state or "")
+    angles = None
+    if {"pan_rad", "tilt_rad"} <= state.channels.keys():
+        angles = state.channels["pan_rad"], state.channels["tilt_rad"]
+    setting = None
+    if campaign.scene is not None:
+        load = {} if state.load_n is None else {"load_n": state.load_n}
+        scene = scene_at(campaign.scene, campaign, state)
+        setting = Setting(scene, state.label, state.deformation, load | state.channels)
+    return Order(campaign.pairs, campaign.sequence, angles, setting)
+
+
+def all_states(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return every state, of specimens and artefacts alike."""
+    return tuple(Subject(campaign.name, s.label) for s in campaign.states)
+
+
+def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> Iterator[Output]:
+    """Record every pair of a state that is not in the spool yet, and yield them all.
 
     Raises
     ------
     InvalidInput
-        When the campaign has no scene for the virtual rig.
+        When the rig's file lacks what is to be recorded with.
+    InstrumentError
+        When an instrument gives up, or a set is doubtful and an operator is to be asked.
     """
-    if campaign.scene is None:
+    task: Order = inputs.context
+    station = inputs.station
+    if station is None:
         raise InvalidInput(
-            f"campaign {campaign.name} has no scene for the virtual rig to record; "
-            "describe one under [scene] in its test plan"
+            f"{inputs.subject} is recorded where its rig is connected, and no rig file is on this host; "
+            "`sms rig add` takes one"
         )
-    state = campaign.state(subject.state or "")
-    return Recipe(
-        scene_at(campaign.scene, campaign, state),
-        state.label,
-        state.deformation,
-        campaign.pairs,
-        campaign.sequence,
-        state.time or UNTIMED,
-    )
-
-
-def scene_at(scene: Scene, campaign: Campaign, state: LoadState) -> Scene:
-    """Return what stands before a virtual rig at a state: an artefact in place of a specimen in a session."""
-    if campaign.session is None or state.artefact is None:
-        return scene
-    return replace(scene, surface=campaign.session.artefacts[state.artefact], speckle=None)
-
-
-def simulated_states(campaign: Campaign) -> tuple[Subject, ...]:
-    """Return every state of a campaign on the virtual rig; none of any other."""
-    if campaign.scene is None:
-        return ()
-    return tuple(Subject(campaign.name, s.label) for s in campaign.states)
-
-
-def no_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    """Return no need: a recording starts from nothing."""
-    return ()
-
-
-def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> Iterator[Output]:
-    """Record every pair of a state, one after the other; frames are made while they are stored."""
-    task: Recipe = inputs.context
-    rig: Recorder = SimulatedRig(task.scene, task.state, task.deformation, task.recorded_at, inputs.threads)
+    spool, sequence = station.spool, task.sequence
+    limits = Limits(parameters.saturated_fraction, parameters.lit_fraction, parameters.recordings)
+    finished_before = [pair for pair in task.pairs if is_finished(spool, pair)]
+    with connected(station.rig, task.setting, inputs.threads) as rig:
+        if task.angles_rad is not None:
+            _bring_stage(rig, task.angles_rad, inputs.subject, progress)
+        record_state(rig, task.pairs, sequence, spool, limits, lambda f, words: progress(0.8 * f, words))
+    # What an operator saw and let stand is not doubted again.
+    new = [pair for pair in task.pairs if pair not in finished_before]
+    doubts = [d for pair in new for d in recorded(spool, pair, sequence)[1].verdict.doubts]
+    if doubts and parameters.doubtful == "ask":
+        raise InstrumentError(
+            f"{'; '.join(doubts)}: `sms acquire resume` keeps it, with --retake it is recorded again"
+        )
     for number, pair in enumerate(task.pairs):
-        progress(number / len(task.pairs), f"recording {pair}")
-        measurement = _recorded(rig, task, pair, parameters, inputs.threads)
-        subject = Subject(inputs.subject.campaign, task.state, pair)
-        yield DatasetOutput(subject, {"measurement": measurement}, _statistics(measurement))
-    progress(1.0, f"recorded {len(task.pairs)} pairs")
+        progress(0.8 + 0.2 * number / len(task.pairs), f"archiving {pair}")
+        measurement, recording = recorded(spool, pair, sequence)
+        broken = {f"interrupted_{n}": r for n, r in enumerate(interrupted(spool, pair, sequence), start=1)}
+        yield DatasetOutput(
+            Subject(inputs.subject.campaign, inputs.subject.state, pair),
+            {"measurement": measurement, "recording": recording, **broken},
+            _statistics(recording),
+        )
+    progress(1.0, "; ".join(doubts) or f"recorded {len(task.pairs)} pairs")
 
 
-def _recorded(
-    rig: Recorder, task: Recipe, pair: str, parameters: AcquireParameters, threads: int
-) -> Measurement:
-    """Record a pair, after a quick look at how bright it is where that is wanted."""
-    if parameters.adaptive == "none":
-        return rig.record(pair, task.sequence)
-    projector = task.scene.rig.sensor(split_pair(pair)[1])
-    seen = outlook(rig.record(pair, QUICK), projector, threads)
-    if parameters.adaptive == "exposures":
-        chosen = seen.exposures(parameters.longest_exposure)
-        return rig.record(pair, replace(task.sequence, exposures=chosen))
-    return rig.record(pair, task.sequence, seen.dimming(max(task.sequence.exposures)))
+def _bring_stage(
+    rig: ConnectedRig, angles_rad: tuple[float, float], subject: Subject, progress: Progress
+) -> None:
+    """Bring the artefact into its pose; a job that is to stop stops on the way."""
+    if rig.stage is None:
+        raise InvalidInput(
+            f"{subject} has pan and tilt angles, but the file of rig {rig.name} describes no stage under "
+            "[[stages]]"
+        )
+    progress(0.0, "making the stage ready")
+    rig.stage.stage()
+    moving = rig.stage.set(StagePose(*angles_rad))
+    while not moving.update():
+        progress(0.0, f"moving the stage: {moving.progress:.0%}")
+        rig.clock.sleep(POLLS_EVERY_S)
+    moving.wait()  # raises what the move ended with
 
 
-def _statistics(measurement: Measurement) -> dict[str, float]:
-    """Return what the white frame, the brightest, says of the exposure, and how that was adapted."""
-    texture, exposures = measurement.texture, measurement.sequence.exposures
-    statistics = {
-        "saturated_fraction": float(np.mean(texture >= measurement.full_scale)),
-        "mean_level_count": float(np.mean(texture)),
-        "exposures": float(len(exposures)),
-        "shortest_exposure": min(exposures),
+def _statistics(recording: Recording) -> dict[str, float]:
+    """Return what people search recordings by."""
+    verdict = recording.verdict
+    return {
+        "saturated_fraction": verdict.saturated_fraction,
+        "lit_fraction": verdict.lit_fraction,
+        "modulation": verdict.modulation,
+        "doubts": float(len(verdict.doubts)),
+        "retaken_frames": float(recording.retaken),
+        "recordings": float(recording.recordings),
+        **{f"{name}_before": value for name, value in recording.channels_before.items()},
+        **{f"{name}_after": value for name, value in recording.channels_after.items()},
     }
-    if measurement.dimming is not None:
-        statistics["dimmed_fraction"] = float(np.mean(measurement.dimming < 1.0))
-    return statistics
+
+
+def never(parameters: AcquireParameters) -> bool:
+    """Say that a recording is not made twice by itself."""
+    return False
+
+
+def whole_rig(campaign: Campaign, subject: Subject) -> tuple[str, ...]:
+    """Return what a recording holds while it runs: the rig, with all of its instruments."""
+    return (rig_queue(campaign.rig),)
 
 
 KIND = Kind(
     name="acquire",
-    summary="record every pair of a state",
-    version=2,
+    summary="record every pair of a state with the instruments of the rig",
+    version=1,
     scope=Scope.STATE,
     parameters=AcquireParameters,
     needs=no_needs,
     run=run,
-    subjects=simulated_states,
-    context=recipe,
+    subjects=all_states,
+    context=order,
+    repeatable=never,
     queue=Queue.ACQUISITION,
     makes=MEASUREMENT,
     in_pipeline=False,
+    devices=whole_rig,
+    with_instruments=True,
 )

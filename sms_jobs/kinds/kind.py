@@ -166,6 +166,11 @@ class DocumentOutput:
 Output = DatasetOutput | DocumentOutput
 
 
+def no_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+    """Return no need: what is measured starts from nothing."""
+    return ()
+
+
 def no_context(campaign: Campaign, subject: Subject) -> None:
     """Take nothing from the campaign's definition."""
 

@@ -37,7 +37,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("code", "arguments", "words"),
     [
         # Nothing says where the spheres are, or what their points are worth.
-        (NOT_FOUND, ["job", "submit", "acquire", "pipeline", "-c", "bars"], ["calibration", "bars"]),
+        (NOT_FOUND, ["job", "submit", "simulate", "pipeline", "-c", "bars"], ["calibration", "bars"]),
         (NOT_FOUND, ["calibration", "certify", "bars"], ["bars has given no calibration", "sms job submit"]),
         (NOT_FOUND, ["calibration", "certify", "nobody"], ["nobody"]),
         (USAGE, ["calibration", "certify", "bars", "--valid-from", "today"], ["'today' is no time"]),

@@ -100,6 +100,6 @@ def test_the_service_runs_from_the_wheel(installed: Path, tmp_path: Path) -> Non
     (tmp_path / "plan.toml").write_text(sms("campaign", "create", "--example"))
     sms("init", "--home", home)
     sms("campaign", "create", "plan.toml", "--home", home)
-    sms("job", "submit", "acquire", "-c", "plate-tension", "--state", "S00", "--home", home)
+    sms("job", "submit", "simulate", "-c", "plate-tension", "--state", "S00", "--home", home)
     sms("up", "--until-idle", "--home", home)
     assert json.loads(sms("status", "--json", "--home", home))["jobs"] == {"succeeded": 1}

@@ -88,9 +88,9 @@ def test_a_plan_that_cannot_be_used(made: Path, plan: Plan) -> None:
         (NOT_FOUND, ["calibration", "show", "9"], ["9"]),
         (USAGE, ["calibration", "show", "nine"], ["number"]),
         (USAGE, ["job", "submit", "paint", "-c", "plate"], ["paint", "reconstruct"]),
-        (USAGE, ["job", "submit", "acquire", "-c", "plate", "--state", "S77"], ["S77", "S00"]),
-        (USAGE, ["job", "submit", "acquire", "-c", "plate", "--set", "colour=red"], ["colour"]),
-        (USAGE, ["job", "submit", "acquire", "-c", "plate", "--set", "colour"], ["NAME=VALUE"]),
+        (USAGE, ["job", "submit", "simulate", "-c", "plate", "--state", "S77"], ["S77", "S00"]),
+        (USAGE, ["job", "submit", "simulate", "-c", "plate", "--set", "colour=red"], ["colour"]),
+        (USAGE, ["job", "submit", "simulate", "-c", "plate", "--set", "colour"], ["NAME=VALUE"]),
         (USAGE, ["job", "submit", "pipeline", "-c", "plate", "--set", "gauge=3"], ["gauge", "KIND.NAME"]),
         (
             USAGE,

@@ -69,7 +69,7 @@ def lived_in(catalogue: Catalogue) -> Catalogue:
         queues.pause(session, "io", "the disk is full", NOW, for_room=True)
         session.add(LockRow(device="camera/C1", job_id=done.job_id, fence=1, taken_at=NOW))
         every = parse_expression("every 60s", "Europe/Berlin")
-        schedules.add(session, "hourly", every, Order("plate", (Request("acquire"),)), NOW)
+        schedules.add(session, "hourly", every, Order("plate", (Request("simulate"),)), NOW)
         schedules.fire_due(session, NOW + timedelta(seconds=61))
         session.execute(update(WorkerRow).values(draining=True))
     return catalogue
@@ -201,7 +201,7 @@ def test_work_goes_on_in_the_copied_catalogue(home: Path, fresh_postgresql_url: 
         return answer(*arguments, "--home", str(home), environment=environment)
 
     with service(home):
-        run(embedded, "job", "submit", "acquire", "-c", "plate", "--wait")
+        run(embedded, "job", "submit", "simulate", "-c", "plate", "--wait")
         refused = sms("db", "copy", fresh_postgresql_url, "--home", str(home))
         assert (refused.returncode, "the service runs" in refused.stderr) == (4, True)
     # Some jobs are still to be run: they are to be run after the move, with what was recorded before it.

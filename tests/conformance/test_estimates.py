@@ -21,7 +21,7 @@ from sms_jobs.records.job import JobState
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 SECONDS = {
-    "acquire": 4.0,
+    "simulate": 4.0,
     "reconstruct": 10.0,
     "correlate": 20.0,
     "strain": 3.0,
@@ -81,18 +81,18 @@ def test_without_history_nothing_is_told_but_what_is_missing(catalogue: Catalogu
 
 def test_a_kind_without_history_leaves_a_lower_bound(catalogue: Catalogue) -> None:
     add_campaign(catalogue, "plate")
-    submitted(catalogue, "plate", "acquire")
+    submitted(catalogue, "plate", "simulate")
     let_all_succeed(catalogue)
-    ahead = told(catalogue, submitted(catalogue, "plate", "acquire", "reconstruct"))
+    ahead = told(catalogue, submitted(catalogue, "plate", "simulate", "reconstruct"))
     assert ahead.unknown == {"reconstruct": 4}
     # Two states, recorded by two workers at the same time.
-    assert ahead.seconds == SECONDS["acquire"]
+    assert ahead.seconds == SECONDS["simulate"]
 
 
 def test_the_longest_chain_and_the_shared_work_are_both_respected(catalogue: Catalogue) -> None:
     submit_pipeline(catalogue)
     let_all_succeed(catalogue)
-    ids = submitted(catalogue, "plate", "acquire", "pipeline")
+    ids = submitted(catalogue, "plate", "simulate", "pipeline")
     by_workers = []
     for workers in (1, 2, 3, 100):
         with catalogue.writing() as session:
@@ -105,7 +105,7 @@ def test_the_longest_chain_and_the_shared_work_are_both_respected(catalogue: Cat
     with catalogue.reading() as session:
         kinds = [session.get_one(JobRow, job_id).kind for job_id in ids]
     assert by_workers[0] == pytest.approx(sum(SECONDS[kind] for kind in kinds))
-    chain = ("acquire", "reconstruct", "correlate", "strain", "merge", "report")
+    chain = ("simulate", "reconstruct", "correlate", "strain", "merge", "report")
     assert by_workers[-1] == pytest.approx(sum(SECONDS[kind] for kind in chain))
     assert by_workers == sorted(by_workers, reverse=True)
 
@@ -113,13 +113,13 @@ def test_the_longest_chain_and_the_shared_work_are_both_respected(catalogue: Cat
 def test_larger_images_take_longer_in_proportion(catalogue: Catalogue) -> None:
     add_campaign(catalogue, "small")
     add_campaign(catalogue, "large", scale=2)
-    submitted(catalogue, "small", "acquire")
+    submitted(catalogue, "small", "simulate")
     let_all_succeed(catalogue)
-    ids = submitted(catalogue, "large", "acquire")
-    assert told(catalogue, ids).seconds == 4 * SECONDS["acquire"]
+    ids = submitted(catalogue, "large", "simulate")
+    assert told(catalogue, ids).seconds == 4 * SECONDS["simulate"]
     # Its own history is better than any that is scaled.
-    let_all_succeed(catalogue, {"acquire": 9.0})
-    assert told(catalogue, submitted(catalogue, "large", "acquire")).seconds == 9.0
+    let_all_succeed(catalogue, {"simulate": 9.0})
+    assert told(catalogue, submitted(catalogue, "large", "simulate")).seconds == 9.0
 
 
 def test_what_was_measured_on_this_host_is_preferred_and_one_that_hung_does_not_count(
@@ -130,19 +130,19 @@ def test_what_was_measured_on_this_host_is_preferred_and_one_that_hung_does_not_
         recovery.register_worker(session, "w2", "there", 1, ["cpu"], 4, NOW - timedelta(days=1))
     add_campaign(catalogue, "plate")
     for worker, seconds in (("w2", 100.0), ("w1", 4.0), ("w1", 5.0), ("w1", 3600.0)):
-        submitted(catalogue, "plate", "acquire")
-        let_all_succeed(catalogue, {"acquire": seconds}, worker)
-    assert told(catalogue, submitted(catalogue, "plate", "acquire")).seconds == 5.0
+        submitted(catalogue, "plate", "simulate")
+        let_all_succeed(catalogue, {"simulate": seconds}, worker)
+    assert told(catalogue, submitted(catalogue, "plate", "simulate")).seconds == 5.0
 
 
 def test_jobs_that_come_before_take_their_share(catalogue: Catalogue) -> None:
     add_campaign(catalogue, "plate")
     add_campaign(catalogue, "urgent")
-    submitted(catalogue, "plate", "acquire")
-    submitted(catalogue, "urgent", "acquire")
+    submitted(catalogue, "plate", "simulate")
+    submitted(catalogue, "urgent", "simulate")
     let_all_succeed(catalogue)
-    urgent = submitted(catalogue, "urgent", "acquire", priority=1)
-    plate = submitted(catalogue, "plate", "acquire")
+    urgent = submitted(catalogue, "urgent", "simulate", priority=1)
+    plate = submitted(catalogue, "plate", "simulate")
     assert told(catalogue, urgent).seconds == 4.0
     assert told(catalogue, plate).seconds == 8.0
     assert told(catalogue, [*urgent, *plate]).seconds == 8.0
@@ -150,25 +150,25 @@ def test_jobs_that_come_before_take_their_share(catalogue: Catalogue) -> None:
 
 def test_a_running_job_counts_with_what_is_left_of_it(catalogue: Catalogue) -> None:
     add_campaign(catalogue, "plate")
-    submitted(catalogue, "plate", "acquire")
+    submitted(catalogue, "plate", "simulate")
     let_all_succeed(catalogue)
-    ids = submitted(catalogue, "plate", "acquire")
+    ids = submitted(catalogue, "plate", "simulate")
     with catalogue.writing() as session:
         session.execute(
             update(JobRow)
             .where(JobRow.id.in_(ids))
             .values(state=JobState.RUNNING, started_at=NOW, progress=0.5)
         )
-    assert told(catalogue, ids, NOW + timedelta(seconds=1)).seconds == SECONDS["acquire"] - 1.0
+    assert told(catalogue, ids, NOW + timedelta(seconds=1)).seconds == SECONDS["simulate"] - 1.0
     # It takes longer than any before: then half of it needs as long as the first half did.
     assert told(catalogue, ids, NOW + timedelta(seconds=30)).seconds == 30.0
 
 
 def test_who_could_run_them_is_said(catalogue: Catalogue) -> None:
     add_campaign(catalogue, "plate")
-    submitted(catalogue, "plate", "acquire")
+    submitted(catalogue, "plate", "simulate")
     let_all_succeed(catalogue)
-    ids = submitted(catalogue, "plate", "acquire")
+    ids = submitted(catalogue, "plate", "simulate")
     much_later = NOW + timedelta(hours=1)
     ahead = told(catalogue, ids, much_later, workers=1)
     assert (ahead.alive, ahead.workers, ahead.seconds) == (False, 1, 8.0)
@@ -181,9 +181,9 @@ def test_who_could_run_them_is_said(catalogue: Catalogue) -> None:
 
 def test_the_pace_is_that_of_the_last_minutes_without_what_was_reused(catalogue: Catalogue) -> None:
     add_campaign(catalogue, "plate")
-    old = submitted(catalogue, "plate", "acquire")
+    old = submitted(catalogue, "plate", "simulate")
     let_all_succeed(catalogue, at=NOW - timedelta(hours=1))
-    new = submitted(catalogue, "plate", "acquire")
+    new = submitted(catalogue, "plate", "simulate")
     with catalogue.reading() as session:
         assert pace(session, new, NOW) is None
     let_all_succeed(catalogue)

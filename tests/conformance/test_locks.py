@@ -138,7 +138,7 @@ def test_only_a_lock_whose_holder_is_gone_can_be_released_by_hand(catalogue: Cat
 def test_a_job_whose_devices_are_held_stays_queued_and_says_so(catalogue: Catalogue) -> None:
     ids = submit_pipeline(catalogue)
     with catalogue.reading() as session:
-        acquiring = tuple(i for i in ids if session.get_one(JobRow, i).kind == "acquire")
+        acquiring = tuple(i for i in ids if session.get_one(JobRow, i).kind == "simulate")
     need(catalogue, acquiring, "camera/C1", "stage/A")
     first = claimed(catalogue)
     assert alive(catalogue) == dict.fromkeys(("camera/C1", "stage/A"), first.job_id)
@@ -146,7 +146,7 @@ def test_a_job_whose_devices_are_held_stays_queued_and_says_so(catalogue: Catalo
     (other,) = set(acquiring) - {first.job_id}
     with catalogue.reading() as session:
         why = inquiry.explain(session, session.get_one(JobRow, other), NOW)
-    assert any(f"it needs camera/C1, which job {first.job_id[:8]} (acquire plate/S" in line for line in why)
+    assert any(f"it needs camera/C1, which job {first.job_id[:8]} (simulate plate/S" in line for line in why)
     with catalogue.writing() as session:
         lifecycle.succeed(session, first, NOW, "done", reuse_key="k")
     later = claim(catalogue)
@@ -161,7 +161,7 @@ def test_two_workers_that_claim_for_one_device_at_once_get_it_one_after_the_othe
     for n in range(4):
         submit_pipeline(catalogue, f"plate-{n}")
     with catalogue.reading() as session:
-        ids = tuple(session.scalars(select(JobRow.id).where(JobRow.kind == "acquire")))
+        ids = tuple(session.scalars(select(JobRow.id).where(JobRow.kind == "simulate")))
     need(catalogue, ids, "stage/A", "camera/C1")
 
     def work(_: int) -> list[str]:

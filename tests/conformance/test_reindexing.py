@@ -22,7 +22,7 @@ from sms_jobs.records.campaign import Campaign, CampaignDefinition, Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.sessions import small_session
 
-REQUESTS = [Request("acquire"), Request("pipeline")]
+REQUESTS = [Request("simulate"), Request("pipeline")]
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ def clock() -> Clock:
 @pytest.fixture
 def made(catalogue: Catalogue, archive: Archive, clock: Clock) -> Archive:
     registered(catalogue, archive, clock)
-    run_jobs(catalogue, archive, clock, [Request("acquire"), Request("reconstruct")])
+    run_jobs(catalogue, archive, clock, [Request("simulate"), Request("reconstruct")])
     return archive
 
 

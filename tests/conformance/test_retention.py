@@ -33,7 +33,7 @@ def clock() -> Clock:
 def computed_twice(catalogue: Catalogue, archive: Archive, clock: Clock) -> Archive:
     """An archive in which each shape was computed twice, the second time with another limit."""
     registered(catalogue, archive, clock)
-    run_jobs(catalogue, archive, clock, [Request("acquire"), Request("reconstruct")])
+    run_jobs(catalogue, archive, clock, [Request("simulate"), Request("reconstruct")])
     run_jobs(catalogue, archive, clock, [Request("reconstruct", {"maximum_shift_px": 0.4})])
     return archive
 
@@ -96,7 +96,7 @@ def test_what_anything_that_stays_was_made_from_stays(
     catalogue: Catalogue, archive: Archive, clock: Clock
 ) -> None:
     registered(catalogue, archive, clock)
-    run_jobs(catalogue, archive, clock, [Request("acquire"), Request("reconstruct"), Request("correlate")])
+    run_jobs(catalogue, archive, clock, [Request("simulate"), Request("reconstruct"), Request("correlate")])
     run_jobs(catalogue, archive, clock, [Request("reconstruct", {"maximum_shift_px": 0.4})])
     # Displacements were computed from the older shapes and are the newest of their kind.
     assert planned(catalogue, clock) == set()

@@ -14,7 +14,7 @@ from sms_jobs.jobs import inquiry
 
 
 def submit_all(deployment: Deployment) -> list[str]:
-    found = run(deployment, "job", "submit", "acquire", "pipeline", "-c", "plate")
+    found = run(deployment, "job", "submit", "simulate", "pipeline", "-c", "plate")
     jobs: list[str] = found["jobs"]
     return jobs
 

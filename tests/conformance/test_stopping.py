@@ -21,7 +21,7 @@ def test_a_frozen_job_is_cancelled_by_force_and_the_rest_runs_on(deployment: Dep
     environment = deployment.environment | {"SMS_STOP_GRACE_S": "0.5", "SMS_WORKERS": "1"}
     make_home(deployment.home, environment)
     home = ["--home", str(deployment.home)]
-    jobs = answer("job", "submit", "acquire", "pipeline", "-c", "plate", *home, environment=environment)[
+    jobs = answer("job", "submit", "simulate", "pipeline", "-c", "plate", *home, environment=environment)[
         "jobs"
     ]
     catalogue = deployment.catalogue()

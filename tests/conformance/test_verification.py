@@ -16,7 +16,7 @@ def recorded(deployment: Deployment) -> Deployment:
     """A home in which the small plate has been recorded."""
     make_home(deployment.home, deployment.environment)
     with service(deployment.home, deployment.environment):
-        run(deployment, "job", "submit", "acquire", "-c", "plate", "--wait")
+        run(deployment, "job", "submit", "simulate", "-c", "plate", "--wait")
     return deployment
 
 
@@ -32,7 +32,7 @@ def findings(deployment: Deployment, *options: str) -> tuple[int, str]:
 
 
 def frames(deployment: Deployment) -> list[Path]:
-    return sorted((deployment.home / "archive").rglob("acquire-*.h5"))
+    return sorted((deployment.home / "archive").rglob("simulate-*.h5"))
 
 
 def test_whatever_is_wrong_is_named_and_nothing_is_changed(recorded: Deployment) -> None:

@@ -75,7 +75,7 @@ def test_every_fault_once(place: Place) -> None:
         for name in campaign.faults:
             for _ in range(5):  # the job that it is aimed at may end before it is hit
                 if campaign.left() < 10:
-                    campaign.submit("acquire", "reconstruct")
+                    campaign.submit("simulate", "reconstruct")
                 campaign.inject(name)
                 campaign.rest(1)
                 if campaign.injected[name]:
@@ -98,10 +98,10 @@ def test_two_hundred_kills_over_a_thousand_jobs(place: Place, seed: int) -> None
     campaign.shuffle(plan)
     started = time.monotonic()
     with campaign.served():
-        campaign.submit("acquire", "reconstruct")
+        campaign.submit("simulate", "reconstruct")
         while plan or campaign.kills < 200:
             if campaign.left() < 10:
-                campaign.submit("acquire", "reconstruct")
+                campaign.submit("simulate", "reconstruct")
             campaign.inject(plan.pop() if plan else KILLS[0])
             campaign.rest(2)
             print(

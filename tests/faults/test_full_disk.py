@@ -30,9 +30,9 @@ def catalogue(home: Path) -> Iterator[Catalogue]:
         yield opened
 
 
-def acquire(catalogue: Catalogue) -> tuple[str, ...]:
+def simulated(catalogue: Catalogue) -> tuple[str, ...]:
     with catalogue.writing() as session:
-        return submit(session, "plate", [Request("acquire")], datetime.now(UTC)).job_ids
+        return submit(session, "plate", [Request("simulate")], datetime.now(UTC)).job_ids
 
 
 def jobs(catalogue: Catalogue) -> dict[str, JobRow]:
@@ -56,7 +56,7 @@ def known(catalogue: Catalogue, of_jobs: Collection[str]) -> set[str]:
 
 @pytest.mark.long
 def test_queues_wait_for_room_and_go_on_by_themselves(home: Path, catalogue: Catalogue) -> None:
-    submitted = acquire(catalogue)
+    submitted = simulated(catalogue)
 
     def reasons() -> list[str]:
         with catalogue.reading() as session:
@@ -90,7 +90,7 @@ def test_a_job_that_fills_the_disk_leaves_nothing_and_is_tried_again(
     ballast = small_disk / "ballast"
     # A recording takes several times as much as is left.
     ballast.write_bytes(bytes(shutil.disk_usage(small_disk).free - 50_000))
-    first, second = acquire(catalogue)
+    first, second = simulated(catalogue)
     environment = {"SMS_ARCHIVE": str(small_disk), "SMS_LEAST_ROOM_MB": "0", "SMS_WORKERS": "1"}
     with service(home, environment):
         # While there is none at all it is tried a few times and then fails.

@@ -58,7 +58,7 @@ def findings(home: Path) -> list[verification.Finding]:
 
 def submit_recording(services: Services) -> tuple[str, ...]:
     with services.catalogue.writing() as session:
-        return submit(session, "plate", [Request("acquire")], datetime.now(UTC)).job_ids
+        return submit(session, "plate", [Request("simulate")], datetime.now(UTC)).job_ids
 
 
 @pytest.mark.long

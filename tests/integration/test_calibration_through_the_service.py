@@ -51,8 +51,8 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]
     said: dict[str, Any] = {"too early": sms("calibration", "certify", "session", "--home", str(home))}
     shapes = ("job", "submit", "reconstruct", "-c", "test")
     with service(home):
-        recorded = run(home, "job", "submit", "acquire", "-c", "test")["jobs"]
-        jobs = run(home, "job", "submit", "acquire", "pipeline", "-c", "session")["jobs"]
+        recorded = run(home, "job", "submit", "simulate", "-c", "test")["jobs"]
+        jobs = run(home, "job", "submit", "simulate", "pipeline", "-c", "session")["jobs"]
         run(home, "job", "wait", *recorded)
         early = run(home, *shapes)["jobs"]
         run(home, "job", "wait", *early, *jobs)

@@ -71,7 +71,7 @@ def make(deployment: Deployment) -> Deployment:
     claim(catalogue, NOW + timedelta(seconds=10))
     with catalogue.writing() as session:
         queues.pause(session, "io", "the disk is full", NOW, for_room=True)
-        order = Order("plate", (Request("acquire"),))
+        order = Order("plate", (Request("simulate"),))
         schedules.add(session, "nightly", parse_expression("every 60s", "UTC"), order, NOW)
     catalogue.close()
     return deployment
@@ -91,9 +91,9 @@ def test_the_numbers_are_those_of_the_catalogue(
     catalogue = make(Deployment(name, home, url)).catalogue()
     now = NOW + timedelta(seconds=100)
     found = numbers(catalogue, home, now)
-    assert found['sms_jobs{kind="acquire",state="running"}'] == 1
-    assert found['sms_jobs{kind="acquire",state="queued"}'] == 1
-    assert found['sms_running_seconds{kind="acquire"}'] == 90  # claimed 10 s after NOW, asked 100 s after
+    assert found['sms_jobs{kind="simulate",state="running"}'] == 1
+    assert found['sms_jobs{kind="simulate",state="queued"}'] == 1
+    assert found['sms_running_seconds{kind="simulate"}'] == 90  # claimed 10 s after NOW, asked 100 s after
     assert found['sms_queue_jobs{queue="acquisition"}'] == 1
     assert found['sms_queue_oldest_seconds{queue="acquisition"}'] == 100
     assert found['sms_queue_oldest_seconds{queue="cpu"}'] == 0
@@ -163,7 +163,7 @@ def test_they_are_served_on_loopback_alone(lived_in: Deployment) -> None:
         assert kind.startswith("text/plain; version=0.0.4")
         found = read(text)
         assert found["sms_catalogue_up"] == 1
-        assert found['sms_jobs{kind="acquire",state="running"}'] == 1
+        assert found['sms_jobs{kind="simulate",state="running"}'] == 1
         listening = [c.laddr.ip for c in process.net_connections() if c.status == psutil.CONN_LISTEN]
         assert listening == ["127.0.0.1"]
         with pytest.raises(urllib.error.HTTPError, match="404"):

@@ -87,9 +87,11 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     for name, plan in (("mirror", PLAN), ("other", exponential), ("glossy", GLOSSY)):
         (home / f"{name}.toml").write_text(plan)
         run(home, "campaign", "create", str(home / f"{name}.toml"))
-    acquisitions = [run(home, "job", "submit", "acquire", "-c", name)["jobs"] for name in ("mirror", "other")]
+    acquisitions = [
+        run(home, "job", "submit", "simulate", "-c", name)["jobs"] for name in ("mirror", "other")
+    ]
     acquisitions.append(
-        run(home, "job", "submit", "acquire", "--adaptive", "exposures", "-c", "glossy")["jobs"]
+        run(home, "job", "submit", "simulate", "--adaptive", "exposures", "-c", "glossy")["jobs"]
     )
     ranging = ("job", "submit", "reconstruct", "--method", "fdr", "--returns", "2", "-c")
     with service(home):

@@ -202,7 +202,7 @@ def test_a_doubtful_set_is_asked_about_while_the_specimen_is_held(home: Path) ->
         again = run(home, "acquire", "run", "plate", "--state", "S00")
         assert [v["statistics"]["recordings"] for v in again["recorded"]] == [2.0, 1.0]
         job = run(
-            home, "job", "submit", "record", "-c", "other", "--state", "S00",
+            home, "job", "submit", "acquire", "-c", "other", "--state", "S00",
             "--set", "recordings=1", "--set", "doubtful=ask",
         )["jobs"][0]  # fmt: skip
         sms("job", "wait", job, "--home", str(home))

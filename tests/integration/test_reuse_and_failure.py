@@ -23,7 +23,7 @@ def run(home: Path, *arguments: str) -> Any:
 
 def test_a_changed_parameter_computes_again_only_what_depends_on_it(plate: Path) -> None:
     with service(plate):
-        first = run(plate, "job", "submit", "acquire", "pipeline", "-c", "plate")
+        first = run(plate, "job", "submit", "simulate", "pipeline", "-c", "plate")
         assert first["estimate"]["seconds"] is None  # nothing has run here yet
         run(plate, "job", "wait", *first["jobs"])
         again = ("job", "submit", "pipeline", "-c", "plate", "--set", "strain.gauge_length_mm=30")
@@ -48,7 +48,7 @@ def test_a_changed_parameter_computes_again_only_what_depends_on_it(plate: Path)
 
 def test_a_failed_job_says_why_and_the_rest_goes_on(plate: Path) -> None:
     with service(plate):
-        run(plate, "job", "wait", *run(plate, "job", "submit", "acquire", "-c", "plate")["jobs"])
+        run(plate, "job", "wait", *run(plate, "job", "submit", "simulate", "-c", "plate")["jobs"])
         (damaged,) = run(plate, "data", "find", "--kind", "measurement", "--state", "S01", "--pair", "C1P1")
         path = plate / "archive" / damaged["path"]
         path.write_bytes(path.read_bytes()[:5000])

@@ -85,7 +85,7 @@ def test_a_campaign_outlives_the_restart_of_either_host(
         for host in (a, b):
             at_the_end.callback(host.end)
         first, second = a.start(), b.start()
-        jobs = a.run("job", "submit", "acquire", "reconstruct", "-c", "plate")["jobs"]
+        jobs = a.run("job", "submit", "simulate", "reconstruct", "-c", "plate")["jobs"]
         wait_until(lambda: claims(catalogue, first) and claims(catalogue, second))
 
         # One after the other, each drained from the other host.

@@ -88,7 +88,9 @@ class ArchiveCare(RuleBasedStateMachine):
 
     # --- jobs ---------------------------------------------------------------------------------------
 
-    @rule(kind=st.sampled_from(["acquire", "reconstruct"]), state=st.sampled_from(STATES), ends=st.booleans())
+    @rule(
+        kind=st.sampled_from(["simulate", "reconstruct"]), state=st.sampled_from(STATES), ends=st.booleans()
+    )
     def work(self, kind: str, state: str, ends: bool) -> None:
         """Run a job to its end, or until it has sealed what it makes and fails."""
         try:
@@ -234,7 +236,7 @@ class ArchiveCare(RuleBasedStateMachine):
         assert one.problem == wrong
         if one.step == "index":
             # Whoever measured it: it cannot be measured again.
-            assert "/acquire-" in one.path
+            assert "/simulate-" in one.path
             self.known[one.path] = ""
             del self.besides[one.path]
         elif one.step == "set-aside" and one.path in self.known:

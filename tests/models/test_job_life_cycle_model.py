@@ -54,7 +54,7 @@ BUDGET = 2
 """Crashes; fewer than in life, so that few steps exhaust it."""
 HOSTS = {"w1": "here", "w2": "there"}
 QUEUES = ["cpu", "io", "acquisition"]
-WORK = [["acquire"], ["acquire", "reconstruct"], ["reconstruct", "correlate"], ["acquire", "pipeline"]]
+WORK = [["simulate"], ["simulate", "reconstruct"], ["reconstruct", "correlate"], ["simulate", "pipeline"]]
 
 
 def campaign() -> Campaign:
@@ -168,7 +168,7 @@ class JobLives(RuleBasedStateMachine):
                 done = submit(session, "plate", requests, self.now, priority=priority, use_cache=use_cache)
                 if real:
                     # As a recording on a real rig, which cannot be asked for twice.
-                    recordings = JobRow.id.in_(done.job_ids), JobRow.kind == "acquire"
+                    recordings = JobRow.id.in_(done.job_ids), JobRow.kind == "simulate"
                     session.execute(update(JobRow).where(*recordings).values(repeatable=False))
         except NotFound:
             return

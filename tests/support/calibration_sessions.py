@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.bench.in_memory import InMemory, unheard
-from sms_jobs.kinds import acquire, calibrate, calibrate_boards, observe_bar, observe_board
-from sms_jobs.kinds.acquire import recipe
+from sms_jobs.kinds import calibrate, calibrate_boards, observe_bar, observe_board, simulate
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs
 from sms_jobs.kinds.sessions import OBSERVATION, bar_states, board_states, every_pair
+from sms_jobs.kinds.simulate import recipe
 from sms_jobs.metrology.calibration.pair_points import meet_rays
 from sms_jobs.metrology.geometry.camera import project, ray_directions
 from sms_jobs.metrology.targets.sphere_blur import sphere_image_in_projector
@@ -170,7 +170,7 @@ class SessionInMemory:
         """Render a state."""
         subject = Subject(self.campaign.name, state)
         inputs = Inputs(subject, recipe(self.campaign, subject), {}, 2)
-        for output in acquire.run(inputs, acquire.AcquireParameters(), unheard):
+        for output in simulate.run(inputs, simulate.SimulateParameters(), unheard):
             assert isinstance(output, DatasetOutput)
             self.records[MEASUREMENT, str(output.subject)] = output.records
 

@@ -19,7 +19,7 @@ from sms_jobs.records.job import JobState
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 NOW = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
-REQUESTS = [Request("acquire"), Request("pipeline")]
+REQUESTS = [Request("simulate"), Request("pipeline")]
 
 
 def _campaign(name: str) -> Campaign:

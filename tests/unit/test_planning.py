@@ -14,7 +14,7 @@ from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Need
 from sms_jobs.virtual_rig.campaigns import small_plate, top_hat_bending
 
 CAMPAIGN = top_hat_bending("hat", "small")[1]
-EVERYTHING = [Request("acquire"), Request("pipeline")]
+EVERYTHING = [Request("simulate"), Request("pipeline")]
 
 
 def only_calibration(need: Need) -> Existing | None:
@@ -32,7 +32,7 @@ def counted(jobs: tuple[PlannedJob, ...]) -> Counter[str]:
 def test_a_pipeline_covers_every_tuple_once() -> None:
     # 4 states, 4 pairs, 3 deformed states.
     assert counted(plan(CAMPAIGN, EVERYTHING, only_calibration)) == {
-        "acquire": 4,
+        "simulate": 4,
         "reconstruct": 16,
         "correlate": 12,
         "strain": 12,
@@ -90,16 +90,16 @@ def test_a_campaign_on_a_real_rig_is_neither_simulated_nor_assessed() -> None:
         return Existing(file_id=1) if need.source in (CALIBRATION, MEASUREMENT) else None
 
     kinds = counted(plan(real, EVERYTHING, recorded))
-    assert "acquire" not in kinds
+    assert "simulate" not in kinds
     assert "assess" not in kinds
     assert kinds["report"] == 1
 
 
 def test_what_cannot_be_repeated_is_made_only_where_it_was_asked_for() -> None:
-    requests = [Request("record", states=("S02",)), Request("pipeline", states=("S02",))]
+    requests = [Request("acquire", states=("S02",)), Request("pipeline", states=("S02",))]
     jobs = plan(CAMPAIGN, requests, everything_exists)
     # The reference state is compared with, as it was recorded; its load is gone.
-    assert [str(job.subject) for job in jobs if job.kind.name == "record"] == ["hat/S02"]
+    assert [str(job.subject) for job in jobs if job.kind.name == "acquire"] == ["hat/S02"]
     references = [
         i.existing
         for job in jobs

@@ -66,7 +66,7 @@ def _planned(run: Run) -> Iterator[Found]:
     with bootstrap.services(home) as services:
         started = time.perf_counter()
         with services.catalogue.writing() as session:
-            done = submit(session, "long-test", [Request("acquire"), Request("pipeline")], datetime.now(UTC))
+            done = submit(session, "long-test", [Request("simulate"), Request("pipeline")], datetime.now(UTC))
         taken = time.perf_counter() - started
         yield Figure("plan_submit_10k_s", None if run.quick else taken, "s", 10.0, "at most")
         yield Condition("plan_submit", f"{len(done.job_ids)} jobs in one transaction on SQLite, once")
@@ -146,7 +146,7 @@ def _overhead_ms(home: Path, submissions: int) -> tuple[float, int]:
 def _submit(catalogue: Catalogue, times: int) -> None:
     with catalogue.writing() as session:
         for _ in range(times):
-            submit(session, "plate", [Request("acquire")], datetime.now(UTC))
+            submit(session, "plate", [Request("simulate")], datetime.now(UTC))
 
 
 def _wait(catalogue: Catalogue) -> None:

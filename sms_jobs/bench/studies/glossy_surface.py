@@ -13,7 +13,7 @@ from scipy import ndimage
 from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.bench.returns import rms
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
-from sms_jobs.kinds import acquire, reconstruct
+from sms_jobs.kinds import reconstruct, simulate
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import PointCloud
@@ -64,9 +64,9 @@ def _campaign(sequence: FringeSequence) -> tuple[Calibration, Campaign]:
 
 def _recorded(campaign: Campaign, adaptive: Any) -> Measurement:
     state = Subject("glossy", "S00")
-    inputs = Inputs(state, acquire.KIND.context(campaign, state), {}, 1)
-    wanted = acquire.AcquireParameters(adaptive=adaptive)
-    (output,) = acquire.KIND.run(inputs, wanted, lambda fraction, message="": None)
+    inputs = Inputs(state, simulate.KIND.context(campaign, state), {}, 1)
+    wanted = simulate.SimulateParameters(adaptive=adaptive)
+    (output,) = simulate.KIND.run(inputs, wanted, lambda fraction, message="": None)
     assert isinstance(output, DatasetOutput)
     measurement: Measurement = output.records["measurement"]
     return measurement

@@ -42,7 +42,7 @@ def test_the_archive_is_measured_and_its_figures_are_speeds(home: Path) -> None:
 def test_workers_that_compete_claim_no_job_twice(home: Path) -> None:
     jobs._register_long_test(home, 2)
     with jobs.bootstrap.services(home) as services, services.catalogue.writing() as session:
-        jobs.submit(session, "long-test", [jobs.Request("acquire")], jobs.datetime.now(jobs.UTC))
+        jobs.submit(session, "long-test", [jobs.Request("simulate")], jobs.datetime.now(jobs.UTC))
     # `_contended` raises where two workers hold the same job; there are three jobs, one a state.
     assert jobs._contended(load(home).catalogue_url, 100) > 0.0
 

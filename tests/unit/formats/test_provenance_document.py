@@ -117,7 +117,7 @@ def made(tmp_path: Path, rng: Any) -> Iterator[tuple[Catalogue, Archive, Sealed,
     subject = Subject("plate", "S00", "C1P1")
     recorded = archive.seal_dataset(
         {"measurement": measurement(rng, 8, 6)},
-        provenance(kind="acquire", subject=Subject("plate", "S00", "C1P1"), inputs=(), created_at=NOW),
+        provenance(kind="simulate", subject=Subject("plate", "S00", "C1P1"), inputs=(), created_at=NOW),
     )
     given = (InputReference("measured", "measurement", recorded.path, recorded.content_hash),)
     later = provenance(

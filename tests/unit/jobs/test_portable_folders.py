@@ -67,7 +67,7 @@ def full(tmp_path_factory: pytest.TempPathFactory, checker: Checker) -> Iterator
     register_calibration(made.catalogue, made.archive, calibration(), clock())
     with made.catalogue.writing() as session:
         recovery.register_worker(session, "w1", "here", 1, ["cpu", "io", "acquisition"], 2, clock())
-    kinds = ["acquire", "reconstruct", "correlate", "strain", "merge", "export"]
+    kinds = ["simulate", "reconstruct", "correlate", "strain", "merge", "export"]
     run_jobs(made.catalogue, made.archive, clock, [Request(kind) for kind in kinds])
     yield made
     made.catalogue.close()

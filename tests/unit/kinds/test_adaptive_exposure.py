@@ -1,4 +1,4 @@
-"""Exposures and dimming that acquire decides by itself, on a glossy cylinder of the virtual rig."""
+"""Exposures and dimming that simulate decides by itself, on a glossy cylinder of the virtual rig."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.errors import MeasurementFailed
-from sms_jobs.kinds import acquire, reconstruct
+from sms_jobs.kinds import reconstruct, simulate
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import PointCloud
@@ -37,9 +37,9 @@ def campaign() -> tuple[Calibration, Campaign]:
 
 
 def acquired(what: Campaign, **parameters: object) -> tuple[Measurement, DatasetOutput]:
-    inputs = Inputs(STATE, acquire.KIND.context(what, STATE), {}, 1)
-    wanted = acquire.AcquireParameters(**parameters)  # type: ignore[arg-type]
-    (output,) = acquire.KIND.run(inputs, wanted, lambda fraction, message="": None)
+    inputs = Inputs(STATE, simulate.KIND.context(what, STATE), {}, 1)
+    wanted = simulate.SimulateParameters(**parameters)  # type: ignore[arg-type]
+    (output,) = simulate.KIND.run(inputs, wanted, lambda fraction, message="": None)
     assert isinstance(output, DatasetOutput)
     return output.records["measurement"], output
 

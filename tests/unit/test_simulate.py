@@ -1,4 +1,4 @@
-"""The acquire kind: what it records, for which campaigns, and that it records the same again."""
+"""The simulate kind: what it records, for which campaigns, and that it records the same again."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 from sms_jobs.archive import Archive
 from sms_jobs.archive.provenance import Provenance
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.acquire import KIND, UNTIMED, AcquireParameters, Recipe
 from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Inputs, default_subjects
+from sms_jobs.kinds.simulate import KIND, UNTIMED, Recipe, SimulateParameters
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.scene import Simulation, Speckle
@@ -26,7 +26,7 @@ def recorded(campaign: Campaign, state: str, threads: int = 1) -> dict[str, Data
     subject = Subject(campaign.name, state)
     inputs = Inputs(subject, KIND.context(campaign, subject), {}, threads)
     told: list[float] = []
-    outputs = KIND.run(inputs, AcquireParameters(), lambda fraction, message="": told.append(fraction))
+    outputs = KIND.run(inputs, SimulateParameters(), lambda fraction, message="": told.append(fraction))
     found = {}
     for output in outputs:
         assert isinstance(output, DatasetOutput)
@@ -117,13 +117,13 @@ def test_it_makes_measurements_from_nothing() -> None:
     assert KIND.makes == MEASUREMENT
     assert not list(KIND.needs(CAMPAIGN, Subject("plate", "S00")))
     assert [str(s) for s in default_subjects(KIND, CAMPAIGN)] == ["plate/S00", "plate/S01"]
-    assert KIND.repeatable(AcquireParameters())
+    assert KIND.repeatable(SimulateParameters())
 
 
 def test_a_recording_comes_back_from_the_archive_with_what_was_simulated(tmp_path: Path) -> None:
     output = recorded(CAMPAIGN, "S01")["plate/S01/C1P2"]
     provenance = Provenance(
-        "acquire", 1, output.subject, "0123456789abcdef", 1, UNTIMED, {}, (), "0", "host", "operator"
+        "simulate", 1, output.subject, "0123456789abcdef", 1, UNTIMED, {}, (), "0", "host", "operator"
     )
     archive = Archive(tmp_path)
     sealed = archive.seal_dataset(output.records, provenance)
@@ -149,7 +149,17 @@ def test_a_state_of_a_session_is_recorded_with_its_artefact(tmp_path: Path) -> N
     output = recorded(replace(session, sequence=FringeSequence((8, 4)), pairs=("C1P2",)), "S03")
     made = measurement_of(output["session/S03/C1P2"])
     provenance = Provenance(
-        "acquire", 1, Subject("session", "S03", "C1P2"), "0" * 16, 1, UNTIMED, {}, (), "0", "host", "operator"
+        "simulate",
+        1,
+        Subject("session", "S03", "C1P2"),
+        "0" * 16,
+        1,
+        UNTIMED,
+        {},
+        (),
+        "0",
+        "host",
+        "operator",
     )
     sealed = Archive(tmp_path).seal_dataset({"measurement": made}, provenance)
     with Archive(tmp_path).open(sealed.path) as dataset:
