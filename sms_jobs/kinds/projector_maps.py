@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.kinds.kind import Progress
-from sms_jobs.kinds.phases import PhaseParameters, PhaseTask, find_phases
+from sms_jobs.kinds.phase_task import PhaseParameters, PhaseTask
+from sms_jobs.kinds.phases import find_phases
 from sms_jobs.metrology.geometry.projector_pixels import projector_pixels
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps

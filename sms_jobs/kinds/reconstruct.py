@@ -37,7 +37,8 @@ from sms_jobs.kinds.kind import (
     Progress,
     Scope,
 )
-from sms_jobs.kinds.phases import Geometry, PhaseParameters, PhaseTask, find_phases, mark, sensor_pair
+from sms_jobs.kinds.phase_task import Geometry, PhaseParameters, PhaseTask, mark
+from sms_jobs.kinds.phases import find_phases, sensor_pair
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge, large_ray_gap, outside_box
 from sms_jobs.metrology.phase.response import corrected_gradient

@@ -1,0 +1,162 @@
+"""What the frames of a tuple are turned into phases with, and why a pixel is not to be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationInfo, field_validator
+
+from sms_jobs.kinds.kind import Parameters
+from sms_jobs.metrology.geometry.sensor_pair import SensorPair
+from sms_jobs.metrology.images.masks import high_phase_error, low_modulation
+from sms_jobs.metrology.phase.phase_stepping import phase_sigma
+from sms_jobs.metrology.phase.ranging.signal import Window
+from sms_jobs.metrology.phase.ripple_table import RippleTable
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.sensors import Box
+
+Reasons = NDArray[np.uint32]
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+
+Method = Literal["temporal-unwrapping", "fdr", "fdr-improved", "fdr-original"]
+UNWRAPPING: Method = "temporal-unwrapping"
+
+
+class PhaseParameters(Parameters):
+    """How phases are found, and which of them are trusted."""
+
+    method: Method = Field(
+        "temporal-unwrapping",
+        description="how the phase gradient is found: temporal unwrapping of any unambiguous densities, or "
+        "Fourier domain ranging over the densities 0, 1, 2 ..: 'fdr' with known origin and several returns, "
+        "'fdr-improved' and 'fdr-original' as in the thesis",
+    )
+    returns: int = Field(1, ge=1, le=4, description="most returns that are looked for in a pixel")
+    refinements: int = Field(
+        1, ge=0, le=20, description="how often each return is found again with the others taken away"
+    )
+    joint: bool = Field(True, description="whether all returns are finally fitted together (method fdr)")
+    window: Window = Field("none", description="weights over the densities against leakage of strong returns")
+    significance: float = Field(
+        1e-4, gt=0.0, lt=1.0, description="probability at which noise alone is taken for one more return"
+    )
+    pair_rule: Literal["likelihood", "least-gap"] = Field(
+        "likelihood",
+        description="how returns of the orientations are paired: by gap, amplitudes and volume, or by the "
+        "least ray gap alone, as in the thesis",
+    )
+    minimum_pair_margin: float = Field(
+        3.0,
+        ge=0.0,
+        description="log-likelihood by which the chosen pair must excel any pair of another place; 3 are "
+        "odds of 20",
+    )
+    minimum_modulation_to_noise: float = Field(
+        5.0, ge=0.0, description="least fringe modulation in standard deviations of the camera's noise"
+    )
+    minimum_modulation_count: float = Field(
+        0.0, ge=0.0, description="least fringe modulation in grey levels, besides that"
+    )
+    kept_by_phase_error: float = Field(
+        0.999,
+        gt=0.0,
+        lt=1.0,
+        description="part of good pixels whose phase error from noise alone is accepted",
+    )
+    maximum_phase_error_rad: float = Field(
+        0.02, ge=0.0, description="phase error of the fringes themselves that is accepted on top of the noise"
+    )
+    maximum_ray_gap_to_noise: float = Field(
+        4.0, gt=0.0, description="largest gap between the rays in standard deviations from noise"
+    )
+    maximum_ray_gap_mm: float = Field(
+        0.2,
+        ge=0.0,
+        description="gap between the rays, from calibration, that is accepted on top of the noise",
+    )
+    response: Literal["none", "measured"] = Field(
+        "none",
+        description="whether the ripple of a projector that is not linear is found in the frames themselves "
+        "and taken out: 'measured' costs a second or two, for temporal unwrapping and one return of fdr",
+    )
+
+    @field_validator("returns")
+    @classmethod
+    def _have_a_method(cls, returns: int, given: ValidationInfo) -> int:
+        if returns > 1 and given.data.get("method") == UNWRAPPING:
+            raise ValueError(
+                "temporal unwrapping knows one return only; set method=fdr to tell several apart"
+            )
+        return returns
+
+    @field_validator("response")
+    @classmethod
+    def _correct_what_is_known(cls, response: str, given: ValidationInfo) -> str:
+        method, returns = given.data.get("method"), given.data.get("returns")
+        if response == "measured" and (method not in (UNWRAPPING, "fdr") or returns != 1):
+            raise ValueError(
+                "the projector's response is corrected for temporal unwrapping and for method=fdr with "
+                "returns=1; set response=none for the others"
+            )
+        return response
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Where sensors and specimen are: by this returns are paired."""
+
+    pair: SensorPair
+    volume: Box
+
+
+@dataclass(frozen=True)
+class PhaseTask:
+    """What the frames of a tuple are turned into phases with; only ranging needs the geometry."""
+
+    subject: Subject
+    measurement: Measurement
+    parameters: PhaseParameters
+    threads: int
+    geometry: Geometry | None = None
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known before the first slab: modulation transfers and ripples of the orientations, or none."""
+
+    transfers: list[Floats]
+    ripples: list[RippleTable]
+
+
+def noise_reasons(
+    modulation: Singles,
+    phase_error: Singles,
+    factor: Floats | float,
+    ripple: Floats | float,
+    noise: Singles,
+    steps: int,
+    parameters: PhaseParameters,
+) -> Reasons:
+    """Return where the modulation is too low or the phase error above `factor` times that of noise.
+
+    On top of it goes what the projector's `ripple` is known to make of it, in rad: however the two add up.
+    """
+    weakest = np.maximum(parameters.minimum_modulation_to_noise * noise, parameters.minimum_modulation_count)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma = phase_sigma(noise, modulation, steps)
+        limit = np.hypot(factor * sigma, parameters.maximum_phase_error_rad) + ripple
+    reason = np.zeros(noise.shape, np.uint32)
+    mark(reason, low_modulation(modulation, weakest), Reason.LOW_MODULATION)
+    mark(reason, high_phase_error(phase_error, limit), Reason.HIGH_PHASE_ERROR)
+    return reason
+
+
+def mark(reason: Reasons, where: NDArray[np.bool_], why: Reason) -> None:
+    """Add a reason to those of the pixels where it holds."""
+    reason[where] |= np.uint32(why)
