@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import isfinite
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -16,6 +16,9 @@ from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.measurement import Measurement
+
+if TYPE_CHECKING:
+    from sms_jobs.metrology.images.texture_quality import Texture
 
 _RADII_PX = (7, 10, 13, 16, 20, 26, 32)
 _GAUGES_PX = (30.0, 60.0, 90.0, 120.0)
@@ -48,13 +51,7 @@ def advise(
     Example: sms data advise reference.tif again.tif --mm-per-px 0.3
     """
     # Other commands of this group load without what this one computes with.
-    from sms_jobs.metrology.images.texture_quality import (
-        examine_texture,
-        gauge_sigma,
-        match_sigma,
-        noise_of_pair,
-        suggested_radius,
-    )
+    from sms_jobs.metrology.images.texture_quality import examine_texture, noise_of_pair
 
     texture, full_scale, known = _texture(image, home)
     sigma = known if noise is None else noise
@@ -67,9 +64,29 @@ def advise(
             )
         sigma = noise_of_pair(_middle(texture), _middle(second))
     found = examine_texture(_middle(texture), sigma or 0.0, full_scale)
-    scale = mm_per_px or 1.0
-    unit = "px" if mm_per_px is None else "mm"
-    choices = [
+    scale, unit = (1.0, "px") if mm_per_px is None else (mm_per_px, "mm")
+    choices = _choices(found, sigma, scale, unit)
+    remarks = _remarks(found, full_scale, sigma)
+    if as_json:
+        facts = _facts(found, full_scale, sigma) | {"remarks": remarks}
+        output.print_json({"texture": facts, "gauges_in": unit, "choices": choices})
+        return
+    output.print_facts(_words(found, full_scale, sigma))
+    gauges = [f"µε at {gauge * scale:g} {unit}" for gauge in _GAUGES_PX]
+    output.print_table(
+        ["radius [px]", "spacing [px]", f"resolution [{unit}]", "sigma of a match [px]", *gauges],
+        [tuple(row.values()) for row in choices],
+        empty="",
+    )
+    for remark in remarks:
+        output.say(remark)
+
+
+def _choices(found: Texture, sigma: float | None, scale: float, unit: str) -> list[dict[str, float | None]]:
+    """Return what each subset radius resolves, and the noise of its matches and of gauges made of them."""
+    from sms_jobs.metrology.images.texture_quality import gauge_sigma, match_sigma
+
+    return [
         {
             "subset_radius_px": radius,
             "spacing_px": max(1, radius // 2),
@@ -82,7 +99,13 @@ def advise(
         }
         for radius in _RADII_PX
     ]
-    facts = {
+
+
+def _facts(found: Texture, full_scale: float, sigma: float | None) -> dict[str, object]:
+    """Return a texture's quality for programs."""
+    from sms_jobs.metrology.images.texture_quality import suggested_radius
+
+    return {
         "speckle_px": round(found.speckle_px, 2) if isfinite(found.speckle_px) else None,
         "grey_levels": [found.low, found.high],
         "use_of_range": round((found.high - found.low) / full_scale, 3),
@@ -90,28 +113,22 @@ def advise(
         "contrast": round(found.contrast, 1),
         "noise": None if sigma is None else round(sigma, 3),
         "subset_radius_px": suggested_radius(found),
-        "remarks": _remarks(found.speckle_px, (found.high - found.low) / full_scale, found.saturated, sigma),
     }
-    if as_json:
-        output.print_json({"texture": facts, "gauges_in": unit, "choices": choices})
-        return
-    output.print_facts(
-        {
-            "speckle": f"{found.speckle_px:.1f} px (width of the autocorrelation)",
-            "grey levels": f"{found.low:.0f} to {found.high:.0f} of {full_scale:.0f} (1 % to 99 %)",
-            "saturated": f"{found.saturated:.2%}",
-            "noise": "not known: give a second image or --noise" if sigma is None else f"{sigma:.2f}",
-            "least subset radius": f"{suggested_radius(found)} px",
-        }
-    )
-    gauges = [f"µε at {gauge * scale:g} {unit}" for gauge in _GAUGES_PX]
-    output.print_table(
-        ["radius [px]", "spacing [px]", f"resolution [{unit}]", "sigma of a match [px]", *gauges],
-        [tuple(row.values()) for row in choices],
-        empty="",
-    )
-    for remark in _remarks(found.speckle_px, (found.high - found.low) / full_scale, found.saturated, sigma):
-        output.say(remark)
+
+
+def _words(found: Texture, full_scale: float, sigma: float | None) -> dict[str, object]:
+    """Return a texture's quality for readers."""
+    from sms_jobs.metrology.images.texture_quality import suggested_radius
+
+    return {
+        "speckle": f"{found.speckle_px:.1f} px (width of the autocorrelation)"
+        if isfinite(found.speckle_px)
+        else "none",
+        "grey levels": f"{found.low:.0f} to {found.high:.0f} of {full_scale:.0f} (1 % to 99 %)",
+        "saturated": f"{found.saturated:.2%}",
+        "noise": "not known: give a second image or --noise" if sigma is None else f"{sigma:.2f}",
+        "least subset radius": f"{suggested_radius(found)} px",
+    }
 
 
 def _middle(image: NDArray[np.generic]) -> NDArray[np.generic]:
@@ -123,22 +140,23 @@ def _known(value: float, sigma: float | None) -> float | None:
     return float(f"{value:.3g}") if sigma and isfinite(value) else None
 
 
-def _remarks(speckle_px: float, use: float, saturated: float, noise: float | None) -> list[str]:
+def _remarks(found: Texture, full_scale: float, noise: float | None) -> list[str]:
     """Return what is wrong with a texture, in words, and what to do about it."""
     said = []
-    if not isfinite(speckle_px):
+    if not isfinite(found.speckle_px):
         said.append("the image has no speckle that could be told from its shading")
-    elif speckle_px < 1.5:
+    elif found.speckle_px < 1.5:
         said.append(
-            f"the speckle is {speckle_px:.1f} px wide, finer than the 1.5 px that pixels can show without "
-            "aliasing: print it coarser or move the camera nearer"
+            f"the speckle is {found.speckle_px:.1f} px wide, finer than the 1.5 px that pixels can show "
+            "without aliasing: print it coarser or move the camera nearer"
         )
-    elif speckle_px > 6.0:
-        said.append(f"the speckle is {speckle_px:.1f} px wide: at 2 to 4 px smaller subsets would do")
+    elif found.speckle_px > 6.0:
+        said.append(f"the speckle is {found.speckle_px:.1f} px wide: at 2 to 4 px smaller subsets would do")
+    use = (found.high - found.low) / full_scale
     if use < 0.3:
         said.append(f"only {use:.0%} of the grey levels are used: open the lens or expose longer")
-    if saturated > 1e-3:
-        said.append(f"{saturated:.1%} of the pixels are saturated and carry nothing: expose shorter")
+    if found.saturated > 1e-3:
+        said.append(f"{found.saturated:.1%} of the pixels are saturated and carry nothing: expose shorter")
     if noise is None:
         said.append("the noise is not known, so neither are standard deviations")
     return said
