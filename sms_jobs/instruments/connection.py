@@ -48,7 +48,8 @@ def connected(
         When an instrument does not answer, or does not work.
     """
     clock = clock or RealClock()
-    simulation = SerialSimulation(rig.serial, clock, _values(setting))
+    faulty = rig.serial.at("" if setting is None else setting.state)
+    simulation = SerialSimulation(faulty, clock, _values(setting))
     connector = Connector(clock, OperationLog(clock), simulation)
     with ExitStack() as stack:
 
@@ -98,7 +99,7 @@ def channel_reader(rig: RigFile, name: str, clock: Clock | None = None) -> Itera
         known = ", ".join(c.name for c in rig.serial.channels) or "none"
         raise NotFound(f"rig {rig.name} has no channel '{name}'; it has {known}")
     clock = clock or RealClock()
-    simulation = SerialSimulation(rig.serial, clock)
+    simulation = SerialSimulation(rig.serial.at(""), clock)
     channel = Connector(clock, OperationLog(clock), simulation).channel(settings)
     try:
         channel.connect()

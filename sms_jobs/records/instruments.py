@@ -19,7 +19,7 @@ commit; real devices ignore them. `link` is a `serial_links.SerialLink`, whose `
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite, pi, radians
 from typing import Literal
 
@@ -387,6 +387,22 @@ class Instruments:
         """Those that are reached through a serial link."""
         channels = tuple(c for c in self.channels if isinstance(c, SerialChannel))
         return (*self.stages, *self.triggers, *self.splitters, *channels)
+
+    def at(self, state: str) -> Instruments:
+        """Return them with those faults alone that they have at a load state; "" for no state."""
+        return Instruments(
+            tuple(replace(s, faults=_at(s.faults, state)) for s in self.stages),
+            tuple(replace(t, faults=_at(t.faults, state)) for t in self.triggers),
+            tuple(replace(s, faults=_at(s.faults, state)) for s in self.splitters),
+            tuple(
+                replace(c, faults=_at(c.faults, state)) if isinstance(c, SerialChannel) else c
+                for c in self.channels
+            ),
+        )
+
+
+def _at(faults: tuple[Fault, ...], state: str) -> tuple[Fault, ...]:
+    return tuple(f for f in faults if f.state in ("", state))
 
 
 def _check_wiring(name: str, wiring: tuple[Wire, ...]) -> None:

@@ -44,6 +44,8 @@ class Fault:
         Of a stage: `pan` or `tilt`; a fault of an axis befalls the pan axis when it is not given.
     amount
         Delay of a late reply, in s, and amplitude of a hunting servo, in rad.
+    state
+        Label of the load state at whose recording it happens; empty for any.
     """
 
     fault: FaultName
@@ -51,6 +53,7 @@ class Fault:
     times: int = 1
     axis: Literal["pan", "tilt"] = "pan"
     amount: float = 0.0
+    state: str = ""
 
     def __post_init__(self) -> None:
         if self.at < 1 or self.times < 0:

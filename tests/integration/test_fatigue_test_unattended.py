@@ -41,6 +41,17 @@ projectors = [
     { name = "P2", driver = "simulated", columns = 256, rows = 192, settle_ms = 10.0 },
 ]
 
+[[stages]]
+name = "stage"
+link = { port = "simulated", baud_rate = 38400 }
+pan = { module = 12, minimum_deg = -120, maximum_deg = 120, velocity_deg_s = 200, acceleration_deg_s2 = 600 }
+tilt = { module = 13, minimum_deg = -108, maximum_deg = 108, velocity_deg_s = 200, acceleration_deg_s2 = 600 }
+settling = { timeout_s = 2.0 }
+faults = [
+    { fault = "hunting-servo", state = "S03", axis = "tilt", amount = 0.002 },
+    #SERVO
+]
+
 [[file_channels]]
 name = "load_n"
 path = "LOAD"
@@ -58,6 +69,7 @@ unit = "degC"
 faults = [{ fault = "garbled-byte", at = 1 }, { fault = "late-reply", at = 2, amount = 0.3 }]
 """
 MEASURED_STATES = select(func.count(FileRow.state_id.distinct())).where(FileRow.source == "measurement")
+SERVO = '{ fault = "hunting-servo", state = "S08", amount = 0.002, times = 0 },'
 CABLE = '{ fault = "unplugged", state = "S06", frame = 60 },'
 
 
@@ -75,7 +87,8 @@ def home(tmp_path: Path) -> Path:
         LoadState(
             f"S{number:02d}",
             load,
-            channels={"temperature": 21.5},
+            # The stage turns from one side to the other between tension and compression.
+            channels={"temperature": 21.5, "pan_rad": 0.05 if load < 0.0 else -0.05, "tilt_rad": 0.02},
             deformation=(UniaxialStrain(load * 4e-6, 0.3), Rigid(translation_mm=(load * 5e-4, 0.0, 0.0))),
         )
         for number, load in enumerate(LOADS_N)
@@ -91,9 +104,10 @@ def home(tmp_path: Path) -> Path:
     return home
 
 
-def connect(home: Path, cable: str) -> None:
+def connect(home: Path, cable: str, servo: str) -> None:
     file = home / "rig.toml"
-    file.write_text(RIG.replace("#CABLE", cable).replace('"LOAD"', f"'{home / 'load.csv'}'"))
+    text = RIG.replace("#CABLE", cable).replace("#SERVO", servo)
+    file.write_text(text.replace('"LOAD"', f"'{home / 'load.csv'}'"))
     assert sms("rig", "add", str(file), "--replace", "--home", str(home)).returncode == 0
 
 
@@ -127,19 +141,34 @@ def follow(home: Path) -> subprocess.CompletedProcess[str]:
     return sms("acquire", "follow", "fatigue", *options, "--home", str(home), timeout=1500.0)
 
 
+def _needs_operator(home: Path, subject: str, why: str) -> str:
+    """Follow the test until a state needs an operator for a reason, and return its job."""
+    ended = follow(home)
+    assert ended.returncode == 5, ended.stderr
+    assert why in ended.stderr
+    (waiting,) = answer("acquire", "list", "--home", str(home))
+    assert (waiting["subject"], waiting["state"]) == (subject, "needs-operator")
+    return str(waiting["job_id"])
+
+
+def _resume(home: Path, job: str) -> None:
+    assert answer("acquire", "resume", job, "--home", str(home))["jobs"] == {"succeeded": 1}
+
+
 def test_ten_states_are_recorded_and_reported(home: Path, load_frame: None) -> None:
-    connect(home, CABLE)
+    connect(home, CABLE, SERVO)
     with service(home):
-        first = follow(home)
-        # S06 lost a cable and waits; nobody asked the load frame for more.
-        assert first.returncode == 5, first.stderr
-        assert "camera C2 does not answer; check its cable" in first.stderr
-        (waiting,) = answer("acquire", "list", "--home", str(home))
-        assert (waiting["subject"], waiting["state"]) == ("fatigue/S06", "needs-operator")
-        connect(home, "")
-        assert answer("acquire", "resume", waiting["job_id"], "--home", str(home))["jobs"] == {"succeeded": 1}
-        second = follow(home)
-        assert second.returncode == 0, second.stderr
+        # S06 lost a cable and waits, and the servo at S08 hunts; nobody asked the load frame for more.
+        lost = _needs_operator(home, "fatigue/S06", "camera C2 does not answer; check its cable")
+        connect(home, "", SERVO)
+        _resume(home, lost)
+        hunting = _needs_operator(
+            home, "fatigue/S08", "the servo of 'stage' hunts: after 2 attempts of 2 s pan"
+        )
+        connect(home, "", "")
+        _resume(home, hunting)
+        last = follow(home)
+        assert last.returncode == 0, last.stderr
         assert answer("job", "wait", "-c", "fatigue", "--home", str(home), timeout=1500.0)
         report = answer(
             "job", "submit", "report", "-c", "fatigue", "--wait", "--home", str(home), timeout=900.0
@@ -161,5 +190,9 @@ def test_ten_states_are_recorded_and_reported(home: Path, load_frame: None) -> N
         assert found["doubts"] == 0.0
     assert statistics["fatigue/S02/C1P1"]["retaken_frames"] == 1.0
     assert statistics["fatigue/S04/C1P1"]["recordings"] == 2.0
+    # At S03 the servo hunted once, and stood still when it was told again.
+    logs = [log.read_text() for log in (home / "logs" / "jobs").glob("*.log")]
+    (mended,) = [text for text in logs if "hunts, attempt 1 of 2" in text and "attempt 2 of 2" not in text]
+    assert "fatigue/S03" in mended
     states = [j["state"] for j in answer("job", "list", "-c", "fatigue", "--home", str(home))]
     assert set(states) == {"succeeded"}

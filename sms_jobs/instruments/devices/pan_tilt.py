@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import suppress
@@ -23,6 +24,8 @@ _MARGIN_S = 5.0
 _HOMING_S = 120.0
 _STANDS_S = 1.0
 """An axis that stands so long without being homed has not found its home position."""
+
+_logger = logging.getLogger(__name__)
 
 
 class PanTilt:
@@ -202,7 +205,7 @@ class PanTilt:
 
     def _go(self, targets: Mapping[AxisName, float]) -> Iterator[float]:
         settling = self._stage.settling
-        for _ in range(settling.attempts):
+        for attempt in range(1, settling.attempts + 1):
             for leg in self._legs(targets):
                 one_by_one = self._stage.start == "one-after-the-other"
                 groups = [{axis: target} for axis, target in leg.items()] if one_by_one else [leg]
@@ -211,7 +214,11 @@ class PanTilt:
             drift = yield from self._settle(targets)
             if not drift:
                 return
-        hunting = " and ".join(f"{axis} is off by up to {error:.2e} rad" for axis, error in drift.items())
+            hunting = " and ".join(f"{axis} is off by up to {error:.2e} rad" for axis, error in drift.items())
+            _logger.warning(
+                "the servo of '%s' hunts, attempt %d of %d: %s",
+                self.name, attempt, settling.attempts, hunting,
+            )  # fmt: skip
         raise DeviceFault(
             f"the servo of '{self.name}' hunts: after {settling.attempts} attempts of {settling.timeout_s:g} "
             f"s {hunting}, more than {settling.tolerance_rad:.2e} rad; lighten the bar, wait, or widen the "
