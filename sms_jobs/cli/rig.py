@@ -136,7 +136,7 @@ def move(
     Example: sms rig move virtual --pan 22.5 --tilt -45
     """
     from sms_jobs.instruments.connection import connected
-    from sms_jobs.instruments.devices.pose_table import StagePose
+    from sms_jobs.metrology.geometry.stage_poses import StagePose
 
     with connected(_with_stage(home, rig)) as found:
         assert found.stage is not None

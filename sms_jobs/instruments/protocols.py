@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.instruments.devices.device import Status
-from sms_jobs.instruments.devices.pose_table import StagePose
+from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.measurement import FringeSequence, Measurement
 
 

@@ -15,7 +15,6 @@ from pydantic import Field
 from sms_jobs.errors import InstrumentError, InvalidInput
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.devices.device import POLLS_EVERY_S
-from sms_jobs.instruments.devices.pose_table import StagePose
 from sms_jobs.instruments.recorder import (
     ConnectedRig,
     Limits,
@@ -39,6 +38,7 @@ from sms_jobs.kinds.kind import (
     rig_queue,
 )
 from sms_jobs.kinds.simulate import scene_at
+from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.recording import Recording

@@ -21,9 +21,9 @@ from sms_jobs.instruments.clock import Clock, RealClock, SimulatedClock
 from sms_jobs.instruments.devices.connecting import Connector
 from sms_jobs.instruments.devices.emergency_stop import emergency_stop
 from sms_jobs.instruments.devices.pan_tilt import PanTilt
-from sms_jobs.instruments.devices.pose_table import StagePose
 from sms_jobs.instruments.operation_log import OperationLog
 from sms_jobs.instruments.simulated.serial.simulation import SerialSimulation, simulate
+from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.instruments import (
     Axis,
     Instruments,

@@ -12,9 +12,9 @@ from sms_jobs.errors import DeviceFault, InstrumentError, LimitExceeded
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.devices.clearance import tilt_range
 from sms_jobs.instruments.devices.device import POLLS_EVERY_S, Description, Status
-from sms_jobs.instruments.devices.pose_table import AngleRange, StagePose
 from sms_jobs.instruments.drivers.axes import AXES, Axes, AxisName, AxisState
 from sms_jobs.instruments.operation_log import OperationLog
+from sms_jobs.metrology.geometry.stage_poses import AngleRange, StagePose
 from sms_jobs.records.instruments import Axis, Stage
 from sms_jobs.records.operations import Reading
 

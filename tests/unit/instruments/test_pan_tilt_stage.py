@@ -14,10 +14,10 @@ from sms_jobs.instruments.clock import SimulatedClock
 from sms_jobs.instruments.devices.connecting import Connector
 from sms_jobs.instruments.devices.device import Status
 from sms_jobs.instruments.devices.pan_tilt import PanTilt
-from sms_jobs.instruments.devices.pose_table import StagePose, uniform_poses
 from sms_jobs.instruments.drivers.axes import Axes, AxisName, AxisState
 from sms_jobs.instruments.operation_log import OperationLog, json_line
 from sms_jobs.instruments.simulated.serial.simulation import SerialSimulation
+from sms_jobs.metrology.geometry.stage_poses import StagePose, uniform_poses
 from sms_jobs.records.instruments import Axis, Instruments, Settling, Stage, TripodClearance
 from sms_jobs.records.operations import Operation
 from sms_jobs.records.serial_links import Fault, SerialLink

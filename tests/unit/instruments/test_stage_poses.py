@@ -8,7 +8,7 @@ from math import degrees, radians
 import pytest
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.instruments.devices.pose_table import AngleRange, StagePose, travel, uniform_poses
+from sms_jobs.metrology.geometry.stage_poses import AngleRange, StagePose, travel, uniform_poses
 
 
 def in_degrees(poses: tuple[StagePose, ...]) -> list[tuple[float, float]]:

@@ -8,8 +8,8 @@ from sms_jobs.errors import DeviceFault
 from sms_jobs.formats.rig_configuration import parse_rig
 from sms_jobs.instruments.clock import SimulatedClock
 from sms_jobs.instruments.connection import connected
-from sms_jobs.instruments.devices.pose_table import StagePose
 from sms_jobs.instruments.simulated.optics import Setting
+from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 RIG = """
