@@ -23,6 +23,7 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.jobs.runner import Runner
 from sms_jobs.jobs.stations import Stations
+from sms_jobs.kinds import all_kinds
 from sms_jobs.workers.celery_app import QUEUES, RUN, WORKER_ID, WORKER_QUEUES, make_app
 
 _settings = settings_file.load()
@@ -66,6 +67,12 @@ def _prepare_process(**_: Any) -> None:
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(process)d %(message)s")
     cv2.setNumThreads(_settings.threads)
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
+
+
+@worker_init.connect  # type: ignore[untyped-decorator]
+def _load_kinds(**_: Any) -> None:
+    # Once, before the fork: a process that takes the place of a killed one has them at once.
+    all_kinds()
 
 
 def _end_with_parent(parent: int) -> None:
