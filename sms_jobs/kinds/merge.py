@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -20,7 +20,13 @@ from sms_jobs.kinds.kind import (
     Scope,
     deformed_states,
 )
-from sms_jobs.metrology.deformation.merging import Merged, combine_labels, join_meshes, merge_by_variance
+from sms_jobs.metrology.deformation.merging import (
+    Merged,
+    combine_labels,
+    correlation_of_pairs,
+    join_meshes,
+    merge_by_variance,
+)
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import DisplacementField, MergedField, Mesh, PointCloud, Regions, StrainField
@@ -48,7 +54,7 @@ class MergeParameters(Parameters):
 
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    for pair in campaign.pairs:
+    for pair in campaign.shape_pairs:
         own = Subject(subject.campaign, subject.state, pair)
         yield Need(f"displacement {pair}", "correlate", own)
         yield Need(f"strain {pair}", "strain", own)
@@ -57,9 +63,9 @@ def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
 
 
 def cameras(campaign: Campaign, subject: Subject) -> dict[str, tuple[str, ...]]:
-    """Return the pairs of each camera, in the campaign's order."""
+    """Return the pairs of each camera that measures shape, in the campaign's order."""
     found: dict[str, tuple[str, ...]] = {}
-    for pair in campaign.pairs:
+    for pair in campaign.shape_pairs:
         camera, _ = split_pair(pair)
         found[camera] = (*found.get(camera, ()), pair)
     return found
@@ -93,7 +99,7 @@ def _merged_camera(inputs: Inputs, camera: str, pairs: tuple[str, ...]) -> Merge
     """Merge displacement, and the shape where there is displacement, over the pairs of one camera."""
     moved = [inputs.read(f"displacement {p}", "displacement", DisplacementField) for p in pairs]
     clouds = [inputs.read(f"reference {p}", "cloud", PointCloud) for p in pairs]
-    displacement = merge_by_variance([d.displacement for d in moved], [d.covariance for d in moved])
+    displacement = _merged([d.displacement for d in moved], [d.covariance for d in moved])
     shape = merge_by_variance(
         [np.where(d.reason == Reason.VALID, c.xyz, np.nan) for d, c in zip(moved, clouds, strict=True)],
         [c.covariance for c in clouds],
@@ -122,7 +128,12 @@ def _merged_strain(inputs: Inputs, pairs: tuple[str, ...]) -> Merged:
         packed = np.zeros((6, *field.reason.shape))
         packed[_DIAGONAL] = field.sigma.astype(np.float64) ** 2
         variances.append(packed)
-    return merge_by_variance([f.strain for f in fields], variances)
+    return _merged([f.strain for f in fields], variances)
+
+
+def _merged(values: Sequence[Floats], covariances: Sequence[NDArray[np.floating]]) -> Merged:
+    """Merge what pairs of one camera say of its texture, whose errors they share in part."""
+    return merge_by_variance(values, covariances, correlation_of_pairs(values, covariances))
 
 
 def _vertex_values(field: MergedField, strain: Merged) -> Floats:
@@ -153,7 +164,7 @@ def _statistics(fields: dict[str, MergedField], mesh: Mesh) -> dict[str, float]:
 KIND = Kind(
     name="merge",
     summary="pairs of a camera merged by inverse variance, and all cameras joined into one surface",
-    version=2,
+    version=3,
     scope=Scope.STATE,
     parameters=MergeParameters,
     needs=_needs,

@@ -13,6 +13,9 @@ from scipy.spatial import cKDTree
 Floats: TypeAlias = NDArray[np.float64]
 
 _DIAGONAL = (0, 3, 5)  # of a packed symmetric tensor
+_LEAST_VARIANCE = 1e-18  # a picometre: an exact pair would outweigh any other by infinity
+_OUTLIER = 5.0  # sigmas: pairs that differ by more see different things, and do not tell of their noise
+_LEAST_TOGETHER = 100  # pixels that two pairs must have in common to tell how their errors go together
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,55 @@ class Merged:
     discrepancy: Floats
 
 
-def merge_by_variance(
+def _variance(value: NDArray[np.floating], covariance: NDArray[np.floating]) -> Floats:
+    """Return the trace of the covariance, (rows, columns), at least a picometre's; NaN without a value."""
+    variance = np.sum([covariance[i] for i in _DIAGONAL], axis=0, dtype=np.float64)
+    return np.where(np.isfinite(value).all(axis=0), np.maximum(variance, _LEAST_VARIANCE), np.nan)
+
+
+def correlation_of_pairs(
     values: Sequence[NDArray[np.floating]], covariances: Sequence[NDArray[np.floating]]
+) -> Floats:
+    """Return how far the errors of pairs go together, from how far the pairs differ.
+
+    Pairs of one camera match the same subsets of the same texture, so what a subset gets wrong beyond the
+    camera's noise, both get wrong alike.
+
+    Parameters
+    ----------
+    values, covariances
+        As of `merge_by_variance`.
+
+    Returns
+    -------
+    (pairs, pairs): coefficients of correlation, 0 .. 1, and 1 on the diagonal.
+
+    Notes
+    -----
+    With v the traces of the stated covariances and d the difference of two pairs,
+    E |d|^2 = v_a + v_b - 2 rho sqrt(v_a v_b), which is solved for rho over all pixels that both have. It is
+    as good as the stated variances are. Errors that seem opposed, and those of pairs with fewer than 100
+    pixels in common, count as independent.
+    """
+    variances = [_variance(v, c) for v, c in zip(values, covariances, strict=True)]
+    correlation = np.eye(len(values))
+    for a in range(len(values)):
+        for b in range(a + 1, len(values)):
+            square = np.sum((values[a] - values[b]) ** 2, axis=0)
+            expected = variances[a] + variances[b]
+            told = square <= _OUTLIER**2 * expected  # False where one of them has no value
+            if np.count_nonzero(told) < _LEAST_TOGETHER:
+                continue
+            shared = float(np.sum(expected[told] - square[told]))
+            most = 2.0 * float(np.sum(np.sqrt(variances[a][told] * variances[b][told])))
+            correlation[a, b] = correlation[b, a] = np.clip(shared / most, 0.0, 1.0)
+    return correlation
+
+
+def merge_by_variance(
+    values: Sequence[NDArray[np.floating]],
+    covariances: Sequence[NDArray[np.floating]],
+    correlation: Floats | None = None,
 ) -> Merged:
     """Take the mean of a vector field over pairs, weighted by inverse variance.
 
@@ -51,20 +101,20 @@ def merge_by_variance(
         Of each pair: (3, rows, columns); NaN where it has none.
     covariances
         Of each pair: (6, rows, columns), in the square of the values' unit.
+    correlation
+        (pairs, pairs), how far the errors of pairs go together: see `correlation_of_pairs`. None for errors
+        that do not.
 
     Notes
     -----
     The weight is the inverse of the covariance's trace, which no rotation of the frame changes; errors of
     the pairs of one camera point along the same rays, so little is lost against full matrices. Equal
-    variances give thesis Eq. (4.1).
+    variances give thesis Eq. (4.1). Two pairs with weights w, traces v and correlation rho add
+    2 w_a w_b rho sqrt(v_a v_b) (C_a / v_a + C_b / v_b) / 2 to the sum of w^2 C.
     """
     shape = values[0].shape[1:]
-    weights = np.zeros((len(values), *shape))
-    for k, (value, covariance) in enumerate(zip(values, covariances, strict=True)):
-        variance = np.sum([covariance[i] for i in _DIAGONAL], axis=0, dtype=np.float64)
-        known = np.isfinite(value).all(axis=0) & np.isfinite(variance)
-        # An exact pair would outweigh any other by infinity: a picometre is exact enough.
-        weights[k] = np.where(known, 1.0 / np.maximum(np.where(known, variance, 1.0), 1e-18), 0.0)
+    variances = [_variance(v, c) for v, c in zip(values, covariances, strict=True)]
+    weights = np.array([np.where(np.isfinite(v), 1.0 / v, 0.0) for v in variances])
     total = weights.sum(axis=0)
     weights /= np.where(total > 0.0, total, np.nan)
     used = weights > 0.0
@@ -73,6 +123,8 @@ def merge_by_variance(
     for weight, value, covariance in zip(weights, values, covariances, strict=True):
         mean += np.where(weight > 0.0, weight * value, 0.0)
         spread += np.where(weight > 0.0, weight**2 * covariance, 0.0)
+    if correlation is not None:
+        _add_shared(spread, weights, variances, covariances, correlation)
     contributors = used.sum(axis=0).astype(np.uint8)
     mean[:, contributors == 0] = np.nan
     spread[:, contributors == 0] = np.nan
@@ -86,6 +138,24 @@ def merge_by_variance(
     rms = float(np.sqrt(squares.sum() / total_differences)) if total_differences else float("nan")
     local = np.sqrt(squares / np.where(differences > 0, differences, np.nan))
     return Merged(mean, spread, contributors, rms, local)
+
+
+def _add_shared(
+    spread: Floats,
+    weights: Floats,
+    variances: Sequence[Floats],
+    covariances: Sequence[NDArray[np.floating]],
+    correlation: Floats,
+) -> None:
+    """Add to a merged covariance (6, rows, columns) what the errors of pairs have in common."""
+    for a in range(len(variances)):
+        for b in range(a + 1, len(variances)):
+            both = (weights[a] > 0.0) & (weights[b] > 0.0)
+            if correlation[a, b] == 0.0 or not both.any():
+                continue
+            va, vb = variances[a][both], variances[b][both]
+            factor = correlation[a, b] * weights[a][both] * weights[b][both] * np.sqrt(va * vb)
+            spread[:, both] += factor * (covariances[a][:, both] / va + covariances[b][:, both] / vb)
 
 
 def combine_labels(maps: Sequence[NDArray[np.int32]]) -> NDArray[np.int32]:

@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.deformation.merging import combine_labels, join_meshes, merge_by_variance
+from sms_jobs.metrology.deformation.merging import (
+    combine_labels,
+    correlation_of_pairs,
+    join_meshes,
+    merge_by_variance,
+)
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 
 
@@ -34,6 +39,58 @@ def test_the_weighted_mean_scatters_as_predicted_and_least(rng: np.random.Genera
     assert merged.value.var() == pytest.approx(best, rel=0.035)
     expected = np.sqrt(3.0 * np.sum(sigma**2))
     assert merged.discrepancy_rms == pytest.approx(expected, rel=0.02)
+
+
+def sharing(rng: np.random.Generator, own: tuple[float, ...], shared: float) -> list[np.ndarray]:
+    """Return errors of pairs (3, 100, 100): one of each pair's own, and one that all have."""
+    together = shared * rng.normal(size=(3, 100, 100))
+    return [together + sigma * rng.normal(size=(3, 100, 100)) for sigma in own]
+
+
+def test_what_pairs_share_is_told_by_how_little_they_differ(rng: np.random.Generator) -> None:
+    errors = sharing(rng, (0.1, 0.2, 0.3), 0.2)
+    variance = np.array([0.1, 0.2, 0.3]) ** 2 + 0.2**2
+    found = correlation_of_pairs(errors, [packed(v, (100, 100)) for v in variance])
+    expected = 0.2**2 / np.sqrt(np.outer(variance, variance))
+    np.fill_diagonal(expected, 1.0)
+    # The mean square of 30,000 differences is known to sqrt(2 / 30000) = 0.8 %; it is at most 2.2 times
+    # 2 sqrt(v_a v_b) here, so rho to 0.02 at two sigma.
+    np.testing.assert_allclose(found, expected, atol=0.025)
+
+
+def test_the_mean_of_pairs_that_share_errors_scatters_as_predicted(rng: np.random.Generator) -> None:
+    errors = sharing(rng, (0.1, 0.2), 0.2)
+    covariances = [packed(s * s + 0.2**2, (100, 100)) for s in (0.1, 0.2)]
+    merged = merge_by_variance(errors, covariances, correlation_of_pairs(errors, covariances))
+    # The observed variance is known to 0.8 %, the predicted one to 0.02 of rho, 1.6 %; three of both.
+    assert merged.covariance[0, 0, 0] == pytest.approx(merged.value.var(), rel=0.06)
+    # Taken for independent, the pairs would promise too much by a third.
+    assert merge_by_variance(errors, covariances).covariance[0, 0, 0] < 0.7 * merged.value.var()
+
+
+def test_the_covariance_of_related_errors_is_that_of_their_mean(rng: np.random.Generator) -> None:
+    spread = packed(0.3, (4, 5))
+    spread[1] = 0.1
+    fields = list(rng.normal(size=(2, 3, 4, 5)))
+    for rho, expected in ((0.0, 0.5), (0.4, 0.7), (1.0, 1.0)):
+        # Var of (a + b) / 2 is (1 + rho) / 2 of either; rounding only.
+        merged = merge_by_variance(fields, [spread, spread], np.array([[1.0, rho], [rho, 1.0]]))
+        np.testing.assert_allclose(merged.covariance, expected * spread, atol=1e-15)
+
+
+def test_independent_opposed_and_unmet_pairs_count_as_independent(rng: np.random.Generator) -> None:
+    errors = list(rng.normal(size=(2, 3, 100, 100)))
+    covariances = [packed(1.0, (100, 100))] * 2
+    # As above: the mean square of the differences is known to 0.8 % of 2 v.
+    assert correlation_of_pairs(errors, covariances)[0, 1] < 0.025
+    assert correlation_of_pairs([errors[0], -errors[0]], covariances)[0, 1] == 0.0
+    apart = [errors[0].copy(), errors[0].copy()]
+    apart[0][:, :, :50] = apart[1][:, :, 50:] = np.nan
+    assert correlation_of_pairs(apart, covariances)[0, 1] == 0.0
+    # A patch where one pair sees another surface tells nothing of the noise.
+    astray = [errors[0], errors[0].copy()]
+    astray[1][:, :20] += 100.0
+    assert correlation_of_pairs(astray, covariances)[0, 1] == pytest.approx(1.0)
 
 
 def test_a_pixel_takes_what_there_is() -> None:

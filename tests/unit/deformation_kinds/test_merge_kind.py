@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sms_jobs.kinds import merge
+from sms_jobs.metrology.deformation.merging import correlation_of_pairs
 from sms_jobs.records.reasons import Reason
 
 
@@ -20,14 +21,31 @@ def test_the_merged_field_is_nearer_to_the_truth_than_its_pairs(plate: Any) -> N
     assert both.sum() > 1000
     rms = [np.sqrt(np.mean((d[:, both] - truth[:, both]) ** 2)) for d in (p.displacement for p in pairs)]
     assert np.sqrt(np.mean((merged.displacement[:, both] - truth[:, both]) ** 2)) < max(rms)
-    trace = [p.covariance[[0, 3, 5]].sum(axis=0)[both] for p in pairs]
-    # Inverse variance: 1 / (1 / a + 1 / b), in single precision.
-    np.testing.assert_allclose(
-        merged.covariance[[0, 3, 5]].sum(axis=0)[both], 1.0 / (1.0 / trace[0] + 1.0 / trace[1]), rtol=1e-4
-    )
+    a, b = (p.covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64)[both] for p in pairs)
+    rho = correlation_of_pairs([p.displacement for p in pairs], [p.covariance for p in pairs])[0, 1]
+    # Inverse variance 1 / (1 / a + 1 / b), and 2 w_a w_b rho sqrt(a b) for what is shared; single precision.
+    expected = a * b / (a + b) + 2.0 * rho * (a * b) ** 1.5 / (a + b) ** 2
+    np.testing.assert_allclose(merged.covariance[[0, 3, 5]].sum(axis=0)[both], expected, rtol=1e-4)
     difference = np.linalg.norm(pairs[0].displacement - pairs[1].displacement, axis=0)
     assert merged.discrepancy_rms_mm == pytest.approx(np.sqrt(np.nanmean(difference**2)))
     assert merged.pairs == ("C1P1", "C1P2")
+
+
+def test_the_merged_sigma_is_that_of_the_error(plate: Any) -> None:
+    records = plate.results["merge", plate.subject("S01")]
+    merged, mesh = records["C1"], records["mesh"]
+    truth = plate.truth("C1P1")
+    error = np.sum((merged.displacement - truth.displacement) ** 2, axis=0)
+    both = (merged.contributors == 2) & np.isfinite(error)
+    stated = merged.covariance[[0, 3, 5]].sum(axis=0)[both]
+    # The project's own limits: stated over observed within 0.8 .. 1.2.
+    assert 0.8 < np.sqrt(stated.mean() / error[both].mean()) < 1.2
+    values = dict(zip(mesh.value_names, mesh.values, strict=True))
+    # The strain of the plate is uniform: 0.005 along x, E = e + e^2 / 2, and -0.3 of it across.
+    exact = {"xx": 0.005 + 0.005**2 / 2, "yy": -0.0015 + 0.0015**2 / 2, "xy": 0.0}
+    observed = np.nanmean([(values[f"strain {c}"] - e) ** 2 for c, e in exact.items()])
+    predicted = np.nanmean([values[f"sigma of strain {c}"] ** 2 for c in exact])
+    assert 0.8 < np.sqrt(predicted / observed) < 1.2
 
 
 def test_every_value_is_known_or_has_a_reason(plate: Any) -> None:
