@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
 from typing import Any
@@ -12,7 +12,16 @@ from pydantic import ValidationError
 
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.kinds import all_kinds, kind_named
-from sms_jobs.kinds.kind import Kind, Need, Parameters, Scope, default_subjects
+from sms_jobs.kinds.kind import (
+    CALIBRATION,
+    MEASUREMENT,
+    Kind,
+    Need,
+    Parameters,
+    Scope,
+    default_subjects,
+    pipeline_subjects,
+)
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.surfaces import SURFACE
 
@@ -86,25 +95,23 @@ def plan(
     Raises
     ------
     InvalidInput
-        A kind, parameter, state or pair does not exist.
+        A kind, parameter, state or pair does not exist, or a kind can do nothing in this campaign.
     NotFound
         A job would need a result that neither exists nor is part of the plan.
     """
     wanted = _expand(campaign, requests)
     parameters = {
-        name: checked_parameters(kind, {**campaign.processing.get(name, {}), **request.parameters})
-        for name, (kind, request) in wanted.items()
+        name: checked_parameters(one.kind, {**campaign.processing.get(name, {}), **one.request.parameters})
+        for name, one in wanted.items()
     }
     # A kind that has nothing to do in this campaign makes nothing that others could wait for.
-    makers = {
-        kind.makes or kind.name: kind for kind, _ in wanted.values() if default_subjects(kind, campaign)
-    }
+    makers = {one.kind.makes or name: one.kind for name, one in wanted.items() if one.subjects}
     jobs: dict[_Key, None] = {}
-    for name, (kind, request) in wanted.items():
-        for subject in _selected(kind, campaign, request):
+    for name, one in wanted.items():
+        for subject in _selected(one):
             jobs[(name, subject)] = None
     # What cannot be asked for twice is made where it was asked for and nowhere else.
-    once = {name for name, (kind, _) in wanted.items() if not kind.repeatable(parameters[name])}
+    once = {name for name, one in wanted.items() if not one.kind.repeatable(parameters[name])}
     asked_for = frozenset(key for key in jobs if key[0] in once)
     producers: dict[_Key, dict[_Key, None]] = {}
     inputs: dict[_Key, list[tuple[Need, _Key | None, Existing | None]]] = {}
@@ -115,7 +122,7 @@ def plan(
         name, subject = key
         found = inputs.setdefault(key, [])
         producers.setdefault(key, {})
-        for need in wanted[name][0].all_needs(campaign, subject, parameters[name]):
+        for need in wanted[name].kind.all_needs(campaign, subject, parameters[name]):
             maker = makers.get(need.source)
             producer = None if maker is None else (maker.name, covering(maker, need.subject))
             if producer is not None and producer[0] in once and producer not in asked_for:
@@ -131,7 +138,7 @@ def plan(
     place = {key: i for i, key in enumerate(order)}
     return tuple(
         PlannedJob(
-            wanted[key[0]][0],
+            wanted[key[0]].kind,
             key[1],
             parameters[key[0]],
             tuple(
@@ -143,28 +150,61 @@ def plan(
     )
 
 
-def _expand(campaign: Campaign, requests: Sequence[Request]) -> dict[str, tuple[Kind[Any], Request]]:
-    wanted: dict[str, tuple[Kind[Any], Request]] = {}
+@dataclass(frozen=True)
+class _Wanted:
+    """A kind that was asked for, how, and all its subjects in the campaign."""
+
+    kind: Kind[Any]
+    request: Request
+    subjects: tuple[Subject, ...]
+
+
+def _expand(campaign: Campaign, requests: Sequence[Request]) -> dict[str, _Wanted]:
+    """Return what was asked for by name of kind, the pipeline as those of its kinds that can do something."""
+    wanted: dict[str, _Wanted] = {}
+    pipeline = {name: pipeline_subjects(kind, campaign) for name, kind in all_kinds().items()}
+    pipeline = {name: subjects for name, subjects in pipeline.items() if subjects}
     for request in requests:
-        for label in request.states:
-            campaign.state(label)
-        unknown = set(request.pairs) - set(campaign.pairs)
-        if unknown:
-            raise InvalidInput(
-                f"campaign {campaign.name} has no pair {', '.join(sorted(unknown))}; "
-                f"it has {', '.join(campaign.pairs)}"
-            )
+        _check_places(campaign, request)
         if request.kind != PIPELINE:
-            wanted[request.kind] = (kind_named(request.kind), request)
+            kind = kind_named(request.kind)
+            subjects = default_subjects(kind, campaign)
+            # Beside the pipeline, which does what can be done, the same holds for the others.
+            if not subjects and all(other.kind != PIPELINE for other in requests):
+                raise InvalidInput(_cannot(kind, campaign, pipeline))
+            wanted[request.kind] = _Wanted(kind, request, subjects)
             continue
-        kinds = {name: kind for name, kind in all_kinds().items() if kind.in_pipeline}
+        kinds = {name: kind_named(name) for name in pipeline}
         by_kind = _by_kind(request.parameters, kinds)
         for name, kind in kinds.items():
             # A part of a campaign has no report of the whole.
             if kind.scope is Scope.CAMPAIGN and (request.states or request.pairs):
                 continue
-            wanted[name] = (kind, replace(request, kind=name, parameters=by_kind.get(name, {})))
+            own = replace(request, kind=name, parameters=by_kind.get(name, {}))
+            wanted[name] = _Wanted(kind, own, pipeline[name])
     return wanted
+
+
+def _check_places(campaign: Campaign, request: Request) -> None:
+    for label in request.states:
+        campaign.state(label)
+    unknown = set(request.pairs) - set(campaign.pairs)
+    if unknown:
+        raise InvalidInput(
+            f"campaign {campaign.name} has no pair {', '.join(sorted(unknown))}; "
+            f"it has {', '.join(campaign.pairs)}"
+        )
+
+
+def _cannot(kind: Kind[Any], campaign: Campaign, others: Iterable[str]) -> str:
+    """Say that a kind has no subject in a campaign, with what may be why, and what has one."""
+    count = len(campaign.states)
+    return (
+        f"{kind.name} has nothing to do in campaign {campaign.name}, which has {count} "
+        f"{'state' if count == 1 else 'states'} measured by {', '.join(campaign.pairs)}"
+        f"{'' if campaign.shape_pairs else ' without a projector'}; "
+        f"its pipeline is {', '.join(others) or 'empty'}"
+    )
 
 
 def _by_kind(parameters: Mapping[str, Any], kinds: Mapping[str, Kind[Any]]) -> dict[str, dict[str, Any]]:
@@ -180,12 +220,13 @@ def _by_kind(parameters: Mapping[str, Any], kinds: Mapping[str, Kind[Any]]) -> d
     return split
 
 
-def _selected(kind: Kind[Any], campaign: Campaign, request: Request) -> list[Subject]:
+def _selected(wanted: _Wanted) -> list[Subject]:
+    states, pairs = wanted.request.states, wanted.request.pairs
     return [
         subject
-        for subject in default_subjects(kind, campaign)
-        if (not request.states or subject.state is None or subject.state in request.states)
-        and (not request.pairs or subject.pair is None or subject.pair in request.pairs)
+        for subject in wanted.subjects
+        if (not states or subject.state is None or subject.state in states)
+        and (not pairs or subject.pair is None or subject.pair in pairs)
     ]
 
 
@@ -199,6 +240,10 @@ def _existing(need: Need, find: Callable[[Need], Existing | None], who: str) -> 
 def _way_to(need: Need) -> str:
     if need.source == SURFACE:
         return f"bring one in with 'sms import surface FILE -c {need.subject.campaign}'"
+    if need.source == CALIBRATION:
+        return "bring one in with 'sms calibration import', or certify one that was measured"
+    if need.source == MEASUREMENT:
+        return "record or simulate it, or bring it in with 'sms import'"
     return "submit the pipeline, or the job that makes it first"
 
 

@@ -48,7 +48,7 @@ class CameraView:
 
 def cloud_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     """Return the points of every pair at a state."""
-    for pair in campaign.pairs:
+    for pair in campaign.shape_pairs:
         yield Need(f"shape {pair}", "reconstruct", Subject(subject.campaign, subject.state, pair))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import TypeAlias, cast
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,15 +23,21 @@ from sms_jobs.kinds.kind import (
     deformed_tuples,
     tested_states,
 )
+from sms_jobs.kinds.point_matches import (
+    match_settings,
+    match_statistics,
+    matches_record,
+    search_settings,
+    summary,
+    trusted_points,
+)
 from sms_jobs.kinds.textured_state import TexturedState, interior_of, matched_labels, read_state
 from sms_jobs.metrology.deformation import correlation, displacement
-from sms_jobs.metrology.deformation.correlation import MatchSettings, PreparedImages, prepare_images
-from sms_jobs.metrology.deformation.displacement import DenseDisplacement, ImagePoints, displacement_field
+from sms_jobs.metrology.deformation.correlation import PreparedImages, prepare_images
+from sms_jobs.metrology.deformation.displacement import DenseDisplacement, displacement_field
 from sms_jobs.metrology.deformation.incremental import Followed, follow, match_in_steps
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, match_nodes
 from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
-from sms_jobs.metrology.deformation.seeding import SearchSettings
-from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
 from sms_jobs.metrology.deformation.splitting import Split, split_regions
 from sms_jobs.metrology.images.segmentation import ContinuousRegions, in_order
 from sms_jobs.records.campaign import Campaign, Subject
@@ -46,19 +52,6 @@ from sms_jobs.records.sensors import Calibration, split_pair
 
 Floats: TypeAlias = NDArray[np.float64]
 
-_MATCH_REASONS = {
-    correlation.CONVERGED: Reason.VALID,
-    correlation.TOO_FEW_PIXELS: Reason.OUTSIDE_REGION,
-    correlation.NO_TEXTURE: Reason.NO_TEXTURE,
-    correlation.LEFT_IMAGE: Reason.LEFT_IMAGE,
-    correlation.NOT_CONVERGED: Reason.NO_MATCH,
-}
-_IN_WORDS = {
-    correlation.LEFT_IMAGE: "left the image",
-    correlation.NO_TEXTURE: "without texture",
-    correlation.NOT_CONVERGED: "without a counterpart",
-    correlation.TOO_FEW_PIXELS: "with too little of a region about them",
-}
 _PIXEL_REASONS = {
     displacement.OUTSIDE_REGION: Reason.OUTSIDE_REGION,
     displacement.NO_MATCH_NEAR: Reason.NO_MATCH,
@@ -107,7 +100,6 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
             inputs, "previous_shape", "previous_measurement", sensor, parameters, of_interest=False
         )
     grid, steps = _match(inputs, before, last, after, labels, parameters)
-    matched = grid.matches.ending == correlation.CONVERGED
     apart = _come_apart(grid, before, after, parameters)
     if apart:
         # Subsets must not look across what has opened: its sides are regions of their own from here on.
@@ -116,16 +108,9 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         interior = interior_of(before.regions.labels, parameters)
         labels = matched_labels(before, interior, parameters)
         grid, steps = _match(inputs, before, last, after, labels, parameters)
-        matched = grid.matches.ending == correlation.CONVERGED
     progress(0.7, summary(grid.matches.ending, apart))
     found = displacement_field(
-        ImagePoints(
-            grid.x[matched],
-            grid.y[matched],
-            before.regions.labels[grid.y[matched], grid.x[matched]],
-            np.ascontiguousarray(grid.matches.warp[matched, :6]),
-            grid.matches.sigma[matched],
-        ),
+        trusted_points(grid, before.regions.labels),
         (before.cloud.xyz, before.cloud.covariance, before.regions.labels),
         (after.cloud.xyz, after.cloud.covariance, after.regions.labels),
         interior,
@@ -134,7 +119,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         threads=inputs.threads,
     )
     field = _displacement_record(found, before, inputs.context, parameters)
-    matches = _matches_record(grid, before.regions, steps)
+    matches = matches_record(grid, before.regions.labels, steps)
     progress(1.0, "looked up the displacement")
     yield DatasetOutput(
         inputs.subject,
@@ -156,20 +141,6 @@ def _come_apart(
     return split if split.pieces else None
 
 
-def summary(ending: NDArray[np.int32], apart: Split | None) -> str:
-    """Return in a sentence how the matching of points ended."""
-    count = {ended: int((ending == ended).sum()) for ended in _MATCH_REASONS}
-    text = f"matched {count[correlation.CONVERGED]} of {len(ending)} points"
-    others = ", ".join(f"{count[ended]} {why}" for ended, why in _IN_WORDS.items() if count[ended])
-    text += f"; {others}" if others else ""
-    if apart:
-        each = (f"region {number} has come apart into {len(names)}" for number, names in apart.pieces.items())
-        text += f"; {', '.join(each)}"
-    if len(ending) and not count[correlation.CONVERGED]:
-        text += "; look at the texture of both states, and at the search range"
-    return text
-
-
 def _match(
     inputs: Inputs,
     before: TexturedState,
@@ -180,11 +151,7 @@ def _match(
 ) -> tuple[GridMatches, NDArray[np.int32] | None]:
     """Match the points of a grid, and count the steps where the reference is not always the first state."""
     nodes = sample_nodes(labels, parameters.spacing_px, parameters.edge_spacing_px)
-    settings = MatchSettings(
-        parameters.subset_radius_px,
-        parameters.minimum_subset_part,
-        shape_order=cast(ShapeOrder, parameters.shape_order),
-    )
+    settings = match_settings(parameters, parameters.minimum_subset_part)
     grid = GridSettings(
         parameters.spacing_px,
         parameters.edge_spacing_px,
@@ -192,11 +159,7 @@ def _match(
         parameters.maximum_sigma_px,
         method=parameters.method,
     )
-    search = SearchSettings(
-        parameters.search_range_x_px,
-        parameters.search_range_y_px,
-        range_rotation=parameters.search_range_rotation_rad,
-    )
+    search = search_settings(parameters)
     how = (settings, grid, search, inputs.threads)
 
     def prepared(state: TexturedState, regions: NDArray[np.int32]) -> PreparedImages:
@@ -251,33 +214,6 @@ def _displacement_record(
     )
 
 
-def _matches_record(
-    grid: GridMatches, regions: ContinuousRegions, steps: NDArray[np.int32] | None
-) -> ImageMatches:
-    """Return the matches, NaN where there is a reason; the score is kept, since it may be that reason."""
-    found = grid.matches
-    reason = np.zeros(len(grid.x), dtype=np.uint32)
-    for ending, why in _MATCH_REASONS.items():
-        reason[found.ending == ending] = np.uint32(why)
-    warp, sigma = found.warp.T.copy(), found.sigma.T.astype(np.float32)
-    warp[:, reason != 0] = np.nan
-    sigma[:, reason != 0] = np.nan
-    return ImageMatches(
-        x=grid.x.astype(np.float64),
-        y=grid.y.astype(np.float64),
-        region=regions.labels[grid.y, grid.x],
-        u=warp[0],
-        v=warp[3],
-        gradient=warp[[1, 2, 4, 5]],
-        sigma_u=sigma[0],
-        sigma_v=sigma[1],
-        score=found.score.astype(np.float32),
-        iterations=found.iterations,
-        reason=reason,
-        steps=steps,
-    )
-
-
 def _regions_record(regions: ContinuousRegions) -> Regions:
     each = zip(regions.areas, regions.centroids, strict=True)
     described = tuple(
@@ -290,16 +226,12 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
     """Return what people search by; where nothing is valid, only the fractions."""
     valid = field.reason == Reason.VALID
     measured = before.cloud.reason == Reason.VALID
-    matched = matches.reason == Reason.VALID
     statistics = {
         "valid_fraction": float(valid.mean()),
         "valid_fraction_of_shape": float(valid.sum() / max(measured.sum(), 1)),
-        "matched_fraction": float(matched.sum() / max(len(matched), 1)),
         "regions": float(len(before.regions.areas)),
+        **match_statistics(matches),
     }
-    for reason in (Reason.NO_TEXTURE, Reason.NO_MATCH, Reason.LEFT_IMAGE, Reason.OUTSIDE_REGION):
-        part = np.count_nonzero(matches.reason == reason) / max(len(matched), 1)
-        statistics[f"{str(reason.name).lower()}_fraction_of_points"] = part
     if valid.any():
         sigma = np.sqrt(field.covariance[[0, 3, 5]][:, valid].sum(axis=0))
         length = np.linalg.norm(field.displacement[:, valid], axis=0)
@@ -307,8 +239,6 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
             "median_sigma_mm": float(np.median(sigma)),
             "median_displacement_mm": float(np.median(length)),
             "maximum_displacement_mm": float(length.max()),
-            "mean_score": float(matches.score[matched].mean()),
-            "median_match_sigma_px": float(np.median(np.hypot(matches.sigma_u, matches.sigma_v)[matched])),
         }
     return statistics
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import cast
 
 import numpy as np
-from pydantic import Field, field_validator
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.spatial import cKDTree
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.correlate_parameters import MatchingParameters
 from sms_jobs.kinds.kind import (
     MEASUREMENT,
     DatasetOutput,
@@ -16,62 +18,37 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Progress,
     Scope,
-    deformed_tuples,
+    deformed_images,
+    deformed_images_alone,
 )
-from sms_jobs.metrology.deformation import correlation
-from sms_jobs.metrology.deformation.correlation import MatchSettings, Noise, prepare_images
-from sms_jobs.metrology.deformation.displacement import BLEND_RADII, ImagePoints, blend_matches
-from sms_jobs.metrology.deformation.matching import GridSettings, match_grid
-from sms_jobs.metrology.deformation.seeding import SearchSettings
-from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
+from sms_jobs.kinds.point_matches import (
+    match_settings,
+    match_statistics,
+    matches_record,
+    search_settings,
+    summary,
+    trusted_points,
+)
+from sms_jobs.metrology.deformation.correlation import Noise, prepare_images
+from sms_jobs.metrology.deformation.displacement import BLEND_RADII, blend_matches
+from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, match_grid
 from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
-from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX, noise_after_smoothing, smooth
+from sms_jobs.metrology.images.smoothing import noise_after_smoothing, smooth
 from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.fields import ImageMatches
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.planar import PlanarDisplacement
 from sms_jobs.records.reasons import Reason
 
 
-class CorrelateImagesParameters(Parameters):
+class CorrelateImagesParameters(MatchingParameters):
     """How textures are matched, where, and how large a pixel is."""
 
     mm_per_px: float | None = Field(
         None, gt=0.0, description="size of a pixel on the specimen; without it results are in pixels alone"
     )
-    region_of_interest: str = Field(
-        "", description="outlines in px, as 'sms data outline' prints them; the whole image by default"
-    )
-    smoothing_px: float = Field(
-        0.6,
-        ge=0.0,
-        le=LARGEST_SMOOTHING_PX,
-        description="standard deviation of the filter that both textures pass before they are matched",
-    )
-    subset_radius_px: int = Field(10, ge=3, le=100, description="a subset has (2 radius + 1)^2 pixels")
-    shape_order: int = Field(
-        1, ge=0, le=2, description="how a subset may deform: 0 shift, 1 affine, 2 quadratic"
-    )
-    spacing_px: int = Field(4, ge=1, le=100, description="distance of the matched points")
-    minimum_score: float = Field(
-        0.8, gt=0.0, lt=1.0, description="least zero-normalised cross-correlation of a match"
-    )
-    maximum_sigma_px: float = Field(0.05, gt=0.0, description="largest standard deviation of a match")
-    search_range_x_px: int = Field(
-        40, ge=1, le=1000, description="largest displacement along the columns that seeds look for"
-    )
-    search_range_y_px: int = Field(
-        40, ge=1, le=1000, description="largest displacement along the rows that seeds look for"
-    )
-
-    @field_validator("region_of_interest")
-    @classmethod
-    def _outlines(cls, text: str) -> str:
-        if text:
-            parse_outlines(text)
-        return text
 
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
@@ -96,40 +73,23 @@ def run(inputs: Inputs, parameters: CorrelateImagesParameters, progress: Progres
     inside = np.ones(shape, dtype=bool)
     if parameters.region_of_interest:
         inside = inside_outlines(parse_outlines(parameters.region_of_interest), shape)
+    if not inside.any():
+        raise InvalidInput(
+            f"the region of interest '{parameters.region_of_interest}' leaves no pixel of {inputs.subject}, "
+            f"whose image has {shape[1]} x {shape[0]} px; give outlines that lie in it"
+        )
     labels = inside.astype(np.int32)
-    textures = [smooth(m.texture.astype(np.float64), parameters.smoothing_px) for m in (before, after)]
-    noises = []
-    for measurement, texture in zip((before, after), textures, strict=True):
-        factor = noise_after_smoothing(texture, inside, parameters.smoothing_px)
-        noises.append(Noise(factor * measurement.read_noise**2, factor * measurement.gain))
-    progress(0.1, "prepared the textures")
-    grid = match_grid(
-        prepare_images(textures[0], textures[1], labels, (noises[0], noises[1])),
-        textures[1],
-        MatchSettings(parameters.subset_radius_px, shape_order=cast(ShapeOrder, parameters.shape_order)),
-        GridSettings(
-            parameters.spacing_px,
-            minimum_score=parameters.minimum_score,
-            maximum_sigma=parameters.maximum_sigma_px,
-        ),
-        SearchSettings(parameters.search_range_x_px, parameters.search_range_y_px),
+    grid = _matched(before, after, labels, parameters, inputs.threads)
+    progress(0.8, summary(grid.matches.ending))
+    matches = matches_record(grid, labels)
+    value, variance = blend_matches(
+        trusted_points(grid, labels),
+        pixel_plane(shape),
+        labels,
+        BLEND_RADII * parameters.subset_radius_px,
         inputs.threads,
     )
-    matched = grid.matches.ending == correlation.CONVERGED
-    progress(0.8, f"matched {matched.sum()} of {len(grid.x)} points")
-    points = ImagePoints(
-        grid.x[matched],
-        grid.y[matched],
-        labels[grid.y[matched], grid.x[matched]],
-        np.ascontiguousarray(grid.matches.warp[matched, :6]),
-        grid.matches.sigma[matched],
-    )
-    value, variance = blend_matches(
-        points, pixel_plane(shape), labels, BLEND_RADII * parameters.subset_radius_px, inputs.threads
-    )
-    reason = np.zeros(shape, dtype=np.uint32)
-    reason[np.isnan(value[0])] = Reason.NO_MATCH
-    reason[~inside] = Reason.OUTSIDE_REGION
+    reason = _reasons(np.isnan(value[0]), inside, matches)
     value[:, reason != 0] = np.nan
     variance[:, reason != 0] = np.nan
     scale = parameters.mm_per_px
@@ -144,7 +104,53 @@ def run(inputs: Inputs, parameters: CorrelateImagesParameters, progress: Progres
         None if scale is None else value * scale,
     )
     progress(1.0, "spread the matches")
-    yield DatasetOutput(inputs.subject, {"displacement": field}, _statistics(field, matched))
+    yield DatasetOutput(
+        inputs.subject, {"displacement": field, "matches": matches}, _statistics(field, matches)
+    )
+
+
+def _matched(
+    before: Measurement,
+    after: Measurement,
+    labels: NDArray[np.int32],
+    parameters: CorrelateImagesParameters,
+    threads: int,
+) -> GridMatches:
+    """Smooth both textures and match the points of a grid."""
+    textures = [smooth(m.texture.astype(np.float64), parameters.smoothing_px) for m in (before, after)]
+    noises = []
+    for measurement, texture in zip((before, after), textures, strict=True):
+        factor = noise_after_smoothing(texture, labels > 0, parameters.smoothing_px)
+        noises.append(Noise(factor * measurement.read_noise**2, factor * measurement.gain))
+    return match_grid(
+        prepare_images(textures[0], textures[1], labels, (noises[0], noises[1]), parameters.interpolation),
+        textures[1],
+        match_settings(parameters),
+        GridSettings(
+            parameters.spacing_px,
+            minimum_score=parameters.minimum_score,
+            maximum_sigma=parameters.maximum_sigma_px,
+        ),
+        search_settings(parameters),
+        threads,
+    )
+
+
+def _reasons(
+    missing: NDArray[np.bool_], inside: NDArray[np.bool_], matches: ImageMatches
+) -> NDArray[np.uint32]:
+    """Return why pixels have no value: what the nearest point has against it, or that none is near."""
+    reason = np.zeros(inside.shape, dtype=np.uint32)
+    lost = matches.reason != 0
+    lacking = missing & inside
+    if lost.any() and lacking.any():
+        points = cKDTree(np.stack([matches.x[lost], matches.y[lost]], axis=1))
+        row, column = np.nonzero(lacking)
+        _, nearest = points.query(np.stack([column, row], axis=1))
+        reason[lacking] = matches.reason[lost][nearest]
+    reason[lacking & (reason == 0)] = Reason.NO_MATCH
+    reason[~inside] = Reason.OUTSIDE_REGION
+    return reason
 
 
 def pixel_plane(shape: tuple[int, ...]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
@@ -153,14 +159,10 @@ def pixel_plane(shape: tuple[int, ...]) -> np.ndarray[tuple[int, ...], np.dtype[
     return np.stack([column, -row, np.zeros(shape)])
 
 
-def _statistics(
-    field: PlanarDisplacement, matched: np.ndarray[tuple[int], np.dtype[np.bool_]]
-) -> dict[str, float]:
+def _statistics(field: PlanarDisplacement, matches: ImageMatches) -> dict[str, float]:
+    """Return what people search by; where nothing is valid, only the fractions."""
     valid = field.reason == Reason.VALID
-    statistics = {
-        "valid_fraction": float(valid.mean()),
-        "matched_fraction": float(matched.sum() / max(len(matched), 1)),
-    }
+    statistics = {"valid_fraction": float(valid.mean()), **match_statistics(matches)}
     if valid.any():
         length = np.hypot(*field.displacement[:, valid])
         statistics |= {
@@ -168,18 +170,21 @@ def _statistics(
             "maximum_displacement_px": float(length.max()),
             "median_sigma_px": float(np.median(np.hypot(*field.sigma[:, valid]))),
         }
+        if field.mm_per_px is not None:
+            statistics["median_displacement_mm"] = field.mm_per_px * statistics["median_displacement_px"]
+            statistics["maximum_displacement_mm"] = field.mm_per_px * statistics["maximum_displacement_px"]
     return statistics
 
 
 KIND = Kind(
     name="correlate-images",
     summary="displacement in the image from textures alone: one camera, a flat specimen, no fringes",
-    version=1,
+    version=2,
     scope=Scope.TUPLE,
     parameters=CorrelateImagesParameters,
     needs=_needs,
     run=run,
-    subjects=deformed_tuples,
+    subjects=deformed_images,
+    pipeline_subjects=deformed_images_alone,
     context=_reference_label,
-    in_pipeline=False,
 )

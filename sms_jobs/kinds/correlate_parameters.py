@@ -13,13 +13,14 @@ from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX
 from sms_jobs.metrology.images.spline import Interpolant
 
 
-class CorrelateParameters(Parameters):
-    """How textures are matched and where."""
+class MatchingParameters(Parameters):
+    """What all matching of textures has in common."""
 
-    texture: Literal["white", "fringe-average"] = Field(
-        "fringe-average",
-        description="image that is matched: the white frame, or the mean of all fringe frames, in which the "
-        "fringes cancel and the camera's noise is lower by the square root of their number",
+    region_of_interest: str = Field(
+        "",
+        description="the part of the reference image that is matched, in camera px, all when empty: "
+        "'rectangle LEFT TOP RIGHT BOTTOM', 'polygon X Y X Y X Y ..', several in a row, '-' before what is "
+        "left out; 'sms data outline' makes it of a mask image",
     )
     smoothing_px: float = Field(
         0.6,
@@ -27,6 +28,66 @@ class CorrelateParameters(Parameters):
         le=LARGEST_SMOOTHING_PX,
         description="standard deviation of the filter that both textures pass before they are matched: it "
         "takes out what is too fine for the pixels, which does not move as the specimen does; 0 for none",
+    )
+    subset_radius_px: int = Field(
+        10, ge=3, le=100, description="a subset has (2 radius + 1)^2 pixels, less those of other regions"
+    )
+    shape_order: int = Field(
+        1,
+        ge=0,
+        le=2,
+        description="how a subset may deform: 0 shift, 1 affine, 2 quadratic, which follows curved fields "
+        "and is noisier",
+    )
+    interpolation: Interpolant = Field(
+        "quintic",
+        description="B-spline between the pixels: the quintic has several times less bias than the cubic, "
+        "and the local cubic, through 4 x 4 pixels alone, is there to compare with other programs",
+    )
+    convergence_px: float = Field(
+        5e-4,
+        gt=0.0,
+        le=0.1,
+        description="rms movement of a subset's pixels at which its iteration ends; 1e-5 costs one "
+        "iteration more, and is for comparisons with other programs",
+    )
+    spacing_px: int = Field(4, ge=1, le=100, description="distance of the matched points")
+    minimum_score: float = Field(
+        0.8, gt=0.0, lt=1.0, description="least zero-normalised cross-correlation of a match"
+    )
+    maximum_sigma_px: float = Field(
+        0.05, gt=0.0, description="largest standard deviation of a match, from noise and from its residual"
+    )
+    search_range_x_px: int = Field(
+        40, ge=1, le=1000, description="largest displacement along the columns that seeds look for"
+    )
+    search_range_y_px: int = Field(
+        40, ge=1, le=1000, description="largest displacement along the rows that seeds look for"
+    )
+    search_range_rotation_rad: float = Field(
+        0.0,
+        ge=0.0,
+        le=3.1416,
+        description="largest rotation in the image that seeds look for where no shift fits; 0.2 needs none",
+    )
+
+    @field_validator("region_of_interest", mode="before")
+    @classmethod
+    def _outlines_can_be_read(cls, given: object) -> object:
+        """Join what commas have parted, and refuse what is no region."""
+        text = " ".join(map(str, given)) if isinstance(given, list | tuple) else given
+        if isinstance(text, str) and text:
+            parse_outlines(text)
+        return text
+
+
+class CorrelateParameters(MatchingParameters):
+    """How textures are matched and where."""
+
+    texture: Literal["white", "fringe-average"] = Field(
+        "fringe-average",
+        description="image that is matched: the white frame, or the mean of all fringe frames, in which the "
+        "fringes cancel and the camera's noise is lower by the square root of their number",
     )
     method: Method = Field(
         "gauss-newton",
@@ -45,54 +106,14 @@ class CorrelateParameters(Parameters):
         description="whether subsets end at the discontinuities of the measured shape, or, as in plain image "
         "correlation, know none: then they hold whatever is in their square",
     )
-    subset_radius_px: int = Field(
-        10, ge=3, le=100, description="a subset has (2 radius + 1)^2 pixels, less those of other regions"
-    )
-    shape_order: int = Field(
-        1,
-        ge=0,
-        le=2,
-        description="how a subset may deform: 0 shift, 1 affine, 2 quadratic, which follows curved fields "
-        "and is noisier",
-    )
-    interpolation: Interpolant = Field(
-        "quintic",
-        description="B-spline between the pixels: the quintic has several times less bias than the cubic, "
-        "and the local cubic, through 4 x 4 pixels alone, is there to compare with other programs",
-    )
-    spacing_px: int = Field(4, ge=1, le=100, description="distance of the matched points")
     edge_spacing_px: int | None = Field(
         None,
         ge=1,
         description="distance of the matched points within spacing-px of a region's edge; it must divide "
         "spacing-px and be at least a quarter of it; as elsewhere when not given",
     )
-    region_of_interest: str = Field(
-        "",
-        description="the part of the reference image that is matched, in camera px, all when empty: "
-        "'rectangle LEFT TOP RIGHT BOTTOM', 'polygon X Y X Y X Y ..', several in a row, '-' before what is "
-        "left out; 'sms data outline' makes it of a mask image",
-    )
-    minimum_score: float = Field(
-        0.8, gt=0.0, lt=1.0, description="least zero-normalised cross-correlation of a match"
-    )
-    maximum_sigma_px: float = Field(
-        0.05, gt=0.0, description="largest standard deviation of a match, from noise and from its residual"
-    )
     minimum_subset_part: float = Field(
         0.2, gt=0.0, le=1.0, description="least part of a subset that lies on its point's region"
-    )
-    search_range_x_px: int = Field(
-        40, ge=1, le=1000, description="largest displacement along the columns that seeds look for"
-    )
-    search_range_y_px: int = Field(
-        40, ge=1, le=1000, description="largest displacement along the rows that seeds look for"
-    )
-    search_range_rotation_rad: float = Field(
-        0.0,
-        ge=0.0,
-        le=3.1416,
-        description="largest rotation in the image that seeds look for where no shift fits; 0.2 needs none",
     )
     edge_margin_px: int = Field(
         1, ge=0, le=20, description="rim of a region that is not matched: it mixes with what lies behind"
@@ -106,15 +127,6 @@ class CorrelateParameters(Parameters):
     minimum_region_area_px: int = Field(
         200, ge=1, description="smaller pieces of continuous surface are left out"
     )
-
-    @field_validator("region_of_interest", mode="before")
-    @classmethod
-    def _outlines_can_be_read(cls, given: object) -> object:
-        """Join what commas have parted, and refuse what is no region."""
-        text = " ".join(map(str, given)) if isinstance(given, list | tuple) else given
-        if isinstance(text, str) and text:
-            parse_outlines(text)
-        return text
 
     @model_validator(mode="after")
     def _spacings_fit(self) -> Self:

@@ -211,7 +211,11 @@ class Kind(Generic[P]):
     further_needs
         Inputs that depend on the parameters, besides `needs`.
     subjects
-        Overrides the subjects that follow from the scope, e.g. to leave out the reference state.
+        Overrides the subjects that follow from the scope, e.g. to leave out the reference state. A kind
+        that can do nothing in a campaign has none there.
+    pipeline_subjects
+        Those of its subjects that the pipeline covers, where it is not all of them: what a pair with a
+        projector measures better, images need not give.
     context
         The part of the campaign's definition that the outputs depend on; hashed into the reuse key.
     repeatable
@@ -236,6 +240,7 @@ class Kind(Generic[P]):
     run: Callable[[Inputs, P, Progress], Iterator[Output]]
     further_needs: Callable[[Campaign, Subject, P], Iterable[Need]] = no_more_needs
     subjects: Callable[[Campaign], Iterable[Subject]] | None = None
+    pipeline_subjects: Callable[[Campaign], Iterable[Subject]] | None = None
     context: Callable[[Campaign, Subject], Any] = no_context
     repeatable: Callable[[P], bool] = always
     queue: Queue = Queue.CPU
@@ -264,29 +269,67 @@ def tested_states(campaign: Campaign) -> tuple[LoadState, ...]:
 
 
 def tuples(campaign: Campaign) -> tuple[Subject, ...]:
-    """Return every tuple that shows a specimen: states in order, pairs in order."""
-    return tuple(Subject(campaign.name, s.label, p) for s in tested_states(campaign) for p in campaign.pairs)
+    """Return every tuple whose shape can be measured: specimens alone, states in order, pairs in order."""
+    return _tuples(campaign, campaign.shape_pairs)
 
 
 def deformed_tuples(campaign: Campaign) -> tuple[Subject, ...]:
-    """Return every tuple of a campaign but those of its reference state."""
-    return tuple(t for t in tuples(campaign) if t.state != campaign.reference.label)
+    """Return every tuple whose shape can be measured but those of the reference state."""
+    return _deformed(campaign, tuples(campaign))
+
+
+def deformed_images(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return every tuple of a specimen but those of the reference state, with a projector or without."""
+    return _deformed(campaign, _tuples(campaign, campaign.pairs))
+
+
+def deformed_images_alone(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return every tuple of a camera without a projector but those of the reference state."""
+    return _deformed(campaign, _tuples(campaign, campaign.cameras_alone))
+
+
+def _tuples(campaign: Campaign, pairs: tuple[str, ...]) -> tuple[Subject, ...]:
+    return tuple(Subject(campaign.name, s.label, p) for s in tested_states(campaign) for p in pairs)
+
+
+def _deformed(campaign: Campaign, subjects: tuple[Subject, ...]) -> tuple[Subject, ...]:
+    return tuple(t for t in subjects if t.state != campaign.reference.label)
 
 
 def deformed_states(campaign: Campaign) -> tuple[Subject, ...]:
-    """Return every state of a campaign but its reference."""
+    """Return every state of a campaign but its reference, if shapes are measured there."""
+    return every_deformed_state(campaign) if campaign.shape_pairs else ()
+
+
+def every_deformed_state(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return every state of a campaign but its reference, whatever is measured there."""
     return tuple(Subject(campaign.name, s.label) for s in tested_states(campaign)[1:])
 
 
 def default_subjects(kind: Kind[Any], campaign: Campaign) -> tuple[Subject, ...]:
-    """Return the subjects of a kind in a campaign, in order; by default it is about specimens alone."""
+    """Return the subjects of a kind in a campaign, in order; by default those whose shape is measured."""
     if kind.subjects is not None:
         return tuple(kind.subjects(campaign))
-    if kind.scope is Scope.CAMPAIGN:
-        return (Subject(campaign.name),) if tested_states(campaign) else ()
+    if kind.scope is Scope.TUPLE:
+        return tuples(campaign)
+    states = tested_states(campaign) if campaign.shape_pairs else ()
     if kind.scope is Scope.STATE:
-        return tuple(Subject(campaign.name, s.label) for s in tested_states(campaign))
-    return tuples(campaign)
+        return tuple(Subject(campaign.name, s.label) for s in states)
+    return (Subject(campaign.name),) if states else ()
+
+
+def pipeline_subjects(kind: Kind[Any], campaign: Campaign) -> tuple[Subject, ...]:
+    """Return the subjects of a kind that the pipeline covers in a campaign, in order."""
+    if not kind.in_pipeline:
+        return ()
+    if kind.pipeline_subjects is not None:
+        return tuple(kind.pipeline_subjects(campaign))
+    return default_subjects(kind, campaign)
+
+
+def whole_test(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return the campaign itself if it is a test, whatever measures it; a calibration session is none."""
+    return (Subject(campaign.name),) if tested_states(campaign) else ()
 
 
 __all__ = [
@@ -307,10 +350,15 @@ __all__ = [
     "Station",
     "always",
     "default_subjects",
+    "deformed_images",
+    "deformed_images_alone",
     "deformed_states",
     "deformed_tuples",
+    "every_deformed_state",
     "no_devices",
+    "pipeline_subjects",
     "rig_queue",
     "tested_states",
     "tuples",
+    "whole_test",
 ]

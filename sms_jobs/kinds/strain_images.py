@@ -18,7 +18,8 @@ from sms_jobs.kinds.kind import (
     Parameters,
     Progress,
     Scope,
-    deformed_tuples,
+    deformed_images,
+    deformed_images_alone,
 )
 from sms_jobs.metrology.deformation.strain import independent_equivalent, surface_strain
 from sms_jobs.records.campaign import Campaign, Subject
@@ -108,6 +109,6 @@ KIND = Kind(
     parameters=StrainImagesParameters,
     needs=_needs,
     run=run,
-    subjects=deformed_tuples,
-    in_pipeline=False,
+    subjects=deformed_images,
+    pipeline_subjects=deformed_images_alone,
 )

@@ -11,7 +11,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.records.artefacts import Artefact
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import Deformation, Rigid, Scene
-from sms_jobs.records.sensors import Box, SensorFormat
+from sms_jobs.records.sensors import Box, SensorFormat, has_projector
 
 ParameterValue: TypeAlias = bool | int | float | str | tuple[str, ...]
 
@@ -136,7 +136,7 @@ class Campaign:
     states
         In order of the test; the first is the reference.
     pairs
-        Camera-projector pairs that measure every state.
+        Camera-projector pairs that measure every state, and cameras that look on alone, such as C1.
     sequence
         Fringe patterns of every measurement.
     processing
@@ -181,6 +181,16 @@ class Campaign:
     def reference(self) -> LoadState:
         """The state that displacements are measured from."""
         return self.states[0]
+
+    @property
+    def shape_pairs(self) -> tuple[str, ...]:
+        """The pairs of a camera and a projector, which measure shape."""
+        return tuple(pair for pair in self.pairs if has_projector(pair))
+
+    @property
+    def cameras_alone(self) -> tuple[str, ...]:
+        """The cameras that have no projector here: what they measure is in the plane of their image."""
+        return tuple(pair for pair in self.pairs if not has_projector(pair))
 
     def state(self, label: str) -> LoadState:
         """Return the state of that label; raise `InvalidInput` where there is none."""

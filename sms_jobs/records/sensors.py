@@ -126,3 +126,8 @@ def split_pair(pair: str) -> tuple[str, str]:
     if not found:
         raise InvalidInput(f"'{pair}' is not a camera-projector pair; write it like C1P2")
     return found[1], found[2]
+
+
+def has_projector(pair: str) -> bool:
+    """Say whether a pair is a camera with a projector, such as C1P2, and not a camera alone, such as C1."""
+    return _PAIR.fullmatch(pair) is not None

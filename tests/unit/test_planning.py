@@ -11,6 +11,7 @@ from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.jobs.planning import Existing, PlannedJob, Request, plan
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Need
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.virtual_rig.campaigns import small_plate, top_hat_bending
 
 CAMPAIGN = top_hat_bending("hat", "small")[1]
@@ -165,3 +166,43 @@ def test_parameters_may_ask_for_the_state_before() -> None:
     for place, job in enumerate(jobs):
         producers = [i.producer for i in job.inputs if i.need.source == "correlate"]
         assert producers == ([place - 1] if place else [])
+
+
+def alone(*cameras: str) -> Campaign:
+    """Return a real campaign of cameras without projectors."""
+    return replace(CAMPAIGN, pairs=cameras, scene=None)
+
+
+def images_exist(need: Need) -> Existing | None:
+    return Existing(file_id=1) if need.source == MEASUREMENT else None
+
+
+def test_the_pipeline_of_a_camera_alone_needs_neither_calibration_nor_shape() -> None:
+    jobs = plan(alone("C1", "C2"), [Request("pipeline")], images_exist)
+    kinds = counted(jobs)
+    # 3 deformed states of 2 cameras.
+    assert kinds["correlate-images"] == kinds["strain-images"] == 6
+    assert not {"reconstruct", "correlate", "strain", "merge", "assess"} & set(kinds)
+    assert all(need.source != CALIBRATION for job in jobs for need in (i.need for i in job.inputs))
+
+
+def test_each_pair_of_a_mixed_campaign_goes_its_own_way() -> None:
+    mixed = replace(CAMPAIGN, pairs=("C1P1", "C2"), scene=None)
+    jobs = plan(mixed, [Request("pipeline")], everything_exists)
+    by_kind: dict[str, set[str | None]] = {}
+    for job in jobs:
+        by_kind.setdefault(job.kind.name, set()).add(job.subject.pair)
+    assert by_kind["correlate"] == by_kind["strain"] == {"C1P1"}
+    assert by_kind["correlate-images"] == by_kind["strain-images"] == {"C2"}
+    # What the pipeline leaves to the pair with a projector can still be asked for.
+    asked = plan(mixed, [Request("correlate-images")], everything_exists)
+    assert {job.subject.pair for job in asked} == {"C1P1", "C2"}
+
+
+@pytest.mark.parametrize("kind", ["reconstruct", "correlate", "gauges", "merge", "mesh", "assess"])
+def test_a_kind_that_can_do_nothing_in_a_campaign_is_refused(kind: str) -> None:
+    parameters = {"gauge": "G1 x=0 y=0 length=10"} if kind == "gauges" else {}
+    with pytest.raises(InvalidInput, match=f"{kind} has nothing to do .* C1 without a projector.*strain-im"):
+        plan(alone("C1"), [Request(kind, parameters)], images_exist)
+    with pytest.raises(InvalidInput, match="KIND one of correlate-images"):
+        plan(alone("C1"), [Request("pipeline", {"strain.gauge_length_mm": 5})], images_exist)
