@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from math import degrees, radians
@@ -27,6 +28,19 @@ def nested(record: type) -> GetPydanticSchema:
     return GetPydanticSchema(
         lambda _, handler: core_schema.no_info_after_validator_function(
             lambda found: _record(record, found), handler(table)
+        )
+    )
+
+
+def one_of(records: Iterable[type], tag: str) -> GetPydanticSchema:
+    """Read one of several such records, told apart by the literal value of their field `tag`."""
+    kinds = {_table_of(record): record for record in records}
+    table: Any = Annotated[Union[tuple(kinds)], Field(discriminator=tag)]  # noqa: UP007
+    if len(kinds) == 1:
+        (table,) = kinds
+    return GetPydanticSchema(
+        lambda _, handler: core_schema.no_info_after_validator_function(
+            lambda found: _record(kinds[type(found)], found), handler(table)
         )
     )
 

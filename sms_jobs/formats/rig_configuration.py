@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
+
+from pydantic import create_model
 
 from sms_jobs.formats.interchange.text_files import read_text
-from sms_jobs.formats.nested_tables import nested
+from sms_jobs.formats.nested_tables import nested, one_of
 from sms_jobs.formats.record_tables import Table
 from sms_jobs.formats.written_files import read_toml, validated
 from sms_jobs.records.instruments import (
@@ -18,17 +22,24 @@ from sms_jobs.records.instruments import (
     TriggerController,
     VideoSplitter,
 )
-from sms_jobs.records.optical_instruments import CameraInstrument, ProjectorInstrument, RigFile
+from sms_jobs.records.optical_instruments import (
+    SIMULATED,
+    CameraInstrument,
+    ProjectorInstrument,
+    RigFile,
+    VirtualCamera,
+    VirtualProjector,
+)
 
 HINT = "`sms rig add --example` prints a valid file"
 
 
 class RigTable(Table):
-    """The whole of a rig file."""
+    """The whole of a rig file; what its cameras and projectors may say depends on the known drivers."""
 
     name: str
-    cameras: tuple[Annotated[CameraInstrument, nested(CameraInstrument)], ...]
-    projectors: tuple[Annotated[ProjectorInstrument, nested(ProjectorInstrument)], ...] = ()
+    cameras: tuple[Any, ...]
+    projectors: tuple[Any, ...] = ()
     stages: tuple[Annotated[Stage, nested(Stage)], ...] = ()
     triggers: tuple[Annotated[TriggerController, nested(TriggerController)], ...] = ()
     splitters: tuple[Annotated[VideoSplitter, nested(VideoSplitter)], ...] = ()
@@ -43,8 +54,25 @@ class RigTable(Table):
         return RigFile(self.name, self.cameras, self.projectors, serial)
 
 
-def load_rig(path: Path) -> RigFile:
-    """Read a rig file.
+@dataclass(frozen=True)
+class SensorRecords:
+    """What may be said of cameras and projectors: a record for each driver, as its `driver` names it.
+
+    Attributes
+    ----------
+    cameras, projectors
+        By the names of their drivers.
+    """
+
+    cameras: Mapping[str, type[CameraInstrument]]
+    projectors: Mapping[str, type[ProjectorInstrument]]
+
+
+SIMULATED_SENSORS = SensorRecords({SIMULATED: VirtualCamera}, {SIMULATED: VirtualProjector})
+
+
+def load_rig(path: Path, sensors: SensorRecords = SIMULATED_SENSORS) -> RigFile:
+    """Read a rig file; its cameras and projectors are of the drivers that `sensors` knows.
 
     Raises
     ------
@@ -53,13 +81,18 @@ def load_rig(path: Path) -> RigFile:
     ConfigurationError
         It does not describe a rig; the message names the file, the line and the key.
     """
-    return parse_rig(read_text(path, "rig file"), str(path))
+    return parse_rig(read_text(path, "rig file"), str(path), sensors)
 
 
-def parse_rig(text: str, source: str) -> RigFile:
+def parse_rig(text: str, source: str, sensors: SensorRecords = SIMULATED_SENSORS) -> RigFile:
     """Read the text of a rig file; `source` names it in messages. Raises `ConfigurationError`."""
     content, places = read_toml(text, source)
-    return validated(RigTable, content, places, HINT, RigTable.record)
+    cameras: Any = Annotated[CameraInstrument, one_of(sensors.cameras.values(), "driver")]
+    projectors: Any = Annotated[ProjectorInstrument, one_of(sensors.projectors.values(), "driver")]
+    seeing: Any = tuple.__class_getitem__((cameras, ...))
+    lighting: Any = tuple.__class_getitem__((projectors, ...))
+    table = create_model("RigTable", __base__=RigTable, cameras=(seeing, ...), projectors=(lighting, ()))
+    return validated(table, content, places, HINT, RigTable.record)
 
 
 def example_rig() -> str:

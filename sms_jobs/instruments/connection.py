@@ -16,12 +16,19 @@ from sms_jobs.instruments.devices.pan_tilt import PanTilt
 from sms_jobs.instruments.devices.scalar_channels import ChannelValue
 from sms_jobs.instruments.devices.trigger_controller import TriggerBox, VideoSwitch
 from sms_jobs.instruments.operation_log import OperationLog
+from sms_jobs.instruments.optical_drivers import (
+    DescribedCamera,
+    DescribedProjector,
+    Surroundings,
+    camera_drivers,
+    projector_drivers,
+)
 from sms_jobs.instruments.protocols import Camera
 from sms_jobs.instruments.recorder import ConnectedRig
-from sms_jobs.instruments.simulated.optics import Hall, Setting, SimulatedCamera, SimulatedProjector
+from sms_jobs.instruments.simulated.optics import Hall, Setting, SimulatedCamera
 from sms_jobs.instruments.simulated.serial.simulation import SerialSimulation
 from sms_jobs.records.instruments import TriggerController, VideoSplitter
-from sms_jobs.records.optical_instruments import ProjectorInstrument, RigFile
+from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.records.serial_links import SIMULATED
 
 
@@ -69,17 +76,19 @@ def connected(
         channels = [connector.channel(c) for c in rig.serial.channels]
         for device in (*boxes, *switches, *channels):
             open_(device)
-        hall = None if setting is None else Hall(setting, clock, angles, threads)
+        hall = Hall(setting, clock, angles, threads) if rig.simulated and setting is not None else None
+        cameras, projectors = _sensors_of(rig, Surroundings(clock, stack, hall))
         yield ConnectedRig(
             rig.name,
-            {} if hall is None else {c.name: SimulatedCamera(c.name, hall, c.faults) for c in rig.cameras},
-            {} if hall is None else {p.name: _projector(p, hall) for p in rig.projectors},
+            cameras,
+            projectors,
             clock,
             WiredTrigger(tuple(zip(boxes, map(_sensors, rig.serial.triggers), strict=True))),
             {c.name: ChannelValue(c) for c in channels},
             stage,
             WiredVideo(tuple(zip(switches, map(_sensors, rig.serial.splitters), strict=True))),
             None if hall is None else hall.simulation,
+            {name: sensor.describe() for name, sensor in (*cameras.items(), *projectors.items())},
         )
 
 
@@ -120,8 +129,17 @@ def _stand_still(
             stage.stop()
 
 
-def _projector(projector: ProjectorInstrument, hall: Hall) -> SimulatedProjector:
-    return SimulatedProjector(projector.name, hall, projector.settle_ms / 1e3)
+def _sensors_of(
+    rig: RigFile, place: Surroundings
+) -> tuple[dict[str, DescribedCamera], dict[str, DescribedProjector]]:
+    """Connect cameras and projectors by name; simulated ones are there only where there is a hall."""
+    if rig.simulated and place.hall is None:
+        return {}, {}
+    makes, lights = camera_drivers(), projector_drivers()
+    return (
+        {c.name: makes[c.driver].connect(c, place) for c in rig.cameras},
+        {p.name: lights[p.driver].connect(p, place) for p in rig.projectors},
+    )
 
 
 @dataclass(frozen=True)

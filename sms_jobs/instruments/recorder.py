@@ -80,6 +80,8 @@ class ConnectedRig:
         What brings the picture to a projector.
     simulation
         What a pair truly sees now; None for real instruments.
+    described
+        What each sensor said of itself when it was connected, by name.
     """
 
     name: str
@@ -91,6 +93,7 @@ class ConnectedRig:
     stage: Stage | None = None
     video: Video = field(default_factory=DirectVideo)
     simulation: Callable[[str], Simulation] | None = None
+    described: Mapping[str, str] = field(default_factory=dict)
 
     def read_channels(self) -> dict[str, float]:
         """Return what every channel reads now."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sms_jobs.errors import Conflict, NotFound
-from sms_jobs.formats.rig_configuration import load_rig
+from sms_jobs.formats.rig_configuration import SensorRecords, load_rig
 from sms_jobs.kinds.kind import Station, rig_queue
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.optical_instruments import RigFile
@@ -58,11 +58,11 @@ class Stations:
             raise NotFound(
                 f"no rig '{name}' is connected to this host, there is {known}; `sms rig add` takes one"
             )
-        return load_rig(path)
+        return load_rig(path, _known_sensors())
 
     def add(self, file: Path, replace: bool) -> RigFile:
         """Take the file of a rig over; raise `Conflict` when there is one and it is not to be replaced."""
-        rig = load_rig(file)
+        rig = load_rig(file, _known_sensors())
         path = self._path(rig.name)
         if path.exists() and not replace:
             raise Conflict(
@@ -88,3 +88,13 @@ class Stations:
 
     def _path(self, name: str) -> Path:
         return self.rigs / f"{checked_name(name, 'rig')}.toml"
+
+
+def _known_sensors() -> SensorRecords:
+    """Return what rig files may say of the cameras and projectors that there are drivers for."""
+    from sms_jobs.instruments.optical_drivers import camera_drivers, projector_drivers
+
+    return SensorRecords(
+        {name: driver.record for name, driver in camera_drivers().items()},
+        {name: driver.record for name, driver in projector_drivers().items()},
+    )

@@ -9,6 +9,10 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.instruments import Instruments, Stage
 
+SIMULATED = "simulated"
+"""Name of the drivers of what is made of light rays."""
+MOST_PIXELS = 65535
+
 
 @dataclass(frozen=True)
 class OpticalFault:
@@ -32,48 +36,101 @@ class OpticalFault:
 
 @dataclass(frozen=True)
 class CameraInstrument:
-    """A camera and how it is reached.
+    """A camera and how it is reached; each driver has a record of its own for what it must know.
 
     Attributes
     ----------
     name
         C1, C2, ...
-    driver
-        "simulated" looks at the virtual rig.
     columns, rows
         Of its image, in pixels.
-    faults
-        What a simulated one is to do wrong.
+    driver
+        Of which make it is.
     """
 
     name: str
-    driver: Literal["simulated"]
     columns: int
     rows: int
-    faults: tuple[OpticalFault, ...] = ()
+    driver: str
+
+    def __post_init__(self) -> None:
+        _check_size(self.name, self.columns, self.rows)
+
+    @property
+    def wired(self) -> bool:
+        """Whether it is exposed through a wire from a trigger controller."""
+        return False
 
 
 @dataclass(frozen=True)
 class ProjectorInstrument:
-    """A projector and how it is reached.
+    """A projector and how it is reached; each driver has a record of its own for what it must know.
 
     Attributes
     ----------
     name
         P1, P2, ...
-    driver
-        "simulated" lights the virtual rig.
     columns, rows
         Of its image, in pixels.
+    driver
+        Of which make it is.
+    """
+
+    name: str
+    columns: int
+    rows: int
+    driver: str
+
+    def __post_init__(self) -> None:
+        _check_size(self.name, self.columns, self.rows)
+
+
+@dataclass(frozen=True)
+class VirtualCamera(CameraInstrument):
+    """A camera that looks at the virtual rig.
+
+    Attributes
+    ----------
+    faults
+        What it is to do wrong.
+    """
+
+    driver: Literal["simulated"]
+    faults: tuple[OpticalFault, ...] = ()
+
+
+@dataclass(frozen=True)
+class VirtualProjector(ProjectorInstrument):
+    """A projector that lights the virtual rig.
+
+    Attributes
+    ----------
     settle_ms
         Between handing over a picture and light: the display's and the projector's delay.
     """
 
-    name: str
     driver: Literal["simulated"]
-    columns: int
-    rows: int
     settle_ms: float = 50.0
+
+
+def _wiring_at_odds(rig: str, camera: CameraInstrument) -> str:
+    if camera.wired:
+        return (
+            f"{camera.name} of rig {rig} waits for a trigger by wire, but no trigger controller is wired to "
+            "it; describe one under [[triggers]]"
+        )
+    return (
+        f"a trigger controller of rig {rig} is wired to {camera.name}, which does not wait for it: name the "
+        'camera\'s line, such as trigger_line = "Line1", where its driver knows lines'
+    )
+
+
+def _check_size(name: str, columns: int, rows: int) -> None:
+    if not (1 <= columns <= MOST_PIXELS and 1 <= rows <= MOST_PIXELS):
+        raise InvalidInput(
+            f"the image of {name} has {columns} columns and {rows} rows: from 1 to {MOST_PIXELS} of each "
+            "are possible"
+        )
 
 
 @dataclass(frozen=True)
@@ -107,11 +164,28 @@ class RigFile:
                 raise InvalidInput(
                     f"rig {self.name} wires {sensor}, which it does not have; it has {', '.join(names)}"
                 )
+        if len({driver == SIMULATED for driver in self._drivers}) == 2:
+            raise InvalidInput(
+                f"rig {self.name} has simulated sensors beside real ones: real cameras do not see simulated "
+                "light; describe two rigs"
+            )
+        for camera in self.cameras:
+            if camera.driver != SIMULATED and camera.wired != (camera.name in triggered):
+                raise InvalidInput(_wiring_at_odds(self.name, camera))
 
     @property
     def sensors(self) -> tuple[str, ...]:
         """Names of its cameras, then of its projectors."""
         return (*(c.name for c in self.cameras), *(p.name for p in self.projectors))
+
+    @property
+    def simulated(self) -> bool:
+        """Whether its sensors are made of light rays."""
+        return SIMULATED in self._drivers
+
+    @property
+    def _drivers(self) -> tuple[str, ...]:
+        return (*(c.driver for c in self.cameras), *(p.driver for p in self.projectors))
 
     @property
     def stage(self) -> Stage | None:

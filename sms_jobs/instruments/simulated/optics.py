@@ -125,6 +125,10 @@ class SimulatedProjector:
     settle_s: float = 0.0
     _sequence: FringeSequence = field(default_factory=FringeSequence)
 
+    def describe(self) -> str:
+        """Return what it is."""
+        return "simulated: lights the scene of the virtual rig"
+
     def load(self, sequence: FringeSequence) -> None:
         """Make ready for the patterns of a sequence."""
         self._sequence = sequence
@@ -166,6 +170,10 @@ class SimulatedCamera:
         )
         read_noise = (noise.read_noise**2 + 1.0 / 12.0) ** 0.5  # with the rounding to whole grey levels
         return CameraFacts(sensor.columns, sensor.rows, "uint16", noise.full_scale, noise.gain, read_noise)
+
+    def describe(self) -> str:
+        """Return what it is."""
+        return "simulated: looks at the scene of the virtual rig"
 
     def arm(self, exposure: float) -> None:
         """Make ready to be triggered."""

@@ -1,0 +1,1 @@
+"""Cameras: one module a driver, found by the `DRIVER` that it declares."""

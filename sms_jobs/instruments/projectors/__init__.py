@@ -1,0 +1,1 @@
+"""Projectors: one module a driver, found by the `DRIVER` that it declares."""
