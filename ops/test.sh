@@ -37,6 +37,9 @@ trap 'exit 143' TERM HUP
 
 set_up requirements-test.lock
 if [ $# = 0 ]; then
+    # On one core while the checks take another; left to the tests, several would compile the same at once.
+    .venv/bin/python -c 'from sms_jobs.bench.groups import all_groups; [g.warm_up() for g in all_groups().values()]' &
+    kernels=$!
     step "ruff check" .venv/bin/ruff check .
     step "ruff format" .venv/bin/ruff format --check .
     step "mypy" .venv/bin/mypy
@@ -46,6 +49,7 @@ start_servers
 say "== servers: $SMS_TEST_POSTGRESQL_URL and $SMS_TEST_REDIS_URL"
 export CI="${CI:-true}"
 if [ $# = 0 ]; then
+    step "kernels" wait $kernels
     # As many processes as cores; a file's tests stay in one, since they share what is costly to make. In the
     # order of the folders, so that those of the whole service, which take longest, are not left for the end.
     set -- -n auto --dist loadfile --no-loadscope-reorder --durations=25
