@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from datetime import UTC, datetime
 from typing import Annotated
 
@@ -48,6 +49,9 @@ def run(
             autocompletion=completion.state_labels,
         ),
     ] = None,
+    missing: Annotated[
+        bool, typer.Option("--missing", help="Of these only the states that are not recorded yet.")
+    ] = False,
     ask: Annotated[
         bool, typer.Option("--ask", help="Ask an operator about a doubtful set instead of keeping it.")
     ] = False,
@@ -61,22 +65,53 @@ def run(
     """Record states, every pair, and say whether the recordings can be used.
 
     They are recorded where the rig is connected, see 'sms rig', one after the other. Exit code 5 when one
-    needs an operator.
+    needs an operator. Before a pose for which an artefact is placed by hand it waits for Enter.
 
     Example: sms acquire run wing-fatigue --state S03 --process
+
+    Example: sms acquire run calibration-1 --missing
     """
-    requests = _requests(tuple(state or ()), ask, process)
     with bootstrap.services(home) as services:
-        with services.catalogue.writing() as session:
-            done = submit(session, campaign, requests, datetime.now(UTC))
-        ids = _recordings_of(done)
-        if not as_json:
-            output.say(f"submitted {len(ids)} recordings" + (", each to be processed" if process else ""))
-        if no_wait:
-            if as_json:
-                output.print_json({"campaign": campaign, "jobs": done.job_ids})
+        with services.catalogue.reading() as session:
+            plan = definition(campaign_row(session, campaign))
+            chosen = [plan.state(label) for label in state or ()] or list(plan.states)
+            if missing:
+                left = {s.label for s in recordings.unrecorded(session, campaign)}
+                chosen = [s for s in chosen if s.label in left]
+        turns = recordings.turns(chosen)
+        if not turns:
+            output.say(f"every state of {campaign} is recorded, or waits; see 'sms acquire list'")
             return
-        _follow(services, ids, as_json)
+        by_hand = next((t.by_hand for t in turns if t.by_hand), "")
+        if no_wait and by_hand:
+            raise InvalidInput(f"somebody has to be there ({by_hand}): leave out --no-wait")
+        # A session is adjusted as a whole, once all of its poses are there.
+        at_once, at_the_end = (process and plan.session is None), (process and plan.session is not None)
+        followed = _Followed(services, as_json)
+        for turn in turns:
+            if turn.by_hand:
+                typer.prompt(f"{turn.by_hand}; Enter records it", default="", show_default=False, err=True)
+            requests = _requests(turn.labels, ask, at_once)
+            done = _submitted(services, campaign, requests)
+            if not as_json:
+                count = len(_recordings_of(done))
+                output.say(f"submitted {count} recordings" + (", each to be processed" if at_once else ""))
+            if no_wait:
+                if as_json:
+                    output.print_json({"campaign": campaign, "jobs": done.job_ids})
+                return
+            if not followed.succeeded(_recordings_of(done)):
+                break
+        followed.end()
+        if at_the_end:
+            done = _submitted(services, campaign, [Request(PIPELINE, {}, ())])
+            if not as_json:
+                output.say(f"submitted {len(done.job_ids)} jobs that calibrate from all poses")
+
+
+def _submitted(services: Services, campaign: str, requests: list[Request]) -> Submission:
+    with services.catalogue.writing() as session:
+        return submit(session, campaign, requests, datetime.now(UTC))
 
 
 @app.command()
@@ -138,8 +173,7 @@ def follow(
                 due += every
             else:
                 typer.prompt(f"{state.label}: Enter records it", default="", show_default=False, err=True)
-            with services.catalogue.writing() as session:
-                done = submit(session, campaign, _requests((state.label,), ask, process), datetime.now(UTC))
+            done = _submitted(services, campaign, _requests((state.label,), ask, process))
             _follow(services, _recordings_of(done), as_json=False)
 
 
@@ -234,22 +268,47 @@ def _recording(session: Session, prefix: str) -> JobRow:
 
 
 def _follow(services: Services, ids: list[str], as_json: bool) -> None:
-    """Wait for recordings and say what became of them."""
-    counted = wait_for(services.catalogue, ids, None, workers=services.settings.workers)
-    with services.catalogue.reading() as session:
-        found = recordings.verdicts(session, ids)
-        failed = unsuccessful(counted)
-        why = inquiry.first_failure(session, ids) if failed else ""
-    if as_json:
-        output.print_json({"jobs": counted, "recorded": found})
-    else:
-        output.print_table(
-            ["recorded", "lit", "saturated", "modulation", "verdict"],
-            [(v.subject, *_words(v.statistics)) for v in found],
-            empty="nothing was recorded",
-        )
-    if failed:
-        raise JobFailed(f"{failed} of {len(ids)} recordings did not succeed; {why}")
+    """Wait for recordings and say what became of them; raise `JobFailed` when one did not succeed."""
+    followed = _Followed(services, as_json)
+    followed.succeeded(ids)
+    followed.end()
+
+
+class _Followed:
+    """Recordings that are waited for, turn by turn; people are told of each turn, programs of all."""
+
+    def __init__(self, services: Services, as_json: bool) -> None:
+        self._services = services
+        self._as_json = as_json
+        self._ids: list[str] = []
+        self._counted: Counter[str] = Counter()
+
+    def succeeded(self, ids: list[str]) -> bool:
+        """Wait for some recordings, and return whether all of them succeeded."""
+        counted = wait_for(self._services.catalogue, ids, None, workers=self._services.settings.workers)
+        self._ids += ids
+        self._counted += Counter(counted)
+        if not self._as_json:
+            output.print_table(
+                ["recorded", "lit", "saturated", "modulation", "verdict"],
+                [(v.subject, *_words(v.statistics)) for v in self._verdicts(ids)],
+                empty="nothing was recorded",
+            )
+        return not unsuccessful(counted)
+
+    def end(self) -> None:
+        """Tell programs what became of all; raise `JobFailed` when one did not succeed."""
+        if self._as_json:
+            output.print_json({"jobs": dict(self._counted), "recorded": self._verdicts(self._ids)})
+        failed = unsuccessful(self._counted)
+        if failed:
+            with self._services.catalogue.reading() as session:
+                why = inquiry.first_failure(session, self._ids)
+            raise JobFailed(f"{failed} of {len(self._ids)} recordings did not succeed; {why}")
+
+    def _verdicts(self, ids: list[str]) -> list[recordings.PairVerdict]:
+        with self._services.catalogue.reading() as session:
+            return recordings.verdicts(session, ids)
 
 
 def _words(statistics: dict[str, float]) -> tuple[str, str, str, str]:

@@ -5,7 +5,7 @@ Keys are the names of the records' fields, with angles in degrees (`..._deg`) in
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from math import radians
 from typing import Annotated, Any, TypeAlias
@@ -193,6 +193,7 @@ class _State(Table):
     artefact: str | None = None
     pan_deg: float | None = None
     tilt_deg: float | None = None
+    repeats: Annotated[int, Field(ge=1, le=1000)] = 1
 
     @model_validator(mode="after")
     def _both_angles_once(self) -> _State:
@@ -204,7 +205,13 @@ class _State(Table):
             )
         return self
 
-    def record(self) -> LoadState:
+    def records(self) -> tuple[LoadState, ...]:
+        """Return the state as often as it is recorded: S03, S03.2, S03.3, ...; each is a state of its own."""
+        first = self._record()
+        again = (replace(first, label=f"{self.label}.{n}") for n in range(2, self.repeats + 1))
+        return first, *again
+
+    def _record(self) -> LoadState:
         return LoadState(
             self.label,
             self.load_n,
@@ -264,7 +271,9 @@ class CampaignTable(Table):
         """Return the records, checked against each other."""
         scene = self._scene()
         pairs = self._checked_pairs(None if scene is None else scene.rig)
-        states = tuple(s.record() for s in self.states)
+        states = tuple(record for s in self.states for record in s.records())
+        if self.session is not None and self.session.stage_poses is not None:
+            states += self.session.stage_poses.states(virtual=scene is not None)
         volume = None if self.scene is None else self.scene.volume
         campaign = Campaign(
             name=self.name,

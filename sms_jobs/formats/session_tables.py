@@ -11,6 +11,7 @@ from pydantic_core import PydanticCustomError
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.record_tables import Placement, Table, Volume, flat, mapped
+from sms_jobs.metrology.geometry.stage_poses import AngleRange, uniform_poses
 from sms_jobs.records.artefacts import Artefact, BallBar, Chessboard, CircleBoard
 from sms_jobs.records.campaign import CalibrationSession, LoadState, checked_name
 from sms_jobs.records.scene import PanTilt, Rigid
@@ -41,6 +42,51 @@ class _Format(Table):
     rows: Pixels
 
 
+class _StagePoses(Table):
+    """Poses of an artefact on a pan-tilt stage, by their number and ranges (thesis section 3.2.2)."""
+
+    artefact: str
+    count: Annotated[int, Field(ge=1, le=1000)]
+    pan_deg: tuple[float, float]
+    tilt_deg: tuple[float, float]
+    order: Literal["serpentine", "random"] = "serpentine"
+    seed: Annotated[int, Field(ge=0)] = 0
+    tripod: Placement | None = None
+
+    def states(self, virtual: bool) -> tuple[LoadState, ...]:
+        """Return a state for each pose; before a virtual rig the stage stands where `tripod` says."""
+        if virtual != (self.tripod is not None):
+            raise InvalidInput(
+                "session.stage_poses.tripod is missing: say where the stage stands before the virtual rig"
+                if virtual
+                else "session.stage_poses.tripod has no place before a real rig, whose stage stands where it "
+                "stands: leave it out"
+            )
+        pan, tilt = (_range(name, getattr(self, name)) for name in ("pan_deg", "tilt_deg"))
+        found = []
+        for number, pose in enumerate(uniform_poses(self.count, pan, tilt, self.order, self.seed), start=1):
+            stage = PanTilt(pose.pan_rad, pose.tilt_rad)
+            placed = () if self.tripod is None else (stage, _rigid(self.tripod))
+            angles = {"pan_rad": pose.pan_rad, "tilt_rad": pose.tilt_rad}
+            found.append(
+                LoadState(f"S{number:02d}", channels=angles, deformation=placed, artefact=self.artefact)
+            )
+        return tuple(found)
+
+
+def _range(name: str, ends_deg: tuple[float, float]) -> AngleRange:
+    low, high = ends_deg
+    if not low < high:
+        raise InvalidInput(
+            f"session.stage_poses.{name} goes from {low:g} to {high:g} degrees: give the lower end first"
+        )
+    return AngleRange(radians(low), radians(high))
+
+
+def _rigid(placement: Placement) -> Rigid:
+    return Rigid(mapped(radians, placement.rotation_deg), placement.translation_mm)
+
+
 class SessionTable(Table):
     """What makes a campaign a calibration session."""
 
@@ -49,6 +95,7 @@ class SessionTable(Table):
     volume: Volume | None = None
     board_in_world: Placement = Placement()
     starts_from: Literal["nothing", "last-calibration"] = "nothing"
+    stage_poses: _StagePoses | None = None
 
     def first_artefact(self, name: str | None) -> Artefact:
         """Return the artefact of a name, or any where there is none of that name."""
@@ -76,9 +123,7 @@ class SessionTable(Table):
             artefacts=dict(self.artefacts),
             sensors=self._formats(pairs, rig),
             volume=None if volume is None else volume.record(),
-            board_in_world=Rigid(
-                mapped(radians, self.board_in_world.rotation_deg), self.board_in_world.translation_mm
-            ),
+            board_in_world=_rigid(self.board_in_world),
             starts_from=self.starts_from,
         )
 

@@ -109,6 +109,50 @@ def open_recordings(session: Session, spool: Path) -> list[OpenRecording]:
 
 def next_state(session: Session, name: str) -> LoadState | None:
     """Return the first state of a campaign that is neither recorded nor about to be; None when all are."""
+    return next(iter(unrecorded(session, name)), None)
+
+
+@dataclass(frozen=True)
+class Turn:
+    """States that are recorded one after the other while nobody lays a hand on anything.
+
+    Attributes
+    ----------
+    by_hand
+        What somebody has to do before; empty where nothing is to be done.
+    labels
+        Of the states.
+    """
+
+    by_hand: str
+    labels: tuple[str, ...]
+
+
+def turns(states: Sequence[LoadState]) -> list[Turn]:
+    """Return the order in which states are recorded, with what somebody has to do between them.
+
+    A specimen is loaded by others. An artefact without angles of a stage is placed by hand, pose by pose;
+    one on a stage is mounted once.
+    """
+    found: list[Turn] = []
+    mounted: str | None = None
+    for state in states:
+        on_stage = {"pan_rad", "tilt_rad"} <= state.channels.keys()
+        by_hand = ""
+        if state.artefact is not None and not on_stage:
+            by_hand = f"{state.label}: place the {state.artefact}"
+        elif state.artefact is not None and state.artefact != mounted:
+            by_hand = f"{state.label}: mount the {state.artefact} on the stage"
+        mounted = state.artefact if on_stage else None
+        if by_hand or not found:
+            found.append(Turn(by_hand, (state.label,)))
+        else:
+            found[-1] = Turn(found[-1].by_hand, (*found[-1].labels, state.label))
+    return found
+
+
+def unrecorded(session: Session, name: str) -> tuple[LoadState, ...]:
+    """Return the states of a campaign that are neither recorded nor about to be."""
     campaign = definition(campaign_row(session, name))
     recorded = set(
         session.scalars(
@@ -126,7 +170,7 @@ def next_state(session: Session, name: str) -> LoadState | None:
             .where(CampaignRow.name == name, JobRow.kind == KIND.name, JobRow.state.in_(_OPEN))
         )
     }
-    return next((s for s in campaign.states if s.label not in recorded | coming), None)
+    return tuple(s for s in campaign.states if s.label not in recorded | coming)
 
 
 def state_value(state: LoadState, channel: str) -> float:
