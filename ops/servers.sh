@@ -4,6 +4,7 @@
 #
 #   start_servers    exports SMS_TEST_POSTGRESQL_URL and SMS_TEST_REDIS_URL
 #   stop_servers     ends what start_servers started and removes the folder
+#   provide_peers    installs what projectors and cameras are tried against
 #
 # A URL that is set beforehand is used as it is, and no server is started for it.
 
@@ -11,6 +12,7 @@ SERVERS=""         # the temporary folder
 POSTGRESQL_BIN=""  # the folder of initdb and pg_ctl
 REDIS_PID=""
 AS_POSTGRES=""     # a prefix that leaves root: PostgreSQL refuses to run as root
+LISTS_ARE_NEW=""   # set when apt-get has been told of the newest packages
 
 as_root() {
     if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi
@@ -24,8 +26,9 @@ apt_install() {
         printf '#!/bin/sh\nexit 101\n' | as_root tee "$policy" >/dev/null
         as_root chmod 755 "$policy"
     fi
-    { as_root env DEBIAN_FRONTEND=noninteractive apt-get update -qq &&
+    { { [ -n "$LISTS_ARE_NEW" ] || as_root env DEBIAN_FRONTEND=noninteractive apt-get update -qq; } &&
         as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@"; } >&2 || status=1
+    LISTS_ARE_NEW=yes
     if [ -n "$made" ]; then as_root rm -f "$policy"; fi
     return $status
 }
@@ -42,6 +45,19 @@ provide() {
     else
         die "the tests need $what, which is not installed: install it and run this again"
     fi
+}
+
+# Installs an X server in memory and the library of GigE cameras, which brings a simulated one. They exist for Linux;
+# elsewhere the tests that need them are skipped. What is missing fails its own tests and no others.
+provide_peers() {
+    local packages=""
+    if [ "$(uname)" != Linux ]; then return; fi
+    if ! command -v Xvfb >/dev/null; then packages="xvfb"; fi
+    if ! .venv/bin/python -c 'import ctypes; ctypes.CDLL("libaravis-0.8.so.0")' 2>/dev/null; then
+        packages="$packages aravis-tools-cli"
+    fi
+    # shellcheck disable=SC2086  # a list of words
+    if [ -n "$packages" ]; then (provide "a display and a camera" $packages) || true; fi
 }
 
 find_postgresql() {

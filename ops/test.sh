@@ -46,6 +46,7 @@ if [ $# = 0 ]; then
     step "layers" .venv/bin/lint-imports
 fi
 start_servers
+provide_peers
 say "== servers: $SMS_TEST_POSTGRESQL_URL and $SMS_TEST_REDIS_URL"
 export CI="${CI:-true}"
 if [ $# = 0 ]; then
