@@ -1,4 +1,4 @@
-"""Export: write the merged surface of a state, with its values, in formats of other programs."""
+"""Export: write what is known of a state, with its values, in formats of other programs."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from sms_jobs.formats.exporters import all_exporters, exporter_named
-from sms_jobs.formats.exporters.exporter import TEXTURE
+from sms_jobs.formats.exporters.exporter import TEXTURE, Exporter
 from sms_jobs.formats.exporters.sources import source_for
+from sms_jobs.formats.planar_surfaces import planar_grid, planar_mesh
 from sms_jobs.kinds.kind import (
     MEASUREMENT,
     DocumentOutput,
@@ -24,23 +25,30 @@ from sms_jobs.kinds.kind import (
     Parameters,
     Progress,
     Scope,
-    deformed_states,
+    every_deformed_state,
 )
 from sms_jobs.kinds.merge import cameras
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import MergedField, Mesh
 from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
 
 USUAL = ("csv", "obj", "ply", "stl", "tecplot", "vtu")
+USUAL_FLAT = ("csv", "npz", "tecplot", "vtu")
+"""Of a camera alone: formats of shapes have nothing to hold there."""
+
+
+_FLAT_DISPLACEMENT, _FLAT_STRAIN, _FLAT_TEXTURE = "flat displacement ", "flat strain ", "flat texture "
 
 
 class ExportParameters(Parameters):
     """Which files are written, and with which values."""
 
-    formats: tuple[str, ...] = Field(
-        USUAL,
+    formats: tuple[str, ...] | None = Field(
+        None,
         min_length=1,
-        description="names of the formats to write; 'sms data formats' lists them",
+        description="names of the formats to write; 'sms data formats' lists them; if not given "
+        f"{', '.join(USUAL)}, and of a camera alone {', '.join(USUAL_FLAT)}",
     )
     fields: tuple[str, ...] = Field(
         (), description="values of the mesh to write, e.g. 'displacement Z'; all if not given"
@@ -53,7 +61,9 @@ class ExportParameters(Parameters):
 
     @field_validator("formats")
     @classmethod
-    def _known_and_different(cls, formats: tuple[str, ...]) -> tuple[str, ...]:
+    def _known_and_different(cls, formats: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        if formats is None:
+            return None
         unknown = [name for name in formats if name not in all_exporters()]
         if unknown:
             raise ValueError(f"there is no format {unknown[0]}; choose among {', '.join(all_exporters())}")
@@ -61,21 +71,42 @@ class ExportParameters(Parameters):
 
 
 def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    """Return the merged result of the state, and what shows each camera's texture at rest."""
-    yield Need("merged", "merge", subject)
-    for camera, pairs in cameras(campaign, subject).items():
+    """Return the merged result of the state, those of cameras alone, and each camera's texture at rest."""
+    views = cameras(campaign, subject)
+    if views:
+        yield Need("merged", "merge", subject)
+    for camera, pairs in views.items():
         own = Subject(subject.campaign, campaign.reference.label, pairs[0])
         yield Need(f"texture {camera}", MEASUREMENT, own)
+    for camera in campaign.cameras_alone:
+        own = Subject(subject.campaign, subject.state, camera)
+        yield Need(f"{_FLAT_DISPLACEMENT}{camera}", "correlate-images", own)
+        yield Need(f"{_FLAT_STRAIN}{camera}", "strain-images", own)
+        yield Need(f"{_FLAT_TEXTURE}{camera}", MEASUREMENT, replace(own, state=campaign.reference.label))
 
 
 def run(inputs: Inputs, parameters: ExportParameters, progress: Progress) -> Iterator[Output]:
     """Write the surface of a state: a file for each format, and for each camera if it is over an image."""
     progress(0.0, "reading")
-    textures = {camera: _texture(inputs, camera) for camera in inputs.context}
-    mesh = _with_texture(inputs, textures)
     name = "-".join(part for part in (inputs.subject.campaign, inputs.subject.state) if part)
-    for done, format_name in enumerate(parameters.formats):
-        progress(done / len(parameters.formats), f"writing {format_name}")
+    if inputs.context:
+        yield from _surface(inputs, parameters, name, progress)
+    for role in inputs.datasets:
+        if role.startswith(_FLAT_DISPLACEMENT):
+            camera = role.removeprefix(_FLAT_DISPLACEMENT)
+            progress(0.9, f"writing what {camera} saw")
+            yield from _image(inputs, parameters, camera, f"{name}-{camera}")
+
+
+def _surface(
+    inputs: Inputs, parameters: ExportParameters, name: str, progress: Progress
+) -> Iterator[DocumentOutput]:
+    """Write the surface that all pairs of a camera and a projector have measured."""
+    textures = {camera: _texture(inputs, f"texture {camera}") for camera in inputs.context}
+    mesh = _with_texture(inputs, textures)
+    formats = parameters.formats or USUAL
+    for done, format_name in enumerate(formats):
+        progress(0.9 * done / len(formats), f"writing {format_name}")
         exporter = exporter_named(format_name)
         files: dict[str, Any]
         if Mesh in exporter.takes or object in exporter.takes:
@@ -88,17 +119,33 @@ def run(inputs: Inputs, parameters: ExportParameters, progress: Progress) -> Ite
                 for camera, texture in textures.items()
             }
         for stem, source in files.items():
-            yield DocumentOutput(
-                inputs.subject,
-                f"{stem}{exporter.suffix}",
-                exporter.media_type,
-                partial(exporter.write, source),
-            )
+            yield _document(inputs, exporter, stem, source)
 
 
-def _texture(inputs: Inputs, camera: str) -> NDArray[np.float32]:
+def _image(inputs: Inputs, parameters: ExportParameters, camera: str, stem: str) -> Iterator[DocumentOutput]:
+    """Write displacement and strain in the image of a camera alone, together."""
+    grid = planar_grid(
+        inputs.read(f"{_FLAT_DISPLACEMENT}{camera}", "displacement", PlanarDisplacement),
+        inputs.read(f"{_FLAT_STRAIN}{camera}", "strain", PlanarStrain),
+        _texture(inputs, f"{_FLAT_TEXTURE}{camera}"),
+    )
+    grid.known()
+    mesh = planar_mesh(grid)
+    for format_name in parameters.formats or USUAL_FLAT:
+        exporter = exporter_named(format_name)
+        meshed = Mesh in exporter.takes or object in exporter.takes
+        source = source_for(exporter, mesh, parameters.fields) if meshed else grid
+        yield _document(inputs, exporter, stem, source)
+
+
+def _document(inputs: Inputs, exporter: Exporter, stem: str, source: Any) -> DocumentOutput:
+    write = partial(exporter.write, source)
+    return DocumentOutput(inputs.subject, f"{stem}{exporter.suffix}", exporter.media_type, write)
+
+
+def _texture(inputs: Inputs, role: str) -> NDArray[np.float32]:
     """Return what a camera saw at rest, (rows, columns), 1 at full scale."""
-    measurement = inputs.read(f"texture {camera}", "measurement", Measurement)
+    measurement = inputs.read(role, "measurement", Measurement)
     return (measurement.texture / np.float32(measurement.full_scale)).astype(np.float32)
 
 
@@ -140,12 +187,12 @@ def _keys(points: NDArray[np.float64]) -> NDArray[np.uint64]:
 
 KIND = Kind(
     name="export",
-    summary="write the merged surface of a state for Tecplot, ParaView, CAD, MATLAB and spreadsheets",
-    version=2,
+    summary="write what is known of a state for Tecplot, ParaView, CAD, MATLAB and spreadsheets",
+    version=3,
     scope=Scope.STATE,
     parameters=ExportParameters,
     needs=needs,
     run=run,
-    subjects=deformed_states,
+    subjects=every_deformed_state,
     context=cameras,
 )

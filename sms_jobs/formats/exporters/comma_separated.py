@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.exporters.exporter import Exporter, labels_of, placed, write_rows
+from sms_jobs.formats.exporters.exporter import Exporter, labels_of, length_unit_of, placed, write_rows
 from sms_jobs.formats.exporters.formulas import with_formula
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.quantity import quantities
@@ -31,7 +31,8 @@ def write(record: Any, path: Path) -> None:
         return
     mesh = placed(record)
     labels = [with_formula(n, label) for n, label in zip(mesh.value_names, labels_of(mesh), strict=True)]
-    _save(path, ["X [mm]", "Y [mm]", "Z [mm]", *labels], [*mesh.vertices.T, *mesh.values])
+    unit = length_unit_of(mesh)
+    _save(path, [f"X [{unit}]", f"Y [{unit}]", f"Z [{unit}]", *labels], [*mesh.vertices.T, *mesh.values])
 
 
 def write_pixels(record: Any, path: Path) -> None:

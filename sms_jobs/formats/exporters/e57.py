@@ -137,8 +137,13 @@ def _description(columns: list[NDArray[Any]], shape: tuple[int, int]) -> bytes:
 def write(grid: PointGrid, path: Path) -> None:
     """Write the points of a view that have a position, in double precision; texture as intensity, 0 .. 1.
 
-    Raises `InvalidInput` for an image of more than 65,536 rows or columns.
+    Raises `InvalidInput` for an image of more than 65,536 rows or columns, and for positions in pixels.
     """
+    if grid.length_unit != "mm":
+        raise InvalidInput(
+            f"positions are in {grid.length_unit} and E57 holds metres: give the size of a pixel, as "
+            "'--set correlate-images.mm_per_px=0.05' does, or choose another format"
+        )
     known = grid.known()
     if max(known.shape) > _LARGEST_INDEX + 1:
         raise InvalidInput(f"an image of {known.shape[1]} x {known.shape[0]} px is more than 65,536 px wide")

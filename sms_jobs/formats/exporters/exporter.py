@@ -29,13 +29,15 @@ class PointGrid:
     Attributes
     ----------
     xyz
-        (3, rows, columns) in mm; NaN where there is no point.
+        (3, rows, columns); NaN where there is no point.
     value_names, value_units
         Of `values`.
     values
         (values, rows, columns).
     texture
         (rows, columns), 0 for black to 1 for white; None where it is not known.
+    length_unit
+        Of `xyz`: mm, or px for an image of which nothing else is known.
     """
 
     xyz: NDArray[np.float64]
@@ -43,6 +45,7 @@ class PointGrid:
     value_units: tuple[str, ...]
     values: NDArray[np.floating]
     texture: NDArray[np.floating] | None = None
+    length_unit: str = "mm"
 
     def known(self) -> NDArray[np.bool_]:
         """Return where there is a point, (rows, columns); raise `MeasurementFailed` where there is none."""
@@ -50,6 +53,18 @@ class PointGrid:
         if not known.any():
             raise MeasurementFailed("the image has no point with a position: there is nothing to export")
         return known
+
+
+@dataclass(frozen=True)
+class PlanarMesh(Mesh):
+    """A flat mesh over an image, whose vertices are in `length_unit`: mm, or px where no scale is known."""
+
+    length_unit: str = "mm"
+
+
+def length_unit_of(points: Mesh | PointGrid) -> str:
+    """Return the unit of positions."""
+    return points.length_unit if isinstance(points, PlanarMesh | PointGrid) else "mm"
 
 
 @dataclass(frozen=True)

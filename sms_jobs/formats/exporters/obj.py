@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sms_jobs.formats.exporters.exporter import Exporter, placed, texture_of, write_rows
+from sms_jobs.formats.exporters.exporter import Exporter, length_unit_of, placed, texture_of, write_rows
 from sms_jobs.records.fields import Mesh
 
 
@@ -13,7 +13,7 @@ def write(mesh: Mesh, path: Path) -> None:
     mesh = placed(mesh)
     texture = texture_of(mesh)
     with path.open("w", encoding="ascii") as file:
-        file.write("# surface in mm\n")
+        file.write(f"# surface in {length_unit_of(mesh)}\n")
         if texture is None:
             write_rows(file, mesh.vertices.T, "v %.9g %.9g %.9g")
         else:

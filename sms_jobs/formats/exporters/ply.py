@@ -7,7 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from sms_jobs.formats.exporters.exporter import ROWS_AT_ONCE, Exporter, labels_of, placed, texture_of
+from sms_jobs.formats.exporters.exporter import (
+    ROWS_AT_ONCE,
+    Exporter,
+    labels_of,
+    length_unit_of,
+    placed,
+    texture_of,
+)
 from sms_jobs.records.fields import Mesh
 
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
@@ -36,7 +43,7 @@ def write(mesh: Mesh, path: Path) -> None:
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment positions in mm",
+        f"comment positions in {length_unit_of(mesh)}",
         *(f"comment {n} is {label}" for n, label in zip(names, labels_of(mesh), strict=True)),
         f"element vertex {len(mesh.vertices)}",
         *(f"property double {n}" for n in doubles),

@@ -1,4 +1,7 @@
-"""PTX: the points of one view in the order of its image, with grey. The format has no unit: here mm."""
+"""PTX: the points of one view in the order of its image, with grey.
+
+The format has no unit: here mm, or px of a flat image whose scale is not known.
+"""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.exporters.exporter import placed
+from sms_jobs.formats.exporters.exporter import length_unit_of, placed
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.quantity import quantities
 
@@ -49,7 +49,8 @@ def arrays_of(record: Any) -> Iterator[NamedArray]:
     taken: set[str] = set()
     if isinstance(record, Mesh):
         mesh = placed(record)
-        yield NamedArray(_identifier("vertices", "mm", taken), "mm", "position", mesh.vertices)
+        unit = length_unit_of(mesh)
+        yield NamedArray(_identifier("vertices", unit, taken), unit, "position", mesh.vertices)
         meaning = "vertex indices, counter-clockwise seen from outside"
         yield NamedArray(_identifier("faces", "1", taken), "1", meaning, mesh.faces)
         for name, unit, values in zip(mesh.value_names, mesh.value_units, mesh.values, strict=True):

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.exporters.exporter import TEXTURE, Exporter, PointGrid
+from sms_jobs.formats.planar_surfaces import planar_grid, planar_mesh
 from sms_jobs.records.fields import Mesh
+from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
 from sms_jobs.records.quantity import QUANTITY, Quantity, quantities
 
 _POSITION = "xyz"
@@ -55,8 +57,23 @@ def source_for(
         )
     if object in exporter.takes:
         return _record_with(record, chosen)
+    if isinstance(record, PlanarDisplacement | PlanarStrain):
+        return _flat(exporter, record, chosen, texture)
     grid = grid_of(record, chosen, texture, exporter.name)
     return grid if PointGrid in exporter.takes else mesh_of(grid, getattr(record, "covariance", None))
+
+
+def _flat(
+    exporter: Exporter,
+    record: PlanarDisplacement | PlanarStrain,
+    chosen: Sequence[str],
+    texture: NDArray[Any] | None,
+) -> PointGrid | Mesh:
+    """Return what a format takes, made of a result in the plane of an image."""
+    moved = record if isinstance(record, PlanarDisplacement) else None
+    strain = record if isinstance(record, PlanarStrain) else None
+    grid = planar_grid(moved, strain, texture, chosen)
+    return grid if PointGrid in exporter.takes else planar_mesh(grid)
 
 
 def grid_of(

@@ -6,18 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
-from sms_jobs.formats.exporters.exporter import ROWS_AT_ONCE, Exporter, placed
+from sms_jobs.formats.exporters.exporter import ROWS_AT_ONCE, Exporter, length_unit_of, placed
 from sms_jobs.records.fields import Mesh
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_HEADER = b"surface in mm"
 
 
 def write(mesh: Mesh, path: Path) -> None:
     """Write the triangles of a mesh; normals follow from the order of the corners, zero without area."""
     mesh = placed(mesh)
     with path.open("wb") as file:
-        file.write(_HEADER.ljust(80) + np.uint32(len(mesh.faces)).astype("<u4").tobytes())
+        file.write(
+            f"surface in {length_unit_of(mesh)}".encode().ljust(80)
+            + np.uint32(len(mesh.faces)).astype("<u4").tobytes()
+        )
         for start in range(0, len(mesh.faces), ROWS_AT_ONCE):
             corners = mesh.vertices[mesh.faces[start : start + ROWS_AT_ONCE]]
             normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from sms_jobs.formats.exporters.exporter import ROWS_AT_ONCE, Exporter, labels_of, placed
+from sms_jobs.formats.exporters.exporter import ROWS_AT_ONCE, Exporter, labels_of, length_unit_of, placed
 from sms_jobs.records.fields import Mesh
 
 
@@ -18,7 +18,8 @@ def write(mesh: Mesh, path: Path) -> None:
     """
     mesh = placed(mesh)
     with path.open("wb") as file:
-        file.write(b"# vtk DataFile Version 3.0\nsurface, positions in mm\nBINARY\nDATASET POLYDATA\n")
+        title = f"surface, positions in {length_unit_of(mesh)}"
+        file.write(f"# vtk DataFile Version 3.0\n{title}\nBINARY\nDATASET POLYDATA\n".encode())
         file.write(f"POINTS {len(mesh.vertices)} double\n".encode())
         for start in range(0, len(mesh.vertices), ROWS_AT_ONCE):
             file.write(mesh.vertices[start : start + ROWS_AT_ONCE].astype(">f8").tobytes())

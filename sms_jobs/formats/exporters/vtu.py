@@ -11,7 +11,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.formats.exporters.exporter import ROWS_AT_ONCE, Exporter, labels_of, placed
+from sms_jobs.formats.exporters.exporter import ROWS_AT_ONCE, Exporter, labels_of, length_unit_of, placed
 from sms_jobs.records.fields import Mesh
 
 _TYPES = {"<f8": "Float64", "<i4": "Int32", "<i8": "Int64", "|u1": "UInt8"}
@@ -57,7 +57,7 @@ def write(mesh: Mesh, path: Path) -> None:
     appended = _Appended()
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
-        "<!-- positions in mm -->",
+        f"<!-- positions in {length_unit_of(mesh)} -->",
         '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64">',
         "<UnstructuredGrid>",
         f'<Piece NumberOfPoints="{len(points)}" NumberOfCells="{len(cells)}">',

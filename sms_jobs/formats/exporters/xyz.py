@@ -6,13 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
-from sms_jobs.formats.exporters.exporter import Exporter, PointGrid, labels_of, placed, write_rows
+from sms_jobs.formats.exporters.exporter import (
+    Exporter,
+    PointGrid,
+    labels_of,
+    length_unit_of,
+    placed,
+    write_rows,
+)
 from sms_jobs.records.fields import Mesh
 
 
 def write(points: Mesh | PointGrid, path: Path) -> None:
-    """Write points that have a position, in mm, and behind it their values; what is missing is nan."""
-    places = None
+    """Write points that have a position, and behind it their values; what is missing is nan."""
+    places, unit = None, length_unit_of(points)
     if isinstance(points, PointGrid):
         places = np.flatnonzero(points.known())
         columns = [*points.xyz.reshape(3, -1), *points.values.reshape(len(points.values), -1)]
@@ -20,7 +27,7 @@ def write(points: Mesh | PointGrid, path: Path) -> None:
         points = placed(points)
         columns = [*points.vertices.T, *points.values]
     # Of a comment line, some readers want two slashes and most skip it.
-    title = " ".join(name.replace(" ", "_") for name in ["X_[mm]", "Y_[mm]", "Z_[mm]", *labels_of(points)])
+    title = " ".join(name.replace(" ", "_") for name in [f"{a} [{unit}]" for a in "XYZ"] + labels_of(points))
     with path.open("w", encoding="utf-8") as file:
         file.write(f"// {title}\n")
         write_rows(file, columns, " ".join(["%.9g"] * len(columns)), places)
