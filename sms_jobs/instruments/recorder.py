@@ -25,6 +25,7 @@ from pydantic import TypeAdapter
 
 from sms_jobs.errors import FrameLost, InstrumentError, InvalidInput
 from sms_jobs.instruments.clock import Clock
+from sms_jobs.instruments.judging import LOOKED_AT, Limits, drifted, judged, wanting
 from sms_jobs.instruments.protocols import (
     Camera,
     Channel,
@@ -37,7 +38,6 @@ from sms_jobs.instruments.protocols import (
     Video,
 )
 from sms_jobs.instruments.spool import Spooled, SpooledFrames, SpoolHeader, SpoolWriter
-from sms_jobs.metrology.phase.recording_quality import recording_quality
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.recording import InterruptedRecording, Recording, Verdict
 from sms_jobs.records.scene import Simulation
@@ -47,8 +47,6 @@ FRAME_TIMEOUT_S = 5.0
 _TRIES = 3
 """How often a pattern is projected before a camera that misses it is given up."""
 _SYNC_EVERY_S = 1.0
-_LOOKED_AT = 4
-"""Every so manieth row and column is looked at for the verdict."""
 _WAITING_FRAMES = 4
 """Of each camera that may wait for the disk."""
 _SIMULATION = TypeAdapter(Simulation)
@@ -100,25 +98,6 @@ class ConnectedRig:
         return {name: channel.read() for name, channel in self.channels.items()}
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What a set must not have.
-
-    Attributes
-    ----------
-    saturated_fraction
-        Most of the lit region that may be saturated.
-    lit_fraction
-        Least part of the image that must be lit.
-    recordings
-        How often a set may be recorded until it keeps the limits; the last is kept as it is.
-    """
-
-    saturated_fraction: float = 0.02
-    lit_fraction: float = 0.01
-    recordings: int = 2
-
-
 def record_state(
     rig: ConnectedRig,
     pairs: Sequence[str],
@@ -126,6 +105,7 @@ def record_state(
     spool: Path,
     limits: Limits,
     progress: Callable[[float, str], None],
+    texture_exposure: float = 1.0,
 ) -> None:
     """Record every pair of a state into the spool; pairs that are there already are left alone.
 
@@ -137,16 +117,19 @@ def record_state(
         Folder of the job; it holds one file a pair afterwards, see `finished` and `recorded`.
     progress
         Told a fraction and a few words; may raise to stop the recording, which leaves the projectors dark.
+    texture_exposure
+        Of the white frame, in units of the camera's own.
 
     Raises
     ------
     InvalidInput
-        When the rig does not have a sensor of a pair.
+        When the rig does not have a sensor of a pair, or a channel that has to be read.
     InstrumentError
         When an instrument gives up; complete frames stay in the spool.
     StorageFull
         When the spool's disk is full.
     """
+    limits.require_channels(rig.name, rig.channels)
     spool.mkdir(parents=True, exist_ok=True)
     _set_aside_interrupted(spool)
     by_projector = _by_projector(rig, [p for p in pairs if not is_finished(spool, p)])
@@ -161,7 +144,8 @@ def record_state(
                 progress((number + fraction) / len(by_projector), words)
 
             for attempt in range(1, limits.recordings + 1):
-                doubts = _Set(rig, name, cameras, sequence, spool, attempt).record(limits, part)
+                taken = _Set(rig, name, cameras, sequence, texture_exposure, spool, attempt)
+                doubts = taken.record(limits, part)
                 for words in doubts:
                     logger.warning("%s", words)
                 if not doubts:
@@ -226,6 +210,7 @@ class _Set:
     projector: str
     cameras: tuple[str, ...]
     sequence: FringeSequence
+    texture_exposure: float
     spool: Path
     attempt: int
     _retaken: int = 0
@@ -251,13 +236,15 @@ class _Set:
                     self._take(partial(projector.show, pattern), writers, zero, looked_at)
                     done += 1
                     progress(done / total, f"recording {self.projector}: frame {done} of {total}")
-            self._arm(1.0)
+            self._arm(self.texture_exposure)
             self._take(projector.white, writers, zero, looked_at=False)
             projector.dark()
-        doubts: list[str] = []
         after = rig.read_channels()
+        units = {name: channel.unit for name, channel in rig.channels.items()}
+        moved = drifted(channels, after, units, limits)
+        doubts: list[str] = []
         for camera in self.cameras:
-            doubts += self._finish(camera, writers[camera].saturated, after, limits)
+            doubts += self._finish(camera, writers[camera].saturated, after, limits, moved)
         return tuple(doubts)
 
     def _arm(self, exposure: float) -> None:
@@ -321,13 +308,18 @@ class _Set:
         return frames
 
     def _finish(
-        self, camera: str, saturated: NDArray[np.bool_], channels: dict[str, float], limits: Limits
+        self,
+        camera: str,
+        saturated: NDArray[np.bool_],
+        channels: dict[str, float],
+        limits: Limits,
+        moved: list[str],
     ) -> list[str]:
         """Judge a camera's set and mark it as finished; return what is wrong with it."""
         pair = camera + self.projector
         path = _newest(self.spool, pair)
-        verdict = _judged(Spooled(path), self.sequence, saturated)
-        doubts = _doubts(pair, verdict, limits)
+        verdict = judged(Spooled(path), self.sequence, saturated)
+        doubts = [f"{pair}: {words}" for words in (*wanting(verdict, limits), *moved)]
         facts = {
             "file": path.name,
             "verdict": vars(replace(verdict, doubts=tuple(doubts))),
@@ -355,14 +347,14 @@ class _Writer:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="spool")
         self._pending: deque[Future[None]] = deque()
         self._full_scale = header.about["full_scale"]
-        self.saturated = np.zeros((header.rows, header.columns), np.bool_)[::_LOOKED_AT, ::_LOOKED_AT]
+        self.saturated = np.zeros((header.rows, header.columns), np.bool_)[LOOKED_AT]
 
     def append(self, number: int, time_s: float, image: NDArray[Any], looked_at: bool) -> None:
         """Have a frame written and looked at; raise `StorageFull` when one before could not be."""
         while len(self._pending) >= _WAITING_FRAMES:
             self._pending.popleft().result()
         if looked_at:
-            self.saturated |= image[::_LOOKED_AT, ::_LOOKED_AT] >= self._full_scale
+            self.saturated |= image[LOOKED_AT] >= self._full_scale
         self._pending.append(self._thread.submit(self._file.append, number, time_s, image))
         if self._clock.monotonic() > self._synced + _SYNC_EVERY_S:
             self._synced = self._clock.monotonic()
@@ -378,31 +370,6 @@ class _Writer:
         finally:
             self._thread.shutdown()
             self._file.close()
-
-
-def _judged(file: Spooled, sequence: FringeSequence, saturated: NDArray[np.bool_]) -> Verdict:
-    """Judge a finished set by its first fringes, on some of their pixels."""
-    patterns = list(sequence.patterns())
-    first = next(i for i, (_, density, _) in enumerate(patterns) if density)
-    steps = np.stack([file.frame(first + k)[::_LOOKED_AT, ::_LOOKED_AT] for k in range(sequence.steps)])
-    told = file.header.about
-    quality = recording_quality(steps, saturated, told["full_scale"], told["gain"], told["read_noise"])
-    return Verdict(quality.lit_fraction, quality.saturated_fraction, quality.modulation)
-
-
-def _doubts(pair: str, verdict: Verdict, limits: Limits) -> list[str]:
-    doubts = []
-    if verdict.saturated_fraction > limits.saturated_fraction:
-        doubts.append(
-            f"{pair}: {verdict.saturated_fraction:.0%} of the lit region is saturated, allowed is "
-            f"{limits.saturated_fraction:.0%}"
-        )
-    if verdict.lit_fraction < limits.lit_fraction:
-        doubts.append(
-            f"{pair}: fringes stand out in {verdict.lit_fraction:.0%} of the image, wanted is "
-            f"{limits.lit_fraction:.0%}"
-        )
-    return doubts
 
 
 def _by_projector(rig: ConnectedRig, pairs: Sequence[str]) -> dict[str, tuple[str, ...]]:

@@ -6,18 +6,19 @@ waits for an operator; resumed, it records what is missing and nothing else.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from sms_jobs.errors import InstrumentError, InvalidInput
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.devices.device import POLLS_EVERY_S
+from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.recorder import (
     ConnectedRig,
-    Limits,
     interrupted,
     is_finished,
     record_state,
@@ -43,6 +44,10 @@ from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.recording import Recording
 
+_CHANNEL = re.compile(
+    r"(?P<name>[A-Za-z0-9][A-Za-z0-9._-]*)(?:=(?P<limit>[0-9]+(?:\.[0-9]*)?(?:e[-+]?[0-9]+)?))?"
+)
+
 
 class AcquireParameters(Parameters):
     """What is recorded follows from the campaign; when a set is good enough is said here."""
@@ -56,11 +61,45 @@ class AcquireParameters(Parameters):
     recordings: int = Field(
         2, ge=1, le=10, description="how often a set is recorded until it keeps these limits"
     )
+    texture_exposure: float = Field(
+        1.0, gt=0.0, description="exposure of the white frame, in units of the camera's own"
+    )
+    channels: tuple[str, ...] = Field(
+        (),
+        description="channels of the rig that have to be read before and after every set, such as load_n; as "
+        "load_n=3000 a set is doubted during which it went by more, in its unit",
+    )
     doubtful: Literal["keep", "ask"] = Field(
         "keep",
         description="what becomes of a set that does not keep them even so: it is kept and says so, or an "
         "operator is asked while the specimen is still held",
     )
+
+    @field_validator("channels")
+    @classmethod
+    def _each_once(cls, channels: tuple[str, ...]) -> tuple[str, ...]:
+        """Refuse what is no channel, or one that is named twice."""
+        if len(_drift_limits(channels)) < len(channels):
+            raise ValueError(f"names a channel twice: {', '.join(channels)}")
+        return channels
+
+    def limits(self) -> Limits:
+        """Return what a set must keep."""
+        return Limits(
+            self.saturated_fraction, self.lit_fraction, self.recordings, _drift_limits(self.channels)
+        )
+
+
+def _drift_limits(channels: tuple[str, ...]) -> dict[str, float | None]:
+    """Return by channel how far it may go while a set is recorded; None where nothing is said."""
+    found: dict[str, float | None] = {}
+    for text in channels:
+        written = _CHANNEL.fullmatch(text)
+        if written is None:
+            raise ValueError(f"'{text}' is no channel: write load_n, or load_n=3000 with how far it may go")
+        limit = written["limit"]
+        found[written["name"]] = None if limit is None else float(limit)
+    return found
 
 
 @dataclass(frozen=True)
@@ -120,12 +159,20 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
             "`sms rig add` takes one"
         )
     spool, sequence = station.spool, task.sequence
-    limits = Limits(parameters.saturated_fraction, parameters.lit_fraction, parameters.recordings)
+    limits = parameters.limits()
     finished_before = [pair for pair in task.pairs if is_finished(spool, pair)]
     with connected(station.rig, task.setting, inputs.threads) as rig:
         if task.angles_rad is not None:
             _bring_stage(rig, task.angles_rad, inputs.subject, progress)
-        record_state(rig, task.pairs, sequence, spool, limits, lambda f, words: progress(0.8 * f, words))
+        record_state(
+            rig,
+            task.pairs,
+            sequence,
+            spool,
+            limits,
+            lambda f, words: progress(0.8 * f, words),
+            parameters.texture_exposure,
+        )
     # What an operator saw and let stand is not doubted again.
     new = [pair for pair in task.pairs if pair not in finished_before]
     doubts = [d for pair in new for d in recorded(spool, pair, sequence)[1].verdict.doubts]

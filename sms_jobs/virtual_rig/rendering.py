@@ -118,9 +118,10 @@ class SimulatedFrames:
         """Of one grey level."""
         return np.dtype(np.uint16)
 
-    def texture(self) -> Image:
-        """Return the white frame, (rows, columns)."""
-        return self._recorded(self._steady[0] + self._steady[1], self._sequence.frames, 0)
+    def texture(self, exposure: float = 1.0) -> Image:
+        """Return the white frame, (rows, columns), of an exposure in units of the camera's own."""
+        levels = self._steady[0] + self._steady[1]
+        return self._recorded(np.float32(exposure) * levels, self._sequence.frames, 0)
 
     def frame(self, index: int) -> Image:
         """Return one frame, (rows, columns); raise `IndexError` for a frame that there is not."""

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.instruments.clock import RealClock
+from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.protocols import CameraFacts, Frame
-from sms_jobs.instruments.recorder import ConnectedRig, Limits, record_state, recorded
+from sms_jobs.instruments.recorder import ConnectedRig, record_state, recorded
 from sms_jobs.records.measurement import FringeSequence
 
 SIDE = 2048

@@ -84,7 +84,7 @@ class Hall:
         projector, sequence, number = self._lit
         rendering = self._rendering(camera, projector, sequence)
         if number == _WHITE:
-            return rendering.texture
+            return rendering.frames.texture(exposure)
         place = sequence.exposures.index(exposure) * sequence.frames_per_exposure + number
         return rendering.frames.frame(place)
 

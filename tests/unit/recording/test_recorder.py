@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from sms_jobs.errors import Cancelled, InstrumentError, InvalidInput, LinkLost
+from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.recorder import (
     FRAME_TIMEOUT_S,
     ConnectedRig,
-    Limits,
     interrupted,
     is_finished,
     record_state,
@@ -186,6 +186,63 @@ def test_channels_are_read_before_and_after(make_rig: Callable[..., ConnectedRig
     _, recording = recorded(tmp_path / "s", "C2P2", SEQUENCE)
     assert recording.channels_before == {"load_n": 103.0}
     assert recording.channels_after == {"load_n": 104.0}
+
+
+@dataclass
+class Ramp:
+    """A load that goes on by a newton at each reading, until it is held."""
+
+    held_at: float
+    value: float = 100.0
+    unit: str = "N"
+
+    def read(self) -> float:
+        self.value = min(self.value + 1.0, self.held_at)
+        return self.value
+
+
+def test_a_set_during_which_the_load_moved_is_recorded_again(
+    make_rig: Callable[..., ConnectedRig], tmp_path: Path
+) -> None:
+    limits = Limits(channels={"load_n": 0.5})
+    record(make_rig(channels={"load_n": Ramp(103.0)}), tmp_path / "s", limits=limits)
+    # From 101 to 102 in the first set; from 103 on it is held.
+    recordings = [recorded(tmp_path / "s", pair, SEQUENCE)[1] for pair in PAIRS]
+    assert [r.recordings for r in recordings] == [2, 1, 2, 1]
+    assert all(r.channels_before == r.channels_after == {"load_n": 103.0} for r in recordings)
+    record(make_rig(channels={"load_n": Ramp(1000.0)}), tmp_path / "t", limits=limits)
+    _, moving = recorded(tmp_path / "t", "C2P1", SEQUENCE)
+    assert moving.verdict.doubts == (
+        "C2P1: load_n went from 103 to 104 N while it was recorded, allowed is 0.5 N",
+    )
+
+
+def test_a_channel_that_is_only_to_be_read_may_move(
+    make_rig: Callable[..., ConnectedRig], tmp_path: Path
+) -> None:
+    limits = Limits(channels={"load_n": None})
+    record(make_rig(channels={"load_n": Ramp(1000.0)}), tmp_path / "s", limits=limits)
+    assert recorded(tmp_path / "s", "C1P1", SEQUENCE)[1].verdict.doubts == ()
+    with pytest.raises(InvalidInput, match="rig virtual has no channel 'load_n'"):
+        record(make_rig(), tmp_path / "t", limits=limits)
+
+
+def test_the_white_frame_has_an_exposure_of_its_own(
+    make_rig: Callable[..., ConnectedRig], tmp_path: Path
+) -> None:
+    rig = make_rig()
+    for name, exposure in (("bright", 1.0), ("dim", 0.5)):
+        record_state(rig, ("C1P1",), SEQUENCE, tmp_path / name, LIMITS, Told(), exposure)
+    bright, dim = (recorded(tmp_path / n, "C1P1", SEQUENCE)[0] for n in ("bright", "dim"))
+    unsaturated = bright.texture < bright.full_scale
+    level = bright.texture[unsaturated].astype(float)
+    # Half the light, with the shot noise of both, averaged over more than a thousand pixels.
+    assert level.size > 1000
+    noise = np.sqrt(dim.read_noise**2 + dim.gain * level.mean())
+    assert dim.texture[unsaturated].mean() == pytest.approx(
+        0.5 * level.mean(), abs=5.0 * noise / np.sqrt(level.size)
+    )
+    np.testing.assert_array_equal(dim.frames.frame(3), bright.frames.frame(3))
 
 
 def test_a_pair_that_the_rig_does_not_have_is_refused(

@@ -1,0 +1,96 @@
+"""What is wrong with a set of frames, in words, while the specimen is still held."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.instruments.spool import Spooled
+from sms_jobs.metrology.phase.recording_quality import recording_quality
+from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.recording import Verdict
+
+LOOKED_AT = (slice(None, None, 4), slice(None, None, 4))
+"""The rows and columns of an image that are looked at for the verdict."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a set must not have.
+
+    Attributes
+    ----------
+    saturated_fraction
+        Most of the lit region that may be saturated.
+    lit_fraction
+        Least part of the image that must be lit.
+    recordings
+        How often a set may be recorded until it keeps the limits; the last is kept as it is.
+    channels
+        Those that have to be read before and after a set, by name, each with how far it may go meanwhile, in
+        its unit; None for any way.
+    """
+
+    saturated_fraction: float = 0.02
+    lit_fraction: float = 0.01
+    recordings: int = 2
+    channels: Mapping[str, float | None] = field(default_factory=dict)
+
+    def require_channels(self, rig: str, known: Collection[str]) -> None:
+        """Raise `InvalidInput` when a rig does not have a channel that has to be read."""
+        for name in self.channels:
+            if name not in known:
+                raise InvalidInput(
+                    f"rig {rig} has no channel '{name}', which has to be read at every state; it has "
+                    f"{', '.join(known) or 'none'}: describe it under [[channels]] or [[file_channels]]"
+                )
+
+
+def judged(file: Spooled, sequence: FringeSequence, saturated: NDArray[np.bool_]) -> Verdict:
+    """Judge a finished set by its first fringes, on some of their pixels.
+
+    Parameters
+    ----------
+    saturated
+        Which of the pixels `LOOKED_AT` were saturated in a frame of the shortest exposure.
+    """
+    patterns = list(sequence.patterns())
+    first = next(i for i, (_, density, _) in enumerate(patterns) if density)
+    steps = np.stack([file.frame(first + k)[LOOKED_AT] for k in range(sequence.steps)])
+    told = file.header.about
+    quality = recording_quality(steps, saturated, told["full_scale"], told["gain"], told["read_noise"])
+    return Verdict(quality.lit_fraction, quality.saturated_fraction, quality.modulation)
+
+
+def wanting(verdict: Verdict, limits: Limits) -> list[str]:
+    """Return what images of a set do not keep of the limits."""
+    doubts = []
+    if verdict.saturated_fraction > limits.saturated_fraction:
+        doubts.append(
+            f"{verdict.saturated_fraction:.0%} of the lit region is saturated, allowed is "
+            f"{limits.saturated_fraction:.0%}"
+        )
+    if verdict.lit_fraction < limits.lit_fraction:
+        doubts.append(
+            f"fringes stand out in {verdict.lit_fraction:.0%} of the image, wanted is "
+            f"{limits.lit_fraction:.0%}"
+        )
+    return doubts
+
+
+def drifted(
+    before: Mapping[str, float], after: Mapping[str, float], units: Mapping[str, str], limits: Limits
+) -> list[str]:
+    """Return which channels went too far while a set was recorded; what is no number went too far."""
+    doubts = []
+    for name, allowed in limits.channels.items():
+        if allowed is not None and not abs(after[name] - before[name]) <= allowed:
+            doubts.append(
+                f"{name} went from {before[name]:g} to {after[name]:g} {units[name]} while it was recorded, "
+                f"allowed is {allowed:g} {units[name]}"
+            )
+    return doubts

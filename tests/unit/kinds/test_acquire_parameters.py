@@ -1,0 +1,19 @@
+"""What a campaign may say of its recordings."""
+
+from __future__ import annotations
+
+import pytest
+from pydantic import ValidationError
+
+from sms_jobs.kinds.acquire import AcquireParameters
+
+
+def test_channels_are_read_and_limited() -> None:
+    found = AcquireParameters(channels=("load_n=3000", "temperature", "strain-1=2.5e-6")).limits()
+    assert found.channels == {"load_n": 3000.0, "temperature": None, "strain-1": 2.5e-6}
+
+
+@pytest.mark.parametrize("channels", [("load_n", "load_n=3"), ("load_n=",), ("load n",), ("load_n=-3",)])
+def test_what_is_no_channel_is_refused(channels: tuple[str, ...]) -> None:
+    with pytest.raises(ValidationError, match="channel"):
+        AcquireParameters(channels=channels)
