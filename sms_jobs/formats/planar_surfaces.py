@@ -41,7 +41,7 @@ def planar_grid(
     one = moved if moved is not None else strain
     assert one is not None
     scale, unit = (1.0, "px") if one.mm_per_px is None else (one.mm_per_px, "mm")
-    known = np.zeros(one.reason.shape, dtype=bool)
+    known: NDArray[np.bool_] = np.zeros(one.reason.shape, dtype=bool)
     values: list[_Value] = []
     if moved is not None:
         known |= moved.reason == Reason.VALID
@@ -50,11 +50,11 @@ def planar_grid(
         known |= strain.reason == Reason.VALID
         values += _strains(strain)
     kept = [value for value in values if not chosen or value[0] in chosen]
-    rows, columns = known.shape
+    rows, columns = one.reason.shape
     xyz = np.zeros((3, rows, columns))
     xyz[0], xyz[1] = scale * np.arange(columns)[None, :], -scale * np.arange(rows)[:, None]
     xyz[:, ~known] = np.nan
-    stacked = np.stack([field for _, _, _, field in kept]) if kept else np.zeros((0, rows, columns))
+    stacked = np.stack([value[3] for value in kept]) if kept else np.zeros((0, rows, columns))
     names = tuple(name for _, name, _, _ in kept)
     units = tuple(unit for _, _, unit, _ in kept)
     return PointGrid(xyz, names, units, stacked, texture, unit)

@@ -54,6 +54,10 @@ class ExportParameters(Parameters):
         (), description="values of the mesh to write, e.g. 'displacement Z'; all if not given"
     )
 
+    image_step_px: int = Field(
+        4, ge=1, le=64, description="distance of the points of a camera alone in its image"
+    )
+
     @field_validator("formats", "fields", mode="before")
     @classmethod
     def _one_or_several(cls, given: Any) -> Any:
@@ -130,7 +134,7 @@ def _image(inputs: Inputs, parameters: ExportParameters, camera: str, stem: str)
         _texture(inputs, f"{_FLAT_TEXTURE}{camera}"),
     )
     grid.known()
-    mesh = planar_mesh(grid)
+    mesh = planar_mesh(grid, parameters.image_step_px)
     for format_name in parameters.formats or USUAL_FLAT:
         exporter = exporter_named(format_name)
         meshed = Mesh in exporter.takes or object in exporter.takes
