@@ -13,6 +13,7 @@ from pydantic import Field
 
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.formats.report.calibration import calibration_page
+from sms_jobs.formats.report.page import page_writer
 from sms_jobs.kinds.kind import (
     CALIBRATION,
     DatasetOutput,
@@ -25,7 +26,6 @@ from sms_jobs.kinds.kind import (
     Progress,
     Scope,
 )
-from sms_jobs.kinds.report import page_writer
 from sms_jobs.kinds.session_adjustment import (
     Bars,
     Boards,
@@ -171,7 +171,7 @@ def adjusted(
     found = adjust(problem, options)
     progress(0.6, "measuring poses that take no part")
     held_out = cross_validate(problem, options, parameters.folds, found)
-    calibration = calibration_of(plan, start, found, origin)
+    calibration = calibration_of(plan, start, found, problem, origin)
     uncertainty = uncertainty_of(found)
     doubts = (*doubts, *doubts_of(start, boards, bars))
     quality = quality_of(plan, start, calibration, found, held_out, problem, boards, bars, doubts)
@@ -204,7 +204,7 @@ def _statistics(calibration: Calibration, quality: CalibrationQuality) -> dict[s
 KIND = Kind(
     name=CALIBRATE_BOARDS,
     summary="calibrate a rig from poses of a board",
-    version=2,
+    version=3,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     needs=_needs,

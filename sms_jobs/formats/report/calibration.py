@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from sms_jobs.formats.calibration_figures import draw_expected_sigma, draw_residuals
-from sms_jobs.formats.report.html import Cell, Markup, Section, facts, figure, figures, page, paragraph, table
+from sms_jobs.formats.report.html import Cell, Markup, facts, figure, figures, paragraph, table
+from sms_jobs.formats.report.page import Section, page
 from sms_jobs.metrology.geometry.camera import Intrinsics
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.sensors import Calibration, Rig, Sensor

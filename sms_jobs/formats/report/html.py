@@ -1,7 +1,6 @@
-"""The pieces of a report: one HTML page that needs nothing but itself.
+"""The pieces of a report: text, tables and pictures as HTML.
 
-Everything that comes from a person or a file passes through `html.escape`. The page has no script, its style
-is inside it and its pictures are data, so that it can be mailed, printed and read in twenty years.
+Everything that comes from a person or a file passes through `html.escape`.
 """
 
 from __future__ import annotations
@@ -13,36 +12,6 @@ from html import escape
 from math import isfinite
 
 NOTHING = "–"
-
-_STYLE = """
-:root { color-scheme: light dark; --ink: #1c1f24; --paper: #ffffff; --soft: #f3f4f6; --line: #d5d9df;
-  --faint: #5d6672; }
-@media (prefers-color-scheme: dark) { :root { --ink: #e4e6ea; --paper: #16181c; --soft: #22262c;
-  --line: #3a4049; --faint: #9aa3ae; } }
-* { box-sizing: border-box; }
-body { margin: 0 auto; padding: 1rem; max-width: 80rem; color: var(--ink); background: var(--paper);
-  font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; }
-h1 { font-size: 1.6rem; margin: .4rem 0; } h2 { font-size: 1.25rem; margin: 2.2rem 0 .6rem;
-  border-bottom: 1px solid var(--line); padding-bottom: .2rem; }
-h3 { font-size: 1.05rem; margin: 1.4rem 0 .4rem; }
-p { margin: .4rem 0; max-width: 50rem; } .faint { color: var(--faint); font-size: .9rem; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums; margin: .5rem 0; }
-th, td { padding: .3rem .7rem; border-bottom: 1px solid var(--line); text-align: left; vertical-align: top; }
-th { background: var(--soft); font-weight: 600; }
-td.number, th.number { text-align: right; } td.number { white-space: nowrap; }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 17rem), 1fr)); gap: 1rem;
-  margin: .6rem 0 1.2rem; }
-figure { margin: 0; } figure img { width: 100%; max-width: 40rem; height: auto; border-radius: 4px;
-  background: #ffffff; }
-figcaption { font-size: .85rem; color: var(--faint); }
-code { font-size: .85em; overflow-wrap: anywhere; } nav a { margin-right: 1rem; color: inherit; }
-summary { cursor: pointer; }
-@media print { :root { --ink: #000000; --paper: #ffffff; --soft: #f0f0f0; --line: #bbbbbb; --faint: #444444; }
-  body { padding: 0; max-width: none; font-size: 10pt; } nav { display: none; } figure, tr, h2, h3 {
-  break-inside: avoid; } h2, h3 { break-after: avoid; } .figures { grid-template-columns: 1fr 1fr; }
-  .wide { overflow: visible; } }
-"""
 
 
 @dataclass(frozen=True)
@@ -102,7 +71,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Markup:
         for place in range(len(header))
     ]
     head = "".join(
-        f"<th{' class=number' if right else ''}>{escape(name)}</th>"
+        f'<th scope="col"{" class=number" if right else ""}>{escape(name)}</th>'
         for name, right in zip(header, numeric, strict=True)
     )
     body = "".join(
@@ -142,33 +111,3 @@ def figures(pictures: Iterable[Markup]) -> Markup:
 def folded(summary: str, content: Markup) -> Markup:
     """Hide something behind a line that opens it."""
     return Markup(f"<details><summary>{escape(summary)}</summary>{content.html}</details>")
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of the page with a heading of its own; `level` 3 stands below one of 2."""
-
-    title: str
-    content: Sequence[Markup]
-    level: int = 2
-
-
-def page(title: str, introduction: Sequence[Markup], sections: Sequence[Section]) -> str:
-    """Return the whole page, with a line of links to its sections."""
-    links = []
-    parts = []
-    for place, section in enumerate(sections):
-        heading = f'<h{section.level} id="s{place}">{escape(section.title)}</h{section.level}>'
-        parts.append(heading + "\n".join(part.html for part in section.content))
-        if section.level == 2:
-            links.append(f'<a href="#s{place}">{escape(section.title)}</a>')
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
-        f"<h1>{escape(title)}</h1>\n"
-        + "\n".join(part.html for part in introduction)
-        + f"\n<nav>{' '.join(links)}</nav>\n"
-        + "\n".join(parts)
-        + "\n</body>\n</html>\n"
-    )

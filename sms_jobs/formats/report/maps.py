@@ -1,135 +1,123 @@
-"""The maps of a report and the numbers under them, from one record at a time."""
+"""Views on a page: still pictures for print, and the fields themselves for the script that draws maps."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import io
+from collections.abc import Iterator
+from html import escape
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sms_jobs.formats.figures import Map, draw_map, reduced
-from sms_jobs.formats.report.html import Cell, Markup, figure
-from sms_jobs.formats.report.tables import MICROSTRAIN, PER_CENT
-from sms_jobs.records.fields import MergedField, PointCloud, Regions, StrainField
-from sms_jobs.records.measurement import Measurement
-from sms_jobs.records.quantity import SYMMETRIC, XYZ
+from sms_jobs.formats.figures import Map, draw_map, robust_limits
+from sms_jobs.formats.report.html import Markup, figure, figures
+from sms_jobs.formats.report.packing import pack, pack_sigma
+from sms_jobs.formats.report.page import json_block
+from sms_jobs.formats.report.view import Field, View
 
-_VARIANCES = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
-
-MERGED_HEADER = (
-    "state", "camera", "valid [%]", "median X [mm]", "median Y [mm]", "median Z [mm]", "largest [mm]",
-    "sigma, median [mm]", "disagreement of pairs, rms [mm]",
-)  # fmt: skip
-STRAIN_HEADER = (
-    "state", "pair", "valid [%]", "gauge length [mm]", "median xx [µε]", "median yy [µε]", "median xy [µε]",
-    "largest principal [µε]", "sigma xx, median [µε]",
-)  # fmt: skip
+_CATEGORIES = 64
 
 
-def _median(values: NDArray[Any]) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else None
+def view_markup(view: View, number: int, state: str, still_px: int) -> Iterator[Markup]:
+    """Yield a view of a state in pieces; `number` tells it from the others of the page."""
+    name = f"v{number}"
+    yield Markup(
+        f'<section class="view" id="{name}" aria-labelledby="{name}t">\n'
+        f'<h4 id="{name}t">{escape(view.title)}</h4>'
+    )
+    yield Markup(f'<div class="stills">{figures(_stills(view, state, still_px)).html}</div>')
+    for note in view.notes:
+        yield Markup(f'<p class="notes">{escape(note)}</p>')
+    about = []
+    for place, field in enumerate(view.fields):
+        told, blocks = _packed(field, f"{name}-{place}")
+        about.append(told)
+        yield from blocks
+    yield json_block(
+        {
+            "key": view.key,
+            "state": state,
+            "title": view.title,
+            "rows": view.size[0],
+            "columns": view.size[1],
+            "step": view.step_px,
+            "fields": about,
+            "position": view.position,
+            "movement": view.movement,
+            "mmPerPx": view.mm_per_px,
+        },
+        "about",
+    )
+    yield Markup("</section>")
 
 
-def _largest(values: NDArray[Any]) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(known.max()) if known.size else None
+def _stills(view: View, state: str, still_px: int) -> Iterator[Markup]:
+    for field in view.fields:
+        for values, name in (
+            (field.still, field.name),
+            (field.still_sigma, f"standard deviation of {field.name}"),
+        ):
+            if values is not None:
+                title = name[:1].upper() + name[1:]
+                outlines = field.outlines if values is field.still else None
+                image = Map(values, view.size, title, field.unit or "1", outlines)
+                yield figure(_lean(draw_map(image, still_px)), f"{state}, {view.title}: {name}")
 
 
-@dataclass(frozen=True)
-class Draughtsman:
-    """Draws maps of one width.
+def _lean(png: bytes) -> bytes:
+    """Return a picture of at most 256 colours, which takes a third of the room."""
+    from PIL import Image
 
-    Attributes
-    ----------
-    width_px
-        Of every picture.
-    """
-
-    width_px: int
-
-    def _draw(
-        self, values: NDArray[Any], title: str, unit: str, caption: str, labels: NDArray[Any] | None = None
-    ) -> Markup:
-        size = (values.shape[0], values.shape[1])
-        if values.dtype.kind != "f":
-            values = values.astype(np.float32)
-        outlines = None if labels is None else reduced(labels, self.width_px)
-        drawn = draw_map(Map(reduced(values, self.width_px), size, title, unit, outlines), self.width_px)
-        return figure(drawn, caption)
-
-    def texture(self, measurement: Measurement, regions: Regions | None, where: str) -> Markup:
-        """Draw the white-light texture with the borders of the continuous pieces of surface."""
-        labels = None
-        caption = f"{where}: white-light texture"
-        if regions is not None and regions.labels.shape == measurement.texture.shape:
-            labels = regions.labels
-            caption += f", and the borders of {len(regions.regions)} continuous pieces of surface"
-        return self._draw(measurement.texture, "Texture", "count", caption, labels)
-
-    def depth(self, cloud: PointCloud, where: str) -> Markup:
-        """Draw Z of the world."""
-        return self._draw(cloud.xyz[XYZ.index("Z")], "Position Z", "mm", f"{where}: position along Z")
-
-    def depth_sigma(self, cloud: PointCloud, where: str) -> Markup:
-        """Draw the standard deviation of Z."""
-        sigma = np.sqrt(cloud.covariance[SYMMETRIC.index("ZZ")])
-        caption = f"{where}: standard deviation of Z, from the camera's noise"
-        return self._draw(sigma, "Standard deviation of Z", "mm", caption)
-
-    def displacement(self, merged: MergedField, where: str) -> list[Markup]:
-        """Draw the magnitude and Z of the displacement."""
-        length = np.sqrt(np.sum(merged.displacement**2, axis=0))
-        view = f"{where}, {', '.join(merged.pairs)} merged"
-        return [
-            self._draw(length, "Displacement, magnitude", "mm", f"{view}: magnitude of the displacement"),
-            self._draw(
-                merged.displacement[XYZ.index("Z")],
-                "Displacement along Z",
-                "mm",
-                f"{view}: displacement along Z",
-            ),
-        ]
-
-    def strain(self, field: StrainField, where: str) -> list[Markup]:
-        """Draw the strain along x and the larger principal strain."""
-        about = f"{field.measure} strain over {field.gauge_length_mm:.4g} mm"
-        return [
-            self._draw(field.strain[0] * MICROSTRAIN, "Strain xx", "µε", f"{where}: {about}, along x"),
-            self._draw(
-                field.principal[0] * MICROSTRAIN,
-                "First principal strain",
-                "µε",
-                f"{where}: {about}, larger principal strain",
-            ),
-        ]
+    out = io.BytesIO()
+    with Image.open(io.BytesIO(png)) as picture:
+        few = picture.convert("RGB").quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+        few.save(out, format="PNG", optimize=True)
+    return out.getvalue()
 
 
-def merged_row(merged: MergedField, state: str) -> list[Cell]:
-    """Return the numbers of a camera's displacement; see `MERGED_HEADER`."""
-    length = np.sqrt(np.sum(merged.displacement**2, axis=0))
-    sigma = np.sqrt(merged.covariance[_VARIANCES].sum(axis=0))
-    return [
-        state,
-        merged.camera,
-        float(np.mean(merged.reason == 0)) * PER_CENT,
-        *(_median(component) for component in merged.displacement),
-        _largest(length),
-        _median(sigma),
-        merged.discrepancy_rms_mm,
-    ]
+def _packed(field: Field, name: str) -> tuple[dict[str, Any], list[Markup]]:
+    """Return what the script is told of a field, and the blocks that hold its values."""
+    if field.categories is not None:
+        return _packed_categories(field, name)
+    packed = pack(field.values, field.sigma, field.grain)
+    told = {
+        "name": field.name,
+        "unit": field.unit,
+        "low": packed.low,
+        "step": packed.step,
+        "data": name,
+        "limits": robust_limits(field.values),
+    }
+    blocks = [_block(name, packed.text)]
+    if field.sigma is not None:
+        spread = pack_sigma(field.sigma)
+        limits = robust_limits(field.sigma)
+        told["sigma"] = {"low": spread.low, "step": spread.step, "data": f"{name}s", "limits": limits}
+        blocks.append(_block(f"{name}s", spread.text))
+    return told, blocks
 
 
-def strain_row(field: StrainField, state: str, pair: str) -> list[Cell]:
-    """Return the numbers of a pair's strain; see `STRAIN_HEADER`."""
-    medians = [_median(component * MICROSTRAIN) for component in field.strain]
-    return [
-        state,
-        pair,
-        float(np.mean(field.reason == 0)) * PER_CENT,
-        field.gauge_length_mm,
-        *medians,
-        _largest(field.principal[0] * MICROSTRAIN),
-        _median(field.sigma[0] * MICROSTRAIN),
-    ]
+def _packed_categories(field: Field, name: str) -> tuple[dict[str, Any], list[Markup]]:
+    """Return flags as numbers of a list of meanings, the most frequent first."""
+    found, counts = np.unique(field.values[np.isfinite(field.values)].astype(np.int64), return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    words = field.categories or {}
+    listed = [int(found[place]) for place in order[:_CATEGORIES]]
+    numbers = np.full(field.values.shape, np.nan, np.float32)
+    for place, flags in enumerate(listed):
+        numbers[field.values == flags] = place
+    packed = pack(numbers)
+    told = {
+        "name": field.name,
+        "unit": field.unit,
+        "low": packed.low,
+        "step": packed.step,
+        "data": name,
+        "limits": (0.0, float(max(1, len(listed) - 1))),
+        "categories": [words.get(flags, str(flags)) for flags in listed],
+    }
+    return told, [_block(name, packed.text)]
+
+
+def _block(name: str, packed: str) -> Markup:
+    return Markup(f'<script type="text/plain" id="{name}">{packed}</script>')

@@ -10,15 +10,14 @@ from sms_jobs.formats.report.html import (
     NOTHING,
     Given,
     Markup,
-    Section,
     code,
     facts,
     figure,
     number,
-    page,
     table,
     text,
 )
+from sms_jobs.formats.report.page import Section, page
 
 
 @pytest.mark.parametrize(
@@ -59,7 +58,7 @@ def test_everything_plain_is_escaped() -> None:
 
 def test_columns_of_numbers_lean_right() -> None:
     made = table(["name", "load", "mixed"], [["a", 1.0, 2.0], ["b", None, "x"]]).html
-    assert "<th>name</th><th class=number>load</th><th>mixed</th>" in made
+    assert '<th scope="col">name</th><th scope="col" class=number>load</th><th scope="col">mixed</th>' in made
     assert f'<td class="number">{NOTHING}</td><td>x</td>' in made
 
 

@@ -1,0 +1,108 @@
+"""What a report follows over the states: points of the surface, and the numbers of each view."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sms_jobs.formats.report.charts import Chart, Line, Point
+from sms_jobs.formats.report.html import Cell, Markup, table
+from sms_jobs.formats.report.view import Field, Statistic, View
+
+_PERCENTILE = 99.0
+
+
+@dataclass(frozen=True)
+class Place:
+    """A point of the surface that a field is followed at: a sample of the views of one key."""
+
+    key: str
+    name: str
+    unit: str
+    row: int
+    column: int
+    row_px: int
+    column_px: int
+
+    @property
+    def words(self) -> str:
+        """Where it is."""
+        return f"{self.key} at ({self.column_px}, {self.row_px}) px"
+
+
+def places(view: View) -> tuple[Place, ...]:
+    """Return where each followed field of a view is large: at the 99th percentile of what it is in size.
+
+    The largest value of all would be followed for its noise as much as for what it measures.
+    """
+    found = []
+    for each in view.fields:
+        known = np.isfinite(each.values)
+        if not each.followed or not known.any():
+            continue
+        size = np.where(known, np.abs(each.values), np.nan)
+        away = np.abs(size - np.nanpercentile(size, _PERCENTILE))
+        row, column = (int(p) for p in np.unravel_index(int(np.nanargmin(away)), away.shape))
+        half = view.step_px // 2
+        pixel = (row * view.step_px + half, column * view.step_px + half)
+        found.append(Place(view.key, each.name, each.unit, row, column, *pixel))
+    return tuple(found)
+
+
+@dataclass
+class Followed:
+    """Collects, view by view, what is charted and tabled."""
+
+    at: tuple[Place, ...]
+    _readings: dict[Place, list[Point]] = field(default_factory=dict)
+    _charted: dict[tuple[str, str], dict[str, list[Point]]] = field(default_factory=dict)
+    _rows: list[tuple[str, View, tuple[Statistic, ...]]] = field(default_factory=list)
+
+    def add(self, state: str, view: View) -> None:
+        """Read a view of a state; its images are not kept."""
+        fields = {each.name: each for each in view.fields}
+        for place in self.at:
+            if place.key == view.key and place.name in fields:
+                self._read(place, fields[place.name], state)
+        for one in view.statistics:
+            if one.charted and one.value is not None:
+                lines = self._charted.setdefault((one.name, one.unit), {})
+                lines.setdefault(view.key, []).append(Point(state, one.value, one.sigma))
+        bare = View(view.title, view.key, view.size, view.step_px, ())
+        self._rows.append((state, bare, view.statistics))
+
+    def _read(self, place: Place, found: Field, state: str) -> None:
+        value = float(found.values[place.row, place.column])
+        sigma = None if found.sigma is None else float(found.sigma[place.row, place.column])
+        if np.isfinite(value):
+            points = self._readings.setdefault(place, [])
+            points.append(Point(state, value, sigma if sigma is not None and np.isfinite(sigma) else None))
+
+    def charts(self) -> tuple[Chart, ...]:
+        """Return a chart of every followed field and of every charted statistic."""
+        by_field: dict[tuple[str, str], list[Line]] = {}
+        for place, points in self._readings.items():
+            by_field.setdefault((place.name, place.unit), []).append(Line(place.words, tuple(points)))
+        followed = (
+            Chart(f"{name} of a point", unit, tuple(lines)) for (name, unit), lines in by_field.items()
+        )
+        counted = (
+            Chart(name, unit, tuple(Line(key, tuple(points)) for key, points in lines.items()))
+            for (name, unit), lines in self._charted.items()
+        )
+        return (*followed, *counted)
+
+    def tables(self) -> list[Markup]:
+        """Return a table of all states for every set of statistics that views have."""
+        made: dict[tuple[tuple[str, str], ...], list[list[Cell]]] = {}
+        for state, view, statistics in self._rows:
+            head = tuple((one.name, one.unit) for one in statistics)
+            if head:
+                made.setdefault(head, []).append([state, view.key, *(one.value for one in statistics)])
+        return [table(["state", "camera", *_heads(head)], rows) for head, rows in made.items()]
+
+
+def _heads(columns: Iterable[tuple[str, str]]) -> list[str]:
+    return [f"{name} [{unit}]" if unit else name for name, unit in columns]

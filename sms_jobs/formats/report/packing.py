@@ -1,0 +1,108 @@
+"""Fields as text inside a page: sampled, rounded to what they are worth, compressed.
+
+Values become whole numbers of a step, from 1 to 65534; 0 stands for none. The step is the finest that the
+range allows, or an eighth of the median standard deviation where that is coarser: rounding then adds less
+than a hundredth to the variance, (1/8)^2 / 12. Of standard deviations the logarithm is kept in 8 bits, in
+steps of at least 0.04: nobody knows them to 2 %. Rows are differences, the high bytes lie before the low
+ones, and all is compressed by zlib and written in base64, which every browser unpacks by itself.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+from numpy.typing import NDArray
+
+LARGEST = 65534
+SIGMA_LARGEST = 254
+FINEST_SIGMA = 0.04
+PART_OF_SIGMA = 8.0
+_LEVEL = 6
+
+
+@dataclass(frozen=True)
+class Packed:
+    """Values as text: value = low + (n - 1) step, with n = 0 for none.
+
+    Attributes
+    ----------
+    text
+        base64 of zlib of two bytes a value.
+    """
+
+    low: float
+    step: float
+    text: str
+
+
+@dataclass(frozen=True)
+class PackedSigma:
+    """Standard deviations as text: sigma = low exp((n - 1) step), with n = 0 for none, one byte a value."""
+
+    low: float
+    step: float
+    text: str
+
+
+def pack(values: NDArray[np.float32], sigma: NDArray[np.float32] | None = None, grain: float = 0.0) -> Packed:
+    """Return values (rows, columns) packed, in steps of at least `grain`.
+
+    Whole numbers without standard deviations keep their value.
+    """
+    known = np.isfinite(values)
+    exact = np.where(known, values, 0.0).astype(np.float64)
+    low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
+    whole = sigma is None and high - low <= LARGEST - 1 and bool(np.all(exact == np.round(exact)))
+    step = 1.0 if whole else max(grain, (high - low) / (LARGEST - 1)) or 1.0
+    if sigma is not None and np.any(np.isfinite(sigma)):
+        step = max(step, float(np.nanmedian(np.where(np.isfinite(sigma), sigma, np.nan))) / PART_OF_SIGMA)
+    number = np.where(known, np.round((exact - low) / step) + 1.0, 0.0).astype(np.uint16)
+    return Packed(low, step, _text(_planes(_differences(number))))
+
+
+def pack_sigma(sigma: NDArray[np.float32]) -> PackedSigma:
+    """Return standard deviations (rows, columns) packed, those that are not above 0 as none."""
+    known = np.isfinite(sigma) & (sigma > 0.0)
+    low, high = (float(sigma[known].min()), float(sigma[known].max())) if known.any() else (1.0, 1.0)
+    step = max(log(high / low) / (SIGMA_LARGEST - 1), FINEST_SIGMA)
+    number = np.zeros(sigma.shape, np.uint8)
+    if known.any():
+        number[known] = 1 + np.round(np.log(sigma[known] / low) / step)
+    return PackedSigma(low, step, _text(_differences(number)))
+
+
+def unpack(packed: Packed, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return what a page shows of packed values, (rows, columns), NaN for none."""
+    high, low = np.frombuffer(_bytes(packed.text), np.uint8).reshape(2, *shape).astype(np.uint16)
+    number = np.cumsum((high << 8) | low, axis=1, dtype=np.uint16)
+    return np.where(number > 0, packed.low + (number - 1.0) * packed.step, np.nan)
+
+
+def unpack_sigma(packed: PackedSigma, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return what a page shows of packed standard deviations, (rows, columns), NaN for none."""
+    found = np.frombuffer(_bytes(packed.text), np.uint8).reshape(shape)
+    number = np.cumsum(found, axis=1, dtype=np.uint8)
+    return np.where(number > 0, packed.low * np.exp((number - 1.0) * packed.step), np.nan)
+
+
+def _differences(number: NDArray[np.uint16] | NDArray[np.uint8]) -> NDArray[np.uint16] | NDArray[np.uint8]:
+    """Return what each number is above the one before it in its row, modulo its bits."""
+    found = number.copy()
+    found[:, 1:] -= number[:, :-1]
+    return found
+
+
+def _planes(number: NDArray[np.uint16] | NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.stack([number >> 8, number & 0xFF]).astype(np.uint8)
+
+
+def _text(array: NDArray[np.uint8] | NDArray[np.uint16]) -> str:
+    return base64.b64encode(zlib.compress(array.tobytes(), _LEVEL)).decode("ascii")
+
+
+def _bytes(text: str) -> bytes:
+    return zlib.decompress(base64.b64decode(text))

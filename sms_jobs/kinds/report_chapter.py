@@ -1,0 +1,77 @@
+"""What a report consists of: chapters, each a module of this package with a `CHAPTER`, found by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+from sms_jobs.discovery import declared
+from sms_jobs.formats.report.view import Sampler, View
+from sms_jobs.kinds.kind import Inputs, Need
+from sms_jobs.records.campaign import Campaign, LoadState
+
+ASSESS = "assess"
+"""The kind that compares with the truth where it is known."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How finely a report shows images.
+
+    Attributes
+    ----------
+    map_px
+        Most samples of a map along its longer side.
+    still_px
+        Width of a printed picture; 0 where none is made.
+    """
+
+    map_px: int
+    still_px: int
+
+    def of(self, size: tuple[int, ...]) -> Sampler:
+        """Return what samples images of (rows, columns)."""
+        return Sampler((size[0], size[1]), self.map_px, self.still_px)
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """One way to measure a campaign, and how a report shows what it gives.
+
+    Attributes
+    ----------
+    name
+        Of the chapter; the heading of its table.
+    rank
+        Chapters of lower rank come first.
+    introduction
+        What the reader has to know: frames, signs, what standard deviations cover.
+    needs
+        Every input, with a role of its own; none for a campaign that is not measured in this way.
+    reference
+        Yields what is shown of the reference state, one view at a time.
+    deformed
+        Yields what is shown of another state, one view at a time: a view is let go of before the next.
+    """
+
+    name: str
+    rank: int
+    introduction: str
+    needs: Callable[[Campaign], Iterable[Need]]
+    reference: Callable[[Inputs, Campaign, Sampling], Iterator[View]]
+    deformed: Callable[[Inputs, Campaign, LoadState, Sampling], Iterator[View]]
+
+
+def chapters() -> tuple[Chapter, ...]:
+    """Return every chapter that there is, in order."""
+    return tuple(sorted(declared("sms_jobs.kinds", "CHAPTER").values(), key=lambda c: (c.rank, c.name)))
+
+
+def present(campaign: Campaign) -> tuple[Chapter, ...]:
+    """Return the chapters about what is measured in a campaign."""
+    return tuple(c for c in chapters() if next(iter(c.needs(campaign)), None) is not None)
+
+
+def role(source: str, state: str, pair: str = "") -> str:
+    """Return the role of an input of a report: `<kind>/<state>/<pair>`."""
+    return "/".join(part for part in (source, state, pair) if part)

@@ -1,0 +1,98 @@
+"""Chapter of the report: shape, displacement and strain of surfaces, by pairs of camera and projector."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+
+from sms_jobs.formats.report.surface import deformed_view, reference_view
+from sms_jobs.formats.report.view import View
+from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Need, tuples
+from sms_jobs.kinds.report_chapter import Chapter, Sampling, role
+from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.fields import MergedField, PointCloud, Regions, StrainField
+from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.sensors import split_pair
+
+
+def pairs_by_camera(campaign: Campaign) -> dict[str, tuple[str, ...]]:
+    """Return the pairs of every camera that measures shape, in the campaign's order."""
+    pairs: dict[str, tuple[str, ...]] = {}
+    for pair in campaign.shape_pairs:
+        camera = split_pair(pair)[0]
+        pairs[camera] = (*pairs.get(camera, ()), pair)
+    return pairs
+
+
+def _needs(campaign: Campaign) -> Iterable[Need]:
+    reference = campaign.reference.label
+    for each in tuples(campaign):
+        state, pair = each.state or "", each.pair or ""
+        if state == reference:
+            yield Need(role(MEASUREMENT, state, pair), MEASUREMENT, each)
+            yield Need(role("reconstruct", state, pair), "reconstruct", each)
+        else:
+            yield Need(role("strain", state, pair), "strain", each)
+        if len(campaign.states) > 1 and state == campaign.states[1].label:
+            yield Need(role("correlate", state, pair), "correlate", each)
+    for loaded in campaign.states[1:] if campaign.shape_pairs else ():
+        yield Need(role("merge", loaded.label), "merge", Subject(campaign.name, loaded.label))
+
+
+def _best_pairs(inputs: Inputs, campaign: Campaign) -> Mapping[str, str]:
+    """Return, by camera, the pair that sees most of the surface at the reference state."""
+    label = campaign.reference.label
+    best: dict[str, str] = {}
+    for camera, pairs in pairs_by_camera(campaign).items():
+        seen: dict[str, int] = {}
+        for pair in pairs if len(pairs) > 1 else ():
+            cloud = inputs.read(role("reconstruct", label, pair), "cloud", PointCloud)
+            seen[pair] = int(np.count_nonzero(cloud.reason == Reason.VALID))
+            del cloud
+        best[camera] = max(pairs, key=lambda pair: seen.get(pair, 0))
+    return best
+
+
+def _reference(inputs: Inputs, campaign: Campaign, sampling: Sampling) -> Iterator[View]:
+    """Show texture and shape of every camera, by the pair that sees most."""
+    label = campaign.reference.label
+    for pair in _best_pairs(inputs, campaign).values():
+        regions = None
+        if len(campaign.states) > 1:
+            regions = inputs.read(role("correlate", campaign.states[1].label, pair), "regions", Regions)
+        measurement = inputs.read(role(MEASUREMENT, label, pair), "measurement", Measurement)
+        cloud = inputs.read(role("reconstruct", label, pair), "cloud", PointCloud)
+        yield reference_view(pair, measurement, cloud, regions, sampling.of(cloud.reason.shape))
+
+
+def _deformed(inputs: Inputs, campaign: Campaign, state: LoadState, sampling: Sampling) -> Iterator[View]:
+    """Show displacement of every camera, and strain by the pair that sees most of the surface there."""
+    for camera, pairs in pairs_by_camera(campaign).items():
+        merged = inputs.read(role("merge", state.label), camera, MergedField)
+        best: tuple[str, StrainField] | None = None
+        for pair in pairs:
+            strain = inputs.read(role("strain", state.label, pair), "strain", StrainField)
+            if best is None or _valid(strain) > _valid(best[1]):
+                best = (pair, strain)
+            del strain
+        if best is not None:
+            yield deformed_view(merged, *best, sampling.of(merged.reason.shape))
+
+
+def _valid(field: StrainField) -> int:
+    return int(np.count_nonzero(field.reason == Reason.VALID))
+
+
+CHAPTER = Chapter(
+    name="Shape, displacement and strain of the surface",
+    rank=0,
+    introduction="Lengths are in millimetres in the frame of the calibration, strains in microstrain (µε) "
+    "in the plane of the surface. Standard deviations cover the camera's noise, not the calibration. Of a "
+    "camera with several projectors displacement is merged of all, shape and strain are of the pair that "
+    "sees most of the surface.",
+    needs=_needs,
+    reference=_reference,
+    deformed=_deformed,
+)
