@@ -24,11 +24,13 @@ from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.recordings import state_value
 from sms_jobs.jobs.submission import Submission, submit
 from sms_jobs.kinds.acquire import KIND
+from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.job import JobState
 
 app = typer.Typer(help="Recordings: states, with the instruments of a rig.", no_args_is_help=True)
 
 _LOOK_EVERY_S = 0.2
+_FINDINGS = 6
 
 JobId = Annotated[
     str, typer.Argument(help="Job id, or the beginning of one.", autocompletion=completion.job_ids)
@@ -59,6 +61,14 @@ def run(
         bool, typer.Option("--process", help="Process each state as soon as it is recorded.")
     ] = False,
     no_wait: Annotated[bool, typer.Option("--no-wait", help="Return at once.")] = False,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Record nothing; show how long it would take, what volume of data it makes, and what is "
+            "missing for it. Exit code 6 when something is.",
+        ),
+    ] = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
@@ -70,6 +80,8 @@ def run(
     Example: sms acquire run wing-fatigue --state S03 --process
 
     Example: sms acquire run calibration-1 --missing
+
+    Example: sms acquire run calibration-1 --dry-run
     """
     with bootstrap.services(home) as services:
         with services.catalogue.reading() as session:
@@ -78,6 +90,9 @@ def run(
             if missing:
                 left = {s.label for s in recordings.unrecorded(session, campaign)}
                 chosen = [s for s in chosen if s.label in left]
+        if dry_run:
+            _rehearse(services, plan, chosen, as_json)
+            return
         turns = recordings.turns(chosen)
         if not turns:
             output.say(f"every state of {campaign} is recorded, or waits; see 'sms acquire list'")
@@ -107,6 +122,19 @@ def run(
             done = _submitted(services, campaign, [Request(PIPELINE, {}, ())])
             if not as_json:
                 output.say(f"submitted {len(done.job_ids)} jobs that calibrate from all poses")
+
+
+def _rehearse(services: Services, plan: Campaign, states: list[LoadState], as_json: bool) -> None:
+    # Here, because nothing else of these commands needs the instruments.
+    from sms_jobs.cli.dry_run import show
+    from sms_jobs.jobs import dry_runs
+
+    rig, settings = services.stations.rig(plan.rig), services.settings
+    with services.catalogue.reading() as session:
+        done = dry_runs.dry_run(session, rig, plan, states, settings.spool_folder, services.archive.root)
+    show(plan.name, done, as_json)
+    if done.missing:
+        raise typer.Exit(_FINDINGS)
 
 
 def _submitted(services: Services, campaign: str, requests: list[Request]) -> Submission:

@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow, StatisticRow
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.acquire import KIND
+from sms_jobs.kinds.acquire import KIND, stage_angles
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.campaign import LoadState, Subject
 from sms_jobs.records.job import JobState
@@ -137,7 +137,7 @@ def turns(states: Sequence[LoadState]) -> list[Turn]:
     found: list[Turn] = []
     mounted: str | None = None
     for state in states:
-        on_stage = {"pan_rad", "tilt_rad"} <= state.channels.keys()
+        on_stage = stage_angles(state) is not None
         by_hand = ""
         if state.artefact is not None and not on_stage:
             by_hand = f"{state.label}: place the {state.artefact}"

@@ -58,11 +58,11 @@ class Stations:
             raise NotFound(
                 f"no rig '{name}' is connected to this host, there is {known}; `sms rig add` takes one"
             )
-        return load_rig(path, _known_sensors())
+        return load_rig(path, known_sensors())
 
     def add(self, file: Path, replace: bool) -> RigFile:
         """Take the file of a rig over; raise `Conflict` when there is one and it is not to be replaced."""
-        rig = load_rig(file, _known_sensors())
+        rig = load_rig(file, known_sensors())
         path = self._path(rig.name)
         if path.exists() and not replace:
             raise Conflict(
@@ -90,7 +90,7 @@ class Stations:
         return self.rigs / f"{checked_name(name, 'rig')}.toml"
 
 
-def _known_sensors() -> SensorRecords:
+def known_sensors() -> SensorRecords:
     """Return what rig files may say of the cameras and projectors that there are drivers for."""
     from sms_jobs.instruments.optical_drivers import camera_drivers, projector_drivers
 

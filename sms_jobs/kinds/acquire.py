@@ -40,10 +40,12 @@ from sms_jobs.kinds.kind import (
 )
 from sms_jobs.kinds.simulate import scene_at
 from sms_jobs.metrology.geometry.stage_poses import StagePose
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.recording import Recording
 
+ANGLES = ("pan_rad", "tilt_rad")
+"""The channels of a state that say where a stage is to be."""
 _CHANNEL = re.compile(
     r"(?P<name>[A-Za-z0-9][A-Za-z0-9._-]*)(?:=(?P<limit>[0-9]+(?:\.[0-9]*)?(?:e[-+]?[0-9]+)?))?"
 )
@@ -122,18 +124,21 @@ class Order:
     setting: Setting | None
 
 
+def stage_angles(state: LoadState) -> tuple[float, float] | None:
+    """Return where a stage has to be brought at a state, pan and tilt in rad; None where nothing moves."""
+    pan, tilt = (state.channels.get(name) for name in ANGLES)
+    return None if pan is None or tilt is None else (pan, tilt)
+
+
 def order(campaign: Campaign, subject: Subject) -> Order:
     """Return what is to be recorded at a state."""
     state = campaign.state(subject.state or "")
-    angles = None
-    if {"pan_rad", "tilt_rad"} <= state.channels.keys():
-        angles = state.channels["pan_rad"], state.channels["tilt_rad"]
     setting = None
     if campaign.scene is not None:
         load = {} if state.load_n is None else {"load_n": state.load_n}
         scene = scene_at(campaign.scene, campaign, state)
         setting = Setting(scene, state.label, state.deformation, load | state.channels)
-    return Order(campaign.pairs, campaign.sequence, angles, setting)
+    return Order(campaign.pairs, campaign.sequence, stage_angles(state), setting)
 
 
 def all_states(campaign: Campaign) -> tuple[Subject, ...]:

@@ -61,6 +61,11 @@ class CameraInstrument:
         """Whether it is exposed through a wire from a trigger controller."""
         return False
 
+    @property
+    def exposure_s(self) -> float:
+        """How long an exposure of 1 takes, in s; 0 where its file does not say it, in `exposure_ms`."""
+        return float(getattr(self, "exposure_ms", 0.0)) / 1e3
+
 
 @dataclass(frozen=True)
 class ProjectorInstrument:
@@ -83,6 +88,11 @@ class ProjectorInstrument:
 
     def __post_init__(self) -> None:
         _check_size(self.name, self.columns, self.rows)
+
+    @property
+    def settle_s(self) -> float:
+        """How long a picture takes to be on, in s; 0 where its file does not say it, in `settle_ms`."""
+        return float(getattr(self, "settle_ms", 0.0)) / 1e3
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,60 @@
+"""Shows what recording some states would take."""
+
+from __future__ import annotations
+
+from sms_jobs.cli import output
+from sms_jobs.jobs.dry_runs import DryRun
+
+
+def show(campaign: str, done: DryRun, as_json: bool) -> None:
+    """Print a dry run for people or for programs."""
+    if as_json:
+        output.print_json(
+            {
+                "campaign": campaign,
+                "states": {label: {**vars(s), "seconds": s.seconds} for label, s in done.states.items()},
+                "seconds": done.seconds,
+                "frames": done.frames,
+                "raw_bytes": done.raw_bytes,
+                "archived_bytes": done.archived_bytes,
+                "packed": done.packed,
+                "spool_bytes": done.spool_bytes,
+                "spool_room": done.spool_room,
+                "archive_room": done.archive_room,
+                "missing": done.missing,
+                "remarks": done.remarks,
+            }
+        )
+        return
+    output.print_table(
+        ["state", "moves [s]", "records [s]", "frames", "raw", "archived"],
+        [
+            (
+                label,
+                f"{s.moving_s:.1f}",
+                f"{s.recording_s:.1f}",
+                s.frames,
+                output.size(s.raw_bytes),
+                output.size(round(s.raw_bytes * (done.packed or 1.0))),
+            )
+            for label, s in done.states.items()
+        ],
+        empty="nothing could be rehearsed",
+    )
+    if done.states:
+        packed = "at most: nothing was recorded with this rig yet"
+        if done.packed is not None:
+            packed = f"{done.packed:.0%} of raw, as before with this rig"
+        output.print_facts(
+            {
+                "in all": f"{output.duration(done.seconds)}, {done.frames} frames",
+                "raw": output.size(done.raw_bytes),
+                "archived": f"{output.size(done.archived_bytes)} ({packed})",
+                "free for it": output.size(done.archive_room),
+                "spool": f"{output.size(done.spool_bytes)} a state, free {output.size(done.spool_room)}",
+            }
+        )
+    for words in done.remarks:
+        output.say(words)
+    for words in done.missing:
+        output.say(f"missing: {words}")

@@ -1,0 +1,243 @@
+"""How long a recording takes and how much it makes, before it is made.
+
+Nothing is computed beside the recorder: it runs, with simulators in place of all that hangs on wires, with
+cameras that only take their time, and on a clock that nobody waits for.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TypeVar
+
+import numpy as np
+
+from sms_jobs.errors import InstrumentError
+from sms_jobs.instruments.clock import Clock, SimulatedClock
+from sms_jobs.instruments.connection import connected
+from sms_jobs.instruments.judging import Limits
+from sms_jobs.instruments.protocols import Camera, CameraFacts, Frame, Trigger
+from sms_jobs.instruments.recorder import ConnectedRig, record_state
+from sms_jobs.metrology.geometry.stage_poses import StagePose
+from sms_jobs.records.instruments import Instruments, SerialChannel, Stage, TriggerController, VideoSplitter
+from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.optical_instruments import RigFile, VirtualCamera, VirtualProjector
+from sms_jobs.records.sensors import split_pair
+from sms_jobs.records.serial_links import SIMULATED
+
+Wired = TypeVar("Wired", Stage, TriggerController, VideoSplitter, SerialChannel)
+
+BYTES_A_PIXEL = 2
+"""Of cameras with more than 8 bits, as which all are counted."""
+
+
+@dataclass(frozen=True)
+class StateRehearsal:
+    """What recording a state takes.
+
+    Attributes
+    ----------
+    moving_s
+        Until the instruments are connected and the stage stands in its pose.
+    recording_s
+        All sets, from the first pattern to the last reading of a channel.
+    frames
+        Of all pairs, the white ones too.
+    raw_bytes, set_bytes
+        Of these frames, and of those of the projector that has most.
+    problem
+        Why the stage cannot take its pose, in words; empty where it can.
+    """
+
+    moving_s: float
+    recording_s: float
+    frames: int
+    raw_bytes: int
+    set_bytes: int
+    problem: str = ""
+
+    @property
+    def seconds(self) -> float:
+        """How long the specimen has to be held, or the artefact to stand."""
+        return self.moving_s + self.recording_s
+
+
+def rehearse(
+    rig: RigFile,
+    pairs: Sequence[str],
+    sequence: FringeSequence,
+    poses: Sequence[StagePose | None],
+    texture_exposure: float = 1.0,
+) -> tuple[StateRehearsal, ...]:
+    """Return what recording a state at each of some poses takes, in order.
+
+    What is computed is not counted: neither patterns, nor the light of a virtual rig, nor the archive's
+    work, which comes after the specimen is free. Transfers from cameras are taken to go on beside exposures.
+
+    Parameters
+    ----------
+    pairs
+        All of whose sensors the rig has.
+    poses
+        Of the stage; None where nothing moves.
+
+    Raises
+    ------
+    InvalidInput
+        When the rig does not have a sensor of a pair.
+    """
+    silent = _simulated(rig)
+    recording_s = _sets(rig, silent, pairs, sequence, texture_exposure)
+    frames = len(pairs) * (sequence.frames + 1)
+    sizes = {c.name: c.rows * c.columns for c in rig.cameras}
+    sets: Counter[str] = Counter()
+    for pair in pairs:
+        camera, projector = split_pair(pair)
+        sets[projector] += (sequence.frames + 1) * sizes[camera] * BYTES_A_PIXEL
+    return tuple(
+        StateRehearsal(moving_s, recording_s, frames, sets.total(), max(sets.values()), problem)
+        for moving_s, problem in _moves(rig, silent, poses)
+    )
+
+
+def _sets(
+    rig: RigFile,
+    silent: RigFile,
+    pairs: Sequence[str],
+    sequence: FringeSequence,
+    texture_exposure: float,
+) -> float:
+    """Return how long all sets of a state take."""
+    clock = SimulatedClock()
+    with TemporaryDirectory() as folder, connected(silent, clock=clock) as found:
+        timed = replace(
+            found,
+            cameras={c.name: _TimedCamera(clock, c.exposure_s) for c in rig.cameras},
+            projectors={p.name: _TimedProjector(clock, p.settle_s) for p in rig.projectors},
+            trigger=_TimedTrigger(found.trigger),
+        )
+        begun = clock.monotonic()
+        spool = Path(folder) / "spool"
+        record_state(
+            timed, pairs, sequence, spool, Limits(lit_fraction=0.0, recordings=1), _nobody, texture_exposure
+        )
+        return clock.monotonic() - begun
+
+
+def _moves(rig: RigFile, silent: RigFile, poses: Sequence[StagePose | None]) -> list[tuple[float, str]]:
+    """Return for each pose how long connecting and moving takes, and what keeps the stage from it."""
+    # A stage on a wire knows its home from one recording to the next; a simulated one begins anew.
+    forgets = rig.stage is not None and rig.stage.link.port == SIMULATED
+    clock = SimulatedClock()
+    moves = []
+    with ExitStack() as standing:
+        found: ConnectedRig | None = None
+        connecting_s = 0.0
+        for pose in poses:
+            begun = clock.monotonic()
+            if found is None or forgets:
+                standing.close()
+                found = standing.enter_context(connected(silent, clock=clock))
+                connecting_s = clock.monotonic() - begun
+                begun = clock.monotonic()
+            problem = "" if pose is None else _go(found, pose)
+            moves.append((connecting_s + clock.monotonic() - begun, problem))
+    return moves
+
+
+def _go(rig: ConnectedRig, pose: StagePose) -> str:
+    """Bring the stage into a pose, and return why it cannot be there."""
+    if rig.stage is None:
+        return f"rig {rig.name} has no stage: describe one under [[stages]] of its file"
+    try:
+        rig.stage.stage()
+        rig.stage.set(pose).wait()
+    except InstrumentError as error:
+        return str(error)
+    return ""
+
+
+def _simulated(rig: RigFile) -> RigFile:
+    """Return a rig all of whose wires lead to simulators, without faults; files are read in no time."""
+    serial = rig.serial
+    return RigFile(
+        rig.name,
+        tuple(VirtualCamera(c.name, c.columns, c.rows, "simulated") for c in rig.cameras),
+        tuple(VirtualProjector(p.name, p.columns, p.rows, "simulated") for p in rig.projectors),
+        Instruments(
+            tuple(map(_on_no_port, serial.stages)),
+            tuple(map(_on_no_port, serial.triggers)),
+            tuple(map(_on_no_port, serial.splitters)),
+            tuple(_on_no_port(c) for c in serial.channels if isinstance(c, SerialChannel)),
+        ),
+    )
+
+
+def _on_no_port(instrument: Wired) -> Wired:
+    return replace(instrument, link=replace(instrument.link, port=SIMULATED), faults=())
+
+
+def _nobody(fraction: float, words: str) -> None:
+    """Be told how a rehearsal comes along."""
+
+
+@dataclass
+class _TimedCamera:
+    """A camera that takes as long as its exposure, and sees nothing."""
+
+    clock: Clock
+    exposure_s: float
+    _exposure: float = 1.0
+    _until: float = 0.0
+    _number: int = 0
+    facts: CameraFacts = field(default=CameraFacts(1, 1, "uint16", 1, 1.0, 0.0))
+
+    def arm(self, exposure: float) -> None:
+        self._exposure = exposure
+
+    def trigger(self) -> None:
+        self._until = self.clock.monotonic() + self._exposure * self.exposure_s
+
+    def read(self, timeout_s: float) -> Frame:
+        self.clock.sleep(self._until - self.clock.monotonic())
+        self._number += 1
+        return Frame(self._number, self.clock.monotonic(), np.zeros((1, 1), np.uint16))
+
+    def disarm(self) -> None:
+        pass
+
+
+@dataclass
+class _TimedTrigger:
+    """Exposes cameras when the real trigger would have, by whichever wire."""
+
+    trigger: Trigger
+
+    def fire(self, cameras: Mapping[str, Camera]) -> None:
+        self.trigger.fire(cameras)
+        for camera in cameras.values():
+            camera.trigger()
+
+
+@dataclass
+class _TimedProjector:
+    """A projector that takes its time, and shows nothing."""
+
+    clock: Clock
+    settle_s: float
+
+    def load(self, sequence: FringeSequence) -> None:
+        pass
+
+    def show(self, number: int) -> None:
+        self.clock.sleep(self.settle_s)
+
+    def white(self) -> None:
+        self.clock.sleep(self.settle_s)
+
+    def dark(self) -> None:
+        pass

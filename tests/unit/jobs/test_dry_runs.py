@@ -1,0 +1,100 @@
+"""A dry run says what a recording takes and what it lacks, and asks no instrument."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from sms_jobs import bootstrap
+from sms_jobs.bootstrap import Services
+from sms_jobs.formats.rig_configuration import parse_rig
+from sms_jobs.jobs.dry_runs import DryRun, dry_run
+from sms_jobs.jobs.stations import known_sensors
+from sms_jobs.records.campaign import Campaign, LoadState
+from sms_jobs.virtual_rig.campaigns import small_plate
+from sms_jobs.virtual_rig.sessions import small_session
+
+# Ports that no computer has: whoever asked the instruments would fail.
+RIG = """
+name = "hall-3"
+cameras = [{ name = "C1", driver = "simulated", columns = 256, rows = 256 }]
+projectors = [
+    { name = "P1", driver = "simulated", columns = 512, rows = 384, settle_ms = 100.0 },
+    { name = "P2", driver = "simulated", columns = 512, rows = 384, settle_ms = 100.0 },
+]
+stages = [{ name = "stage", link = { port = "/nowhere/stage" } }]
+
+[[channels]]
+name = "temperature"
+link = { port = "/nowhere/temperature" }
+protocol = {}
+unit = "degC"
+"""
+
+
+@pytest.fixture(scope="module")
+def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
+    home = tmp_path_factory.mktemp("home")
+    bootstrap.initialise(home)
+    with bootstrap.services(home) as made:
+        yield made
+
+
+def tried(
+    services: Services, campaign: Campaign, text: str = RIG, states: tuple[LoadState, ...] | None = None
+) -> DryRun:
+    folder = services.archive.root
+    with services.catalogue.reading() as session:
+        rig = parse_rig(text, "rig.toml", known_sensors())
+        return dry_run(session, rig, campaign, states or campaign.states, folder / "spool", folder)
+
+
+def asking_for(*channels: str) -> Campaign:
+    return replace(small_plate("plate")[1], processing={"acquire": {"channels": channels, "recordings": 1}})
+
+
+def test_frames_bytes_and_time_follow_from_the_plan(services: Services) -> None:
+    done = tried(services, small_session("session"))
+    assert list(done.states) == ["B01", "B02", "B03", "S01", "S02", "S03", "S04", "S05", "S06"]
+    assert done.missing == ()
+    # 2 orientations of 6 densities of 4 steps, and a white frame, by each of two pairs.
+    assert done.frames == 9 * 2 * 49
+    assert done.raw_bytes == done.archived_bytes == done.frames * 256 * 256 * 2
+    assert done.packed is None
+    # A set that is recorded again lies beside the first.
+    assert done.spool_bytes == 3 * 49 * 256 * 256 * 2
+    assert all(s.recording_s > 2 * 49 * 0.1 for s in done.states.values())
+    assert done.states["B01"].moving_s < done.states["S03"].moving_s < done.states["S01"].moving_s
+
+
+def test_what_the_rig_lacks_is_told(services: Services) -> None:
+    assert tried(services, asking_for("temperature=0.5")).missing == ()
+    (channel,) = tried(services, asking_for("load_n")).missing
+    assert "rig hall-3 has no channel 'load_n'" in channel
+    projector, size = tried(
+        services,
+        small_session("session"),
+        RIG.replace('name = "P2"', 'name = "P3"').replace("columns = 256", "columns = 300"),
+    ).missing
+    assert "has no P2; it has C1, P1, P3" in projector
+    assert "C1 has 300 x 256 px in the file of rig hall-3, and 256 x 256 px in the plan" in size
+    without = tried(services, small_session("session"), RIG.replace("stages =", "# stages ="))
+    assert len(without.missing) == 6
+    assert without.missing[0].startswith("S01: rig hall-3 has no stage")
+
+
+def test_values_that_no_channel_confirms_are_remarked_on(services: Services) -> None:
+    (remark,) = tried(services, asking_for()).remarks
+    assert "what load_n will be, which no channel of rig hall-3 reads" in remark
+
+
+def test_a_disk_that_is_too_small_is_told(services: Services) -> None:
+    # 490 frames of more than 8 GB each: no disk of a test has room for that.
+    huge = RIG.replace("columns = 256, rows = 256", "columns = 65535, rows = 65535")
+    done = tried(services, replace(small_plate("plate")[1], processing={}), huge)
+    assert [words.split(" has room")[0] for words in done.missing] == [
+        "the disk of the spool",
+        "the disk of the archive",
+    ]
