@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from sms_jobs.errors import InvalidInput
@@ -36,6 +38,7 @@ from sms_jobs.metrology.deformation.displacement import BLEND_RADII, blend_match
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, match_grid
 from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
 from sms_jobs.metrology.images.smoothing import noise_after_smoothing, smooth
+from sms_jobs.metrology.images.texture_extent import textured_pixels
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import ImageMatches
 from sms_jobs.records.measurement import Measurement
@@ -48,6 +51,11 @@ class CorrelateImagesParameters(MatchingParameters):
 
     mm_per_px: float | None = Field(
         None, gt=0.0, description="size of a pixel on the specimen; without it results are in pixels alone"
+    )
+    outline: Literal["texture", "none"] = Field(
+        "texture",
+        description="whether the specimen ends where its texture ends, so that no subset looks at the "
+        "background or into a hole; none takes the whole image or region of interest",
     )
 
 
@@ -78,8 +86,14 @@ def run(inputs: Inputs, parameters: CorrelateImagesParameters, progress: Progres
             f"the region of interest '{parameters.region_of_interest}' leaves no pixel of {inputs.subject}, "
             f"whose image has {shape[1]} x {shape[0]} px; give outlines that lie in it"
         )
-    labels = inside.astype(np.int32)
-    grid = _matched(before, after, labels, parameters, inputs.threads)
+    pair = [_texture(m, inside, parameters) for m in (before, after)]
+    plain = np.zeros(shape, dtype=bool)
+    if parameters.outline == "texture":
+        level, noise = pair[0]
+        plain = ~textured_pixels(level, noise.floor + noise.slope * level, parameters.subset_radius_px)
+    labels = (inside & ~plain).astype(np.int32)
+    progress(0.1, f"{np.count_nonzero(labels)} of {labels.size} pixels show the specimen")
+    grid = _matched(pair, labels, parameters, inputs.threads)
     progress(0.8, summary(grid.matches.ending))
     matches = matches_record(grid, labels)
     value, variance = blend_matches(
@@ -89,7 +103,8 @@ def run(inputs: Inputs, parameters: CorrelateImagesParameters, progress: Progres
         BLEND_RADII * parameters.subset_radius_px,
         inputs.threads,
     )
-    reason = _reasons(np.isnan(value[0]), inside, matches)
+    near = _near_a_match(matches, shape, parameters.spacing_px)
+    reason = _reasons(np.isnan(value[0]) | ~near, inside, plain, matches)
     value[:, reason != 0] = np.nan
     variance[:, reason != 0] = np.nan
     scale = parameters.mm_per_px
@@ -109,22 +124,26 @@ def run(inputs: Inputs, parameters: CorrelateImagesParameters, progress: Progres
     )
 
 
+def _texture(
+    measurement: Measurement, inside: NDArray[np.bool_], parameters: CorrelateImagesParameters
+) -> tuple[NDArray[np.float64], Noise]:
+    """Return the smoothed white frame and its noise."""
+    texture = smooth(measurement.texture.astype(np.float64), parameters.smoothing_px)
+    factor = noise_after_smoothing(texture, inside, parameters.smoothing_px)
+    return texture, Noise(factor * measurement.read_noise**2, factor * measurement.gain)
+
+
 def _matched(
-    before: Measurement,
-    after: Measurement,
+    pair: Sequence[tuple[NDArray[np.float64], Noise]],
     labels: NDArray[np.int32],
     parameters: CorrelateImagesParameters,
     threads: int,
 ) -> GridMatches:
-    """Smooth both textures and match the points of a grid."""
-    textures = [smooth(m.texture.astype(np.float64), parameters.smoothing_px) for m in (before, after)]
-    noises = []
-    for measurement, texture in zip((before, after), textures, strict=True):
-        factor = noise_after_smoothing(texture, labels > 0, parameters.smoothing_px)
-        noises.append(Noise(factor * measurement.read_noise**2, factor * measurement.gain))
+    """Match the points of a grid."""
+    (before, noise), (after, noise_after) = pair
     return match_grid(
-        prepare_images(textures[0], textures[1], labels, (noises[0], noises[1]), parameters.interpolation),
-        textures[1],
+        prepare_images(before, after, labels, (noise, noise_after), parameters.interpolation),
+        after,
         match_settings(parameters),
         GridSettings(
             parameters.spacing_px,
@@ -136,8 +155,23 @@ def _matched(
     )
 
 
+def _near_a_match(matches: ImageMatches, shape: tuple[int, ...], spacing_px: int) -> NDArray[np.bool_]:
+    """Return the pixels within a spacing of a point that was matched, (rows, columns).
+
+    No measured shape tells where the specimen ends: what its outermost matches would say of the background
+    beyond, or of a hole, is nothing.
+    """
+    matched = matches.reason == 0
+    near = np.zeros(shape, dtype=bool)
+    near[matches.y[matched].astype(np.int64), matches.x[matched].astype(np.int64)] = True
+    return np.asarray(ndimage.maximum_filter(near, 2 * spacing_px + 1))
+
+
 def _reasons(
-    missing: NDArray[np.bool_], inside: NDArray[np.bool_], matches: ImageMatches
+    missing: NDArray[np.bool_],
+    inside: NDArray[np.bool_],
+    plain: NDArray[np.bool_],
+    matches: ImageMatches,
 ) -> NDArray[np.uint32]:
     """Return why pixels have no value: what the nearest point has against it, or that none is near."""
     reason = np.zeros(inside.shape, dtype=np.uint32)
@@ -149,6 +183,7 @@ def _reasons(
         _, nearest = points.query(np.stack([column, row], axis=1))
         reason[lacking] = matches.reason[lost][nearest]
     reason[lacking & (reason == 0)] = Reason.NO_MATCH
+    reason[plain] = Reason.NO_TEXTURE
     reason[~inside] = Reason.OUTSIDE_REGION
     return reason
 

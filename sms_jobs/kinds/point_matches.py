@@ -110,7 +110,7 @@ def match_statistics(matches: ImageMatches) -> dict[str, float]:
     matched = matches.reason == Reason.VALID
     statistics = {"matched_fraction": float(matched.sum() / max(len(matched), 1))}
     for reason in (Reason.NO_TEXTURE, Reason.NO_MATCH, Reason.LEFT_IMAGE, Reason.OUTSIDE_REGION):
-        part = np.count_nonzero(matches.reason == reason) / max(len(matched), 1)
+        part = float(np.count_nonzero(matches.reason == reason) / max(len(matched), 1))
         statistics[f"{str(reason.name).lower()}_fraction_of_points"] = part
     if matched.any():
         statistics |= {

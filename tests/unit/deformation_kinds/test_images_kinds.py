@@ -131,3 +131,44 @@ def test_images_of_two_sizes_are_refused(images: dict[str, dict[str, Any]]) -> N
             reference=images["reference"],
             measurement={"measurement": smaller},
         )
+
+
+def test_nothing_is_said_of_a_hole_and_each_pixel_says_why(images: dict[str, dict[str, Any]]) -> None:
+    """The background shows through a hole of radius 25 px and stays where it is."""
+    y, x = np.mgrid[0:SIZE, 0:SIZE].astype(np.float64)
+    distance = np.hypot(x - 80.0, y - 80.0) - 25.0
+    rng = np.random.default_rng(5)
+    pair = {}
+    for role, given in images.items():
+        levels = given["measurement"].texture.astype(np.float64)
+        dark = 100.0 + rng.normal(0.0, NOISE, levels.shape)
+        pair[role] = {"measurement": texture_only(np.where(distance < 0.0, dark, levels))}
+    parameters = CorrelateImagesParameters(search_range_x_px=6, search_range_y_px=6)
+    output = ran(correlate_images.KIND, parameters, **pair)
+    found, matches = output.records["displacement"], output.records["matches"]
+    # The outline is known to about half a window of 9 px, and pixels within a spacing of 4 px of it are kept.
+    assert (found.reason[distance < -5.0] == Reason.NO_TEXTURE).all()
+    ring = (distance > 5.0) & (distance < 15.0)
+    assert (found.reason[ring] == Reason.VALID).all()
+    error = (found.displacement - np.stack(stretch(x, y)))[:, ring]
+    # Not pulled towards the background, which did not move while the specimen did by more than a pixel.
+    assert np.sqrt(np.mean(error**2)) < 0.05
+    assert output.statistics["matched_fraction"] == pytest.approx(np.mean(matches.reason == Reason.VALID))
+    plain = ran(correlate_images.KIND, parameters.model_copy(update={"outline": "none"}), **pair)
+    assert plain.statistics["matched_fraction"] < output.statistics["matched_fraction"]
+
+
+def test_images_without_texture_give_reasons_and_no_exception() -> None:
+    rng = np.random.default_rng(6)
+    grey = [texture_only(1000.0 + rng.normal(0.0, NOISE, (SIZE, SIZE))) for _ in range(2)]
+    given = {"reference": {"measurement": grey[0]}, "measurement": {"measurement": grey[1]}}
+    output = ran(correlate_images.KIND, CorrelateImagesParameters(), **given)
+    assert (output.records["displacement"].reason == Reason.NO_TEXTURE).all()
+    strained = ran(strain_images.KIND, StrainImagesParameters(), displacement=output.records)
+    assert strained.statistics == {"valid_fraction": 0.0}
+
+
+def test_a_region_of_interest_beside_the_image_is_refused(images: dict[str, dict[str, Any]]) -> None:
+    parameters = CorrelateImagesParameters(region_of_interest="rectangle 400 400 500 500")
+    with pytest.raises(InvalidInput, match="leaves no pixel of coupon/S01/C1"):
+        ran(correlate_images.KIND, parameters, **images)
