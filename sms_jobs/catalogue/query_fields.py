@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, Literal, NoReturn, TypeAlias
 
 from sqlalchemy import ColumnElement, Select, String, case, func, literal, select
@@ -35,12 +35,32 @@ from sms_jobs.catalogue.query_language import Name, refuse
 Type: TypeAlias = Literal["number", "text", "time", "prefix", "campaign", "calibration", "parameter"]
 
 
-@dataclass(frozen=True)
 class Vocabulary:
-    """What the program knows besides the catalogue: its kinds, and the parameters of their jobs."""
+    """What the program knows besides the catalogue: its kinds, and the parameters of their jobs.
 
-    kinds: frozenset[str] = frozenset()
-    parameters: frozenset[str] = frozenset()
+    Parameters
+    ----------
+    learn
+        Returns both. It is asked once, and not before a query has a word that the catalogue does not know:
+        for the program itself it means to load every kind.
+    """
+
+    def __init__(self, learn: Callable[[], tuple[frozenset[str], frozenset[str]]]) -> None:
+        self._learn = learn
+
+    @cached_property
+    def _learnt(self) -> tuple[frozenset[str], frozenset[str]]:
+        return self._learn()
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        """Return the kinds that files may be of."""
+        return self._learnt[0]
+
+    @property
+    def parameters(self) -> frozenset[str]:
+        """Return the names of all parameters."""
+        return self._learnt[1]
 
 
 @dataclass(frozen=True)
@@ -195,9 +215,10 @@ class Fields:
 
     def refuse_unknown_kind(self, kind: Name, text: str) -> None:
         """Raise `InvalidInput` where no file is, and none can become, of that kind."""
-        if kind.text in self._vocabulary.kinds or kind.text in self._distinct(FileRow.source):
+        there = set(self._distinct(FileRow.source))
+        if kind.text in there or kind.text in self._vocabulary.kinds:
             return
-        known = sorted(self._vocabulary.kinds | set(self._distinct(FileRow.source)))
+        known = sorted(self._vocabulary.kinds | there)
         near = get_close_matches(kind.text, known, n=1, cutoff=0.5)
         hint = f"; did you mean '{near[0]}'" if near else ""
         refuse(text, kind.at, f"there is no kind '{kind.text}'{hint}; there are {_listed(known)}")

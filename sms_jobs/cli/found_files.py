@@ -88,8 +88,12 @@ class Wanted:
 
 def vocabulary() -> Vocabulary:
     """Return the kinds and parameters that this version of the program knows."""
+    return Vocabulary(_words)
+
+
+def _words() -> tuple[frozenset[str], frozenset[str]]:
     kinds = all_kinds().values()
-    return Vocabulary(
+    return (
         frozenset({MEASUREMENT, CALIBRATION, SURFACE} | {kind.makes or kind.name for kind in kinds}),
         frozenset(name for kind in kinds for name in kind.parameters.model_fields),
     )

@@ -31,7 +31,8 @@ from sms_jobs.cli.main import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.formats.row_tables import write_parquet
 
-KNOWN = Vocabulary(frozenset({*large_catalogue.KINDS, "calibration", "report"}), large_catalogue.PARAMETERS)
+KINDS = frozenset({*large_catalogue.KINDS, "calibration", "report"})
+KNOWN = Vocabulary(lambda: (KINDS, large_catalogue.PARAMETERS))
 LARGE = {"file", "statistic", "job", "measurement", "result", "calibration_use", "provenance"}
 
 

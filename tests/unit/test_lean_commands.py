@@ -44,7 +44,10 @@ def test_looking_around_needs_neither_catalogue_nor_kernels(option: str) -> None
     assert not loaded(option) & (KERNELS | CATALOGUE)
 
 
-@pytest.mark.parametrize("words", ["status", "job list", "campaign list", "data tree 1", "calibration list"])
+@pytest.mark.parametrize(
+    "words",
+    ["status", "job list", "campaign list", "data tree 1", "data find calibration", "calibration list"],
+)
 def test_ordinary_commands_compute_nothing_and_migrate_nothing(words: str, home: Path) -> None:
     make_home(home, {})
     assert not loaded(*words.split(), "--home", str(home)) & (KERNELS | {"alembic"})
