@@ -158,7 +158,7 @@ def _statistics(measurement: Measurement) -> dict[str, float]:
 KIND = Kind(
     name="simulate",
     summary="render every pair of a state on the virtual rig",
-    version=2,
+    version=3,
     scope=Scope.STATE,
     parameters=SimulateParameters,
     needs=no_needs,

@@ -276,7 +276,8 @@ def _fringe_light(
 def _average_over_pixels(images: Singles, weights: Floats, scale: float, first: int, out: Singles) -> None:
     """Blur and thin out images; the sub-sample row `first` is the first of the first pixel.
 
-    Beyond the image's edge the last sub-sample is repeated.
+    Beyond the image's edge the light goes on as it came, turned about the last sub-sample: repeating that
+    would bend fringes which in life go on.
     """
     reach = (weights.shape[0] - SUBSAMPLES) // 2
     height, width = images.shape[1], images.shape[2]
@@ -285,15 +286,22 @@ def _average_over_pixels(images: Singles, weights: Floats, scale: float, first: 
         for i in range(out.shape[1]):
             line[:] = 0.0
             for k in range(weights.shape[0]):
-                row = min(max(first + i * SUBSAMPLES + k - reach, 0), height - 1)
+                row = first + i * SUBSAMPLES + k - reach
+                last = min(max(row, 0), height - 1)
                 weight = weights[k] * scale
                 for j in range(width):
-                    line[j] += weight * images[c, row, j]
+                    line[j] += weight * images[c, last, j]
+                if row != last:
+                    for j in range(width):
+                        line[j] += weight * (images[c, last, j] - images[c, 2 * last - row, j])
             for j in range(out.shape[2]):
                 total = 0.0
                 for k in range(weights.shape[0]):
-                    column = min(max(j * SUBSAMPLES + k - reach, 0), width - 1)
-                    total += weights[k] * line[column]
+                    column = j * SUBSAMPLES + k - reach
+                    last = min(max(column, 0), width - 1)
+                    total += weights[k] * line[last]
+                    if column != last:
+                        total += weights[k] * (line[last] - line[2 * last - column])
                 out[c, i, j] = total
 
 
@@ -304,6 +312,6 @@ def _expose(
     """Add noise to grey levels, round them and cut them off at 0 and full scale."""
     for i in range(levels.shape[0]):
         for j in range(levels.shape[1]):
-            level = levels[i, j]
+            level = max(levels[i, j], 0.0)  # beyond a dark edge of the image less than none may be seen
             level += np.sqrt(read_variance + gain * level) * normal[i, j]
             out[i, j] = int(min(max(level + 0.5, 0.0), float(full_scale)))
