@@ -263,9 +263,7 @@ def amend_campaign(
     Conflict
         The campaign is not `before` any more; nothing is changed.
     """
-    same = replace(after, states=before.states) == before
-    kept = [s.label for s in after.states[: len(before.states)]] == [s.label for s in before.states]
-    if not same or not kept:
+    if not continues(before, after):
         raise InvalidInput(
             f"campaign {before.name} can be given states and readings, nothing else of it changes"
         )
@@ -276,14 +274,21 @@ def amend_campaign(
         with catalogue.writing() as session:
             row = campaigns.campaign_row(session, before.name)
             _require_same(campaigns.definition(row), before, f"campaign {before.name}")
-            _amend(session, row, after)
+            bring_up_to_date(session, row, after)
             index_definition(session, before.name, sealed, now)
     except BaseException:
         archive.discard(sealed.path)
         raise
 
 
-def _amend(session: Session, row: CampaignRow, after: Campaign) -> None:
+def continues(before: Campaign, after: Campaign) -> bool:
+    """Say whether a campaign is another one with further states behind its own, or other readings of them."""
+    same = replace(after, states=before.states) == before
+    return same and [s.label for s in after.states[: len(before.states)]] == [s.label for s in before.states]
+
+
+def bring_up_to_date(session: Session, row: CampaignRow, after: Campaign) -> None:
+    """Give a campaign of the catalogue the definition that continues its own."""
     row.definition = campaigns.as_json(after)
     rows = {
         r.label: r for r in session.scalars(select(LoadStateRow).where(LoadStateRow.campaign_id == row.id))

@@ -30,7 +30,6 @@ from sms_jobs.catalogue import campaigns, lineage
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
     CalibrationRow,
-    CampaignRow,
     FileRow,
     JobRow,
     LoadStateRow,
@@ -41,9 +40,10 @@ from sms_jobs.catalogue.models import (
 )
 from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput, SmsError
 from sms_jobs.jobs import past_jobs
+from sms_jobs.jobs.past_definitions import PastDefinitions
 from sms_jobs.jobs.registration import CAMPAIGN
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
-from sms_jobs.records.campaign import Campaign, CampaignDefinition, Subject
+from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.surfaces import SURFACE
@@ -90,8 +90,7 @@ class _Archived:
     archive: Archive
     checker: Checker
     of_jobs: Mapping[tuple[str, str, str], Sequence[str]]
-    definitions: Mapping[str, str]
-    campaigns: dict[str, Campaign] = field(default_factory=dict)
+    definitions: PastDefinitions
     hashes: dict[str, str] = field(default_factory=dict)
 
 
@@ -137,14 +136,14 @@ def reindex(
         That reads the files; one of its own if not given.
     """
     of_jobs: dict[tuple[str, str, str], list[str]] = {}
-    definitions: dict[str, str] = {}
+    definitions: dict[str, list[str]] = {}
     for path in sorted(archive.files(), key=_order):
         of_jobs.setdefault(_job(path), []).append(path)
         if layout.part(path, "kind") == CAMPAIGN:
-            definitions[path.split("/", 1)[0]] = path
+            definitions.setdefault(path.split("/", 1)[0], []).append(path)
     waiting = set(paths)
     with nullcontext(checker) if checker else Checker() as reader:
-        archived = _Archived(archive, reader, of_jobs, definitions)
+        archived = _Archived(archive, reader, of_jobs, PastDefinitions(archive, reader, definitions))
         for _, group in groupby(paths, key=lambda path: _order(path)[:2]):
             # A name tells the second in which a file was made, the file the rest.
             seen = {path: examined(archive, reader, path) for path in group if path in waiting}
@@ -228,7 +227,9 @@ def _judged(session: Session, archived: _Archived, one: Found) -> list[str]:
     if not layout.fits(path, provenance):
         raise _Refused(f"it says that it is {layout.stem(provenance)} of {provenance.subject}: it was moved")
     if provenance.kind == CAMPAIGN:
-        _judge_definition(session, archived, one)
+        objection = archived.definitions.objection(session, one)
+        if objection is not None:
+            raise _Refused(objection)
     elif provenance.kind == CALIBRATION:
         _judge_calibration(session, one)
     else:
@@ -247,22 +248,6 @@ def _judged(session: Session, archived: _Archived, one: Found) -> list[str]:
     return lacking
 
 
-def _judge_definition(session: Session, archived: _Archived, one: Found) -> None:
-    name, path = one.provenance.subject.campaign, one.sealed.path
-    if archived.definitions.get(name) != path:
-        raise _Refused(f"campaign {name} has a later definition in the archive")
-    with archived.archive.open(path) as dataset:
-        definition = dataset.read("campaign", CampaignDefinition)
-    row = session.scalar(select(CampaignRow).where(CampaignRow.name == name))
-    if row is not None:
-        if definition.campaign != campaigns.definition(row):
-            raise _Refused(f"the catalogue has another campaign {name}; only one of them can have the name")
-        known = select(FileRow.id).where(FileRow.campaign_id == row.id, FileRow.source == CAMPAIGN)
-        if session.scalar(known) is not None:
-            raise _Refused(f"campaign {name} has its definition in another file")
-    archived.campaigns[name] = definition.campaign
-
-
 def _judge_calibration(session: Session, one: Found) -> None:
     number = session.scalar(
         select(CalibrationRow.id)
@@ -276,7 +261,7 @@ def _judge_calibration(session: Session, one: Found) -> None:
 def _judge_output(session: Session, archived: _Archived, one: Found) -> None:
     provenance, path = one.provenance, one.sealed.path
     subject = provenance.subject
-    campaign = _campaign(session, archived, subject.campaign)
+    campaign = archived.definitions.at(session, provenance)
     if campaign is None:
         raise _NoCampaign(
             f"the definition of campaign {subject.campaign} is neither in the catalogue nor in the archive; "
@@ -321,15 +306,6 @@ def _newest_attempt(archived: _Archived, path: str, provenance: Provenance) -> i
     return newest
 
 
-def _campaign(session: Session, archived: _Archived, name: str) -> Campaign | None:
-    if name not in archived.campaigns:
-        row = session.scalar(select(CampaignRow).where(CampaignRow.name == name))
-        if row is None:
-            return None
-        archived.campaigns[name] = campaigns.definition(row)
-    return archived.campaigns[name]
-
-
 def _newer(session: Session, one: Found) -> int | None:
     if one.sealed.media_type != DATASET_MEDIA_TYPE:
         return None
@@ -344,28 +320,21 @@ def _newer(session: Session, one: Found) -> int | None:
 def _enter(session: Session, archived: _Archived, one: Found) -> None:
     provenance = one.provenance
     if provenance.kind == CAMPAIGN:
-        _enter_definition(session, archived.archive, one)
+        archived.definitions.enter(session, one)
+        _file_row(session, one, CAMPAIGN)
     elif provenance.kind == CALIBRATION:
         file = _file_row(session, one, CALIBRATION)
         with archived.archive.open(one.sealed.path) as dataset:
             campaigns.add_calibration(session, dataset.read("calibration", Calibration), file.id)
         _add_edges(session, one, file.id)
     else:
-        campaign = archived.campaigns[provenance.subject.campaign]
+        campaign = archived.definitions.at(session, provenance)
+        assert campaign is not None
         past_jobs.tell_again(session, campaign, provenance)
         file = _file_row(session, one, past_jobs.source_of(provenance))
         _describe_output(session, archived.archive, one, file)
         _add_edges(session, one, file.id)
         past_jobs.make_reusable(session, campaign, provenance)
-
-
-def _enter_definition(session: Session, archive: Archive, one: Found) -> None:
-    name = one.provenance.subject.campaign
-    if session.scalar(select(CampaignRow.id).where(CampaignRow.name == name)) is None:
-        with archive.open(one.sealed.path) as dataset:
-            definition = dataset.read("campaign", CampaignDefinition)
-        campaigns.add_campaign(session, definition.campaign, one.provenance.created_at, definition.plan)
-    _file_row(session, one, CAMPAIGN)
 
 
 def _file_row(session: Session, one: Found, source: str) -> FileRow:

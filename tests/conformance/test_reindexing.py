@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,9 +13,12 @@ from support.deployments import Deployment
 from support.sealing import calibration, provenance
 
 from sms_jobs.archive import Archive
+from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
+from sms_jobs.formats.importers.readings import Reading
 from sms_jobs.jobs import recovery, reindexing
+from sms_jobs.jobs.importing import amend_campaign, with_readings, with_states
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.registration import register_calibration
 from sms_jobs.jobs.reindexing import Reindexed
@@ -156,3 +160,52 @@ def test_results_without_their_campaign_say_what_to_do(catalogue: Catalogue, sha
     assert {one.path.split("/")[0] for one in told if one.outcome == "indexed"} == {"calibrations"}
     assert refused
     assert all("definition of campaign plate" in one.detail for one in refused)
+
+
+def test_a_campaign_that_was_given_more_comes_back_as_it_was_last(
+    catalogue: Catalogue, shapes: Archive, clock: Clock
+) -> None:
+    """Readings and states that came later are in definitions of their own; the older ones are no error."""
+    with catalogue.reading() as session:
+        first = campaigns.definition(campaigns.campaign_row(session, "plate"))
+    readings = [Reading("S00", {"gauge_1": 1e-4}), Reading("S01", {"gauge_1": 2e-4}, load_n=750.0)]
+    second, _ = with_readings(first, readings, replace_others=True)
+    amend_campaign(catalogue, shapes, first, second, clock())
+    third = with_states(second, ["S02"])
+    amend_campaign(catalogue, shapes, second, third, clock())
+    before = everything(catalogue)
+    emptied(catalogue)
+    rehearsed = reindexed(catalogue, shapes, dry_run=True)
+    paths = reindexing.unknown_files(catalogue, shapes)
+    # As if a catalogue from before the readings had been restored: it learns what came later.
+    done = list(reindexing.reindex(catalogue, shapes, paths[:1]))
+    with catalogue.reading() as session:
+        assert campaigns.definition(campaigns.campaign_row(session, "plate")) == first
+    done += reindexed(catalogue, shapes)
+    assert {one.outcome for one in done} == {"indexed"}
+    assert rehearsed == done
+    after = everything(catalogue)
+    # Definitions are entered before all else: only theirs is another place.
+    for told in (before, after):
+        told["files"] = [file for file in told["files"] if file[1] != "campaign"] + sorted(
+            (file for file in told["files"] if file[1] == "campaign"), key=str
+        )
+    assert after == before
+    with catalogue.reading() as session:
+        assert campaigns.definition(campaigns.campaign_row(session, "plate")) == third
+
+
+def test_a_later_definition_of_another_test_is_not_continued(
+    catalogue: Catalogue, shapes: Archive, clock: Clock
+) -> None:
+    with catalogue.reading() as session:
+        campaign = campaigns.definition(campaigns.campaign_row(session, "plate"))
+    other = CampaignDefinition(replace(campaign, rig="another"), None)
+    later = shapes.seal_campaign(other, clock(), program_version="0.1.0", host="here", operator="somebody")
+    emptied(catalogue)
+    told = {one.path: one for one in reindexed(catalogue, shapes)}
+    definitions = [path for path in told if path.startswith("plate/campaign-")]
+    assert told[later.path].outcome == "indexed"
+    (older,) = set(definitions) - {later.path}
+    assert told[older].outcome == "refused"
+    assert "which is of another test" in told[older].detail
