@@ -21,16 +21,20 @@ def local_time(time: datetime | None) -> str | None:
 def campaign_facts(campaign: Campaign) -> Markup:
     """Say what was tested, with what and how."""
     sequence = campaign.sequence
+    fringes = [
+        ("fringe densities", ", ".join(str(density) for density in sequence.densities)),
+        ("phase steps", str(sequence.steps)),
+        ("fringe orientations [rad]", ", ".join(f"{angle:.4g}" for angle in sequence.orientations_rad)),
+    ]
     return facts(
         [
             ("specimen", campaign.specimen.name),
             ("material", campaign.specimen.material),
             ("description", campaign.specimen.description),
             ("rig", campaign.rig + (" (virtual)" if campaign.scene is not None else "")),
-            ("pairs of camera and projector", ", ".join(campaign.pairs)),
-            ("fringe densities", ", ".join(str(density) for density in sequence.densities)),
-            ("phase steps", str(sequence.steps)),
-            ("fringe orientations [rad]", ", ".join(f"{angle:.4g}" for angle in sequence.orientations_rad)),
+            ("pairs of camera and projector", ", ".join(campaign.shape_pairs)),
+            ("cameras alone", ", ".join(campaign.cameras_alone)),
+            *(fringes if campaign.shape_pairs else ()),
             ("states", str(len(campaign.states))),
         ]
     )
