@@ -119,6 +119,10 @@ def tell(
             ", ".join(f"{n} {what}" for what, n in counts.items())
             + ("; nothing was changed" if dry_run else "")
         )
+        if outcome.bad and not dry_run:
+            output.say(
+                "what was refused is not in the archive: mend it and import again, or leave it out by --only"
+            )
         if counts["imported"]:
             output.say(f"next: sms job submit {then} --campaign {campaign}")
     if outcome.bad:

@@ -6,6 +6,7 @@ import typer
 
 from sms_jobs.cli import (
     calibration_files,
+    importing_boards,
     importing_frames,
     importing_images,
     importing_readings,
@@ -18,6 +19,7 @@ app = typer.Typer(
 )
 app.command("frames")(importing_frames.frames)
 app.command("images")(importing_images.images)
+app.command("boards")(importing_boards.boards)
 app.command("channels")(importing_readings.channels)
 app.command("gauges")(importing_readings.gauges)
 app.command("calibration")(calibration_files.import_)

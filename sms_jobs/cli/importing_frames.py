@@ -13,11 +13,34 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
-from sms_jobs.cli import completion, output
-from sms_jobs.cli.import_outcomes import TOLD, Outcome, confirm, existing_campaign, row_of, tell, time_given
+from sms_jobs.cli import output
+from sms_jobs.cli.import_options import (
+    AddStates,
+    CampaignName,
+    DryRun,
+    FullScale,
+    Gain,
+    Newer,
+    Only,
+    Raw,
+    ReadNoise,
+    RecordedAt,
+    SpecimenName,
+    Yes,
+)
+from sms_jobs.cli.import_outcomes import (
+    TOLD,
+    Outcome,
+    confirm,
+    existing_campaign,
+    row_of,
+    tell,
+    time_given,
+)
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats import configuration
+from sms_jobs.formats.configuration import CampaignPlan
 from sms_jobs.formats.importers.folders import Listing, list_folder
 from sms_jobs.formats.importers.frames import Arrangement, arrange, roles_told
 from sms_jobs.formats.importers.guess import Guess, guess_layout, with_options
@@ -51,10 +74,7 @@ class _Task:
 
 def frames(
     folder: Annotated[Path, typer.Argument(help="Folder of the frames; its sub-folders belong to it.")],
-    campaign: Annotated[
-        str,
-        typer.Option("--campaign", "-c", help="Campaign.", autocompletion=completion.campaign_names),
-    ],
+    campaign: CampaignName,
     layout: Annotated[Path | None, typer.Option(help="Layout file (TOML); see docs/import.md.")] = None,
     pattern: Annotated[
         str | None,
@@ -91,40 +111,24 @@ def frames(
         float | None,
         typer.Option("--offset-deg", help="Phase of the first step there: 0 for a cosine, -90 for a sine."),
     ] = None,
-    full_scale: Annotated[
-        int | None, typer.Option("--full-scale", help="Grey level at which the camera saturates.")
-    ] = None,
-    gain: Annotated[float | None, typer.Option(help="Noise variance a grey level of signal.")] = None,
-    read_noise: Annotated[
-        float | None, typer.Option("--read-noise", help="Noise in the dark, in grey levels.")
-    ] = None,
-    raw: Annotated[
-        str | None, typer.Option(help="Raw files: columns x rows x bits, as 1280x1024x12.")
-    ] = None,
+    full_scale: FullScale = None,
+    gain: Gain = None,
+    read_noise: ReadNoise = None,
+    raw: Raw = None,
+    only: Only = None,
     rig: Annotated[str | None, typer.Option(help="Rig of a campaign that is to be made.")] = None,
-    specimen: Annotated[str | None, typer.Option(help="Specimen of a campaign that is to be made.")] = None,
+    specimen: SpecimenName = None,
     plan: Annotated[
         Path | None, typer.Option(help="Test plan of a campaign that is to be made, instead of --rig.")
     ] = None,
-    recorded_at: Annotated[
-        str | None,
-        typer.Option(
-            "--recorded-at", help="When, as 2026-05-04T10:00:00+02:00; the files' times if not given."
-        ),
-    ] = None,
-    add_states: Annotated[
-        bool, typer.Option("--add-states", help="Give the campaign states that it does not have yet.")
-    ] = False,
-    newer: Annotated[
-        bool, typer.Option("--newer", help="Enter a tuple that has another measurement as its newest.")
-    ] = False,
+    recorded_at: RecordedAt = None,
+    add_states: AddStates = False,
+    newer: Newer = False,
     print_layout: Annotated[
         bool, typer.Option("--print-layout", help="Print the layout to correct and give back, and end.")
     ] = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Read and check everything, and change nothing.")
-    ] = False,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask whether the layout is right.")] = False,
+    dry_run: DryRun = False,
+    yes: Yes = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
@@ -138,7 +142,7 @@ def frames(
     Example: sms import frames scans -c skull --print-layout > layout.toml; sms import frames scans -c skull
     --layout layout.toml --yes
     """
-    listing = list_folder(folder)
+    listing = list_folder(folder, only)
     task = _Task(folder, campaign, rig, specimen, plan, time_given(recorded_at), add_states, newer)
     given: dict[str, Any] = {
         "pattern": pattern,
@@ -165,18 +169,14 @@ def frames(
         if print_layout:
             typer.echo(guess.as_toml(), nl=False)
             return
-        found_layout = layout_of(guess.table, "the layout" if layout is None else str(layout))
-        arrangement = arrange(listing, found_layout)
-        wanted = _wanted(task, existing, found_layout, arrangement)
-        _preview(listing, guess, found_layout, arrangement)
-        if not arrangement.tuples:
-            raise InvalidInput(
-                f"no file of {folder} fits the pattern '{found_layout.pattern.text}': give another "
-                "--pattern; '--print-layout' shows the guess"
-            )
+        named = "the layout" if layout is None else str(layout)
+        run = _Import(services, task, listing, layout_of(guess.table, named), existing, _planned(task))
+        arrangement = arrange(listing, run.layout)
+        wanted = run.wanted(arrangement)
+        _preview(listing, guess, run.layout, arrangement)
         if not (yes or dry_run or layout is not None):
             confirm("Is this right?")
-        outcome = _import(services, task, listing, found_layout, arrangement, existing, wanted, dry_run)
+        outcome = run.enter(arrangement, wanted, dry_run)
     tell(
         outcome,
         arrangement.left_out,
@@ -196,48 +196,16 @@ def _numbers(text: str | None, option: str, kind: type) -> tuple[Any, ...] | Non
         raise InvalidInput(f"{option} should be numbers with spaces between, not '{text}'") from None
 
 
-def _wanted(
-    task: _Task, existing: Campaign | None, layout: FrameLayout, arrangement: Arrangement
-) -> Campaign:
-    """Return the campaign as it has to be; raise where what there is contradicts the files."""
-    labels = arrangement.states
-    if existing is None and task.plan is not None:
-        planned = configuration.load_campaign(task.plan).campaign
-        if planned.name != task.campaign:
-            raise InvalidInput(f"{task.plan} is the plan of campaign {planned.name}, not of {task.campaign}")
-        existing = planned
-    if existing is None:
-        if task.rig is None:
-            raise InvalidInput(
-                f"there is no campaign {task.campaign} yet: name the rig that measured, as --rig desk, or "
-                "give its --plan; 'sms calibration list' shows rigs"
-            )
-        return Campaign(
-            name=task.campaign,
-            specimen=Specimen(task.specimen or task.campaign),
-            rig=task.rig,
-            states=tuple(LoadState(label, time=task.recorded_at) for label in labels) or (LoadState("S00"),),
-            pairs=arrangement.pairs or ("C1P1",),
-            sequence=layout.sequence,
-        )
-    unknown = [p for p in arrangement.pairs if p not in existing.pairs]
-    if unknown:
+def _planned(task: _Task) -> CampaignPlan | None:
+    """Return the test plan of a campaign that is to be made; `InvalidInput` for that of another."""
+    if task.plan is None:
+        return None
+    plan = configuration.load_campaign(task.plan)
+    if plan.campaign.name != task.campaign:
         raise InvalidInput(
-            f"campaign {existing.name} has no pair {', '.join(unknown)}; it has {', '.join(existing.pairs)}"
+            f"{task.plan} is the plan of campaign {plan.campaign.name}, not of {task.campaign}"
         )
-    if layout.sequence != existing.sequence:
-        raise InvalidInput(
-            f"campaign {existing.name} is measured with {_fringes(existing.sequence)}, but the layout has "
-            f"{_fringes(layout.sequence)}: import into another campaign"
-        )
-    wanted = with_states(existing, labels)
-    added = [s.label for s in wanted.states[len(existing.states) :]]
-    if added and not task.add_states:
-        raise InvalidInput(
-            f"campaign {existing.name} has no state {', '.join(added[:5])}: say --add-states to add "
-            f"{len(added)}, or map them to its own under [states] of a layout"
-        )
-    return wanted
+    return plan
 
 
 def _fringes(sequence: Any) -> str:
@@ -263,35 +231,123 @@ def _preview(listing: Listing, guess: Guess, layout: FrameLayout, arrangement: A
             output.say(f"  {name}  {what}")
 
 
-def _import(
-    services: Services,
-    task: _Task,
-    listing: Listing,
-    layout: FrameLayout,
-    arrangement: Arrangement,
-    existing: Campaign | None,
-    wanted: Campaign,
-    dry_run: bool,
-) -> Outcome:
-    inspected = _inspect_all(listing, layout, arrangement)
-    good = [one for one in inspected if not one.found.faults]
-    remarks = list(dict.fromkeys(r for one in good for r in one.remarks))
-    outcome = Outcome([], remarks)
-    camera = camera_model(listing.folder, good, layout) if good else None
-    if camera is not None:
-        remarks += camera.remarks
-    if good and not dry_run:
-        _prepare(services, task, existing, wanted)
-    with output.progress_bar() as bar:
-        step = bar.add_task("importing", total=len(inspected))
-        for one in inspected:
-            if one.found.faults:
-                outcome.rows.append(row_of(one, "refused", "; ".join(one.found.faults)))
-            else:
-                assert camera is not None
-                outcome.rows.append(_enter(services, task, listing, layout, camera, one, dry_run))
-            bar.advance(step)
-    return outcome
+@dataclass(frozen=True)
+class _Import:
+    """Frames of a folder on their way into a campaign: the one that is there, a planned one, or a new one."""
+
+    services: Services
+    task: _Task
+    listing: Listing
+    layout: FrameLayout
+    existing: Campaign | None
+    plan: CampaignPlan | None
+
+    def wanted(self, arrangement: Arrangement) -> Campaign:
+        """Return the campaign as it has to be; raise where what there is contradicts the files."""
+        task, layout = self.task, self.layout
+        if not arrangement.tuples:
+            raise InvalidInput(
+                f"no file of {task.folder} fits the pattern '{layout.pattern.text}': give another "
+                "--pattern; '--print-layout' shows the guess"
+            )
+        known = self._known()
+        if known is None:
+            if task.rig is None:
+                raise InvalidInput(
+                    f"there is no campaign {task.campaign} yet: name the rig that measured, as --rig desk, "
+                    "or give its --plan; 'sms calibration list' shows rigs"
+                )
+            return Campaign(
+                name=task.campaign,
+                specimen=Specimen(task.specimen or task.campaign),
+                rig=task.rig,
+                states=tuple(LoadState(label, time=task.recorded_at) for label in arrangement.labels)
+                or (LoadState("S00"),),
+                pairs=arrangement.pairs or ("C1P1",),
+                sequence=layout.sequence,
+            )
+        unknown = [p for p in arrangement.pairs if p not in known.pairs]
+        if unknown:
+            raise InvalidInput(
+                f"campaign {known.name} has no pair {', '.join(unknown)}; it has {', '.join(known.pairs)}"
+            )
+        if layout.sequence != known.sequence:
+            raise InvalidInput(
+                f"campaign {known.name} is measured with {_fringes(known.sequence)}, but the layout has "
+                f"{_fringes(layout.sequence)}: import into another campaign"
+            )
+        added = [label for label in arrangement.labels if label not in {s.label for s in known.states}]
+        if added and not task.add_states:
+            raise InvalidInput(
+                f"campaign {known.name} has no state {', '.join(added[:5])}: say --add-states to add "
+                f"{len(added)}, take others by --only, or map them to its own under [states] of a layout"
+            )
+        return with_states(known, added)
+
+    def _known(self) -> Campaign | None:
+        """Return what is known of the campaign besides the files."""
+        return self.plan.campaign if self.existing is None and self.plan is not None else self.existing
+
+    def enter(self, arrangement: Arrangement, wanted: Campaign, dry_run: bool) -> Outcome:
+        """Read everything, then enter what has no fault, and say what became of each tuple."""
+        inspected = _inspect_all(self.listing, self.layout, arrangement)
+        good = [one for one in inspected if not one.found.faults]
+        remarks = list(dict.fromkeys(r for one in good for r in one.remarks))
+        outcome = Outcome([], remarks)
+        camera = camera_model(self.listing.folder, good, self.layout) if good else None
+        if camera is not None:
+            remarks += camera.remarks
+        if good and not dry_run:
+            self._prepare(wanted)
+        with output.progress_bar() as bar:
+            step = bar.add_task("importing", total=len(inspected))
+            for one in inspected:
+                if one.found.faults:
+                    outcome.rows.append(row_of(one, "refused", "; ".join(one.found.faults)))
+                else:
+                    assert camera is not None
+                    outcome.rows.append(self._enter(camera, one, dry_run))
+                bar.advance(step)
+        return outcome
+
+    def _prepare(self, wanted: Campaign) -> None:
+        catalogue, archive, now = self.services.catalogue, self.services.archive, datetime.now(UTC)
+        if self.existing is not None:
+            if wanted != self.existing:
+                amend_campaign(catalogue, archive, self.existing, wanted, now)
+        elif self.plan is not None:
+            register_campaign(catalogue, archive, wanted, self.plan.calibration, now, self.plan.text)
+        else:
+            register_campaign(catalogue, archive, wanted, None, now)
+
+    def _enter(self, camera: CameraModel, one: Inspected, dry_run: bool) -> dict[str, Any]:
+        task, catalogue, archive = self.task, self.services.catalogue, self.services.archive
+        subject = Subject(task.campaign, one.found.state, one.found.pair)
+        digest = source_hash(one, self.layout)
+        known = known_of(catalogue, archive, subject, digest)
+        if known.status == "there":
+            return row_of(one, "already there", known.path)
+        if dry_run:
+            differs = known.status == "other" and not task.newer
+            detail = "it has another measurement already: say --newer" if differs else ""
+            return row_of(one, "refused" if differs else "would be imported", detail)
+        at = task.recorded_at or one.recorded_at
+        sources = _sources(task, self.listing, one, self.layout)
+        try:
+            measurement = measurement_of(self.listing.folder, one, self.layout, camera, at)
+            done = import_measurement(
+                catalogue,
+                archive,
+                subject,
+                measurement,
+                digest,
+                sources,
+                datetime.now(UTC),
+                newer=task.newer,
+            )
+        except (Conflict, InvalidInput) as error:
+            return row_of(one, "refused", str(error))
+        return row_of(one, "imported", done.path)
 
 
 def _inspect_all(listing: Listing, layout: FrameLayout, arrangement: Arrangement) -> list[Inspected]:
@@ -302,58 +358,6 @@ def _inspect_all(listing: Listing, layout: FrameLayout, arrangement: Arrangement
             inspect(listing.folder, t, layout.raw, layout.full_scale, lambda: bar.advance(step))
             for t in arrangement.tuples
         ]
-
-
-def _prepare(services: Services, task: _Task, existing: Campaign | None, wanted: Campaign) -> None:
-    now = datetime.now(UTC)
-    if existing is None:
-        planned = None if task.plan is None else configuration.load_campaign(task.plan)
-        register_campaign(
-            services.catalogue,
-            services.archive,
-            wanted,
-            None if planned is None else planned.calibration,
-            now,
-            None if planned is None else planned.text,
-        )
-    elif wanted != existing:
-        amend_campaign(services.catalogue, services.archive, existing, wanted, now)
-
-
-def _enter(
-    services: Services,
-    task: _Task,
-    listing: Listing,
-    layout: FrameLayout,
-    camera: CameraModel,
-    one: Inspected,
-    dry_run: bool,
-) -> dict[str, Any]:
-    subject = Subject(task.campaign, one.found.state, one.found.pair)
-    digest = source_hash(one, layout)
-    known = known_of(services.catalogue, services.archive, subject, digest)
-    if known.status == "there":
-        return row_of(one, "already there", known.path)
-    if dry_run:
-        differs = known.status == "other" and not task.newer
-        detail = "it has another measurement already: say --newer" if differs else ""
-        return row_of(one, "refused" if differs else "would be imported", detail)
-    at = task.recorded_at or one.recorded_at
-    try:
-        measurement = measurement_of(listing.folder, one, layout, camera, at)
-        done = import_measurement(
-            services.catalogue,
-            services.archive,
-            subject,
-            measurement,
-            digest,
-            _sources(task, listing, one, layout),
-            datetime.now(UTC),
-            newer=task.newer,
-        )
-    except (Conflict, InvalidInput) as error:
-        return row_of(one, "refused", str(error))
-    return row_of(one, "imported", done.path)
 
 
 def _sources(task: _Task, listing: Listing, one: Inspected, layout: FrameLayout) -> Mapping[str, Any]:

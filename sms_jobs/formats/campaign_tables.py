@@ -23,7 +23,7 @@ from sms_jobs.records import scene as scenes
 from sms_jobs.records.campaign import Campaign, LoadState, ParameterValue, Specimen
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, Gloss, ProjectorResponse, Scene, Speckle
-from sms_jobs.records.sensors import Calibration, Rig, Role, Sensor, split_pair
+from sms_jobs.records.sensors import Calibration, Rig, Role, Sensor, sensors_of, split_pair
 
 ALWAYS = datetime(1970, 1, 1, tzinfo=UTC)
 """From when the exact calibration of a virtual rig is valid, unless its file says otherwise."""
@@ -56,6 +56,7 @@ _Surface: TypeAlias = Annotated[
         scenes.Cylinder,
         scenes.Sphere,
         scenes.PlateWithHoleAndStep,
+        scenes.StiffenedPanel,
         scenes.TopHat,
         scenes.PlateAndMirror,
         *ARTEFACTS,
@@ -70,6 +71,7 @@ _Motion: TypeAlias = Annotated[
         scenes.UniaxialStrain,
         scenes.MidPointBending,
         scenes.HalvesApart,
+        scenes.Disbond,
         tag="motion",
     ),
 ]
@@ -337,9 +339,9 @@ class CampaignTable(Table):
         if not self.pairs:
             raise InvalidInput("pairs is missing or empty: name those that measure, such as ['C1P1', 'C1P2']")
         for pair in self.pairs:
-            names = split_pair(pair)
-            if rig is not None:
-                for name in names:
+            # What no scene describes may be a camera alone; a virtual rig projects.
+            for name in sensors_of(pair) if rig is None else split_pair(pair):
+                if rig is not None:
                     rig.sensor(name)
         if len(set(self.pairs)) < len(self.pairs):
             raise InvalidInput(f"pairs names one pair twice: {', '.join(self.pairs)}")

@@ -12,10 +12,10 @@ from pydantic_core import PydanticCustomError
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.record_tables import Placement, Table, Volume, flat, mapped
 from sms_jobs.metrology.geometry.stage_poses import AngleRange, uniform_poses
-from sms_jobs.records.artefacts import Artefact, BallBar, Chessboard, CircleBoard
+from sms_jobs.records.artefacts import Artefact, BallBar, Chessboard, CircleBoard, Place
 from sms_jobs.records.campaign import CalibrationSession, LoadState, checked_name
 from sms_jobs.records.scene import PanTilt, Rigid
-from sms_jobs.records.sensors import Rig, SensorFormat, split_pair
+from sms_jobs.records.sensors import Rig, SensorFormat, sensors_of
 
 LONGEST_SIDE_PX = 20_000
 
@@ -115,7 +115,7 @@ class SessionTable(Table):
         self.first_artefact(None)
         for name, artefact in self.artefacts.items():
             checked_name(name, "calibration artefact")
-            _check(name, artefact)
+            check_artefact(name, artefact)
         for state in states:
             self._check_state(state)
         volume = self.volume or scene
@@ -154,7 +154,7 @@ class SessionTable(Table):
                 f"two sensors of the session have one name: {', '.join(s.name for s in self.sensors)}"
             )
         for pair in pairs:
-            for name in split_pair(pair):
+            for name in sensors_of(pair):
                 if name not in found:
                     raise InvalidInput(
                         f"the session does not say how many pixels {name} of pair {pair} has: add it under "
@@ -163,7 +163,7 @@ class SessionTable(Table):
         return tuple(sorted(found.values(), key=lambda s: (s.name[0], int(s.name[1:]))))
 
 
-def _check(name: str, artefact: Artefact) -> None:
+def check_artefact(name: str, artefact: Artefact) -> None:
     """Refuse an artefact that cannot be built."""
     if isinstance(artefact, BallBar):
         if artefact.length_mm <= 2.0 * artefact.radius_mm:
@@ -177,23 +177,29 @@ def _check(name: str, artefact: Artefact) -> None:
 
 def _check_circles(name: str, board: CircleBoard) -> None:
     """Refuse a board whose dots overlap or whose markers tell no axes or cannot be told from dots."""
-    for column, row in board.markers:
-        if not (0 <= column < board.columns and 0 <= row < board.rows):
-            raise InvalidInput(
-                f"the marker ({column}, {row}) of {name} is not on its {board.columns} x {board.rows} dots: "
-                "give columns and rows counted from 0"
-            )
-    (column, row), (second, second_row), (third_column, third) = board.markers
-    if second_row != row or third_column != column or second == column or third == row:
-        raise InvalidInput(
-            f"the markers of {name} tell no axes: the second must share the row of the first, the third its "
-            "column"
-        )
+    if board.markers is not None:
+        _check_markers(name, board, board.markers)
     largest = max(board.marker_diameter_mm, board.dot_diameter_mm)
     if (largest + board.dot_diameter_mm) / 2.0 >= board.pitch_mm:
         raise InvalidInput(
             f"the dots of {name} overlap: diameters of {board.dot_diameter_mm} and "
             f"{board.marker_diameter_mm} mm at a pitch of {board.pitch_mm} mm"
+        )
+
+
+def _check_markers(name: str, board: CircleBoard, markers: tuple[Place, Place, Place]) -> None:
+    """Refuse markers that tell no axes or cannot be told from dots."""
+    for column, row in markers:
+        if not (0 <= column < board.columns and 0 <= row < board.rows):
+            raise InvalidInput(
+                f"the marker ({column}, {row}) of {name} is not on its {board.columns} x {board.rows} dots: "
+                "give columns and rows counted from 0"
+            )
+    (column, row), (second, second_row), (third_column, third) = markers
+    if second_row != row or third_column != column or second == column or third == row:
+        raise InvalidInput(
+            f"the markers of {name} tell no axes: the second must share the row of the first, the third its "
+            "column"
         )
     if board.marker == "ring" and not 0.0 < board.marker_hole_mm < board.marker_diameter_mm:
         raise InvalidInput(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import datetime
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -186,6 +187,20 @@ def compare(
     return compared(old, new, tolerance_mm)
 
 
+def measuring_pairs(rig: Rig) -> list[tuple[str, str]]:
+    """Return the pairs of sensors that measure points: of camera and projector, else of cameras.
+
+    Raises `InvalidInput` for a rig of one sensor.
+    """
+    pairs = [split_pair(p) for p in rig.pairs()] or [*combinations((s.name for s in rig.sensors), 2)]
+    if not pairs:
+        raise InvalidInput(
+            f"rig {rig.name} has one sensor, which measures no points by itself: see its parameters in 'sms "
+            "calibration show'"
+        )
+    return pairs
+
+
 def compared(
     old: KnownCalibration, new: KnownCalibration, tolerance_mm: float | None
 ) -> tuple[CalibrationComparison, float]:
@@ -202,7 +217,7 @@ def compared(
     comparison = compare_calibrations(
         old.parameters(),
         new.parameters(),
-        [split_pair(p) for p in old.calibration.rig.pairs()],
+        measuring_pairs(old.calibration.rig),
         _corners(old.calibration.volume),
         covariance_before=earlier if both else None,
         covariance_after=later if both else None,

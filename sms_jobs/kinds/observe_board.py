@@ -1,4 +1,7 @@
-"""Observe a board: its points in the image of the camera and, through the phase, of the projector."""
+"""Observe a board: its points in the image of the camera and, through the phase, of the projector.
+
+A camera alone has recorded no phase: the board is looked for in its picture, and there is no projector.
+"""
 
 from __future__ import annotations
 
@@ -31,12 +34,12 @@ from sms_jobs.kinds.sessions import (
 from sms_jobs.metrology.targets.boards import find_board
 from sms_jobs.metrology.targets.chessboards import find_chessboard
 from sms_jobs.metrology.targets.patterns import BoardPoints
-from sms_jobs.metrology.targets.projector_points import carry_to_projector
+from sms_jobs.metrology.targets.projector_points import ProjectorPoints, carry_to_projector
 from sms_jobs.records.artefacts import Artefact, Chessboard, CircleBoard
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.observations import BoardObservation
-from sms_jobs.records.sensors import SensorFormat, split_pair
+from sms_jobs.records.sensors import SensorFormat, sensors_of
 
 
 class ObserveBoardParameters(Parameters):
@@ -45,22 +48,23 @@ class ObserveBoardParameters(Parameters):
 
 @dataclass(frozen=True)
 class BoardShown:
-    """What a pair is shown: a board, and the sizes of the images in which it is looked for."""
+    """What a pair is shown: a board, and the sizes of the images in which it is looked for.
+
+    There is no projector for a camera alone.
+    """
 
     name: str
     board: Artefact
     camera: SensorFormat
-    projector: SensorFormat
+    projector: SensorFormat | None
 
 
 def board_shown(campaign: Campaign, subject: Subject) -> BoardShown:
     """Return what a tuple of a session shows."""
     session = session_of(campaign)
-    camera, projector = split_pair(subject.pair or "")
     name = campaign.state(subject.state or "").artefact or ""
-    return BoardShown(
-        name, session.artefacts[name], sensor_format(session, camera), sensor_format(session, projector)
-    )
+    sensors = [sensor_format(session, sensor) for sensor in sensors_of(subject.pair or "")]
+    return BoardShown(name, session.artefacts[name], sensors[0], sensors[1] if len(sensors) > 1 else None)
 
 
 def _subjects(campaign: Campaign) -> Iterable[Subject]:
@@ -82,20 +86,37 @@ def run(inputs: Inputs, parameters: ObserveBoardParameters, progress: Progress) 
             f"{shown.camera.name} has {shown.camera.columns} x {shown.camera.rows}; "
             "correct [[session.sensors]]"
         )
-    maps = projector_maps(inputs.subject, measurement, shown.projector, inputs.threads, progress)
-    progress(0.85, "looking for the board")
-    found = _found(maps.phase.mean_intensity, shown.board, inputs.threads)
-    both = np.sqrt(np.mean(np.square(maps.sigma), axis=0))
-    carried = carry_to_projector(maps.pixel, both, found.centre_px, found.sigma_px, found.radius_px)
-    kept = np.isfinite(carried.sigma)
+    if shown.projector is None:
+        progress(0.1, "looking for the board")
+        found = _found(measurement.texture, shown.board, inputs.threads)
+        observation = _observation(shown, found, _no_projector(len(found.place)))
+    else:
+        maps = projector_maps(inputs.subject, measurement, shown.projector, inputs.threads, progress)
+        progress(0.85, "looking for the board")
+        found = _found(maps.phase.mean_intensity, shown.board, inputs.threads)
+        both = np.sqrt(np.mean(np.square(maps.sigma), axis=0))
+        carried = carry_to_projector(maps.pixel, both, found.centre_px, found.sigma_px, found.radius_px)
+        observation = _observation(shown, found, carried)
+    progress(1.0, f"found {len(observation.point)} points")
+    yield DatasetOutput(inputs.subject, {OBSERVATION: observation}, _statistics(observation))
+
+
+def _no_projector(count: int) -> ProjectorPoints:
+    """Return images of points that no projector has."""
+    return ProjectorPoints(np.full((count, 2), np.nan), np.full(count, np.nan), {})
+
+
+def _observation(shown: BoardShown, found: BoardPoints, carried: ProjectorPoints) -> BoardObservation:
+    """Return the points that all sensors of the pair have, and why others were refused."""
+    kept = np.ones(len(found.place), bool) if shown.projector is None else np.isfinite(carried.sigma)
     refused = dict(found.refused)
     for why, count in carried.refused.items():
         refused[f"in the projector: {why}"] = count
     if found.reason:
         refused[found.reason] = 1
-    observation = BoardObservation(
+    return BoardObservation(
         shown.camera.name,
-        shown.projector.name,
+        "" if shown.projector is None else shown.projector.name,
         shown.name,
         found.blur_px,
         refused,
@@ -106,8 +127,6 @@ def run(inputs: Inputs, parameters: ObserveBoardParameters, progress: Progress) 
         carried.pixel[kept],
         carried.sigma[kept],
     )
-    progress(1.0, f"found {kept.sum()} points")
-    yield DatasetOutput(inputs.subject, {OBSERVATION: observation}, _statistics(observation))
 
 
 def _found(picture: np.ndarray, board: Artefact, threads: int) -> BoardPoints:
@@ -124,8 +143,9 @@ def _statistics(observation: BoardObservation) -> dict[str, float]:
         statistics |= {
             "blur_px": observation.blur_px,
             "camera_sigma_median_px": float(np.median(observation.camera_sigma_px)),
-            "projector_sigma_median_px": float(np.median(observation.projector_sigma_px)),
         }
+    if count and observation.projector:
+        statistics["projector_sigma_median_px"] = float(np.median(observation.projector_sigma_px))
     return statistics
 
 

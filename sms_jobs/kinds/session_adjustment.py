@@ -33,11 +33,12 @@ from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.calibration.planar_intrinsics import pose_from_homography
 from sms_jobs.metrology.calibration.sensor_start import usable_views
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, undistort
+from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.scene import Rigid
-from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor, split_pair
+from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor, sensors_of
 
 Floats = NDArray[np.float64]
 Boards = Mapping[str, Sequence[BoardObservation]]
@@ -100,7 +101,8 @@ def board_views(boards: Boards) -> list[BoardView]:
         for one in observations:
             if len(one.point):
                 seen.setdefault(one.camera, []).append((one, one.camera_px, one.camera_sigma_px))
-                seen.setdefault(one.projector, []).append((one, one.projector_px, one.projector_sigma_px))
+                if one.projector:
+                    seen.setdefault(one.projector, []).append((one, one.projector_px, one.projector_sigma_px))
         views += [_averaged(sensor, pose, parts) for sensor, parts in seen.items()]
     return views
 
@@ -292,22 +294,25 @@ def middle_centres(seen: Sequence[BarObservation]) -> Floats:
     return middle
 
 
-def calibration_of(plan: SessionPlan, start: Start, found: Adjustment, origin: str) -> Calibration:
+def calibration_of(
+    plan: SessionPlan, start: Start, found: Adjustment, problem: BundleProblem, origin: str
+) -> Calibration:
     """Return the calibration that an adjustment found."""
     sensors = tuple(
         replace(old, intrinsics=new.intrinsics, pose=new.pose)
         for old, new in zip(start.rig.sensors, found.sensors, strict=True)
     )
-    volume = plan.session.volume or _observed_box(found)
+    volume = plan.session.volume or _observed_box(found, problem)
     return Calibration(Rig(plan.rig, sensors), volume, plan.began or UNTIMED, origin)
 
 
-def _observed_box(found: Adjustment) -> Box:
-    """Return the box around all spheres, or, without any, around the middles of the boards."""
+def _observed_box(found: Adjustment, problem: BundleProblem) -> Box:
+    """Return the box around all spheres, or, without any, around all points of boards."""
     seen = found.centres.reshape(-1, 3)
     seen = seen[np.isfinite(seen).all(axis=1)]
     if not len(seen):
-        seen = np.array([p.translation for p in found.board_poses])
+        boards = [transform(found.board_poses[p.pose], p.point) for p in problem.board_points]
+        seen = np.concatenate(boards)
     low, high = seen.min(axis=0), seen.max(axis=0)
     if np.any(high <= low):
         raise CalibrationFailed(
@@ -338,7 +343,8 @@ def quality_of(
 ) -> CalibrationQuality:
     """Return what an adjustment says of itself, and what there is to doubt besides."""
     place = box_grid(*_corners(calibration.volume), _GRID)
-    sigma = np.stack([expected_sigma(calibration.rig, found, pair, place) for pair in plan.pairs])
+    pairs = plan.measuring_pairs()
+    sigma = [expected_sigma(calibration.rig, found, pair, place) for pair in pairs]
     refused = {**found.refused, **start.refused}
     every: list[BoardObservation | BarObservation] = [o for seen in boards.values() for o in seen]
     every += [o for seen in bars.values() for o in seen]
@@ -362,9 +368,9 @@ def quality_of(
         bar_length_error_mm={b.pose: b.error_mm for b in held_out.bars},
         board_rms_px={b.pose: _both(b.camera_rms_px, b.projector_rms_px) for b in held_out.boards},
         found=_found(plan, found, boards),
-        pairs=plan.pairs,
+        pairs=tuple("".join(pair) for pair in pairs),
         place=place,
-        expected_sigma=sigma,
+        expected_sigma=np.stack(sigma) if sigma else np.empty((0, len(place))),
         residual_sensor=np.repeat([p.sensor for p, _, _ in points], [k.sum() for k in known]).astype(
             np.int32
         ),
@@ -383,7 +389,7 @@ def _found(plan: SessionPlan, found: Adjustment, boards: Boards) -> dict[str, fl
     for length in found.nuisance:
         numbers[f"{length.name} [{length.unit}]"] = length.value
         numbers[f"{length.name}, sigma [{length.unit}]"] = length.sigma
-    for camera in dict.fromkeys(split_pair(pair)[0] for pair in plan.pairs):
+    for camera in dict.fromkeys(sensors_of(pair)[0] for pair in plan.pairs):
         blurs = [o.blur_px for seen in boards.values() for o in seen if o.camera == camera]
         known = [b for b in blurs if np.isfinite(b)]
         if known:
@@ -391,12 +397,11 @@ def _found(plan: SessionPlan, found: Adjustment, boards: Boards) -> dict[str, fl
     return numbers
 
 
-def expected_sigma(rig: Rig, found: Adjustment, pair: str, place: Floats) -> Floats:
+def expected_sigma(rig: Rig, found: Adjustment, pair: tuple[str, str], place: Floats) -> Floats:
     """Return the deviation (n,) in mm that the calibration gives points; NaN out of a pair's sight."""
-    camera, projector = split_pair(pair)
-    covariance = point_covariance(found, camera, projector, place)
+    covariance = point_covariance(found, *pair, place)
     sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
-    for name in (camera, projector):
+    for name in pair:
         sensor = rig.sensor(name)
         pixel = project(sensor.intrinsics, sensor.pose, place)
         inside = (pixel > -0.5) & (pixel < [sensor.columns - 0.5, sensor.rows - 0.5])

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import combinations
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Need
 from sms_jobs.records.artefacts import Artefact, BallBar
 from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Subject
-from sms_jobs.records.sensors import SensorFormat
+from sms_jobs.records.sensors import SensorFormat, sensors_of
 
 OBSERVE_BOARD = "observe-board"
 CALIBRATE_BOARDS = "calibrate-boards"
@@ -59,6 +60,12 @@ class SessionPlan:
     session: CalibrationSession
     poses: tuple[SessionPose, ...]
     pairs: tuple[str, ...]
+
+    def measuring_pairs(self) -> tuple[tuple[str, str], ...]:
+        """Return the pairs of sensors that measure points: cameras with projectors, or cameras alone."""
+        told = [sensors_of(pair) for pair in self.pairs]
+        alone = [sensors[0] for sensors in told if len(sensors) == 1]
+        return (*((s[0], s[1]) for s in told if len(s) == 2), *combinations(alone, 2))
 
 
 def session_of(campaign: Campaign) -> CalibrationSession:

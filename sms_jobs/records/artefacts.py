@@ -11,11 +11,12 @@ Place: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True)
 class CircleBoard:
-    """A flat board with a regular grid of dots, three of which are markers.
+    """A flat board with a regular grid of dots, three of which may be markers.
 
     Columns run to the right and rows downwards as the board is seen from the front. The markers tell the
     board's frame: its origin is the centre of the first, its x axis runs along the columns towards the
-    second, its y axis along the rows towards the third, and z = x cross y.
+    second, its y axis along the rows towards the third, and z = x cross y. Without markers the origin is a
+    dot at a corner of the grid, x and y as for a chessboard.
 
     Attributes
     ----------
@@ -27,6 +28,7 @@ class CircleBoard:
         Of an ordinary dot.
     markers
         Places of the markers: origin, x, y. The second shares the row of the first, the third its column.
+        None for a board without, which nobody can tell from itself turned by half a turn.
     marker
         Whether markers are rings or larger dots.
     marker_diameter_mm
@@ -47,7 +49,7 @@ class CircleBoard:
     rows: int
     pitch_mm: float
     dot_diameter_mm: float
-    markers: tuple[Place, Place, Place]
+    markers: tuple[Place, Place, Place] | None = None
     marker: Literal["ring", "larger-dot"] = "ring"
     marker_diameter_mm: float = 0.0
     marker_hole_mm: float = 0.0

@@ -54,7 +54,7 @@ class CalibrationQuality:
     found
         What was found of the artefacts themselves; names carry the unit.
     pairs
-        Camera-projector pairs, in the order of `expected_sigma`.
+        Pairs of sensors that measure points, C1P1 or of cameras alone C1C2, in the order of `expected_sigma`.
     place, expected_sigma
         Places in the volume, and the standard deviation that the calibration alone gives a point there.
     residual_sensor, residual_px, residual

@@ -15,7 +15,7 @@ _POINTS = ("point", "component")
 
 @dataclass(frozen=True)
 class BoardObservation:
-    """The points of a board that a pair found, in both of its images.
+    """The points of a board that a pair found, in both of its images, or a camera alone in its own.
 
     Attributes
     ----------
@@ -27,13 +27,13 @@ class BoardObservation:
         Where it is on the board, in the board's frame; z = 0.
     camera_px, projector_px
         Its image in the camera and, through the phase, in the projector; for a dot the image of its
-        centre, not the centre of its image.
+        centre, not the centre of its image. NaN for the projector of a camera alone.
     camera_sigma_px, projector_sigma_px
         Standard deviations, in each direction.
     blur_px
         Standard deviation of the spot that a pixel of the camera sees; NaN where the board does not tell it.
     camera, projector
-        Names of the sensors.
+        Names of the sensors; that of the projector is empty for a camera alone.
     refused
         Why points that were found are not among them, and how many.
     """

@@ -13,6 +13,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
 
 _PAIR = re.compile(r"(C[1-9][0-9]*)(P[1-9][0-9]*)")
+_CAMERA = re.compile(r"C[1-9][0-9]*")
 
 
 class Role(Enum):
@@ -126,6 +127,11 @@ def split_pair(pair: str) -> tuple[str, str]:
     if not found:
         raise InvalidInput(f"'{pair}' is not a camera-projector pair; write it like C1P2")
     return found[1], found[2]
+
+
+def sensors_of(pair: str) -> tuple[str, ...]:
+    """Return the sensors of a pair: camera and projector, or a camera alone; `InvalidInput` for others."""
+    return (pair,) if _CAMERA.fullmatch(pair) else split_pair(pair)
 
 
 def has_projector(pair: str) -> bool:

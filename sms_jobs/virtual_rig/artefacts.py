@@ -50,7 +50,7 @@ def axes_of(board: Board) -> BoardAxes:
     InvalidInput
         When the markers of a circle board do not define a frame.
     """
-    if isinstance(board, Chessboard):
+    if isinstance(board, Chessboard) or board.markers is None:
         return BoardAxes(0, 0, 1.0, 1.0)
     (column, row), (second, second_row), (third_column, third) = board.markers
     if second_row != row or third_column != column or second == column or third == row:

@@ -34,7 +34,7 @@ def packed_ink(surface: Surface) -> Floats:
 
     0 kind (0: no artefact), 1 reflectance of the ground, 2 of the ink, 3 pitch, 4 - 5 column and row of the
     origin, 6 - 7 columns and rows, 8 radius of a dot, 9 - 10 outer and inner radius of a marker, 11 - 16
-    places of the markers.
+    places of the markers, off the board where it has none.
     """
     ink = np.zeros(17)
     if isinstance(surface, BallBar):
@@ -47,7 +47,8 @@ def packed_ink(surface: Surface) -> Floats:
         grid = (surface.pitch_mm, axes.column, axes.row, surface.columns, surface.rows)
         hole = surface.marker_hole_mm if surface.marker == "ring" else 0.0
         radii = (surface.dot_diameter_mm / 2.0, surface.marker_diameter_mm / 2.0, hole / 2.0)
-        ink[:] = DOTS, *tones, *grid, *radii, *np.ravel(surface.markers)
+        markers = surface.markers or ((-1, -1),) * 3
+        ink[:] = DOTS, *tones, *grid, *radii, *np.ravel(markers)
     return ink
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from sms_jobs.errors import InvalidInput, NotFound
@@ -51,8 +52,10 @@ def natural(name: str) -> tuple[tuple[int, int, str], ...]:
     )
 
 
-def list_folder(folder: Path) -> Listing:
+def list_folder(folder: Path, only: str | None = None) -> Listing:
     """Return the files below a folder; links that leave it are left out, hidden files are not looked at.
+
+    With `only`, a form such as `calseq*`, those alone whose relative path has it; * stands for anything.
 
     Raises
     ------
@@ -69,6 +72,8 @@ def list_folder(folder: Path) -> Listing:
     files: list[str] = []
     left_out: list[LeftOut] = []
     for name, why in _entries(root, root, 0):
+        if only is not None and not fnmatchcase(name, only):
+            continue
         if why is None:
             files.append(name)
         else:
@@ -77,6 +82,8 @@ def list_folder(folder: Path) -> Listing:
             raise InvalidInput(
                 f"{folder} has more than {MOST_FILES} files: import its sub-folders one after the other"
             )
+    if only is not None and not files:
+        raise InvalidInput(f"no file of {folder} has a path of the form '{printable(only)}': correct --only")
     return Listing(root, tuple(sorted(files, key=natural)), tuple(left_out))
 
 
@@ -132,8 +139,11 @@ class NamePattern:
     names: tuple[str, ...]
 
     @classmethod
-    def parse(cls, text: str) -> NamePattern:
-        """Read a pattern of placeholders and `*`; raise `InvalidInput` for one that cannot be."""
+    def parse(cls, text: str, cameras: Collection[str] = ()) -> NamePattern:
+        """Read a pattern of placeholders and `*`; raise `InvalidInput` for one that cannot be.
+
+        `cameras` is what the names call cameras, where that is not C1, C2, ...
+        """
         if text.startswith(("/", "\\")) or ".." in text.split("/") or re.match(r"[A-Za-z]:", text):
             raise InvalidInput(
                 f"the pattern '{printable(text)}' leaves the folder: write it relative to it, without .."
@@ -157,7 +167,8 @@ class NamePattern:
             if name in names:
                 raise InvalidInput(f"the pattern '{printable(text)}' has {{{name}}} twice: write * for one")
             names.append(name)
-            parts.append(f"(?P<{name}>{_PARTS[name]})")
+            foreign = "|".join(map(re.escape, cameras)) if name == "camera" else ""
+            parts.append(f"(?P<{name}>{foreign or _PARTS[name]})")
         parts.append(re.escape(text[end:]))
         rest = "".join(text[a:b] for a, b in _between(text))
         if "{" in rest or "}" in rest:

@@ -13,7 +13,7 @@ from sms_jobs.formats.importers.folders import LeftOut, Listing, natural, printa
 from sms_jobs.formats.importers.image_files import RAW_SUFFIXES, SUFFIXES
 from sms_jobs.formats.importers.layout import FrameLayout, Role
 from sms_jobs.records.campaign import checked_name
-from sms_jobs.records.sensors import split_pair
+from sms_jobs.records.sensors import sensors_of, split_pair
 
 _FAULTS_TOLD = 4
 
@@ -60,9 +60,31 @@ class Arrangement:
         return tuple(dict.fromkeys(t.state for t in self.tuples))
 
     @property
+    def labels(self) -> tuple[str, ...]:
+        """Those of the states that can be labels: others are faults of their tuples."""
+        return tuple(label for label in self.states if is_name(label))
+
+    @property
     def pairs(self) -> tuple[str, ...]:
-        """All pairs, in order."""
-        return tuple(sorted({t.pair for t in self.tuples}, key=natural))
+        """All pairs that can be, in order."""
+        return tuple(sorted({t.pair for t in self.tuples if _is_pair(t.pair)}, key=natural))
+
+
+def is_name(label: str) -> bool:
+    """Say whether a text can be the label of a state."""
+    try:
+        checked_name(label, "state")
+    except InvalidInput:
+        return False
+    return True
+
+
+def _is_pair(pair: str) -> bool:
+    try:
+        sensors_of(pair)
+    except InvalidInput:
+        return False
+    return True
 
 
 _Key = tuple[str, str]

@@ -56,9 +56,22 @@ def _shape(name: str) -> str:
 
 
 def arrange_images(
-    listing: Listing, pattern: NamePattern, camera: str | None, reference: str | None
+    listing: Listing,
+    pattern: NamePattern,
+    camera: str | None,
+    reference: str | None,
+    cameras: Mapping[str, str] | None = None,
 ) -> Arrangement:
     """Sort images into states and cameras by their names; nothing is read.
+
+    Parameters
+    ----------
+    camera
+        Of images whose names do not say it.
+    reference
+        State that comes first.
+    cameras
+        Cameras by what the names call them.
 
     Raises
     ------
@@ -81,7 +94,8 @@ def arrange_images(
         if said is None or not is_image(name):
             left_out.append(LeftOut(name, "does not fit the pattern" if is_image(name) else "is no image"))
             continue
-        groups.setdefault((said["state"], said.get("camera", camera or "C1")), []).append(name)
+        called = said.get("camera", camera or "C1")
+        groups.setdefault((said["state"], (cameras or {}).get(called, called)), []).append(name)
     states = {state for state, _ in groups}
     if reference is not None and reference not in states:
         raise InvalidInput(

@@ -240,14 +240,15 @@ def _points_through(
 ) -> _Through:
     pixels = project(*before[camera], grid), project(*before[projector], grid)
     moved, _ = meet_rays(after[camera], after[projector], *pixels)
-    seen = np.isfinite(moved).all(axis=1)
+    own = point_jacobian(before[camera], before[projector], grid)
+    # Where a lens's distortion folds the image back, no ray is known, and neither is how it moves.
+    seen = np.isfinite(moved).all(axis=1) & np.isfinite(own).all(axis=(1, 2))
     if seen.sum() < 3:
         raise InvalidInput(f"{camera}{projector} sees {seen.sum()} places of the volume: check its corners")
     rows = np.zeros((int(seen.sum()), 3, PER_SENSOR * len(names)))
-    own = point_jacobian(before[camera], before[projector], grid[seen])
     for k, name in enumerate((camera, projector)):
         at = PER_SENSOR * names.index(name)
-        rows[:, :, at : at + PER_SENSOR] = own[:, :, PER_SENSOR * k : PER_SENSOR * (k + 1)]
+        rows[:, :, at : at + PER_SENSOR] = own[seen][:, :, PER_SENSOR * k : PER_SENSOR * (k + 1)]
     return _Through(camera, projector, grid[seen], moved[seen], rows)
 
 

@@ -1,0 +1,129 @@
+"""Images read, checked and entered one by one: what imports of specimens and of boards have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from sms_jobs.bootstrap import Services
+from sms_jobs.cli import output
+from sms_jobs.cli.import_outcomes import Outcome, row_of
+from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.formats.importers.folders import Listing
+from sms_jobs.formats.importers.frames import Arrangement
+from sms_jobs.formats.importers.image_files import RawFormat
+from sms_jobs.formats.importers.image_sets import ImageCamera, image_hash, image_measurement, of_one_size
+from sms_jobs.formats.importers.inspection import Inspected, full_scale_of, inspect, usual_noise
+from sms_jobs.jobs.importing import amend_campaign, import_measurement, known_of
+from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.records.campaign import Campaign, Subject
+
+
+@dataclass(frozen=True)
+class GivenCamera:
+    """What is said of the camera."""
+
+    raw: RawFormat | None = None
+    full_scale: int | None = None
+    gain: float | None = None
+    read_noise: float | None = None
+
+    def given(self) -> dict[str, float | None]:
+        """Return what an image is read with besides its file."""
+        return {"full_scale": self.full_scale, "gain": self.gain, "read_noise": self.read_noise}
+
+
+def inspect_images(listing: Listing, arrangement: Arrangement, camera: GivenCamera) -> list[Inspected]:
+    """Read every file once, before anything is written."""
+    with output.progress_bar() as bar:
+        step = bar.add_task("reading", total=len(arrangement.tuples))
+        return of_one_size(
+            [
+                inspect(listing.folder, one, camera.raw, camera.full_scale, lambda: bar.advance(step))
+                for one in arrangement.tuples
+            ]
+        )
+
+
+def make_campaign(services: Services, existing: Campaign | None, wanted: Campaign) -> None:
+    """Register a campaign that is not there yet, or give it what it does not have."""
+    now = datetime.now(UTC)
+    if existing is None:
+        register_campaign(services.catalogue, services.archive, wanted, None, now)
+    elif wanted != existing:
+        amend_campaign(services.catalogue, services.archive, existing, wanted, now)
+
+
+@dataclass(frozen=True)
+class EnteredImages:
+    """Enters images one after the other."""
+
+    services: Services
+    campaign: str
+    listing: Listing
+    settings: GivenCamera
+    recorded_at: datetime | None
+    newer: bool
+    dry_run: bool
+
+    def all_of(self, inspected: list[Inspected]) -> Outcome:
+        """Enter all that have no fault, and say what became of each."""
+        good = [one for one in inspected if not one.found.faults]
+        remarks = list(dict.fromkeys(r for one in good for r in one.remarks))
+        camera = self._camera(good, remarks) if good else None
+        rows = []
+        with output.progress_bar() as bar:
+            step = bar.add_task("importing", total=len(inspected))
+            for one in inspected:
+                if one.found.faults or camera is None:
+                    rows.append(row_of(one, "refused", "; ".join(one.found.faults)))
+                else:
+                    rows.append(self._one(one, camera))
+                bar.advance(step)
+        return Outcome(rows, remarks)
+
+    def _camera(self, good: list[Inspected], remarks: list[str]) -> ImageCamera:
+        given = self.settings
+        facts = [about for one in good for about in one.facts.values()]
+        full_scale = given.full_scale or full_scale_of(facts, given.raw, remarks)
+        gain, read_noise = given.gain, given.read_noise
+        if gain is None or read_noise is None:
+            usual = usual_noise(full_scale, remarks)
+            gain = usual.gain if gain is None else gain
+            read_noise = usual.read_noise if read_noise is None else read_noise
+        return ImageCamera(full_scale, gain, read_noise)
+
+    def _one(self, one: Inspected, camera: ImageCamera) -> dict[str, Any]:
+        subject = Subject(self.campaign, one.found.state, one.found.pair)
+        digest = image_hash(one, self.settings.given())
+        known = known_of(self.services.catalogue, self.services.archive, subject, digest)
+        if known.status == "there":
+            return row_of(one, "already there", known.path)
+        if self.dry_run:
+            differs = known.status == "other" and not self.newer
+            detail = "it has another image already: say --newer" if differs else ""
+            return row_of(one, "refused" if differs else "would be imported", detail)
+        at = self.recorded_at or one.recorded_at
+        try:
+            done = import_measurement(
+                self.services.catalogue,
+                self.services.archive,
+                subject,
+                image_measurement(self.listing.folder, one, self.settings.raw, camera, at),
+                digest,
+                {
+                    "folder": str(self.listing.folder),
+                    "time_from": "given" if self.recorded_at else "files",
+                    "remarks": list(one.remarks),
+                    "files": [
+                        {"name": name, "sha256": about.sha256, "shows": "image"}
+                        for name, about in one.facts.items()
+                    ],
+                },
+                datetime.now(UTC),
+                newer=self.newer,
+            )
+        except (Conflict, InvalidInput) as error:
+            return row_of(one, "refused", str(error))
+        return row_of(one, "imported", done.path)

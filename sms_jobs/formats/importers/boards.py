@@ -1,0 +1,129 @@
+"""Images of calibration boards: what the board is, which sensors saw it, and the session that they make."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+from pydantic import RootModel
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.importers.frames import told
+from sms_jobs.formats.importers.inspection import Inspected
+from sms_jobs.formats.interchange.text_files import read_text
+from sms_jobs.formats.record_tables import flat
+from sms_jobs.formats.session_tables import check_artefact
+from sms_jobs.formats.written_files import read_toml, validated
+from sms_jobs.records.artefacts import Artefact, Chessboard, CircleBoard
+from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
+from sms_jobs.records.sensors import Box, SensorFormat
+
+BOARD = "board"
+"""What the board of a session is called that is made from images."""
+
+_Board: TypeAlias = CircleBoard | Chessboard
+_SIZE = re.compile(r"(\d{1,3})x(\d{1,3})")
+_LONGEST = 200
+_CAMERA = re.compile(r"(?P<called>[^=\s]+)=(?P<name>C[1-9]\d*)")
+
+
+class _BoardFile(RootModel[Annotated[_Board, flat(CircleBoard, Chessboard, tag="shape")]]):
+    """A file that describes one board."""
+
+
+def load_board(path: Path) -> Artefact:
+    """Read the description of a board, as it stands under [session.artefacts] of a session.
+
+    Raises `ConfigurationError` for what describes none, `NotFound` where there is no such file.
+    """
+    content, places = read_toml(read_text(path, "file of a board"), str(path))
+
+    def checked(found: _BoardFile) -> Artefact:
+        check_artefact(BOARD, found.root)
+        return found.root
+
+    hint = "docs/calibration.md shows boards"
+    return validated(_BoardFile, content, places, hint, checked)
+
+
+def chessboard(size: str, pitch_mm: float | None) -> Chessboard:
+    """Return the chessboard that `9x6` inner corners make; raise `InvalidInput` for what is none."""
+    found = _SIZE.fullmatch(size)
+    if found is None or not all(3 <= int(n) <= _LONGEST for n in found.groups()):
+        raise InvalidInput(
+            f"--chessboard should be its inner corners, columns x rows from 3x3 to {_LONGEST}x{_LONGEST} as "
+            f"in 9x6, not '{size}'"
+        )
+    if pitch_mm is None:
+        raise InvalidInput("the scale of a chessboard is not known: say the side of a square by --pitch-mm")
+    return Chessboard(int(found[1]), int(found[2]), pitch_mm)
+
+
+def named_cameras(text: str | None) -> dict[str, str]:
+    """Return cameras by what file names call them, from `left=C1 right=C2`; `InvalidInput` for others."""
+    named: dict[str, str] = {}
+    for part in (text or "").split():
+        found = _CAMERA.fullmatch(part)
+        if found is None or found["called"] in named or found["name"] in named.values():
+            raise InvalidInput(
+                f"--cameras should say each camera once, as in 'left=C1 right=C2', not '{text}'"
+            )
+        named[found["called"]] = found["name"]
+    return named
+
+
+def session_of_boards(
+    name: str,
+    rig: str,
+    board: Artefact,
+    labels: Iterable[str],
+    sensors: Sequence[SensorFormat],
+    volume: Box | None,
+) -> Campaign:
+    """Return a calibration session of cameras that saw a board in several poses."""
+    return Campaign(
+        name=name,
+        specimen=Specimen(BOARD),
+        rig=rig,
+        states=tuple(LoadState(label, artefact=BOARD) for label in labels),
+        pairs=tuple(s.name for s in sensors),
+        session=CalibrationSession({BOARD: board}, tuple(sensors), volume),
+    )
+
+
+def with_poses(campaign: Campaign, labels: Iterable[str]) -> Campaign:
+    """Return a session with further poses of its board behind its own."""
+    assert campaign.session is not None
+    known = {s.label for s in campaign.states}
+    board = campaign.states[0].artefact
+    added = tuple(LoadState(label, artefact=board) for label in labels if label not in known)
+    return replace(campaign, states=campaign.states + added)
+
+
+def sizes(inspected: Iterable[Inspected]) -> dict[str, SensorFormat]:
+    """Return the size of the images of each camera, of those that have no fault."""
+    found: dict[str, SensorFormat] = {}
+    for one in inspected:
+        for about in one.facts.values():
+            if not one.found.faults:
+                found.setdefault(one.found.pair, SensorFormat(one.found.pair, about.columns, about.rows))
+    return found
+
+
+def of_known_size(inspected: Sequence[Inspected], known: Mapping[str, SensorFormat]) -> list[Inspected]:
+    """Add a fault to images whose size is not that which the session has of their camera."""
+    checked = []
+    for one in inspected:
+        sensor, about = known.get(one.found.pair), next(iter(one.facts.values()), None)
+        if sensor and about and (about.columns, about.rows) != (sensor.columns, sensor.rows):
+            fault = (
+                f"it has {about.columns} x {about.rows} px, but the session says that {sensor.name} has "
+                f"{sensor.columns} x {sensor.rows}: import it into a session of its own"
+            )
+            found = replace(one.found, faults=told([*one.found.faults, fault]))
+            one = replace(one, found=found)
+        checked.append(one)
+    return checked
