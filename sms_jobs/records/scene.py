@@ -82,6 +82,22 @@ class TopHat:
 
 
 @dataclass(frozen=True)
+class StiffenedPanel:
+    """A flat skin with a stringer of T profile along x, whose foot lies on it (thesis section 6.3.1).
+
+    The skin is at z = 0; the foot's top is at its thickness, and the web stands on its middle line y = 0.
+    """
+
+    width_mm: float
+    height_mm: float
+    foot_width_mm: float
+    foot_thickness_mm: float
+    web_height_mm: float
+    web_thickness_mm: float
+    shape: Literal["stiffened-panel"] = "stiffened-panel"
+
+
+@dataclass(frozen=True)
 class PlateAndMirror:
     """A diffuse plate and a mirror that meet in a V along y (thesis section 7.3.1).
 
@@ -103,6 +119,7 @@ Surface: TypeAlias = (
     | Sphere
     | PlateWithHoleAndStep
     | TopHat
+    | StiffenedPanel
     | PlateAndMirror
     | CircleBoard
     | Chessboard
@@ -152,6 +169,21 @@ class HalvesApart:
 
 
 @dataclass(frozen=True)
+class Disbond:
+    """What lies on a skin lifts off it along z over a length: a stringer whose bond has opened (section 6.3).
+
+    Material above z = `level_mm` moves by d_z = gap f(x / length) (1 + tilt y), f as of `MidPointBending`;
+    what lies below stays. The lift must nowhere be negative: tilt times half the width is at most 1.
+    """
+
+    gap_mm: float
+    length_mm: float
+    tilt_per_mm: float = 0.0
+    level_mm: float = 0.01
+    motion: Literal["disbond"] = "disbond"
+
+
+@dataclass(frozen=True)
 class PanTilt:
     """The rotation of a pan-tilt stage about its origin, where its axes meet: R~ of thesis Eq. (2.3).
 
@@ -163,7 +195,7 @@ class PanTilt:
     motion: Literal["pan-tilt"] = "pan-tilt"
 
 
-Deformation: TypeAlias = Rigid | PanTilt | UniaxialStrain | MidPointBending | HalvesApart
+Deformation: TypeAlias = Rigid | PanTilt | UniaxialStrain | MidPointBending | HalvesApart | Disbond
 
 
 @dataclass(frozen=True)

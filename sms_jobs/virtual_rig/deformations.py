@@ -5,7 +5,7 @@ has an exact inverse, so that a ray of light can be followed back to the specime
 
 Kernels take the maps as rows of an array: code 0, then for an affine map x -> A x + b the matrix 1 - 9,
 b 10 - 12 and the inverse matrix 13 - 21; for bending deflection, width, height 1 - 3; for halves apart
-the gap 1.
+the gap 1; for a disbond gap, length, tilt and level 1 - 4.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.scene import (
     Deformation,
+    Disbond,
     HalvesApart,
     MidPointBending,
     PanTilt,
@@ -31,7 +32,7 @@ from sms_jobs.records.scene import (
 
 Floats: TypeAlias = NDArray[np.float64]
 
-AFFINE, BENDING, HALVES = 0, 1, 2
+AFFINE, BENDING, HALVES, DISBOND = 0, 1, 2, 3
 
 
 def packed_chain(deformation: Iterable[Deformation], placement: Pose) -> Floats:
@@ -49,6 +50,8 @@ def bending_slack(deformation: Iterable[Deformation]) -> float:
             slack += abs(d.deflection_mm)
         elif isinstance(d, HalvesApart):
             slack += abs(d.gap_mm)
+        elif isinstance(d, Disbond):
+            slack += 2.0 * abs(d.gap_mm)
     return slack
 
 
@@ -64,6 +67,10 @@ def _packed(deformation: Deformation) -> Floats:
     row = np.zeros(22)
     if isinstance(deformation, MidPointBending):
         row[:4] = BENDING, deformation.deflection_mm, deformation.width_mm, deformation.height_mm
+    elif isinstance(deformation, Disbond):
+        row[:5] = (
+            DISBOND, deformation.gap_mm, deformation.length_mm, deformation.tilt_per_mm, deformation.level_mm
+        )  # fmt: skip
     else:
         row[:2] = HALVES, deformation.gap_mm
     return row
@@ -80,6 +87,14 @@ def deflection_line(s: float) -> tuple[float, float]:
     if r >= 0.5:
         return 0.0, 0.0
     return 1.0 + r * r * (16.0 * r - 12.0), s * (48.0 * r - 24.0)
+
+
+@kernel
+def _lift(m: Floats, x: float, y: float) -> tuple[float, float, float]:
+    """Return how far a disbond lifts what lies at (x, y), and the slopes of that along x and y."""
+    f, df = deflection_line(x / m[2])
+    tilted = 1.0 + m[3] * y
+    return m[1] * f * tilted, m[1] * df / m[2] * tilted, m[1] * f * m[3]
 
 
 @kernel
@@ -109,6 +124,12 @@ def carried(
             z += m[1] * f * g
             nx -= m[1] * df / m[2] * g * nz
             ny -= m[1] * f * dg / m[3] * nz
+        elif m[0] == DISBOND:
+            if z > m[4]:
+                lift, along, across = _lift(m, x, y)
+                z += lift
+                nx -= along * nz
+                ny -= across * nz
         elif x < 0.0:
             x -= 0.5 * m[1]
         else:
@@ -122,8 +143,8 @@ def followed_back(
 ) -> tuple[float, float, float, float, float, float, bool]:
     """Carry a point of the world and a direction back to the specimen at rest: the inverse of `carried`.
 
-    The last value is False in a gap between halves, which comes from no material; the point is then
-    taken to the edge of the gap.
+    The last value is False in a gap between halves or under a disbond, which comes from no material; the
+    point is then taken to the edge of the gap.
     """
     material = True
     for i in range(chain.shape[0] - 1, -1, -1):
@@ -145,6 +166,12 @@ def followed_back(
             g, dg = deflection_line(y / m[3])
             z -= m[1] * f * g
             vz -= m[1] * (df / m[2] * g * vx + f * dg / m[3] * vy)
+        elif m[0] == DISBOND:
+            if z > m[4]:
+                lift, along, across = _lift(m, x, y)
+                material = material and z > m[4] + lift
+                z = max(z - lift, m[4])
+                vz -= along * vx + across * vy
         else:
             half = 0.5 * m[1]
             if abs(x) < half:
@@ -184,6 +211,12 @@ def gradients(chain: Floats, material: Floats) -> Floats:
             f, df = _deflection_lines(x[:, 0] / width)
             g, dg = _deflection_lines(x[:, 1] / height)
             slope = deflection * np.stack([df * g / width, f * dg / height], axis=-1)
+            total[:, 2] += np.einsum("ni,nij->nj", slope, total[:, :2])
+        elif row[0] == DISBOND:
+            gap, length, tilt, level = row[1:5]
+            f, df = _deflection_lines(x[:, 0] / length)
+            slope = gap * np.stack([df * (1.0 + tilt * x[:, 1]) / length, f * tilt], axis=-1)
+            slope[x[:, 2] <= level] = 0.0
             total[:, 2] += np.einsum("ni,nij->nj", slope, total[:, :2])
         x = carried_points(chain[i : i + 1], x)
     return total

@@ -24,6 +24,7 @@ from sms_jobs.records.scene import (
     PlateAndMirror,
     PlateWithHoleAndStep,
     Sphere,
+    StiffenedPanel,
     Surface,
     TopHat,
     Vector,
@@ -35,6 +36,7 @@ Floats: TypeAlias = NDArray[np.float64]
 PLANE, CYLINDER, SPHERE = 0, 1, 2
 X_AXIS: Vector = (1.0, 0.0, 0.0)
 Y_AXIS: Vector = (0.0, 1.0, 0.0)
+_BOND_MM = 0.02  # between skin and stringer
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,8 @@ def patches_of(surface: Surface) -> tuple[Patch, ...]:
         return _plate_with_hole_and_step(surface)
     if isinstance(surface, TopHat):
         return _top_hat(surface)
+    if isinstance(surface, StiffenedPanel):
+        return _stiffened_panel(surface)
     if isinstance(surface, PlateAndMirror):
         return _plate_and_mirror(surface)
     if isinstance(surface, BallBar):
@@ -226,6 +230,34 @@ def _top_hat(surface: TopHat) -> tuple[Patch, ...]:
         strip(3, (0.0, 0.0, -low), top, X_AXIS, 0.0, holes),
         strip(4, (x_side, 0.0, 0.0), slope, fall, s_side),
         strip(5, (x_base, 0.0, low), base, X_AXIS, s_base),
+    )
+
+
+def _stiffened_panel(surface: StiffenedPanel) -> tuple[Patch, ...]:
+    """Return skin (1), the foot's halves (2: +y, 3: -y), the web's top (4), its sides and the foot's (5 - 8).
+
+    The skin goes on under the foot; the sides of the foot end just above it, where a disbond opens.
+    """
+    width, foot, web = surface.width_mm, surface.foot_width_mm, surface.web_thickness_mm
+    thickness, height = surface.foot_thickness_mm, surface.web_height_mm
+    half, middle, top = (foot - web) / 2.0, (foot + web) / 4.0, thickness + height
+    up: Vector = (0.0, 0.0, 1.0)
+    back: Vector = (-1.0, 0.0, 0.0)
+
+    def side(region: int, y: float, low: float, high: float) -> Patch:
+        """Return the wall at y, from low to high, facing away from the web's middle."""
+        along = back if y > 0.0 else X_AXIS
+        return _rectangle(region, (0.0, y, (low + high) / 2.0), width, high - low, along, up)
+
+    return (
+        _rectangle(1, (0.0, 0.0, 0.0), width, surface.height_mm),
+        _rectangle(2, (0.0, middle, thickness), width, half),
+        _rectangle(3, (0.0, -middle, thickness), width, half),
+        _rectangle(4, (0.0, 0.0, top), width, web),
+        side(5, web / 2.0, thickness, top),
+        side(6, -web / 2.0, thickness, top),
+        side(7, foot / 2.0, _BOND_MM, thickness),
+        side(8, -foot / 2.0, _BOND_MM, thickness),
     )
 
 
