@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,11 +14,17 @@ from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs.registration import register_campaign
 
+if TYPE_CHECKING:
+    from sms_jobs.virtual_rig.campaigns import Made, Size
+
 EXPERIMENTS: Mapping[str, str] = {
     "top-hat-bending": "a top hat of sheet metal pushed out at its middle, two cameras, two projectors "
     "(section 5.3)",
     "hole-and-step": "a plate with a hole and a step, moved in its plane (section 4.6)",
     "tension-panel": "a flat panel of 290 mm stretched by 500, 1000 and 2000 microstrain (section 6.2)",
+    "wing-panel": "a wing panel of 660 mm in tension and compression, from three positions of the rig: three "
+    "campaigns (section 6.2)",
+    "disbond-buckling": "a stiffened panel in compression, whose stringer comes off the skin (section 6.3)",
     "plate-and-mirror": "a white plate that a mirror lights a second time (section 7.3.1)",
 }
 
@@ -53,24 +59,41 @@ def simulate(
         return
     if experiment not in EXPERIMENTS:
         raise InvalidInput(f"there is no experiment '{experiment}'; choose among {', '.join(EXPERIMENTS)}")
-    # Other commands of this group load without the virtual rig.
-    from sms_jobs.virtual_rig import campaigns
-
-    made = {
-        "top-hat-bending": campaigns.top_hat_bending,
-        "hole-and-step": campaigns.hole_and_step_translation,
-        "tension-panel": campaigns.tension_panel,
-        "plate-and-mirror": campaigns.plate_and_mirror,
-    }[experiment]
-    calibration, campaign = made(name or experiment, "small" if small else "full")
+    found = _made(experiment, name or experiment, "small" if small else "full")
     with bootstrap.services(home) as services:
-        register_campaign(services.catalogue, services.archive, campaign, calibration, datetime.now(UTC))
+        for calibration, campaign in found:
+            register_campaign(services.catalogue, services.archive, campaign, calibration, datetime.now(UTC))
+    facts = [
+        {"campaign": campaign.name, "states": len(campaign.states), "pairs": list(campaign.pairs)}
+        for _, campaign in found
+    ]
     if as_json:
-        output.print_json(
-            {"campaign": campaign.name, "states": len(campaign.states), "pairs": list(campaign.pairs)}
-        )
+        # One campaign as it always was; several positions of the rig as a list of them.
+        if len(facts) == 1:
+            output.print_json(facts[0])
+        else:
+            output.print_json_list(facts)
         return
-    output.say(
-        f"created campaign {campaign.name}: {len(campaign.states)} states, {', '.join(campaign.pairs)}; "
-        f"'sms job submit simulate pipeline -c {campaign.name}' measures it"
+    for _, campaign in found:
+        output.say(
+            f"created campaign {campaign.name}: {len(campaign.states)} states, {', '.join(campaign.pairs)}; "
+            f"'sms job submit simulate pipeline -c {campaign.name}' measures it"
+        )
+
+
+def _made(experiment: str, name: str, size: Size) -> tuple[Made, ...]:
+    """Return the campaigns of an experiment, each with its calibration."""
+    # Other commands of this group load without the virtual rig.
+    from sms_jobs.virtual_rig import campaigns, wing_campaigns
+
+    if experiment == "wing-panel":
+        return wing_campaigns.wing_panel(name, size)
+    return (
+        {
+            "top-hat-bending": campaigns.top_hat_bending,
+            "hole-and-step": campaigns.hole_and_step_translation,
+            "tension-panel": campaigns.tension_panel,
+            "disbond-buckling": wing_campaigns.disbond_buckling,
+            "plate-and-mirror": campaigns.plate_and_mirror,
+        }[experiment](name, size),
     )

@@ -103,7 +103,7 @@ def top_hat_bending(name: str, size: Size) -> Made:
         bending_rig(size),
         hat,
         Speckle(diameter_mm=6.0 * 2500.0 / (CAMERA_LENS.focal * PIXELS[size])),
-        _placed((0.02, -0.015, 0.01), (3.0, -2.0, 5.0)),
+        placed((0.02, -0.015, 0.01), (3.0, -2.0, 5.0)),
         CameraResponse(exposure=1.0),
         BENDING_PROJECTOR,
     )
@@ -117,7 +117,7 @@ def top_hat_bending(name: str, size: Size) -> Made:
         load_n, time = 38.0 * deflection, START + number * HOLD
         states.append(LoadState(f"S{number:02d}", load_n, deflection, time, deformation=deformation))
     specimen = Specimen("top hat", "aluminium", "1 mm sheet bent along four lines, two holes in the top")
-    return _made(name, BENDING_VOLUME, specimen, tuple(states), FringeSequence(), scene)
+    return made(name, BENDING_VOLUME, specimen, tuple(states), FringeSequence(), scene)
 
 
 def small_plate(name: str) -> Made:
@@ -136,7 +136,7 @@ def small_plate(name: str) -> Made:
         Rig("small-virtual-rig", sensors),
         Plane(150.0, 150.0),
         Speckle(diameter_mm=7.0),
-        _placed((0.05, -0.03, 0.04), (1.0, -2.0, 3.0)),
+        placed((0.05, -0.03, 0.04), (1.0, -2.0, 3.0)),
         CameraResponse(exposure=0.9),
     )
     stretched = (UniaxialStrain(0.005, 0.3), Rigid((0.001, -0.002, 0.003), (0.8, -0.5, 0.6)))
@@ -146,7 +146,7 @@ def small_plate(name: str) -> Made:
     )
     specimen = Specimen("small plate", "polymer", "flat plate of 150 mm in tension")
     volume = Box((-100.0, -100.0, -50.0), (100.0, 100.0, 50.0))
-    return _made(name, volume, specimen, states, FringeSequence((16, 15, 14, 12, 8)), scene)
+    return made(name, volume, specimen, states, FringeSequence((16, 15, 14, 12, 8)), scene)
 
 
 def hole_and_step_translation(name: str, size: Size) -> Made:
@@ -156,7 +156,7 @@ def hole_and_step_translation(name: str, size: Size) -> Made:
     """
     pixels = PIXELS[size]
     lens = Lens(3.3, -0.08, 0.12, 2e-4, -3e-4)
-    sensors = _scanner(pixels, lens, Lens(2.4, -0.05, 0.08, -4e-4, 2e-4), 2700.0)
+    sensors = scanner(pixels, lens, Lens(2.4, -0.05, 0.08, -4e-4, 2e-4), 2700.0)
     surface = PlateWithHoleAndStep(
         640.0, 640.0, (-140.0, 60.0), 70.0, step_centre_mm=(150.0, -80.0), step_size_mm=(180.0, 220.0),
         step_height_mm=40.0,
@@ -165,7 +165,7 @@ def hole_and_step_translation(name: str, size: Size) -> Made:
         Rig("virtual-scanner", sensors),
         surface,
         Speckle(diameter_mm=7.0 * 2700.0 / (lens.focal * pixels)),
-        _placed((0.0, 0.1745, 0.0), (0.0, 0.0, 0.0)),
+        placed((0.0, 0.1745, 0.0), (0.0, 0.0, 0.0)),
         CameraResponse(exposure=0.9),
         ProjectorResponse(defocus_px=0.8, visibility=0.95),
     )
@@ -180,7 +180,7 @@ def hole_and_step_translation(name: str, size: Size) -> Made:
         for number, shift in enumerate(shifts)
     )
     specimen = Specimen("plate with hole and step", "plastic", "discontinuous plate on a translation stage")
-    return _made(name, _cube(360.0), specimen, states, FringeSequence(), scene)
+    return made(name, cube(360.0), specimen, states, FringeSequence(), scene)
 
 
 def tension_panel(name: str, size: Size) -> Made:
@@ -190,12 +190,12 @@ def tension_panel(name: str, size: Size) -> Made:
     """
     pixels = PIXELS[size]
     lens = Lens(6.6, -0.08, 0.12, 2e-4, -3e-4)
-    sensors = _scanner(pixels, lens, Lens(5.0, -0.05, 0.08, -4e-4, 2e-4), 2200.0)
+    sensors = scanner(pixels, lens, Lens(5.0, -0.05, 0.08, -4e-4, 2e-4), 2200.0)
     scene = Scene(
         Rig("virtual-scanner", sensors),
         Plane(290.0, 290.0),
         Speckle(diameter_mm=6.0 * 2200.0 / (lens.focal * pixels)),
-        _placed((0.03, -0.02, 0.01), (2.0, -1.0, 4.0)),
+        placed((0.03, -0.02, 0.01), (2.0, -1.0, 4.0)),
         CameraResponse(exposure=0.9),
         ProjectorResponse(defocus_px=0.8, visibility=0.95),
     )
@@ -206,7 +206,7 @@ def tension_panel(name: str, size: Size) -> Made:
         load_n, time = 7.0e7 * strain, START + number * HOLD
         states.append(LoadState(f"S{number:02d}", load_n, 290.0 * strain, time, deformation=deformation))
     specimen = Specimen("tension panel", "aluminium", "flat panel, 2 mm thick, stretched along x")
-    return _made(name, _cube(160.0), specimen, tuple(states), FringeSequence(), scene)
+    return made(name, cube(160.0), specimen, tuple(states), FringeSequence(), scene)
 
 
 def plate_and_mirror(name: str, size: Size, fringes: int = 64) -> Made:
@@ -217,7 +217,7 @@ def plate_and_mirror(name: str, size: Size, fringes: int = 64) -> Made:
     """
     pixels = PIXELS[size]
     lens = Lens(3.6, -0.08, 0.12, 2e-4, -3e-4)
-    sensors = _scanner(pixels, lens, Lens(2.8, -0.05, 0.08, -4e-4, 2e-4), 2500.0)
+    sensors = scanner(pixels, lens, Lens(2.8, -0.05, 0.08, -4e-4, 2e-4), 2500.0)
     opening = 2.0 * np.pi / 3.0
     lean = (np.pi - opening) / 2.0
     # The hinge is brought along X, the plate along Y, and the plate's normal along Z.
@@ -233,10 +233,10 @@ def plate_and_mirror(name: str, size: Size, fringes: int = 64) -> Made:
     states = (LoadState("S00", time=START),)
     specimen = Specimen("plate and mirror", "plastic", "diffuse white plate and a mirror in a V")
     sequence = FringeSequence(tuple(range(fringes)))
-    return _made(name, _cube(330.0), specimen, states, sequence, scene)
+    return made(name, cube(330.0), specimen, states, sequence, scene)
 
 
-def _scanner(pixels: int, camera: Lens, projector: Lens, distance: float) -> tuple[Sensor, ...]:
+def scanner(pixels: int, camera: Lens, projector: Lens, distance: float) -> tuple[Sensor, ...]:
     """Return one camera and one projector, 1.2 m apart along x, at a distance from the world's origin."""
     z = float(np.sqrt(distance**2 - 600.0**2))
     return (
@@ -245,11 +245,12 @@ def _scanner(pixels: int, camera: Lens, projector: Lens, distance: float) -> tup
     )
 
 
-def _cube(half_mm: float) -> Box:
+def cube(half_mm: float) -> Box:
+    """Return a cube about the world's origin."""
     return Box((-half_mm, -half_mm, -half_mm), (half_mm, half_mm, half_mm))
 
 
-def _made(
+def made(
     name: str,
     volume: Box,
     specimen: Specimen,
@@ -257,10 +258,12 @@ def _made(
     sequence: FringeSequence,
     scene: Scene,
 ) -> Made:
+    """Return a campaign on a scene, measured by all its pairs, with its exact calibration."""
     rig = scene.rig
     calibration = Calibration(rig, volume, START, ORIGIN)
     return calibration, Campaign(name, specimen, rig.name, states, rig.pairs(), sequence, scene)
 
 
-def _placed(rotation_rad: Vector, translation_mm: Vector) -> Pose:
+def placed(rotation_rad: Vector, translation_mm: Vector) -> Pose:
+    """Return the pose of a rotation vector in rad and a shift in mm."""
     return Pose.from_arrays(Rotation.from_rotvec(rotation_rad).as_matrix(), np.array(translation_mm))

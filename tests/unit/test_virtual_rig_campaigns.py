@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -19,7 +20,8 @@ from sms_jobs.virtual_rig.campaigns import (
 )
 from sms_jobs.virtual_rig.light import trace
 from sms_jobs.virtual_rig.rendering import render
-from sms_jobs.virtual_rig.truth import exact_shape
+from sms_jobs.virtual_rig.truth import exact_shape, exact_truth
+from sms_jobs.virtual_rig.wing_campaigns import disbond_buckling, wing_panel
 
 HAT = top_hat_bending("hat", "small")[1]
 PRINTED = [
@@ -27,8 +29,9 @@ PRINTED = [
     top_hat_bending("hat", "small"),
     hole_and_step_translation("step", "small"),
     tension_panel("panel", "small"),
+    disbond_buckling("stringer", "small"),
 ]
-NAMES = ["plate", "hat", "step", "panel"]
+NAMES = ["plate", "hat", "step", "panel", "stringer"]
 
 
 def simulation(campaign: Campaign, state: int, pair: str) -> Simulation:
@@ -116,3 +119,38 @@ def test_the_lower_half_of_the_plate_is_lit_twice() -> None:
     assert 0.15 < ratio.min() < ratio.max() < 0.6
     # In the mirror the camera sees the plate again, lit in both ways.
     assert (light.strength[0, ::2, ::2] > 0.0)[shape.region == 2].mean() > 0.7
+
+
+def test_the_stringer_lifts_off_the_skin() -> None:
+    _, campaign = PRINTED[NAMES.index("stringer")]
+    truth = exact_truth(simulation(campaign, 0, "C1P1"), simulation(campaign, 4, "C1P1"))
+    assert campaign.scene is not None
+    out = np.einsum("i,irc->rc", campaign.scene.placement.matrix()[:, 2], truth.displacement)
+    x, y, _ = truth.shape.material
+    region, middle = truth.shape.region, np.abs(x) < 5.0
+    beside = np.abs(np.abs(y) - 42.0) < 2.0
+    lift = [out[middle & (region == r) & (np.abs(y) > 36.0)].mean() for r in (2, 3)]
+    for side, sign in zip(lift, (1.0, -1.0), strict=True):
+        skin = out[middle & (region == 1) & beside & (y * sign > 0.0)].mean()
+        # 3 mm (1 +- 0.008 x 38); the skin is 4 mm farther out, where it bends by 24 x 160 / 600^2 = 0.011 mm
+        # less, and the foot is up to 5 mm off the middle, f > 0.993 there.
+        assert side - skin == pytest.approx(3.0 * (1.0 + sign * 0.008 * 38.0), abs=0.06)
+    # Foot and web are wide enough to be seen; the sides of the web are not, since the baseline runs along it.
+    seen = {r: int(((region == r) & truth.shape.lit).sum()) for r in range(1, 9)}
+    assert min(seen[1], seen[2], seen[3]) > 10_000
+    assert seen[4] > 2_000
+    assert max(seen[5], seen[6]) < 0.1 * seen[2]
+
+
+def test_the_wing_panel_is_seen_from_three_positions_that_overlap() -> None:
+    ranges = []
+    for (calibration, campaign), number in zip(wing_panel("wing", "small"), (1, 2, 3), strict=True):
+        assert campaign.name == f"wing-{number}"
+        shape = exact_shape(simulation(campaign, 0, "C1P1"))
+        low, high = (np.array(c)[:, None, None] for c in (calibration.volume.low, calibration.volume.high))
+        assert ((shape.xyz > low) & (shape.xyz < high)).all(axis=0)[shape.seen].all()
+        ranges.append((np.nanmin(shape.material[0]), np.nanmax(shape.material[0])))
+        assert np.ptp(shape.material[1][shape.seen]) > 174.0
+    for (_, end), (start, _) in pairwise(sorted(ranges)):
+        assert 100.0 < end - start < 180.0
+    assert (min(r[0] for r in ranges), max(r[1] for r in ranges)) == pytest.approx((-330.0, 330.0), abs=20.0)
