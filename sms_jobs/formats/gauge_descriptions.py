@@ -11,30 +11,62 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.deformation.gauges import GaugePlace
 
 _FORM = "NAME x=MM y=MM length=MM [width=MM] [angle=DEGREES]"
+_FORM_PX = "NAME x=100px y=80px length=60px [width=30px] [angle=DEGREES]"
+_LENGTHS = ("x", "y", "length", "width")
 
 
-def gauge_from(text: str) -> tuple[str, GaugePlace]:
-    """Return the name and place that 'G1 x=10 y=-20 length=6 width=3 angle=45' describes.
+@dataclass(frozen=True)
+class DescribedGauge:
+    """A gauge as it was written: its name, its place, and the unit of the place's lengths, mm or px."""
 
-    Without a width the grid is half as wide as long; without an angle it lies along the specimen's x axis.
+    name: str
+    place: GaugePlace
+    unit: str
+
+
+def described_gauge(text: str) -> DescribedGauge:
+    """Return what 'G1 x=10 y=-20 length=6 width=3 angle=45' or 'G1 x=100px y=80px length=60px' describes.
+
+    Without a width the grid is half as wide as long; without an angle it lies along the x axis. Raises
+    `InvalidInput` for anything else.
     """
     name, *words = text.split()
     given: dict[str, float] = {}
+    units: set[str] = set()
     for word in words:
         key, equals, value = word.partition("=")
+        if key in _LENGTHS:
+            units.add("px" if value.endswith("px") else "mm")
+            value = value.removesuffix("px").removesuffix("mm")
         try:
             given[key] = float(value)
         except ValueError:
             equals = ""
-        if not equals or key not in ("x", "y", "length", "width", "angle") or not isfinite(given[key]):
+        if not equals or key not in (*_LENGTHS, "angle") or not isfinite(given[key]):
             raise InvalidInput(f"'{word}' of gauge '{name}' cannot be understood; write {_FORM}")
     missing = [key for key in ("x", "y", "length") if key not in given]
     if missing or "=" in name:
         raise InvalidInput(f"gauge '{text}' has no {missing[0] if missing else 'name'}; write {_FORM}")
+    if len(units) > 1:
+        raise InvalidInput(f"gauge '{name}' has lengths in mm and in px; write {_FORM} or {_FORM_PX}")
     width = given.get("width", 0.5 * given["length"])
     if given["length"] <= 0.0 or width <= 0.0:
         raise InvalidInput(f"gauge '{name}' must be longer and wider than 0 mm; write {_FORM}")
-    return name, GaugePlace(given["x"], given["y"], given["length"], width, radians(given.get("angle", 0.0)))
+    angle = radians(given.get("angle", 0.0))
+    return DescribedGauge(
+        name, GaugePlace(given["x"], given["y"], given["length"], width, angle), units.pop()
+    )
+
+
+def gauge_from(text: str) -> tuple[str, GaugePlace]:
+    """Return the name and place of a gauge on a surface, in mm; raise `InvalidInput` for one in pixels."""
+    found = described_gauge(text)
+    if found.unit != "mm":
+        raise InvalidInput(
+            f"gauge '{found.name}' is in pixels, which are for cameras without a projector; on a surface "
+            f"write {_FORM}"
+        )
+    return found.name, found.place
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from sms_jobs.kinds.kind import (
     deformed_images,
     deformed_images_alone,
 )
+from sms_jobs.kinds.planes import pixel_plane
 from sms_jobs.kinds.point_matches import (
     match_settings,
     match_statistics,
@@ -186,12 +187,6 @@ def _reasons(
     reason[plain] = Reason.NO_TEXTURE
     reason[~inside] = Reason.OUTSIDE_REGION
     return reason
-
-
-def pixel_plane(shape: tuple[int, ...]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Return the pixels as points of a plane, (3, rows, columns): x to the right, y up, in px."""
-    row, column = np.mgrid[0 : shape[0], 0 : shape[1]].astype(np.float64)
-    return np.stack([column, -row, np.zeros(shape)])
 
 
 def _statistics(field: PlanarDisplacement, matches: ImageMatches) -> dict[str, float]:

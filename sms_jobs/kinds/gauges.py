@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.gauge_descriptions import gauge_from
+from sms_jobs.formats.gauge_descriptions import DescribedGauge, described_gauge, gauge_from
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     Inputs,
@@ -19,18 +21,21 @@ from sms_jobs.kinds.kind import (
     Parameters,
     Progress,
     Scope,
-    deformed_tuples,
+    deformed_images,
 )
+from sms_jobs.kinds.planes import as_surface
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
-from sms_jobs.metrology.deformation.gauges import read_gauge
+from sms_jobs.metrology.deformation.gauges import GaugePlace, GaugeValue, read_gauge
 from sms_jobs.metrology.deformation.strain import independent_equivalent
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import turn_covariance
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import DisplacementField, PointCloud, Regions, StrainMeasure
 from sms_jobs.records.gauges import GaugeReadings
+from sms_jobs.records.planar import PlanarDisplacement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import AT_ORIGIN
+from sms_jobs.records.sensors import has_projector
 
 
 class GaugesParameters(Parameters):
@@ -38,8 +43,10 @@ class GaugesParameters(Parameters):
 
     gauge: tuple[str, ...] = Field(
         min_length=1,
-        description="gauges, each as 'NAME x=MM y=MM length=MM [width=MM] [angle=DEGREES]' in the specimen's "
-        "frame, parted by semicolons; best declared once, under [processing.gauges] of the test plan",
+        description="gauges, each as 'NAME x=MM y=MM length=MM [width=MM] [angle=DEGREES]' in the "
+        "specimen's frame, parted by semicolons; of a camera alone in its reference image, x rightwards and "
+        "y down from its first pixel, also in pixels, as in x=450px; best declared once, under "
+        "[processing.gauges] of the test plan",
     )
     measure: StrainMeasure = Field(
         "green-lagrange", description="Green-Lagrange strain, which no rotation changes, or small strain"
@@ -57,7 +64,7 @@ class GaugesParameters(Parameters):
     @classmethod
     def _described(cls, gauges: tuple[str, ...]) -> tuple[str, ...]:
         try:
-            names = [gauge_from(text)[0] for text in gauges]
+            names = [described_gauge(text).name for text in gauges]
         except InvalidInput as error:
             raise ValueError(str(error)) from error
         if len(set(names)) < len(names):
@@ -66,6 +73,9 @@ class GaugesParameters(Parameters):
 
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+    if not has_projector(subject.pair or ""):
+        yield Need("displacement", "correlate-images", subject)
+        return
     yield Need("displacement", "correlate", subject)
     yield Need("reference", "reconstruct", Subject(subject.campaign, campaign.reference.label, subject.pair))
 
@@ -77,6 +87,36 @@ def specimen_pose(campaign: Campaign, subject: Subject) -> Pose:
 
 def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Iterator[Output]:
     """Fit the stored displacement under each gauge; nothing is correlated again."""
+    on_surface = has_projector(inputs.subject.pair or "")
+    found = (_on_surface if on_surface else _in_image)(inputs, parameters, progress)
+    names = tuple(described_gauge(text).name for text in parameters.gauge)
+    readings = GaugeReadings(
+        parameters.measure,
+        names,
+        np.array([value.strain for value in found.values]),
+        np.array([value.sigma for value in found.values], dtype=np.float32),
+        found.place_mm,
+        np.array([value.pixels for value in found.values], dtype=np.int32),
+        found.place_px,
+    )
+    known = np.isfinite(readings.strain)
+    statistics = {"gauges": float(len(names)), "gauges_read": float(known.sum())}
+    if known.any():
+        statistics["largest_gauge_strain"] = float(readings.strain[known].max())
+    yield DatasetOutput(inputs.subject, {"gauges": readings}, statistics)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What the gauges read, and where their middles are: (gauges, 3) in mm, (gauges, 2) in px."""
+
+    values: list[GaugeValue]
+    place_mm: NDArray[np.float64]
+    place_px: NDArray[np.float64] | None = None
+
+
+def _on_surface(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> _Found:
+    """Read gauges on a surface that fringes have measured, in the specimen's frame."""
     moved = inputs.read("displacement", "displacement", DisplacementField)
     regions = inputs.read("displacement", "regions", Regions)
     cloud = inputs.read("reference", "cloud", PointCloud)
@@ -87,7 +127,6 @@ def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Ite
     xyz = np.einsum("ij,jrc->irc", turn, cloud.xyz - np.array(placement.translation)[:, None, None])
     displacement = np.einsum("ij,jrc->irc", turn, moved.displacement)
     rows = []
-    names = []
     for number, text in enumerate(parameters.gauge, start=1):
         name, place = gauge_from(text)
         covariance = independent_equivalent(
@@ -95,7 +134,7 @@ def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Ite
             cloud.covariance,
             averaging_radius_px=moved.averaging_radius_px,
             subset_radius_px=moved.subset_radius_px,
-            disc_radius_px=np.sqrt(place.length_mm * place.width_mm / np.pi) / pitch,
+            disc_radius_px=_equal_disc(place) / pitch,
         )
         rows.append(
             read_gauge(
@@ -107,21 +146,64 @@ def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Ite
                 green_lagrange=parameters.measure == "green-lagrange",
             )
         )
-        names.append(name)
         progress(number / len(parameters.gauge), f"read {name}")
-    readings = GaugeReadings(
-        parameters.measure,
-        tuple(names),
-        np.array([row.strain for row in rows]),
-        np.array([row.sigma for row in rows], dtype=np.float32),
-        np.stack([row.middle for row in rows]),
-        np.array([row.pixels for row in rows], dtype=np.int32),
+    return _Found(rows, np.stack([row.middle for row in rows]))
+
+
+def _in_image(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> _Found:
+    """Read gauges in the image of a camera alone, where y points up as it does in stored strain."""
+    moved = inputs.read("displacement", "displacement", PlanarDisplacement)
+    plane = as_surface(moved)
+    rows = []
+    for number, text in enumerate(parameters.gauge, start=1):
+        gauge = described_gauge(text)
+        place = _in_pixels(gauge, moved, inputs.subject)
+        covariance = independent_equivalent(
+            plane.covariance,
+            np.zeros_like(plane.covariance),
+            averaging_radius_px=0.0,
+            subset_radius_px=moved.subset_radius_px,
+            disc_radius_px=_equal_disc(place),
+        )
+        rows.append(
+            read_gauge(
+                place,
+                plane.xyz,
+                plane.displacement,
+                covariance,
+                plane.labels,
+                green_lagrange=parameters.measure == "green-lagrange",
+            )
+        )
+        progress(number / len(parameters.gauge), f"read {gauge.name}")
+    middle = np.stack([row.middle for row in rows])
+    scale = np.nan if moved.mm_per_px is None else moved.mm_per_px
+    return _Found(rows, middle * scale, middle[:, :2] * (1.0, -1.0))
+
+
+def _equal_disc(place: GaugePlace) -> float:
+    """Return the radius of the disc that is as large as a grid."""
+    return float(np.sqrt(place.length_mm * place.width_mm / np.pi))
+
+
+def _in_pixels(gauge: DescribedGauge, moved: PlanarDisplacement, subject: Subject) -> GaugePlace:
+    """Return a place in pixels, y up; raise `InvalidInput` for one in mm where no scale is known."""
+    scale = 1.0
+    if gauge.unit == "mm":
+        if moved.mm_per_px is None:
+            raise InvalidInput(
+                f"the displacement of {subject} has no scale, so a place in mm of gauge {gauge.name} means "
+                "nothing; write px behind its lengths, or correlate again with mm-per-px"
+            )
+        scale = 1.0 / moved.mm_per_px
+    place = gauge.place
+    return GaugePlace(
+        scale * place.x_mm,
+        -scale * place.y_mm,
+        scale * place.length_mm,
+        scale * place.width_mm,
+        place.angle_rad,
     )
-    found = np.isfinite(readings.strain)
-    statistics = {"gauges": float(len(names)), "gauges_read": float(found.sum())}
-    if found.any():
-        statistics["largest_gauge_strain"] = float(readings.strain[found].max())
-    yield DatasetOutput(inputs.subject, {"gauges": readings}, statistics)
 
 
 KIND = Kind(
@@ -132,7 +214,7 @@ KIND = Kind(
     parameters=GaugesParameters,
     needs=_needs,
     run=run,
-    subjects=deformed_tuples,
+    subjects=deformed_images,
     context=specimen_pose,
     in_pipeline=False,
 )

@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import Field
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.correlate_images import pixel_plane
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     Inputs,
@@ -21,6 +20,7 @@ from sms_jobs.kinds.kind import (
     deformed_images,
     deformed_images_alone,
 )
+from sms_jobs.kinds.planes import as_surface
 from sms_jobs.metrology.deformation.strain import independent_equivalent, surface_strain
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import StrainMeasure
@@ -58,21 +58,18 @@ def run(inputs: Inputs, parameters: StrainImagesParameters, progress: Progress) 
                 "with mm-per-px"
             )
         gauge = parameters.gauge_length_mm / moved.mm_per_px
-    u, v = moved.displacement
-    covariance = np.zeros((6, *u.shape))
-    covariance[[0, 3]] = moved.sigma.astype(np.float64) ** 2
-    covariance[:, moved.reason != Reason.VALID] = np.nan
+    plane = as_surface(moved)
     found = surface_strain(
-        pixel_plane(u.shape),
-        np.stack([u, -v, np.where(np.isfinite(u), 0.0, np.nan)]),
+        plane.xyz,
+        plane.displacement,
         independent_equivalent(
-            covariance,
-            np.zeros_like(covariance),
+            plane.covariance,
+            np.zeros_like(plane.covariance),
             averaging_radius_px=0.0,
             subset_radius_px=moved.subset_radius_px,
             disc_radius_px=0.5 * gauge,
         ),
-        (moved.reason == Reason.VALID).astype(np.int32),
+        plane.labels,
         gauge_length_mm=gauge,
         green_lagrange=parameters.measure == "green-lagrange",
         threads=inputs.threads,

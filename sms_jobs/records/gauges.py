@@ -14,9 +14,10 @@ _GAUGES = ("gauge",)
 
 @dataclass(frozen=True)
 class GaugeReadings:
-    """Strain under virtual gauges at one state, seen by one pair.
+    """Strain under virtual gauges at one state, seen by one pair or one camera.
 
-    NaN where fewer than twelve pixels lie under a gauge's grid.
+    NaN where fewer than twelve pixels lie under a gauge's grid. A camera alone knows places in its image;
+    those in mm, with Y upwards from the first pixel, only where a pixel's size is known.
     """
 
     measure: str
@@ -27,3 +28,10 @@ class GaugeReadings:
         "mm", "middle of the grid in the specimen's frame", ("gauge", "component"), XYZ
     )
     pixels: NDArray[np.int32] = array("1", "number of pixels under the grid", _GAUGES)
+    place_px: NDArray[np.float64] | None = array(
+        "px",
+        "middle of the grid in the reference image of a camera alone",
+        ("gauge", "component"),
+        ("column", "row"),
+        default=None,
+    )

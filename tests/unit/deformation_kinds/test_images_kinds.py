@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -11,11 +12,13 @@ import pytest
 from sms_jobs.bench.in_memory import InMemory
 from sms_jobs.bench.speckle_pairs import Floats, speckle_pair
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds import correlate_images, strain_images
+from sms_jobs.kinds import correlate_images, gauges, strain_images
 from sms_jobs.kinds.correlate_images import CorrelateImagesParameters
+from sms_jobs.kinds.gauges import GaugesParameters
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Parameters
 from sms_jobs.kinds.strain_images import StrainImagesParameters
 from sms_jobs.records.campaign import Subject
+from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
 from sms_jobs.records.reasons import Reason
@@ -172,3 +175,40 @@ def test_a_region_of_interest_beside_the_image_is_refused(images: dict[str, dict
     parameters = CorrelateImagesParameters(region_of_interest="rectangle 400 400 500 500")
     with pytest.raises(InvalidInput, match="leaves no pixel of coupon/S01/C1"):
         ran(correlate_images.KIND, parameters, **images)
+
+
+def test_gauges_in_the_image_read_its_strain(moved: PlanarDisplacement) -> None:
+    """A gauge in px, the same in mm, one across and one beside the image."""
+    texts = (
+        "px x=80px y=90px length=60px",
+        "mm x=4 y=4.5 length=3",
+        "across x=80px y=90px length=60px angle=90",
+        "slanted x=80px y=90px length=60px angle=45",
+        "beside x=400px y=90px length=60px",
+    )
+    given = {"displacement": moved}
+    output = ran(gauges.KIND, GaugesParameters(gauge=texts), displacement=given)
+    found = output.records["gauges"]
+    assert isinstance(found, GaugeReadings)
+    gradient = np.array([[ALONG, SHEAR], [0.0, ACROSS]])
+    green = 0.5 * (gradient + gradient.T + gradient.T @ gradient)
+    directions = [np.array([np.cos(a), np.sin(a)]) for a in (0.0, 0.0, np.pi / 2, np.pi / 4)]
+    truth = np.array([d @ green @ d for d in directions])
+    # One gauge of 30 x 60 px each: five stated deviations, which neglect what subsets share, are rare.
+    assert (np.abs(found.strain[:4] - truth) < 5.0 * found.sigma[:4]).all()
+    assert (found.sigma[:4] < 2e-3).all()
+    assert found.strain[0] == pytest.approx(found.strain[1], abs=1e-12)
+    assert np.isnan(found.strain[4])
+    assert found.place_px is not None
+    np.testing.assert_allclose(found.place_px[0], [80.0, 90.0], atol=1.0)
+    np.testing.assert_allclose(found.place[0], [4.0, -4.5, 0.0], atol=0.05)
+
+
+def test_a_gauge_in_mm_needs_a_scale(moved: PlanarDisplacement) -> None:
+    bare = {"displacement": replace(moved, mm_per_px=None)}
+    with pytest.raises(InvalidInput, match="no scale, so a place in mm of gauge G"):
+        ran(gauges.KIND, GaugesParameters(gauge=("G x=4 y=4 length=3",)), displacement=bare)
+    found = ran(gauges.KIND, GaugesParameters(gauge=("G x=80px y=80px length=60px",)), displacement=bare)
+    assert np.isnan(found.records["gauges"].place).all()
+    with pytest.raises(ValueError, match="lengths in mm and in px"):
+        GaugesParameters(gauge=("G x=80px y=80 length=60px",))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.gauge_descriptions import gauge_from, read_gauge_file
+from sms_jobs.formats.gauge_descriptions import described_gauge, gauge_from, read_gauge_file
 from sms_jobs.formats.profiles import GaugeRow, compared
 from sms_jobs.kinds.gauges import GaugesParameters
 from sms_jobs.metrology.deformation.gauges import GaugePlace
@@ -27,6 +27,15 @@ def test_a_gauge_is_read_with_its_defaults() -> None:
 def test_a_gauge_that_cannot_be_understood_is_refused(text: str) -> None:
     with pytest.raises(InvalidInput, match="write NAME x=MM"):
         gauge_from(text)
+
+
+def test_a_gauge_in_pixels_is_for_a_camera_alone() -> None:
+    found = described_gauge("G1 x=450px y=80px length=60px width=20px angle=90")
+    assert (found.name, found.unit) == ("G1", "px")
+    assert found.place == GaugePlace(450.0, 80.0, 60.0, 20.0, pi / 2)
+    assert described_gauge("G1 x=1mm y=2mm length=3mm") == described_gauge("G1 x=1 y=2 length=3")
+    with pytest.raises(InvalidInput, match="on a surface write NAME x=MM"):
+        gauge_from("G1 x=450px y=80px length=60px")
 
 
 def test_several_gauges_come_in_one_text_or_in_many() -> None:
