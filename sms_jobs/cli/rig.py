@@ -192,6 +192,44 @@ def simulate(
             signal.sigwait({signal.SIGINT, signal.SIGTERM})
 
 
+@app.command()
+def serve(
+    rig: Rig,
+    listen: Annotated[
+        str, typer.Option(help="Address and port for clients; 0.0.0.0 is every network of this computer.")
+    ] = "127.0.0.1:7411",
+    key_file: Annotated[
+        Path | None,
+        typer.Option(
+            help="What clients have to know; made if it is missing, by default beside the rig's file."
+        ),
+    ] = None,
+    home: Home = None,
+) -> None:
+    """Lend the cameras and projectors of a scanner to a client, until Ctrl-C.
+
+    For scanners with a computer of their own: the client's rig file names them with driver = "scanner".
+    One client has them at a time; when it is gone, they are dark and still.
+
+    Example: sms rig serve left --listen 192.168.7.11:7411
+    """
+    from sms_jobs.instruments.scanners.keys import made_key
+    from sms_jobs.instruments.scanners.link import Address
+    from sms_jobs.instruments.scanners.server import ScannerServer
+
+    address = Address.parse(listen)
+    with bootstrap.services(home) as services:
+        stations, settings = services.stations, services.settings
+        stations.rig(rig)
+        path = key_file or settings.rig_folder / f"{rig}.key"
+        key = made_key(path)
+    output.log_to_stderr()
+    server = ScannerServer(lambda: stations.rig(rig), address, key, settings.threads)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    output.say(f"serving scanner {rig} on {server.address}; clients need a copy of {path.absolute()}")
+    server.serve()
+
+
 def _with_stage(home: Path | None, rig: str) -> RigFile:
     with bootstrap.services(home) as services:
         described = services.stations.rig(rig)

@@ -9,6 +9,7 @@ from functools import partial
 from types import TracebackType
 
 from sms_jobs.errors import InstrumentError, NotFound
+from sms_jobs.instruments.cameras.scanner import ScannerCamera
 from sms_jobs.instruments.clock import Clock, RealClock
 from sms_jobs.instruments.devices.connecting import Connector
 from sms_jobs.instruments.devices.device import Device
@@ -76,7 +77,7 @@ def connected(
         channels = [connector.channel(c) for c in rig.serial.channels]
         for device in (*boxes, *switches, *channels):
             open_(device)
-        hall = Hall(setting, clock, angles, threads) if rig.simulated and setting is not None else None
+        hall = None if setting is None else Hall(setting, clock, angles, threads)
         cameras, projectors = _sensors_of(rig, Surroundings(clock, stack, hall))
         yield ConnectedRig(
             rig.name,
@@ -87,7 +88,7 @@ def connected(
             {c.name: ChannelValue(c) for c in channels},
             stage,
             WiredVideo(tuple(zip(switches, map(_sensors, rig.serial.splitters), strict=True))),
-            None if hall is None else hall.simulation,
+            hall.simulation if hall is not None and (rig.simulated or _simulated_there(cameras)) else None,
             {name: sensor.describe() for name, sensor in (*cameras.items(), *projectors.items())},
         )
 
@@ -140,6 +141,11 @@ def _sensors_of(
         {c.name: makes[c.driver].connect(c, place) for c in rig.cameras},
         {p.name: lights[p.driver].connect(p, place) for p in rig.projectors},
     )
+
+
+def _simulated_there(cameras: Mapping[str, Camera]) -> bool:
+    """Say whether all cameras are those of scanners that look at a virtual rig."""
+    return bool(cameras) and all(isinstance(c, ScannerCamera) and c.simulated for c in cameras.values())
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ class Surroundings:
     ending
         Takes what is to be done when the rig is let go: sensors are closed in it.
     hall
-        The room of a virtual rig; None for real sensors.
+        The room of a virtual rig, where the campaign describes one; real sensors do not ask for it.
     """
 
     clock: Clock

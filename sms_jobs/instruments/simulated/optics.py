@@ -18,7 +18,8 @@ from sms_jobs.records.scene import Deformation, PanTilt, Scene, Simulation
 from sms_jobs.records.sensors import split_pair
 from sms_jobs.virtual_rig.rendering import Noise, Rendering, render
 
-_WHITE = -1
+WHITE = -1
+"""In place of a pattern's number: full brightness."""
 _FLASH = 2.0
 """What a lamp adds, in units of full scale: nothing else is left to be seen."""
 
@@ -83,7 +84,7 @@ class Hall:
             return np.zeros((rows, columns), np.uint16)
         projector, sequence, number = self._lit
         rendering = self._rendering(camera, projector, sequence)
-        if number == _WHITE:
+        if number == WHITE:
             return rendering.frames.texture(exposure)
         place = sequence.exposures.index(exposure) * sequence.frames_per_exposure + number
         return rendering.frames.frame(place)
@@ -92,7 +93,7 @@ class Hall:
         """Return what a pair truly sees now."""
         camera, projector = split_pair(pair)
         return Simulation(
-            self.setting.scene, camera, projector, self._present_deformation(), self.setting.state
+            self.setting.scene, camera, projector, self.present_deformation(), self.setting.state
         )
 
     def _size(self, camera: str) -> tuple[int, int]:
@@ -101,7 +102,7 @@ class Hall:
 
     def _rendering(self, camera: str, projector: str, sequence: FringeSequence) -> Rendering:
         """Return the frames of a pair; what was seen from one place is kept while nothing moves."""
-        deformation = self._present_deformation()
+        deformation = self.present_deformation()
         key = (camera, projector, sequence, deformation)
         if key not in self._seen:
             # Those of another projector or pose will not be asked for again.
@@ -109,7 +110,8 @@ class Hall:
             self._seen[key] = render(self.simulation(camera + projector), sequence, threads=self.threads)
         return self._seen[key]
 
-    def _present_deformation(self) -> tuple[Deformation, ...]:
+    def present_deformation(self) -> tuple[Deformation, ...]:
+        """Return how what stands there stands now."""
         if self.stage_angles is None:
             return self.setting.deformation
         stage = PanTilt(*self.stage_angles())
@@ -140,7 +142,7 @@ class SimulatedProjector:
 
     def white(self) -> None:
         """Show full brightness."""
-        self.hall.light(self.name, self._sequence, _WHITE)
+        self.hall.light(self.name, self._sequence, WHITE)
         self.hall.clock.sleep(self.settle_s)
 
     def dark(self) -> None:

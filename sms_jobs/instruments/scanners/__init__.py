@@ -1,0 +1,1 @@
+"""Scanners with a computer of their own: a server in each, and a client that lets them record together."""
