@@ -5,6 +5,7 @@
 #   start_servers    exports SMS_TEST_POSTGRESQL_URL and SMS_TEST_REDIS_URL
 #   stop_servers     ends what start_servers started and removes the folder
 #   provide_peers    installs what projectors and cameras are tried against
+#   provide_browser  installs a Chromium for the tests of reports
 #
 # A URL that is set beforehand is used as it is, and no server is started for it.
 
@@ -58,6 +59,17 @@ provide_peers() {
     fi
     # shellcheck disable=SC2086  # a list of words
     if [ -n "$packages" ]; then (provide "a display and a camera" $packages) || true; fi
+}
+
+# The names are those of tests/support/browser.py; SMS_TEST_BROWSER names another, or 'none' to skip its tests.
+provide_browser() {
+    local name what="a Chromium (or set SMS_TEST_BROWSER to the path of one, or to none to leave its tests out)"
+    if [ -n "${SMS_TEST_BROWSER:-}" ]; then return; fi
+    for name in chromium-headless-shell chromium chromium-browser google-chrome google-chrome-stable "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome"; do
+        if command -v "$name" >/dev/null; then return; fi
+    done
+    # The shell is the same browser without windows, and a third lighter; not every Debian has it.
+    (provide "$what" chromium-headless-shell) || provide "$what" chromium
 }
 
 find_postgresql() {

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Sets everything up and passes the tests, against private PostgreSQL and Redis servers.
+# Sets everything up and passes the tests, against private PostgreSQL and Redis servers and a headless Chromium.
 #
 #   bash ops/test.sh                      every check: formatting, lint, types, layers, then every test
 #   bash ops/test.sh tests/unit -k strain only pytest, with these arguments (servers are there all the same)
@@ -47,6 +47,7 @@ if [ $# = 0 ]; then
 fi
 start_servers
 provide_peers
+provide_browser
 say "== servers: $SMS_TEST_POSTGRESQL_URL and $SMS_TEST_REDIS_URL"
 export CI="${CI:-true}"
 if [ $# = 0 ]; then

@@ -14,7 +14,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from sms_jobs.formats.report import certificate, html
-from sms_jobs.formats.report.charts import axes, charts
+from sms_jobs.formats.report.charts import axes, axes_block, charts
 from sms_jobs.formats.report.following import Followed, places
 from sms_jobs.formats.report.html import Markup
 from sms_jobs.formats.report.maps import view_markup
@@ -158,11 +158,13 @@ class ReportPages:
             *(s.title for s in closing),
         ]
         page = Page(out, f"Campaign {campaign.name}", self._introduction(), contents)
+        along = axes(tested_states(campaign))
+        page.add(axes_block(along))
         overview = [campaign_facts(campaign), load_states(tested_states(campaign), self._recorded_at())]
         page.section(Section("Load states", overview))
         for name, followed in chapters.items():
             found = followed.charts()
-            drawn = [charts(found, axes(tested_states(campaign)))] if found else []
+            drawn = [charts(found, along)] if found else []
             page.section(Section(name, [*drawn, *followed.tables()]))
         page.section(Section(reference, [t for f in at_rest.values() for t in f.tables()]))
         page.copy(rest)

@@ -8,6 +8,7 @@ from html import escape
 from math import ceil, floor, isfinite, log10
 
 from sms_jobs.formats.report.html import Markup, number
+from sms_jobs.formats.report.page import json_block
 from sms_jobs.records.campaign import LoadState
 
 _WIDTH, _HEIGHT = 560, 330
@@ -98,6 +99,12 @@ def charts(found: Sequence[Chart], along: Sequence[Axis]) -> Markup:
     )
     names = escape("\n".join(axis.label for axis in along))
     return Markup(f'<div class="charting" data-axes="{names}"><div class="charts">{drawn}</div></div>')
+
+
+def axes_block(along: Sequence[Axis]) -> Markup:
+    """Tell the script what points can be followed along."""
+    told = [{"label": a.label, "places": a.places, "names": a.names} for a in along]
+    return json_block(told, "axes")
 
 
 def _caption(chart: Chart, axis: Axis) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
+from html import escape
 
 import numpy as np
 
@@ -58,7 +58,7 @@ class Followed:
     at: tuple[Place, ...]
     _readings: dict[Place, list[Point]] = field(default_factory=dict)
     _charted: dict[tuple[str, str], dict[str, list[Point]]] = field(default_factory=dict)
-    _rows: list[tuple[str, View, tuple[Statistic, ...]]] = field(default_factory=list)
+    _rows: list[tuple[str, str, tuple[Statistic, ...]]] = field(default_factory=list)
 
     def add(self, state: str, view: View) -> None:
         """Read a view of a state; its images are not kept."""
@@ -70,8 +70,7 @@ class Followed:
             if one.charted and one.value is not None:
                 lines = self._charted.setdefault((one.name, one.unit), {})
                 lines.setdefault(view.key, []).append(Point(state, one.value, one.sigma))
-        bare = View(view.title, view.key, view.size, view.step_px, ())
-        self._rows.append((state, bare, view.statistics))
+        self._rows.append((state, view.key, view.statistics))
 
     def _read(self, place: Place, found: Field, state: str) -> None:
         value = float(found.values[place.row, place.column])
@@ -96,13 +95,14 @@ class Followed:
 
     def tables(self) -> list[Markup]:
         """Return a table of all states for every set of statistics that views have."""
-        made: dict[tuple[tuple[str, str], ...], list[list[Cell]]] = {}
-        for state, view, statistics in self._rows:
-            head = tuple((one.name, one.unit) for one in statistics)
-            if head:
-                made.setdefault(head, []).append([state, view.key, *(one.value for one in statistics)])
-        return [table(["state", "camera", *_heads(head)], rows) for head, rows in made.items()]
-
-
-def _heads(columns: Iterable[tuple[str, str]]) -> list[str]:
-    return [f"{name} [{unit}]" if unit else name for name, unit in columns]
+        made: dict[tuple[str, tuple[str, ...]], list[list[Cell]]] = {}
+        for state, key, statistics in self._rows:
+            for group in dict.fromkeys(one.group for one in statistics):
+                mine = [one for one in statistics if one.group == group]
+                heads = tuple(f"{one.name} [{one.unit}]" if one.unit else one.name for one in mine)
+                made.setdefault((group, heads), []).append([state, key, *(one.value for one in mine)])
+        parts = []
+        for (group, heads), rows in made.items():
+            parts += [Markup(f"<h3>{escape(group)}</h3>")] if group else []
+            parts.append(table(["state", "camera", *heads], rows))
+        return parts

@@ -61,7 +61,7 @@ def _stills(view: View, state: str, still_px: int) -> Iterator[Markup]:
                 title = name[:1].upper() + name[1:]
                 outlines = field.outlines if values is field.still else None
                 image = Map(values, view.size, title, field.unit or "1", outlines)
-                yield figure(_lean(draw_map(image, still_px)), f"{state}, {view.title}: {name}")
+                yield figure(_lean(draw_map(image, still_px)), f"{state}, {view.key}: {name}")
 
 
 def _lean(png: bytes) -> bytes:

@@ -21,10 +21,13 @@ from tempfile import TemporaryFile
 from types import TracebackType
 from typing import IO, Any, TextIO
 
+import numpy as np
+
 from sms_jobs.formats.report.html import Markup
 
 _SCRIPTS = ("unpacking.js", "maps.js", "space.js", "following.js", "page.js")
 _COPIED = 1 << 20
+_COLOURS = 256
 
 
 @dataclass(frozen=True)
@@ -48,9 +51,24 @@ def style() -> str:
 
 
 @cache
+def _colour_maps() -> str:
+    """Return the colours of maps, six letters each, for the script."""
+    import matplotlib
+
+    numbers = np.linspace(0.0, 1.0, _COLOURS)
+    found = {
+        name: matplotlib.colormaps[given](numbers, bytes=True)[:, :3].tobytes().hex()
+        for name, given in (("viridis", "viridis"), ("bluered", "coolwarm"), ("grey", "gray"))
+    }
+    listed = matplotlib.colormaps["tab20"](np.arange(20), bytes=True)[:, :3]
+    found["categories"] = np.tile(listed, (4, 1)).astype(np.uint8).tobytes().hex()
+    return json.dumps(found)
+
+
+@cache
 def script() -> str:
-    """Return the script of pages with maps."""
-    parts = "\n".join(_resource(name) for name in _SCRIPTS)
+    """Return the script of every page."""
+    parts = "\n".join([f"const COLOUR_MAPS = {_colour_maps()};", *map(_resource, _SCRIPTS)])
     return f'"use strict";\n(() => {{\n{parts}\n}})();\n'
 
 

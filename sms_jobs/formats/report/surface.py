@@ -157,34 +157,42 @@ def principal_sigma(
 def _displacement_statistics(
     merged: MergedField, length: NDArray[np.float64], sigma: NDArray[np.float64]
 ) -> tuple[Statistic, ...]:
+    group = "Displacement"
     known = np.isfinite(length)
     largest = np.unravel_index(int(np.argmax(np.where(known, length, -1.0))), length.shape)
-    most = Statistic("largest displacement", "mm", None)
+    most = Statistic("largest displacement", "mm", None, group=group)
     if known.any():
-        most = Statistic(most.name, "mm", float(length[largest]), float(sigma[largest]), charted=True)
+        most = Statistic(
+            most.name, "mm", float(length[largest]), float(sigma[largest]), charted=True, group=group
+        )
     return (
-        Statistic("displacement valid", "%", PER_CENT * float(np.mean(merged.reason == Reason.VALID))),
+        Statistic("valid", "%", PER_CENT * float(np.mean(merged.reason == Reason.VALID)), group=group),
         *(
-            Statistic(f"displacement {axis}, median", "mm", _median(component))
+            Statistic(f"{axis}, median", "mm", _median(component), group=group)
             for axis, component in zip(XYZ, merged.displacement, strict=True)
         ),
         most,
-        Statistic("sigma of the displacement, median", "mm", _median(sigma)),
-        Statistic("disagreement of the pairs, rms", "mm", _finite(merged.discrepancy_rms_mm)),
+        Statistic("sigma, median", "mm", _median(sigma), group=group),
+        Statistic("disagreement of the pairs, rms", "mm", _finite(merged.discrepancy_rms_mm), group=group),
     )
 
 
 def _strain_statistics(field: StrainField) -> tuple[Statistic, ...]:
+    group = "Strain"
     return (
-        Statistic("strain valid", "%", PER_CENT * float(np.mean(field.reason == Reason.VALID))),
+        Statistic("valid", "%", PER_CENT * float(np.mean(field.reason == Reason.VALID)), group=group),
+        Statistic("gauge length", "mm", field.gauge_length_mm, group=group),
         *(
-            Statistic(f"strain {name}, median", "µε", _median(MICROSTRAIN * field.strain[k]))
+            Statistic(f"{name}, median", "µε", _median(MICROSTRAIN * field.strain[k]), group=group)
             for k, name in enumerate(("xx", "yy", "xy"))
         ),
         Statistic(
-            "first principal, 99th percentile", "µε", _percentile(MICROSTRAIN * field.principal[0], 99.0)
+            "first principal, 99th percentile",
+            "µε",
+            _percentile(MICROSTRAIN * field.principal[0], 99.0),
+            group=group,
         ),
-        Statistic("sigma of strain xx, median", "µε", _median(MICROSTRAIN * field.sigma[0])),
+        Statistic("sigma xx, median", "µε", _median(MICROSTRAIN * field.sigma[0]), group=group),
     )
 
 

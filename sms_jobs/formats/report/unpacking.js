@@ -1,1 +1,92 @@
+// Packed fields become numbers again; see packing.py.
 
+const views = [];
+
+async function inflated(id) {
+  const letters = atob(document.getElementById(id).textContent);
+  const bytes = new Uint8Array(letters.length);
+  for (let i = 0; i < letters.length; i++) bytes[i] = letters.charCodeAt(i);
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+// Values of a field over the samples, NaN for none.
+async function unpacked(packed, rows, columns) {
+  const bytes = await inflated(packed.data);
+  const count = rows * columns;
+  const values = new Float64Array(count);
+  for (let row = 0, place = 0; row < rows; row++) {
+    let number = 0;
+    for (let column = 0; column < columns; column++, place++) {
+      number = (number + (bytes[place] << 8) + bytes[count + place]) & 0xffff;
+      values[place] = number ? packed.low + (number - 1) * packed.step : NaN;
+    }
+  }
+  return values;
+}
+
+// Standard deviations over the samples, NaN for none.
+async function unpackedSigma(packed, rows, columns) {
+  const bytes = await inflated(packed.data);
+  const values = new Float64Array(rows * columns);
+  for (let row = 0, place = 0; row < rows; row++) {
+    let number = 0;
+    for (let column = 0; column < columns; column++, place++) {
+      number = (number + bytes[place]) & 0xff;
+      values[place] = number ? packed.low * Math.exp((number - 1) * packed.step) : NaN;
+    }
+  }
+  return values;
+}
+
+// The fields of one view, unpacked when they are asked for.
+class Fields {
+  constructor(about) {
+    this.about = about;
+    this.step = about.step;
+    this.half = Math.floor(about.step / 2);
+    this.rows = Math.ceil((about.rows - this.half) / about.step);
+    this.columns = Math.ceil((about.columns - this.half) / about.step);
+    this.waiting = new Map();
+  }
+
+  named(name) { return this.about.fields.find((field) => field.name === name); }
+
+  values(field) { return this.once(field.data, () => unpacked(field, this.rows, this.columns)); }
+
+  sigma(field) {
+    if (!field.sigma) return Promise.resolve(null);
+    return this.once(field.sigma.data, () => unpackedSigma(field.sigma, this.rows, this.columns));
+  }
+
+  vectors(names) {
+    if (!names) return Promise.resolve(null);
+    return Promise.all(names.map((name) => this.values(this.named(name))));
+  }
+
+  once(id, make) {
+    if (!this.waiting.has(id)) this.waiting.set(id, make());
+    return this.waiting.get(id);
+  }
+}
+
+// Writes a number with as many digits as it is worth: two of its standard deviation, else five of itself.
+function written(value, sigma) {
+  if (!Number.isFinite(value)) return "no value";
+  const worth = Number.isFinite(sigma) && sigma > 0 ? 1 - Math.floor(Math.log10(sigma)) : null;
+  if (worth === null) {
+    const size = Math.abs(value);
+    return size && (size < 1e-4 || size >= 1e7) ? value.toExponential(4) : String(Number(value.toPrecision(5)));
+  }
+  return value.toFixed(Math.min(Math.max(worth, 0), 12));
+}
+
+function made(tag, attributes, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes || {})) {
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (value !== false && value !== null) element.setAttribute(name, value === true ? "" : value);
+  }
+  element.append(...children);
+  return element;
+}

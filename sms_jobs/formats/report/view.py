@@ -72,6 +72,8 @@ class Statistic:
         In that unit; sigma None where none is known.
     charted
         Whether it is charted over the states, with its standard deviation as an error bar.
+    group
+        Heading of the table that it stands in; those of one group stand in one table.
     """
 
     name: str
@@ -79,6 +81,7 @@ class Statistic:
     value: float | None
     sigma: float | None = None
     charted: bool = False
+    group: str = ""
 
 
 @dataclass(frozen=True)
