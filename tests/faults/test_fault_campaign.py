@@ -7,10 +7,12 @@ import shutil
 import subprocess
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from support.fault_campaign import FaultCampaign, Place, judge, prepare
+from support.command import sms
+from support.fault_campaign import FaultCampaign, Place, Verdict, judge, prepare
 from support.servers import PostgresqlServer, RedisServer, postgresql_programs
 
 KILLS = (
@@ -29,11 +31,13 @@ def missing(what: str) -> None:
 
 
 @pytest.fixture
-def disk(tmp_path: Path) -> Iterator[tuple[Path, bool]]:
+def disk(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Path, bool]]:
     """A folder, and whether it is a file system of its own that may be filled up."""
     folder = tmp_path / "disk"
     folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=1500m", "none", str(folder)]
+    # A job leaves half a megabyte: twice what is needed.
+    size = "1000m" if request.node.get_closest_marker("long") else "60m"
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "none", str(folder)]
     mounted = os.geteuid() == 0 and subprocess.run(mount, capture_output=True, check=False).returncode == 0
     try:
         yield folder, mounted
@@ -60,30 +64,27 @@ def place(request: pytest.FixtureRequest, disk: tuple[Path, bool], tmp_path: Pat
     postgresql = PostgresqlServer(Path(f"/tmp/sms-faults-{os.getpid()}"), programs)
     redis = RedisServer(tmp_path / "redis")
     try:
-        yield Place(tmp_path / "home", folder / "archive", may_be_filled, postgresql, redis)
+        yield Place(tmp_path / "home", folder / "archive", may_be_filled, postgresql=postgresql, redis=redis)
     finally:
         redis.kill()
         postgresql.crash()
         shutil.rmtree(f"/tmp/sms-faults-{os.getpid()}")
 
 
-@pytest.mark.long
 def test_every_fault_once(place: Place) -> None:
+    place = replace(place, lease_s=2.0)
     prepare(place, states=8)
-    campaign = FaultCampaign(place, seed=7, absence_s=3.0)
+    campaign = FaultCampaign(place, seed=7, absence_s=1.0)
     with campaign.served():
         for name in campaign.faults:
-            for _ in range(5):  # the job that it is aimed at may end before it is hit
-                if campaign.left() < 10:
+            for _ in range(20):  # the job that it is aimed at may end before it is hit
+                if campaign.left() < 6:
                     campaign.submit("simulate", "reconstruct")
-                campaign.inject(name)
-                campaign.rest(1)
-                if campaign.injected[name]:
+                if campaign.inject(name):
                     break
+            campaign.rest(1)
         campaign.settle()
-    verdict = judge(place)
-    assert verdict.complaints == ()
-    assert (verdict.jobs, verdict.lost, verdict.duplicated) == (campaign.jobs, (), ())
+    assert judge(place) == Verdict(campaign.jobs)
     assert set(campaign.injected.values()) == {1}, campaign.injected
 
 
@@ -99,11 +100,13 @@ def test_two_hundred_kills_over_a_thousand_jobs(place: Place, seed: int) -> None
     started = time.monotonic()
     with campaign.served():
         campaign.submit("simulate", "reconstruct")
-        while plan or campaign.kills < 200:
+        while plan:
             if campaign.left() < 10:
                 campaign.submit("simulate", "reconstruct")
-            campaign.inject(plan.pop() if plan else KILLS[0])
-            campaign.rest(2)
+            if campaign.inject(plan[-1]):
+                plan.pop()
+            # So that what is to come meets all jobs, from the first to the last.
+            campaign.rest(2 * campaign.left() // (len(plan) + 1))
             print(
                 f"{campaign.kills} kills, {campaign.left()} jobs left, {len(plan)} faults to come", flush=True
             )
@@ -114,5 +117,6 @@ def test_two_hundred_kills_over_a_thousand_jobs(place: Place, seed: int) -> None
         f"\n{verdict.jobs} jobs, {verdict.attempts} attempts, {campaign.kills} kills, {took:.0f} s, "
         f"{len(verdict.lost)} lost, {len(verdict.duplicated)} duplicated; {dict(campaign.injected)}"
     )
-    assert verdict.complaints == ()
-    assert (verdict.jobs, verdict.lost, verdict.duplicated) == (campaign.jobs, (), ())
+    assert verdict == Verdict(campaign.jobs)
+    verified = sms("archive", "verify", "--home", str(place.home), environment=place.environment)
+    assert verified.returncode == 0, verified.stdout + verified.stderr

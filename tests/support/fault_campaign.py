@@ -13,7 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from random import Random
@@ -35,15 +35,15 @@ from sms_jobs.virtual_rig.campaigns import small_plate
 from support.command import SMS, kill_all, wait_until
 from support.servers import PostgresqlServer, RedisServer
 
-LEASE_S = 4.0
 SETTINGS = {
     "SMS_WORKERS": "1",
-    "SMS_LEASE_S": str(LEASE_S),
     # It is the campaign that kills them, not the jobs: none is to be quarantined for it.
     "SMS_CRASH_BUDGET": "100",
     "SMS_LEAST_ROOM_MB": "2",
 }
 _PATIENCE_S = 900.0
+_FREEZE_S = 8.0
+"""How much longer than the lease something is frozen at most."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,8 @@ class Place:
     ----------
     home, archive
         On a file system that may be filled up when `may_be_filled`.
+    lease_s
+        How long a job stays with a worker that gives no sign of life.
     postgresql, redis
         Servers of the grown deployment; None for both in the embedded one.
     """
@@ -61,13 +63,14 @@ class Place:
     home: Path
     archive: Path
     may_be_filled: bool
+    lease_s: float = 4.0
     postgresql: PostgresqlServer | None = None
     redis: RedisServer | None = None
 
     @property
     def environment(self) -> dict[str, str]:
         """What tells `sms` about it."""
-        known = SETTINGS | {"SMS_ARCHIVE": str(self.archive)}
+        known = SETTINGS | {"SMS_ARCHIVE": str(self.archive), "SMS_LEASE_S": str(self.lease_s)}
         if self.postgresql is not None and self.redis is not None:
             known |= {"SMS_DATABASE_URL": self.postgresql.url, "SMS_BROKER_URL": self.redis.url}
         return known
@@ -80,6 +83,16 @@ class Place:
 
 def _lives(pid: int, before: datetime) -> bool:
     return True
+
+
+def _living(pid: int | None) -> psutil.Process | None:
+    """Return a process; None for one that has ended, although nobody may have noticed yet."""
+    if pid is None:
+        return None
+    with suppress(psutil.NoSuchProcess):
+        process = psutil.Process(pid)
+        return None if process.status() == psutil.STATUS_ZOMBIE else process
+    return None
 
 
 def prepare(place: Place, states: int) -> None:
@@ -169,17 +182,20 @@ class FaultCampaign:
             done = submit(session, "plate", requests, datetime.now(UTC), use_cache=False)
         self.jobs += len(done.job_ids)
 
-    def inject(self, name: str) -> None:
-        """Let a fault happen once there is a job that it can hit; jobs may have run out meanwhile."""
-        fault = self.faults[name]
+    def inject(self, name: str) -> bool:
+        """Let a fault happen once there is a job that it can hit; False when it hit none after all."""
+        began = time.monotonic()
         try:
-            hit = self.left() > 0 and fault()
+            hit = self.left() > 0 and self.faults[name]()
         except (SmsError, psutil.Error):
             hit = False  # what it was aimed at ended by itself
         self.injected[name] += hit
+        took = time.monotonic() - began
+        print(f"{datetime.now(UTC):%H:%M:%S} {name}{'' if hit else ': missed'} ({took:.1f} s)", flush=True)
         for number, process in enumerate(self._services):
             if process.poll() is not None:
                 self._services[number] = self._start()
+        return hit
 
     def rest(self, most_jobs: int) -> None:
         """Let the service end a random number of jobs, at most so many, and work for a moment more."""
@@ -226,10 +242,9 @@ class FaultCampaign:
             if self.left() == 0:
                 raise psutil.NoSuchProcess(0)
             job = self._running()
-            alive = job is not None and job.pid is not None and psutil.pid_exists(job.pid)
-            return psutil.Process(job.pid) if job is not None and alive else None
+            return None if job is None else _living(job.pid)
 
-        process: psutil.Process = wait_until(found)
+        process: psutil.Process = wait_until(found, timeout=_PATIENCE_S)
         return process
 
     def _kill(self, process: psutil.Process) -> bool:
@@ -259,17 +274,31 @@ class FaultCampaign:
         return True
 
     def freeze(self) -> bool:
+        """Freeze what runs a job until the other supervisor has given it up, then let it go on."""
         supervisor = self._a_supervisor()
         frozen = [supervisor, *supervisor.children(recursive=True)]
         for process in frozen:
             process.suspend()
         try:
-            time.sleep(LEASE_S + 1.5)
+            pids = {process.pid for process in frozen}
+            held = self._held_by(pids)
+            lost: set[tuple[str, int]] = set()
+            # It may hold a lock that the other waits for, or nobody else may be there.
+            deadline = time.monotonic() + self.place.lease_s + _FREEZE_S
+            while held and not lost and time.monotonic() < deadline:
+                time.sleep(0.1)
+                lost = held - self._held_by(pids)
         finally:
             for process in frozen:
                 with suppress(psutil.NoSuchProcess):
                     process.resume()
-        return True
+        return len(lost) > 0
+
+    def _held_by(self, pids: set[int]) -> set[tuple[str, int]]:
+        """Return the attempts that processes run, as (job, fence)."""
+        query = select(JobRow.id, JobRow.fence).where(JobRow.state == JobState.RUNNING, JobRow.pid.in_(pids))
+        with self.catalogue.reading() as session:
+            return {(job_id, fence) for job_id, fence in session.execute(query)}
 
     def kill_broker(self) -> bool:
         return self._broker_away(0.0, empty=False)
@@ -312,8 +341,9 @@ class FaultCampaign:
                 new = [path for path in files_on_disk(self.place.archive) if path not in known]
                 sealed = [path for path in new if not path.endswith(".tmp")]
                 for job_id, pid in session.execute(running):
-                    if pid is not None and any(job_id[:8] in path for path in sealed):
-                        return self._kill(psutil.Process(pid))
+                    process = _living(pid)
+                    if process is not None and any(job_id[:8] in path for path in sealed):
+                        return self._kill(process)
                 time.sleep(0.01)
         return False
 
@@ -325,7 +355,7 @@ class FaultCampaign:
             query = select(JobRow.worker_id).where(JobRow.state == JobState.RUNNING).distinct()
             workers = [worker for worker in session.scalars(query) if worker is not None]
             for worker in workers:
-                recovery.beat(session, worker, now, timedelta(seconds=LEASE_S), _lives)
+                recovery.beat(session, worker, now, timedelta(seconds=self.place.lease_s), _lives)
             recovery.recover(session, now + timedelta(minutes=1), "elsewhere", 100, _lives)
         return len(workers) > 0
 
@@ -383,13 +413,15 @@ class Verdict:
         Those that succeeded more than once, or have more than one set of outputs.
     complaints
         All else that is not as it should be, in words.
+    attempts
+        How often jobs began: as often as there are jobs, and once more for every one that was hit.
     """
 
     jobs: int
-    lost: tuple[str, ...]
-    duplicated: tuple[str, ...]
-    complaints: tuple[str, ...]
-    attempts: int
+    lost: tuple[str, ...] = ()
+    duplicated: tuple[str, ...] = ()
+    complaints: tuple[str, ...] = ()
+    attempts: int = field(default=0, compare=False)
 
 
 def judge(place: Place) -> Verdict:
@@ -415,7 +447,8 @@ def judge(place: Place) -> Verdict:
     complaints += [f"{path} is not in the catalogue" for path in sorted(there - known)]
     complaints += [f"{path} is not on the disk" for path in sorted(known - there)]
 
-    begun, ended = {}, {}
+    begun: dict[str, int] = {}
+    ended: dict[str, int] = {}
     last: dict[str, JobState] = {}
     for event in events:
         before = last.get(event.job_id)
