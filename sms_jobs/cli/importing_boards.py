@@ -106,13 +106,13 @@ def boards(
             inspected = board_images.of_known_size(inspected, _known(existing))
         sensors = list(board_images.sizes(inspected).values())
         if sensors and not dry_run:
-            labels = dict.fromkeys(i.found.state for i in inspected if not i.found.faults)
+            poses = board_images.held_at(inspected, at)
             if existing is None:
                 assert described is not None
                 assert rig is not None
-                wanted = board_images.session_of_boards(campaign, rig, described, labels, sensors, box)
+                wanted = board_images.session_of_boards(campaign, rig, described, poses, sensors, box)
             else:
-                wanted = board_images.with_poses(existing, labels)
+                wanted = board_images.with_poses(existing, poses)
             make_campaign(services, existing, wanted)
         enter = EnteredImages(services, campaign, listing, settings, at, newer, dry_run)
         outcome = enter.all_of(inspected)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -79,28 +80,38 @@ def session_of_boards(
     name: str,
     rig: str,
     board: Artefact,
-    labels: Iterable[str],
+    poses: Mapping[str, datetime],
     sensors: Sequence[SensorFormat],
     volume: Box | None,
 ) -> Campaign:
-    """Return a calibration session of cameras that saw a board in several poses."""
+    """Return a calibration session of cameras that saw a board in several poses, at a time each."""
     return Campaign(
         name=name,
         specimen=Specimen(BOARD),
         rig=rig,
-        states=tuple(LoadState(label, artefact=BOARD) for label in labels),
+        states=tuple(LoadState(label, time=at, artefact=BOARD) for label, at in poses.items()),
         pairs=tuple(s.name for s in sensors),
         session=CalibrationSession({BOARD: board}, tuple(sensors), volume),
     )
 
 
-def with_poses(campaign: Campaign, labels: Iterable[str]) -> Campaign:
+def with_poses(campaign: Campaign, poses: Mapping[str, datetime]) -> Campaign:
     """Return a session with further poses of its board behind its own."""
     assert campaign.session is not None
     known = {s.label for s in campaign.states}
     board = campaign.states[0].artefact
-    added = tuple(LoadState(label, artefact=board) for label in labels if label not in known)
+    added = tuple(LoadState(k, time=at, artefact=board) for k, at in poses.items() if k not in known)
     return replace(campaign, states=campaign.states + added)
+
+
+def held_at(inspected: Iterable[Inspected], recorded_at: datetime | None) -> dict[str, datetime]:
+    """Return when each pose was held, as it is given or by the files; of those that have no fault."""
+    times: dict[str, datetime] = {}
+    for one in inspected:
+        if not one.found.faults:
+            at = recorded_at or one.recorded_at
+            times[one.found.state] = min(at, times.get(one.found.state, at))
+    return times
 
 
 def sizes(inspected: Iterable[Inspected]) -> dict[str, SensorFormat]:
