@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,6 +32,9 @@ from sms_jobs.cli.found_files import After, As, Columns, Force, Format, Limit, O
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.figures import plot_record
+from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
 
 app = typer.Typer(help="Measurements and results in the archive.", no_args_is_help=True)
 app.add_typer(saved_queries.app, name="query")
@@ -170,7 +174,7 @@ def plot(
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
     home: Home = None,
 ) -> None:
-    """Draw an image field with colour bar and unit as PNG.
+    """Draw an image field with colour bar and unit as PNG; of a camera alone, over its reference image.
 
     Example: sms data plot 17 --field strain --component xx --out strain.png
     """
@@ -178,13 +182,30 @@ def plot(
     with bootstrap.services(home) as services:
         with services.catalogue.reading() as session:
             view = search.file_view(session, file)
+            inputs = search.ancestry(session, view)
         if view.media_type != DATASET_MEDIA_TYPE:
             raise InvalidInput(f"file {file} is a {view.media_type} document, which cannot be plotted")
         with services.archive.open(view.path) as dataset:
             name = record or dataset.names[0]
-            png = plot_record(dataset.read(name, dataset.record_class(name)), field, component)
+            read: Any = dataset.read(name, dataset.record_class(name))
+        behind = None
+        if isinstance(read, PlanarDisplacement | PlanarStrain):
+            behind = _reference_image(services, inputs)
+    png = plot_record(read, field, component, behind=behind)
     out.write_bytes(png)
     output.say(f"wrote {out}")
+
+
+def _reference_image(services: bootstrap.Services, inputs: Iterable[Ancestor]) -> Any:
+    """Return the texture that a result in an image started from; None where it is not in the archive."""
+    for one in inputs:
+        if one.role == "reference" and one.file.source == MEASUREMENT:
+            with services.archive.open(one.file.path) as dataset:
+                return dataset.read("measurement", Measurement).texture
+        found = _reference_image(services, one.inputs)
+        if found is not None:
+            return found
+    return None
 
 
 def _refuse_existing(out: Path, force: bool) -> None:

@@ -13,15 +13,17 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import search
-from sms_jobs.catalogue.search import FileView
+from sms_jobs.catalogue import campaigns, search
+from sms_jobs.catalogue.search import Ancestor, FileView
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.records.fields import PointCloud
 from sms_jobs.records.gauges import GaugeReadings
+from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
 
 if TYPE_CHECKING:
+    from sms_jobs.formats.gauge_descriptions import GaugeReading
     from sms_jobs.formats.profiles import GaugeRow
 
 _MICROSTRAIN = 1e6
@@ -39,7 +41,10 @@ def gauges(
     ],
     readings: Annotated[
         Path | None,
-        typer.Option(help="CSV file of real gauges: columns state, gauge and microstrain."),
+        typer.Option(
+            help="CSV file of real gauges: columns state, gauge and microstrain; without it, the channels of "
+            "the states that have the names of gauges, as 'sms import gauges' enters them."
+        ),
     ] = None,
     pair: Annotated[str | None, typer.Option(help="Only of this pair.")] = None,
     out: Out = None,
@@ -51,15 +56,18 @@ def gauges(
 
     First: sms job submit gauges -c panel --gauge "G1 x=0 y=20 length=20; G2 x=0 y=20 length=20 angle=90"
 
-    Example: sms data gauges -c panel --readings strain_gauges.csv --out gauges.png
+    Example: sms import gauges strain_gauges.csv -c panel --map SG1=G1 --map SG2=G2 --time-column Time;
+    sms data gauges -c panel --out gauges.png
     """
     # Other commands of this group load without what this one computes with.
     from sms_jobs.formats.gauge_descriptions import read_gauge_file
     from sms_jobs.formats.profiles import compared, draw_gauges
 
-    real = () if readings is None else read_gauge_file(readings)
+    given = None if readings is None else read_gauge_file(readings)
     with bootstrap.services(home) as services:
-        rows = compared(_virtual(services, campaign, pair), real)
+        virtual = _virtual(services, campaign, pair)
+        real = _entered(services, campaign, {row.gauge for row in virtual}) if given is None else given
+    rows = compared(virtual, real)
     if out is not None:
         _write(out, force, _table_of(rows), lambda: draw_gauges(rows))
     if as_json:
@@ -120,6 +128,20 @@ def _virtual(services: Services, campaign: str, pair: str | None) -> list[GaugeR
     return rows
 
 
+def _entered(services: Services, campaign: str, names: set[str]) -> tuple[GaugeReading, ...]:
+    """Return what the states of a campaign say of real gauges of some names."""
+    from sms_jobs.formats.gauge_descriptions import GaugeReading
+
+    with services.catalogue.reading() as session:
+        states = campaigns.definition(campaigns.campaign_row(session, campaign)).states
+    return tuple(
+        GaugeReading(state.label, name, value)
+        for state in states
+        for name, value in state.channels.items()
+        if name in names
+    )
+
+
 def _table_of(rows: Sequence[GaugeRow]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -133,18 +155,24 @@ def _table_of(rows: Sequence[GaugeRow]) -> str:
 
 def section(
     file: Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")],
-    start: Annotated[str, typer.Option("--from", help="Start of the line, X,Y in mm.")],
-    end: Annotated[str, typer.Option("--to", help="End of the line, X,Y in mm.")],
+    start: Annotated[
+        str, typer.Option("--from", help="Start of the line, X,Y in mm; of a camera alone column,row in px.")
+    ],
+    end: Annotated[str, typer.Option("--to", help="End of the line, as --from.")],
     record: Annotated[str | None, typer.Option(help="Record in the file; the first if not given.")] = None,
     field: Annotated[str | None, typer.Option(help="Field; the first image if not given.")] = None,
-    step: Annotated[float, typer.Option(help="Distance of the points of the profile, mm.", min=1e-3)] = 2.0,
-    width: Annotated[float, typer.Option(help="Width of the strip that is averaged, mm.", min=1e-3)] = 4.0,
+    step: Annotated[
+        float, typer.Option(help="Distance of the points of the profile, mm or px.", min=1e-3)
+    ] = 2.0,
+    width: Annotated[
+        float, typer.Option(help="Width of the strip that is averaged, mm or px.", min=1e-3)
+    ] = 4.0,
     out: Out = None,
     force: Force = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Show a field along a line on the surface, which is seen along the world's Z axis.
+    """Show a field along a line on the surface, which is seen along the world's Z axis, or in the image.
 
     Example: sms data section 17 --from -100,0 --to 100,0 --field strain --out profile.png
     """
@@ -153,23 +181,21 @@ def section(
 
     ends = (_point(start, "--from"), _point(end, "--to"))
     if ends[0] == ends[1]:
-        raise InvalidInput(f"the section begins and ends at {start}; give two different points in mm")
+        raise InvalidInput(f"the section begins and ends at {start}; give two different points")
     with bootstrap.services(home) as services:
         with services.catalogue.reading() as session:
             view = search.file_view(session, file)
             parents = search.ancestry(session, view)
         with services.archive.open(view.path) as dataset:
             name = record or dataset.names[0]
-            values = named_field(dataset.read(name, dataset.record_class(name)), field)
+            read: Any = dataset.read(name, dataset.record_class(name))
+            values = named_field(read, field)
+            flat = isinstance(read, PlanarDisplacement | PlanarStrain)
             own = dataset.read("cloud", PointCloud).xyz if "cloud" in dataset.names else values.xyz
-        if own is None:
-            shape = next((p.file for p in parents if p.role == "reference"), None)
-            if shape is None:
-                raise InvalidInput(
-                    f"file {file} does not say where its pixels are; choose a result of a pair"
-                )
-            with services.archive.open(shape.path) as dataset:
-                own = dataset.read("cloud", PointCloud).xyz
+        if flat:
+            own = _pixels(values.values.shape[-2:])
+        elif own is None:
+            own = _shape_of(services, parents, file)
     profile = profile_along(own, values.values, *ends, step_mm=step, width_mm=width)
     columns = ["distance_mm", "X_mm", "Y_mm", "Z_mm", *values.columns, "pixels"]
     rows = [
@@ -178,14 +204,34 @@ def section(
             profile.distance, profile.position, profile.value.T, profile.pixels, strict=True
         )
     ]
+    if flat:
+        # No third coordinate.
+        columns = ["distance_px", "column_px", "row_px", *columns[4:]]
+        rows = [[*row[:3], *row[4:]] for row in rows]
     if out is not None:
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows([columns, *rows])
-        _write(out, force, text.getvalue(), lambda: draw_profile(profile, values))
+        unit = "px" if flat else "mm"
+        _write(out, force, text.getvalue(), lambda: draw_profile(profile, values, unit))
     if as_json:
         output.print_json({"file": view.id, "columns": columns, "rows": rows})
     elif out is None:
         output.print_table(columns, rows, empty="")
+
+
+def _pixels(shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
+    """Return column and row of every pixel as if they were positions, (3, rows, columns)."""
+    row, column = np.mgrid[0 : shape[0], 0 : shape[1]].astype(np.float64)
+    return np.stack([column, row, np.zeros(shape)])
+
+
+def _shape_of(services: Services, parents: Sequence[Ancestor], file: str) -> np.ndarray[Any, Any]:
+    """Return where the pixels of a result are, by the shape that it was made from."""
+    shape = next((p.file for p in parents if p.role == "reference"), None)
+    if shape is None:
+        raise InvalidInput(f"file {file} does not say where its pixels are; choose a result of a pair")
+    with services.archive.open(shape.path) as dataset:
+        return dataset.read("cloud", PointCloud).xyz
 
 
 def _plain(value: float) -> float | None:
@@ -196,7 +242,9 @@ def _point(text: str, option: str) -> tuple[float, float]:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError as error:
-        raise InvalidInput(f"{option} {text} is not a point; write two numbers in mm, like -50,20") from error
+        raise InvalidInput(
+            f"{option} {text} is not a point; write two numbers in mm, or px of a camera alone, like -50,20"
+        ) from error
     return x, y
 
 

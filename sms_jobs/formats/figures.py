@@ -47,6 +47,8 @@ class Map:
         As they are shown.
     outlines
         Label map of the same shape as `values` whose borders are drawn, or None.
+    behind
+        Grey levels of the image, (rows, columns), shown where there is no value; None for plain grey.
     """
 
     values: NDArray[Any]
@@ -54,6 +56,7 @@ class Map:
     title: str
     unit: str
     outlines: NDArray[Any] | None = None
+    behind: NDArray[Any] | None = None
 
 
 def reduced(values: NDArray[Any], longest: int) -> NDArray[Any]:
@@ -136,9 +139,12 @@ def draw_map(image: Map, width_px: int = 640) -> bytes:
     figure = new_figure(width, height)
     axes = figure.add_subplot()
     colours = matplotlib.colormaps[GREY_LEVELS if image.unit == "count" else COLOUR_MAP]
-    colours = colours.with_extremes(bad=MISSING_COLOUR)
+    colours = colours.with_extremes(bad=MISSING_COLOUR if image.behind is None else "none")
     low, high = robust_limits(image.values)
     extent = (-0.5, columns - 0.5, rows - 0.5, -0.5)
+    if image.behind is not None:
+        dark, bright = robust_limits(image.behind)
+        axes.imshow(image.behind, cmap=GREY_LEVELS, vmin=dark, vmax=bright, extent=extent)
     drawn = axes.imshow(
         np.ma.masked_invalid(image.values),
         cmap=colours,
@@ -261,7 +267,11 @@ def plottable(record: type) -> tuple[str, ...]:
 
 
 def plot_record(
-    record: Any, field: str | None = None, component: str | None = None, width_px: int = 900
+    record: Any,
+    field: str | None = None,
+    component: str | None = None,
+    width_px: int = 900,
+    behind: NDArray[Any] | None = None,
 ) -> bytes:
     """Draw one field of a record as PNG.
 
@@ -276,6 +286,8 @@ def plot_record(
         of any other vector in the world, else the first.
     width_px
         Width of the picture in pixels.
+    behind
+        Grey levels of the image that the record is over, shown where the field has no value.
 
     Raises
     ------
@@ -297,4 +309,5 @@ def plot_record(
     if unit == "bit":
         return _draw_reasons(values, title, width_px)
     small = reduced(np.asarray(values), 2 * width_px)
-    return draw_map(Map(small, (values.shape[0], values.shape[1]), title, unit), width_px)
+    grey = None if behind is None else reduced(np.asarray(behind, np.float32), 2 * width_px)
+    return draw_map(Map(small, (values.shape[0], values.shape[1]), title, unit, behind=grey), width_px)

@@ -111,14 +111,14 @@ def named_field(record: Any, name: str | None) -> NamedField:
     return NamedField(values, columns, quantity.unit, xyz)
 
 
-def draw_profile(profile: Profile, field: NamedField) -> bytes:
+def draw_profile(profile: Profile, field: NamedField, length_unit: str = "mm") -> bytes:
     """Draw a field along a section, with the scatter over the strip, as PNG."""
     figure = new_figure(7.0, 4.2)
     axes = figure.add_subplot()
     for name, value, scatter in zip(field.columns, profile.value, profile.scatter, strict=True):
         axes.plot(profile.distance, value, label=name)
         axes.fill_between(profile.distance, value - scatter, value + scatter, alpha=0.25)
-    axes.set_xlabel("distance [mm]")
+    axes.set_xlabel(f"distance [{length_unit}]")
     axes.set_ylabel("" if field.unit == "1" else f"[{field.unit}]")
     axes.legend(fontsize="small")
     return as_png(figure)
