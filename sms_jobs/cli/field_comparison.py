@@ -23,7 +23,9 @@ _AXES = ("X", "Y", "Z")
 
 
 def compare(
-    file: Annotated[str, typer.Argument(help="Number or archive path of a merged result of a state.")],
+    file: Annotated[
+        str, typer.Argument(help="Number or archive path of a merged or combined result of a state.")
+    ],
     other: Annotated[
         str,
         typer.Option(
@@ -121,8 +123,8 @@ def _merged(services: Services, key: str) -> tuple[PointField, np.ndarray[Any, A
     """Return the displacement of a merged result at its vertices, and its standard deviation."""
     with services.catalogue.reading() as session:
         view = search.file_view(session, key)
-    if view.source != "merge":
-        raise InvalidInput(f"file {key} is a {view.source}; choose a merged result of a state")
+    if view.source not in ("merge", "combine"):
+        raise InvalidInput(f"file {key} is a {view.source}; choose a merged or combined result of a state")
     with services.archive.open(view.path) as dataset:
         mesh = dataset.read("mesh", Mesh)
     values = dict(zip(mesh.value_names, mesh.values, strict=True))

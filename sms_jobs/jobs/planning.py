@@ -123,7 +123,9 @@ def plan(
         found = inputs.setdefault(key, [])
         producers.setdefault(key, {})
         for need in wanted[name].kind.all_needs(campaign, subject, parameters[name]):
-            maker = makers.get(need.source)
+            # What is needed of another campaign must be there: this plan is not about it.
+            here = need.subject.campaign == campaign.name
+            maker = makers.get(need.source) if here else None
             producer = None if maker is None else (maker.name, covering(maker, need.subject))
             if producer is not None and producer[0] in once and producer not in asked_for:
                 producer = None

@@ -59,22 +59,13 @@ def read_state(
     of_interest: bool,
 ) -> TexturedState:
     """Read one state, choose its texture and find its regions, all or those of interest."""
-    measurement = inputs.read(frames_role, "measurement", Measurement)
     cloud = inputs.read(shape_role, "cloud", PointCloud)
-    if parameters.texture == "white":
-        texture: NDArray[np.floating] = measurement.texture.astype(np.float64)
-        noise = Noise(measurement.read_noise**2, measurement.gain)
-    else:
-        phase = inputs.read(shape_role, "phase", PhaseMaps)
-        texture = phase.mean_intensity
-        noise = average_noise(measurement, phase, cloud.reason == Reason.VALID)
     chosen = np.ones(cloud.reason.shape, dtype=bool)
     if of_interest and parameters.region_of_interest:
         chosen = inside_outlines(parse_outlines(parameters.region_of_interest), cloud.reason.shape)
-    valid = (cloud.reason == Reason.VALID) & chosen
-    smoothed = smooth(texture, parameters.smoothing_px)
-    factor = noise_after_smoothing(smoothed, valid, parameters.smoothing_px)
-    noise = Noise(noise.floor * factor, noise.slope * factor)
+    measured = cloud.reason == Reason.VALID
+    valid = measured & chosen
+    smoothed, noise = read_texture(inputs, shape_role, frames_role, parameters, measured, valid)
     if parameters.regions == "none":
         return TexturedState(smoothed, noise, cloud, _one_region(valid), chosen)
     regions = label_regions(
@@ -86,6 +77,31 @@ def read_state(
         threads=inputs.threads,
     )
     return TexturedState(smoothed, noise, cloud, regions, chosen)
+
+
+def read_texture(
+    inputs: Inputs,
+    shape_role: str,
+    frames_role: str,
+    parameters: CorrelateParameters,
+    measured: NDArray[np.bool_],
+    of_interest: NDArray[np.bool_],
+) -> tuple[NDArray[np.floating], Noise]:
+    """Read the texture of a state, filtered, and its noise.
+
+    `measured` and `of_interest`, (rows, columns), are the pixels with a shape and those whose noise it is.
+    """
+    measurement = inputs.read(frames_role, "measurement", Measurement)
+    if parameters.texture == "white":
+        texture: NDArray[np.floating] = measurement.texture.astype(np.float64)
+        noise = Noise(measurement.read_noise**2, measurement.gain)
+    else:
+        phase = inputs.read(shape_role, "phase", PhaseMaps)
+        texture = phase.mean_intensity
+        noise = average_noise(measurement, phase, measured)
+    smoothed = smooth(texture, parameters.smoothing_px)
+    factor = noise_after_smoothing(smoothed, of_interest, parameters.smoothing_px)
+    return smoothed, Noise(noise.floor * factor, noise.slope * factor)
 
 
 def _one_region(valid: NDArray[np.bool_]) -> ContinuousRegions:

@@ -79,6 +79,27 @@ def test_one_kind_uses_what_exists() -> None:
     assert all(i.existing == Existing(file_id=1) for job in jobs for i in job.inputs)
 
 
+def test_what_is_needed_of_another_campaign_must_be_there() -> None:
+    requests = [
+        Request("merge"),
+        Request("align", {"views": "other"}),
+        Request("combine", {"views": "other"}),
+    ]
+    jobs = plan(CAMPAIGN, requests, everything_exists)
+    assert {job.subject.campaign for job in jobs} == {"hat"}
+    combine = [job for job in jobs if job.kind.name == "combine"]
+    assert len(combine) == 3
+    for job in combine:
+        met = {given.need.subject.campaign: given.producer is None for given in job.inputs}
+        assert met == {"hat": False, "other": True}
+
+    def nothing_of_others(need: Need) -> Existing | None:
+        return everything_exists(need) if need.subject.campaign == "hat" else None
+
+    with pytest.raises(NotFound, match="needs the measurement of other/S00/C1P1"):
+        plan(CAMPAIGN, requests, nothing_of_others)
+
+
 def test_what_is_missing_is_named() -> None:
     with pytest.raises(NotFound, match="measurement of hat/S00/C1P1"):
         plan(CAMPAIGN, [Request("reconstruct")], only_calibration)

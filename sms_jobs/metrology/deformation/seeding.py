@@ -233,7 +233,9 @@ def seed_displacements(
     return u, v, score
 
 
-def _turned(image: Floats, regions: Floats, x: int, y: int, half: int, angle: float) -> tuple[Floats, Mask]:
+def turned_patch(
+    image: Floats, regions: Floats, x: int, y: int, half: int, angle: float
+) -> tuple[Floats, Mask]:
     """Return the sub-image about a pixel as it looks turned by an angle, and which of it counts."""
     j, i = np.mgrid[-half : half + 1, -half : half + 1]
     c, s = np.cos(angle), np.sin(angle)
@@ -280,7 +282,7 @@ def seed_warps(
             )
             best = max(float(score[k]), _SURE_SMALL)
             for turn in sorted(range(-most, most + 1), key=abs):
-                template, inside = _turned(first, regions, int(x[k]), int(y[k]), half, turn * _TURN)
+                template, inside = turned_patch(first, regions, int(x[k]), int(y[k]), half, turn * _TURN)
                 if np.count_nonzero(inside) < _LEAST_PIXELS:
                     continue
                 lagged = masked_correlation(template, inside, searched, measured)

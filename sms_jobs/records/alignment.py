@@ -1,0 +1,53 @@
+"""How the views of a rig from several positions lie to each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.records.quantity import XYZ, array
+
+Double = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ViewAlignment:
+    """The motion that brings another campaign's frame into this one's: x_here = R x_there + T.
+
+    Attributes
+    ----------
+    campaign
+        The other one.
+    rotation, translation_mm
+        R and T.
+    specimen_axis, specimen_axis_there
+        The specimen's x axis, along which strain is stated, in the frame of each campaign.
+    scale
+        Robust scatter of the residuals in units of what is stated of the points, at least 1.
+    rms_mm
+        Rms length of the residuals of the points that took part.
+    points, used_fraction
+        Points that both views see, and which part of them took part.
+    """
+
+    campaign: str
+    rotation: tuple[Vector, Vector, Vector]
+    translation_mm: Vector
+    specimen_axis: Vector
+    specimen_axis_there: Vector
+    scale: float
+    rms_mm: float
+    points: int
+    used_fraction: float
+    covariance: Double = array(
+        "mixed",
+        "covariance of a small turn about the origin of the frame here (rad) and a shift (mm)",
+        ("motion", "other motion"),
+    )
+    place: Double = array("mm", "position of the common points, here", ("point", "component"), XYZ)
+    residual: Double = array(
+        "mm", "position there, brought here, minus position here", ("point", "component"), XYZ
+    )
