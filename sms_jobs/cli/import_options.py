@@ -14,6 +14,9 @@ CampaignName: TypeAlias = Annotated[
 Only: TypeAlias = Annotated[
     str | None, typer.Option(help="Only files whose path below the folder has this form, as 'load_*'.")
 ]
+Cameras: TypeAlias = Annotated[
+    str | None, typer.Option("--cameras", help="Cameras by what the names call them: 'left=C1 right=C2'.")
+]
 SpecimenName: TypeAlias = Annotated[
     str | None, typer.Option("--specimen", help="Specimen of a campaign that is to be made.")
 ]

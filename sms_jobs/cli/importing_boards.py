@@ -13,6 +13,7 @@ from sms_jobs.cli import output
 from sms_jobs.cli.image_entry import EnteredImages, GivenCamera, inspect_images, make_campaign
 from sms_jobs.cli.import_options import (
     AddStates,
+    Cameras,
     CampaignName,
     DryRun,
     Newer,
@@ -26,7 +27,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.importers import boards as board_images
 from sms_jobs.formats.importers.folders import NamePattern, list_folder
 from sms_jobs.formats.importers.frames import Arrangement, is_image
-from sms_jobs.formats.importers.image_sets import arrange_images, guess_image_pattern
+from sms_jobs.formats.importers.image_sets import arrange_images, guess_image_pattern, named_cameras
 from sms_jobs.records.artefacts import Artefact
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Box, SensorFormat
@@ -40,9 +41,7 @@ def boards(
     pattern: Annotated[
         str | None, typer.Option(help="File names, as dot_{state}_{camera}.png; * for anything.")
     ] = None,
-    cameras: Annotated[
-        str | None, typer.Option(help="Cameras by what the names call them: 'left=C1 right=C2'.")
-    ] = None,
+    cameras: Cameras = None,
     camera: Annotated[str | None, typer.Option(help="Camera, where the names do not say it: C1.")] = None,
     only: Only = None,
     rig: Annotated[str | None, typer.Option(help="Rig of a session that is to be made.")] = None,
@@ -82,7 +81,7 @@ def boards(
     """
     listing = list_folder(folder, only)
     at = time_given(recorded_at)
-    named = board_images.named_cameras(cameras)
+    named = named_cameras(cameras)
     described = _described(board, chessboard, pitch_mm)
     box = None if volume is None else _box(volume)
     names = [name for name in listing.files if is_image(name)]

@@ -12,6 +12,7 @@ from sms_jobs.cli import output
 from sms_jobs.cli.image_entry import EnteredImages, GivenCamera, inspect_images, make_campaign
 from sms_jobs.cli.import_options import (
     AddStates,
+    Cameras,
     CampaignName,
     DryRun,
     FullScale,
@@ -30,7 +31,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.importers.folders import NamePattern, list_folder
 from sms_jobs.formats.importers.frames import Arrangement, is_image
 from sms_jobs.formats.importers.image_files import RawFormat
-from sms_jobs.formats.importers.image_sets import arrange_images, guess_image_pattern
+from sms_jobs.formats.importers.image_sets import arrange_images, guess_image_pattern, named_cameras
 from sms_jobs.jobs.importing import with_states
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 
@@ -41,6 +42,7 @@ def images(
     pattern: Annotated[
         str | None, typer.Option(help="File names, as {camera}/load_{state}.tif; * for anything.")
     ] = None,
+    cameras: Cameras = None,
     camera: Annotated[str | None, typer.Option(help="Camera, where the names do not say it: C1.")] = None,
     reference: Annotated[
         str | None, typer.Option(help="State that displacements start from; the first if not given.")
@@ -71,13 +73,14 @@ def images(
     listing = list_folder(folder, only)
     at = time_given(recorded_at)
     settings = GivenCamera(None if raw is None else RawFormat.parse(raw), full_scale, gain, read_noise)
+    named = named_cameras(cameras)
     names = [name for name in listing.files if is_image(name)]
     if not names:
         raise InvalidInput(
             f"{folder} has no image among {len(listing.files)} files: give the folder of the images"
         )
     text = pattern or guess_image_pattern(names)
-    arrangement = arrange_images(listing, NamePattern.parse(text), camera, reference)
+    arrangement = arrange_images(listing, NamePattern.parse(text, named), camera, reference, named)
     if not arrangement.tuples:
         raise InvalidInput(f"no file of {folder} fits the pattern '{text}': give another --pattern")
     with bootstrap.services(home) as services:

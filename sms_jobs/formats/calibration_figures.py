@@ -63,14 +63,13 @@ def draw_expected_sigma(place: Floats, sigma_mm: Floats, title: str, width_px: i
     grids = figure.subplots(1, len(chosen), sharey=True, squeeze=False)[0]
     for axes, level in zip(grids, chosen, strict=True):
         here = place[:, 2] == level
-        drawn = axes.tricontourf(
-            place[here, 0],
-            place[here, 1],
-            micrometres[here],
-            levels=np.linspace(low, high, 13),
-            extend="both",
-            cmap=COLOUR_MAP,
-        )
+        x, y, value = place[here, 0], place[here, 1], micrometres[here]
+        if np.linalg.matrix_rank(place[here] - place[here][0]) > 1:
+            levels_of = {"levels": np.linspace(low, high, 13), "extend": "both"}
+            drawn = axes.tricontourf(x, y, value, cmap=COLOUR_MAP, **levels_of)
+        else:
+            # Places on one line, at a corner of the volume that both sensors just see, enclose no area.
+            drawn = axes.scatter(x, y, c=value, vmin=low, vmax=high, cmap=COLOUR_MAP)
         axes.set_aspect("equal")
         axes.set_title(f"Z = {level:.0f} mm", fontsize="small")
         axes.set_xlabel("X [mm]")

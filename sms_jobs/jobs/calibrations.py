@@ -94,8 +94,8 @@ def session_result(
         datasets = [f for f in files if f.subject == str(subject) and f.media_type == DATASET_MEDIA_TYPE]
     if not datasets:
         raise NotFound(
-            f"session {campaign} has given no calibration yet; run 'sms job submit simulate pipeline -c "
-            f"{campaign}'"
+            f"session {campaign} has given no calibration yet; run 'sms job submit pipeline -c {campaign}' "
+            "when its poses have been recorded"
         )
     with archive.open(datasets[0].path) as dataset:
         return datasets[0], _known(None, datasets[0].path, dataset)
@@ -262,6 +262,11 @@ def check(
     with catalogue.reading() as session:
         row = campaigns.campaign_row(session, subject.campaign)
         orientations = campaigns.definition(row).sequence
+        if len(orientations.orientations_rad) < 2:
+            raise InvalidInput(
+                f"{subject} has fringes of one orientation, with which rays meet whatever the calibration: "
+                "check a measurement with two"
+            )
         shape = campaigns.newest_file(session, "reconstruct", subject, DATASET_MEDIA_TYPE)
         at = campaigns.time_of(session, subject, now)
         file_id = campaigns.calibration_file(session, row.rig_id, at)

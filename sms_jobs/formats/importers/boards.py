@@ -28,7 +28,6 @@ BOARD = "board"
 _Board: TypeAlias = CircleBoard | Chessboard
 _SIZE = re.compile(r"(\d{1,3})x(\d{1,3})")
 _LONGEST = 200
-_CAMERA = re.compile(r"(?P<called>[^=\s]+)=(?P<name>C[1-9]\d*)")
 
 
 class _BoardFile(RootModel[Annotated[_Board, flat(CircleBoard, Chessboard, tag="shape")]]):
@@ -61,19 +60,6 @@ def chessboard(size: str, pitch_mm: float | None) -> Chessboard:
     if pitch_mm is None:
         raise InvalidInput("the scale of a chessboard is not known: say the side of a square by --pitch-mm")
     return Chessboard(int(found[1]), int(found[2]), pitch_mm)
-
-
-def named_cameras(text: str | None) -> dict[str, str]:
-    """Return cameras by what file names call them, from `left=C1 right=C2`; `InvalidInput` for others."""
-    named: dict[str, str] = {}
-    for part in (text or "").split():
-        found = _CAMERA.fullmatch(part)
-        if found is None or found["called"] in named or found["name"] in named.values():
-            raise InvalidInput(
-                f"--cameras should say each camera once, as in 'left=C1 right=C2', not '{text}'"
-            )
-        named[found["called"]] = found["name"]
-    return named
 
 
 def session_of_boards(

@@ -22,6 +22,7 @@ from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 
 _CAMERA = re.compile(r"C[1-9]\d*")
+_NAMED = re.compile(r"(?P<called>[^=\s]+)=(?P<name>C[1-9]\d*)")
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,19 @@ def guess_image_pattern(images: list[str]) -> str:
 
 def _shape(name: str) -> str:
     return re.sub(r"\d+", "0", name)
+
+
+def named_cameras(text: str | None) -> dict[str, str]:
+    """Return cameras by what file names call them, from `left=C1 right=C2`; `InvalidInput` for others."""
+    named: dict[str, str] = {}
+    for part in (text or "").split():
+        found = _NAMED.fullmatch(part)
+        if found is None or found["called"] in named or found["name"] in named.values():
+            raise InvalidInput(
+                f"--cameras should say each camera once, as in 'left=C1 right=C2', not '{text}'"
+            )
+        named[found["called"]] = found["name"]
+    return named
 
 
 def arrange_images(

@@ -19,6 +19,7 @@ from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns
 from sms_jobs.cli.importing import app
 from sms_jobs.errors import InvalidInput, SmsError
+from sms_jobs.formats.calibration_figures import draw_expected_sigma
 from sms_jobs.formats.importers.boards import load_board, session_of_boards
 from sms_jobs.jobs.calibrations import measuring_pairs
 from sms_jobs.kinds import calibrate_boards, observe_board
@@ -235,6 +236,12 @@ def test_what_cannot_become_a_session_changes_nothing(
         boards(folder, home, *options)
     with bootstrap.services(home) as services:
         assert not list(services.archive.files())
+
+
+def test_expected_deviations_are_drawn_where_few_places_are_seen() -> None:
+    # Three places on one line, and one by itself, enclose no area.
+    place = np.array([[0.0, 0.0, 1.0], [1.0, 1.0, 1.0], [2.0, 2.0, 1.0], [0.0, 0.0, 2.0]])
+    assert draw_expected_sigma(place, np.array([1.0, 2.0, 3.0, 4.0]), "C1P1", 400).startswith(b"\x89PNG")
 
 
 def test_images_of_another_size_are_refused(folder: Path, home: Path, tmp_path: Path) -> None:
