@@ -19,6 +19,7 @@ from sms_jobs.records.optical_instruments import RigFile
 app = typer.Typer(help="Rigs: the instruments that are connected to this host.", no_args_is_help=True)
 
 Rig = Annotated[str, typer.Argument(help="Name of the rig.")]
+_SIMULATED = "simulated: there when a campaign gives it a scene"
 
 
 @app.command()
@@ -91,23 +92,33 @@ def show(rig: Rig, home: Home = None) -> None:
 def check(rig: Rig, home: Home = None, as_json: Json = False) -> None:
     """Talk to every instrument of a rig and show what it answers.
 
+    Every projector is lit in turn, and every camera says how bright it is then: a cable in the wrong socket
+    is seen at once. Simulated cameras and projectors see a campaign's scene alone, and are only named.
+
     Example: sms rig check virtual
     """
+    from sms_jobs.instruments.checking import checked
     from sms_jobs.instruments.connection import connected
 
     with bootstrap.services(home) as services:
         described = services.stations.rig(rig)
     with connected(described) as found:
-        values = found.read_channels()
-        angles = None if found.stage is None else found.stage.angles()
+        check = checked(found)
+    sensors = {name: check.sensors.get(name, _SIMULATED) for name in described.sensors}
     if as_json:
-        stage = None if angles is None else {"pan_rad": angles[0], "tilt_rad": angles[1]}
-        output.print_json({"rig": rig, "channels": values, "stage": stage})
+        pan, tilt = check.stage_rad or (None, None)
+        stage = None if check.homed is None else {"pan_rad": pan, "tilt_rad": tilt, "homed": check.homed}
+        told = {"sensors": sensors, "views": check.views, "channels": check.channels, "stage": stage}
+        output.print_json({"rig": rig, **told})
         return
-    rows = [(name, f"{value:g} {found.channels[name].unit}") for name, value in values.items()]
-    if angles is not None:
-        rows.append(("stage", f"pan {degrees(angles[0]):.3f} deg, tilt {degrees(angles[1]):.3f} deg"))
-    output.print_table(["instrument", "says"], rows, empty="this rig has no serial instruments")
+    rows = list(sensors.items())
+    for name, levels in check.views.items():
+        seen = ", ".join(f"{what} {level:.1f}" for what, level in levels.items())
+        rows.append((name, f"sees on average {seen} of {check.full_scales[name]}"))
+    rows += [(name, f"{value:g} {found.channels[name].unit}") for name, value in check.channels.items()]
+    if described.stage is not None:
+        rows.append((described.stage.name, _angles(check.stage_rad, rig)))
+    output.print_table(["instrument", "says"], rows, empty="this rig has no instruments")
 
 
 @app.command("home")
@@ -228,6 +239,13 @@ def serve(
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     output.say(f"serving scanner {rig} on {server.address}; clients need a copy of {path.absolute()}")
     server.serve()
+
+
+def _angles(angles_rad: tuple[float, float] | None, rig: str) -> str:
+    if angles_rad is None:
+        return f"not homed yet, so that it does not know its angles: 'sms rig home {rig}' looks for them"
+    pan, tilt = map(degrees, angles_rad)
+    return f"pan {pan:.3f} deg, tilt {tilt:.3f} deg"
 
 
 def _with_stage(home: Path | None, rig: str) -> RigFile:

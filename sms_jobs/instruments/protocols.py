@@ -145,6 +145,10 @@ class Stage(Protocol):
         """Return pan and tilt as the stage reads them, in rad."""
         ...
 
+    def homed(self) -> bool:
+        """Say whether it knows where it is; until then its angles mean nothing."""
+        ...
+
     def home(self) -> None:
         """Go home the way it came, so that the cable uncoils."""
         ...

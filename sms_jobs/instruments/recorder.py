@@ -252,14 +252,14 @@ class _Set:
             self.rig.cameras[camera].arm(exposure)
 
     def _writer(self, camera: str, begun: datetime, channels: dict[str, float]) -> _Writer:
-        facts = self.rig.cameras[camera].facts
+        facts, stage = self.rig.cameras[camera].facts, self.rig.stage
         about = {
             "rig": self.rig.name,
             "full_scale": facts.full_scale,
             "gain": facts.gain,
             "read_noise": facts.read_noise,
             "channels": channels,
-            "stage_rad": None if self.rig.stage is None else self.rig.stage.angles(),
+            "stage_rad": stage.angles() if stage is not None and stage.homed() else None,
             "simulation": None,
         }
         if self.rig.simulation is not None:

@@ -131,7 +131,7 @@ def _wiring_at_odds(rig: str, camera: CameraInstrument) -> str:
         )
     return (
         f"a trigger controller of rig {rig} is wired to {camera.name}, which does not wait for it: name the "
-        'camera\'s line, such as trigger_line = "Line1", where its driver knows lines'
+        'camera\'s line, such as trigger = "Line1", where its driver knows lines'
     )
 
 

@@ -54,7 +54,7 @@ class Recording:
     channels_before, channels_after
         Scalar channels read before and after the set, by name, in the unit of their name.
     stage_rad
-        Pan and tilt as the stage read them; None where there is none.
+        Pan and tilt as the stage read them; None where there is none, or it had not been home.
     numbers
         What each camera frame was numbered by the camera: fringe frames in order, then the white frame.
     times_s

@@ -56,6 +56,11 @@ class ScannerCamera:
         return self.link.simulated
 
     @property
+    def there(self) -> bool:
+        """Whether the scanner has it now: simulated ones come with a scene."""
+        return self.name in self.link.facts["cameras"]
+
+    @property
     def facts(self) -> CameraFacts:
         """What does not change about it."""
         known = self.link.facts["cameras"]

@@ -100,10 +100,14 @@ class PanTilt:
         pan, tilt = self.read()
         return pan.value, tilt.value
 
+    def homed(self) -> bool:
+        """Say whether both axes know where they are; until then their angles mean nothing."""
+        return all(self._axes.state(axis).homed for axis in AXES)
+
     def stage(self) -> None:
         """Make ready for poses: look for the home position where an axis does not know it."""
         self._ready()
-        if not all(self._axes.state(axis).homed for axis in AXES):
+        if not self.homed():
             self.reference()
 
     def unstage(self) -> None:
@@ -155,7 +159,7 @@ class PanTilt:
     def home(self) -> None:
         """Go back to 0 the way the pan axis came, so that the cable uncoils; look for 0 if it is lost."""
         self._ready()
-        if all(self._axes.state(axis).homed for axis in AXES):
+        if self.homed():
             self.move(0.0, 0.0)
         else:
             self.reference()
