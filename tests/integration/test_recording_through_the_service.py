@@ -10,12 +10,18 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+from sqlalchemy import select
 from support.command import answer, service, sms, wait_until
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive
+from sms_jobs.catalogue.models import FileRow
 from sms_jobs.instruments.spool import Spooled
+from sms_jobs.jobs import locks, recordings
+from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.submission import submit
+from sms_jobs.records.job import JobState
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.recording import InterruptedRecording, Recording
 from sms_jobs.virtual_rig.campaigns import small_plate
@@ -38,7 +44,7 @@ unit = "N"
 faults = [{ fault = "garbled-byte", at = 2 }]
 """
 FRAMES = 41  # 2 orientations of 5 densities of 4 steps, and white
-SLOW = RIG.replace("settle_ms = 40.0", "settle_ms = 150.0")
+SLOW = RIG.replace("settle_ms = 40.0", "settle_ms = 100.0")
 UNPLUGGED = RIG.replace(
     "rows = 128 }", 'rows = 128, faults = [{ fault = "unplugged", state = "S01", frame = 60 }] }'
 )
@@ -72,15 +78,21 @@ def rig(home: Path, text: str) -> None:
     """Connect a rig, as it now is."""
     file = home / "rig.toml"
     file.write_text(text)
-    done = sms("rig", "add", str(file), "--replace", "--home", str(home))
-    assert done.returncode == 0, done.stderr
+    with bootstrap.services(home) as services:
+        services.stations.add(file, replace=True)
+
+
+def recorded_files(home: Path) -> list[str]:
+    """Return the paths of what was measured."""
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        return list(session.scalars(select(FileRow.path).where(FileRow.source == "measurement")))
 
 
 def measurements(home: Path) -> dict[str, Measurement]:
     """Return everything that was measured, by tuple; each tuple once."""
     archive, found = Archive(home / "archive"), {}
-    for row in run(home, "data", "find", "--kind", "measurement"):
-        with archive.open(row["path"]) as dataset:
+    for path in recorded_files(home):
+        with archive.open(path) as dataset:
             assert str(dataset.subject) not in found
             measurement = dataset.read("measurement", Measurement)
             frames = np.stack([measurement.frames.frame(k) for k in range(measurement.frames.shape[0])])
@@ -122,26 +134,41 @@ def test_a_state_is_recorded_and_processed(home: Path) -> None:
     assert np.diff(recording.times_s).min() >= 0.04
 
 
-@pytest.mark.long
 def test_a_killed_worker_loses_no_complete_frame(home: Path) -> None:
     rig(home, SLOW)
-    with service(home) as supervisor:
-        (job,) = run(home, "acquire", "run", "plate", "--state", "S01", "--no-wait")["jobs"]
-        wait_until(lambda: spooled(home) > 10)
-        seen = spooled(home)
-        _kill_recorder(supervisor)
-        wait_until(lambda: run(home, "acquire", "list")[0]["state"] == "needs-operator")
-        (waiting,) = run(home, "acquire", "list")
-        assert waiting["finished"] == ["C1P1"]
-        assert "cannot be asked for twice" in waiting["reason"]
-        assert run(home, "lock", "list") == []
-        kept = spooled(home)
-        assert seen <= kept < FRAMES
-        first = Spooled(next((home / "spool").glob("*/C1P1.*.frames")))
-        before = np.stack([first.frame(k) for k in range(FRAMES - 1)]), first.header.recorded_at
-        # Nothing goes on by itself; somebody has looked and says so.
-        resumed = run(home, "acquire", "resume", job[:8])
-        assert resumed["jobs"] == {"succeeded": 1}
+    with bootstrap.services(home) as services:
+        # Looked at from here: a command for each look would take most of the time of this test.
+        def submitted() -> str:
+            with services.catalogue.writing() as session:
+                return submit(
+                    session, "plate", [Request("acquire", {}, ("S01",))], datetime.now(UTC)
+                ).job_ids[0]
+
+        def opened() -> list[recordings.OpenRecording]:
+            with services.catalogue.reading() as session:
+                return recordings.open_recordings(session, home / "spool")
+
+        def needs_operator() -> bool:
+            return [r.state for r in opened()] == [JobState.NEEDS_OPERATOR]
+
+        with service(home) as supervisor:
+            job = submitted()
+            wait_until(lambda: spooled(home) > 10)
+            seen = spooled(home)
+            _kill_recorder(supervisor)
+            wait_until(needs_operator)
+            (waiting,) = opened()
+            assert waiting.finished == ("C1P1",)
+            assert "cannot be asked for twice" in waiting.reason
+            with services.catalogue.reading() as session:
+                assert not locks.held(session, datetime.now(UTC))
+            kept = spooled(home)
+            assert seen <= kept < FRAMES
+            first = Spooled(next((home / "spool").glob("*/C1P1.*.frames")))
+            before = np.stack([first.frame(k) for k in range(FRAMES - 1)]), first.header.recorded_at
+            # Nothing goes on by itself; somebody has looked and says so.
+            resumed = run(home, "acquire", "resume", job[:8])
+            assert resumed["jobs"] == {"succeeded": 1}
     found = measurements(home)
     assert set(found) == {"plate/S01/C1P1", "plate/S01/C1P2"}
     np.testing.assert_array_equal(found["plate/S01/C1P1"].frames, before[0])
@@ -156,8 +183,8 @@ def test_a_killed_worker_loses_no_complete_frame(home: Path) -> None:
 def interrupted(home: Path) -> list[np.ndarray]:
     """Return the frames of the sets that broke off."""
     archive, found = Archive(home / "archive"), []
-    for row in run(home, "data", "find", "--kind", "measurement"):
-        with archive.open(row["path"]) as dataset:
+    for path in recorded_files(home):
+        with archive.open(path) as dataset:
             for name in dataset.names:
                 if name.startswith("interrupted"):
                     broken = dataset.read(name, InterruptedRecording)
