@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sms_jobs.errors import DeviceFault, InvalidInput, LinkLost
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.optical_drivers import ProjectorDriver, Surroundings, optional_package
-from sms_jobs.metrology.phase.patterns import fringe_pattern
+from sms_jobs.metrology.phase.patterns import direction, fringe_pattern
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import ProjectorInstrument
 
@@ -224,8 +224,12 @@ class WindowProjector:
     def _picture(self, number: int) -> Levels:
         orientation, density, step = list(self._sequence.patterns())[number]
         columns, rows, steps = self.settings.columns, self.settings.rows, self._sequence.steps
-        brightness = fringe_pattern(columns, rows, orientation, density, step, steps)
-        return grey_levels(brightness, self.settings.gamma)
+        across, down = direction(orientation)
+        # Of fringes along an axis one line is computed, and seen as all of them.
+        line = (columns if across else 1, rows if down else 1)
+        brightness = fringe_pattern(*line, orientation, density, step, steps)
+        levels: Levels = np.broadcast_to(grey_levels(brightness, self.settings.gamma), (rows, columns))
+        return levels
 
 
 def connect(projector: WindowSettings, place: Surroundings) -> WindowProjector:

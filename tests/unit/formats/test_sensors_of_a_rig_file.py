@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal, get_args, get_type_hints
 
 import pytest
@@ -10,6 +12,7 @@ import pytest
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.formats.rig_configuration import SIMULATED_SENSORS, example_rig, parse_rig
 from sms_jobs.instruments.optical_drivers import camera_drivers, projector_drivers
+from sms_jobs.jobs.stations import known_sensors
 from sms_jobs.records.optical_instruments import CameraInstrument, VirtualCamera
 
 
@@ -68,3 +71,17 @@ def test_a_trigger_wire_has_two_ends() -> None:
     with pytest.raises(ConfigurationError, match="is wired to C1, which does not wait for it"):
         parse_rig('name = "hut"\n' + CAMERA + BOX, "rig.toml", SENSORS)
     assert parse_rig('name = "hut"\n' + CAMERA + 'line = "A"\n' + BOX, "rig.toml", SENSORS).cameras[0].wired
+
+
+def test_what_the_documentation_shows_is_a_rig_file() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "instruments.md").read_text(encoding="utf-8")
+    shown = [
+        b for b in re.findall(r"```toml\n(.*?)```", text, re.DOTALL) if b.startswith(("[[cam", "[[proj"))
+    ]
+    drivers = set()
+    for block in shown:
+        wires = BOX if 'trigger = "Line' in block else ""
+        lone = "" if "[[cameras]]" in block else "cameras = []\n"
+        rig = parse_rig(f'name = "shown"\n{lone}{block}{wires}', "instruments.md", known_sensors())
+        drivers |= {sensor.driver for sensor in (*rig.cameras, *rig.projectors)}
+    assert drivers >= {"aravis", "opencv", "window"}

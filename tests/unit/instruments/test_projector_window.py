@@ -20,7 +20,7 @@ from sms_jobs.instruments.projectors.window import WindowProjector, WindowSettin
 from sms_jobs.records.measurement import FringeSequence
 
 SETTINGS = WindowSettings("P1", COLUMNS, ROWS, "window")
-SEQUENCE = FringeSequence((7, 3), 4, (0.0, pi / 2))
+SEQUENCE = FringeSequence((7, 3), 4, (0.0, pi / 2, 0.3))
 
 
 @pytest.fixture(scope="module")
@@ -48,10 +48,10 @@ def test_every_pattern_is_shown_pixel_for_pixel(projector: WindowProjector, hidd
         projector.show(number)
         seen = hidden.grab()
         # docs/conventions.md: the phase is 0 in the middle of the image.
-        along = np.arange(COLUMNS) + 0.5 - COLUMNS / 2 if orientation == 0.0 else None
-        down = (np.arange(ROWS) + 0.5 - ROWS / 2)[:, None]
-        turns = density * (along / COLUMNS if along is not None else down / ROWS) + step / SEQUENCE.steps
-        wanted = np.broadcast_to(127.5 * (1.0 + np.cos(2.0 * pi * turns)), (ROWS, COLUMNS))
+        along, down = np.arange(COLUMNS) + 0.5 - COLUMNS / 2, (np.arange(ROWS) + 0.5 - ROWS / 2)[:, None]
+        span = COLUMNS * np.cos(orientation) + ROWS * np.sin(orientation)
+        turns = density * (along * np.cos(orientation) + down * np.sin(orientation)) / span
+        wanted = 127.5 * (1.0 + np.cos(2.0 * pi * (turns + step / SEQUENCE.steps)))
         # Levels are whole: half of one off, and the last digits of two ways to write a cosine.
         assert np.abs(seen - wanted[:, :, None]).max() <= 0.5 + 1e-9
     assert len(np.unique(seen)) > 10  # a fringe, and no uniform field
