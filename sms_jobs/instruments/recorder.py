@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import logging
+import shutil
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from sms_jobs.errors import FrameLost, InstrumentError, InvalidInput
+from sms_jobs.errors import FrameLost, InstrumentError, InvalidInput, StorageFull
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.judging import LOOKED_AT, Limits, drifted, judged, wanting
 from sms_jobs.instruments.protocols import (
@@ -127,12 +128,13 @@ def record_state(
     InstrumentError
         When an instrument gives up; complete frames stay in the spool.
     StorageFull
-        When the spool's disk is full.
+        When the spool's disk has no room for these sets, or is full on the way.
     """
     limits.require_channels(rig.name, rig.channels)
     spool.mkdir(parents=True, exist_ok=True)
     _set_aside_interrupted(spool)
     by_projector = _by_projector(rig, [p for p in pairs if not is_finished(spool, p)])
+    _require_room(rig, by_projector, sequence.frames + 1, spool)
     with ExitStack() as stack:
         for projector in rig.projectors.values():
             stack.callback(_quietly, projector.dark)
@@ -385,6 +387,20 @@ def _by_projector(rig: ConnectedRig, pairs: Sequence[str]) -> dict[str, tuple[st
                 )
         found[projector] = (*found.get(projector, ()), camera)
     return found
+
+
+def _require_room(
+    rig: ConnectedRig, by_projector: Mapping[str, tuple[str, ...]], frames: int, spool: Path
+) -> None:
+    """Raise `StorageFull` when sets of so many frames have no room, before a load is held for them."""
+    facts = [rig.cameras[camera].facts for cameras in by_projector.values() for camera in cameras]
+    needed = sum(frames * f.rows * f.columns * np.dtype(f.dtype).itemsize for f in facts)
+    free = shutil.disk_usage(spool).free
+    if needed > free:
+        raise StorageFull(
+            f"the disk of the spool, {spool}, has {free / 1e6:.0f} MB left, and the frames of this state "
+            f"need {needed / 1e6:.0f} MB; free some space"
+        )
 
 
 def _set_aside_interrupted(spool: Path) -> None:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sms_jobs.errors import Cancelled, InstrumentError, InvalidInput, LinkLost
+from sms_jobs.errors import Cancelled, InstrumentError, InvalidInput, LinkLost, StorageFull
 from sms_jobs.instruments.judging import Limits
+from sms_jobs.instruments.protocols import CameraFacts
 from sms_jobs.instruments.recorder import (
     FRAME_TIMEOUT_S,
     ConnectedRig,
@@ -243,6 +244,21 @@ def test_the_white_frame_has_an_exposure_of_its_own(
         0.5 * level.mean(), abs=5.0 * noise / np.sqrt(level.size)
     )
     np.testing.assert_array_equal(dim.frames.frame(3), bright.frames.frame(3))
+
+
+def test_a_disk_without_room_is_told_before_anything_is_recorded(
+    make_rig: Callable[..., ConnectedRig], tmp_path: Path
+) -> None:
+    class Huge(SimulatedCamera):
+        @property
+        def facts(self) -> CameraFacts:
+            return replace(super().facts, rows=10**7, columns=10**7)  # 5 PB of frames
+
+    rig = make_rig()
+    rig = replace(rig, cameras={**rig.cameras, "C2": Huge("C2", hall_of(rig))})
+    with pytest.raises(StorageFull, match="the frames of this state need"):
+        record(rig, tmp_path / "s")
+    assert not list((tmp_path / "s").iterdir())
 
 
 def test_a_pair_that_the_rig_does_not_have_is_refused(
