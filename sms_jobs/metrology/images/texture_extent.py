@@ -46,11 +46,13 @@ def textured_pixels(
     near = variance > LEAST_CONTRAST**2 * np.asarray(noise_variance)
     if not near.any() or near.all():
         return np.asarray(near)
-    closed = ndimage.distance_transform_edt(~near) <= coarsest_px
+    # The image is continued as it ends, so that its border closes nothing and is no outline either.
+    reach = 2 * coarsest_px + WINDOW_RADIUS_PX + margin_px
+    closed = ndimage.distance_transform_edt(~np.pad(near, reach, mode="edge")) <= coarsest_px
     if closed.all():
-        return np.asarray(closed)
+        return np.ones_like(near)
     inwards = ndimage.distance_transform_edt(closed) > coarsest_px + WINDOW_RADIUS_PX + margin_px
-    labels, _ = ndimage.label(inwards)
+    labels, _ = ndimage.label(inwards[reach:-reach, reach:-reach])
     area = np.bincount(labels.ravel())
     area[0] = 0
     return np.asarray((area >= coarsest_px**2)[labels])

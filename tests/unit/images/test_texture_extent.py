@@ -58,3 +58,14 @@ def test_noise_may_grow_with_the_level(rng: np.random.Generator) -> None:
     # Windows across the edge are far brighter and darker than their noise: they count, and are taken off.
     assert not found[distance_inside() < -2.0].any()
     assert found[distance_inside() > 4.0].all()
+
+
+def test_a_narrow_background_beside_the_border_is_background(rng: np.random.Generator) -> None:
+    """Twelve plain columns are narrower than the coarsest speckle, and no gap in it: nothing follows."""
+    levels = strip(rng, 2.0)[:, int(LEFT) - 12 :]
+    found = textured_pixels(levels, NOISE**2, COARSEST)
+    distance = distance_inside()[:, int(LEFT) - 12 :]
+    assert not found[distance < -1.0].any()
+    assert found[distance > 4.0].all()
+    # Where the specimen goes on beyond the image there is no outline.
+    assert found[[0, -1], 40].all()
