@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from sms_jobs.kinds.kind import (
     CALIBRATION,
@@ -26,13 +27,35 @@ from sms_jobs.kinds.report_pages import ReportPages
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
 
 
-class ReportParameters(Parameters):
-    """How finely the report shows images, and of how many states."""
+class PageParameters(Parameters):
+    """How finely a report shows images, and what else it shows."""
 
     map_px: int = Field(
         320, ge=64, le=4096, description="most samples of a map along its longer side, for zoom and values"
     )
     figure_width_px: int = Field(420, ge=240, le=1600, description="width of every printed picture in pixels")
+    also: tuple[str, ...] = Field(
+        (), description="results that not everybody has: gauges, of jobs 'gauges' that have run"
+    )
+
+    @field_validator("also", mode="before")
+    @classmethod
+    def _parted(cls, value: Any) -> Any:
+        return tuple(n for n in value.split(",") if n) if isinstance(value, str) else value
+
+    @field_validator("also")
+    @classmethod
+    def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        known = sorted({name for chapter in chapters() for name in chapter.also})
+        for name in names:
+            if name not in known:
+                raise ValueError(f"a report shows no '{name}' besides; choose among {', '.join(known)}")
+        return tuple(dict.fromkeys(names))
+
+
+class ReportParameters(PageParameters):
+    """How finely the report shows images, and of how many states."""
+
     most_states: int = Field(
         12,
         ge=1,
@@ -68,6 +91,18 @@ def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     return found.values()
 
 
+def further_needs(campaign: Campaign, subject: Subject, parameters: PageParameters) -> Iterable[Need]:
+    """Return what is shown because it was asked for."""
+    for chapter in present(campaign):
+        for name in parameters.also:
+            yield from chapter.also.get(name, no_further)(campaign)
+
+
+def no_further(campaign: Campaign) -> Iterable[Need]:
+    """Need nothing: another chapter has it."""
+    return ()
+
+
 def _subjects(campaign: Campaign) -> Iterable[Subject]:
     return (Subject(campaign.name),) if tested_states(campaign) and present(campaign) else ()
 
@@ -101,6 +136,7 @@ KIND = Kind(
     scope=Scope.CAMPAIGN,
     parameters=ReportParameters,
     needs=needs,
+    further_needs=further_needs,
     run=run,
     subjects=_subjects,
     context=whole_campaign,

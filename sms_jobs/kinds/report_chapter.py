@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 
 from sms_jobs.discovery import declared
 from sms_jobs.formats.report.view import Sampler, View
@@ -52,6 +52,8 @@ class Chapter:
         Yields what is shown of the reference state, one view at a time.
     deformed
         Yields what is shown of another state, one view at a time: a view is let go of before the next.
+    also
+        By name, further inputs that a reader may ask for, of jobs that not everybody runs.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Chapter:
     needs: Callable[[Campaign], Iterable[Need]]
     reference: Callable[[Inputs, Campaign, Sampling], Iterator[View]]
     deformed: Callable[[Inputs, Campaign, LoadState, Sampling], Iterator[View]]
+    also: Mapping[str, Callable[[Campaign], Iterable[Need]]] = field(default_factory=dict)
 
 
 def chapters() -> tuple[Chapter, ...]:

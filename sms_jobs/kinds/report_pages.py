@@ -287,11 +287,13 @@ def _text_file(folder: zipfile.ZipFile, name: str) -> TextIO:
 
 
 def _defaults() -> dict[str, Mapping[str, Any]]:
-    """Return the parameters of every kind that has defaults for all of them, as JSON."""
+    """Return the defaults of every kind whose results can be computed again, as JSON."""
     from sms_jobs.kinds import all_kinds
 
     found: dict[str, Mapping[str, Any]] = {}
     for name, kind in all_kinds().items():
+        if kind.with_instruments:
+            continue
         required = any(f.is_required() for f in kind.parameters.model_fields.values())
         found[name] = {} if required else kind.parameters().model_dump(mode="json")
     return found

@@ -8,13 +8,16 @@ import numpy as np
 
 from sms_jobs.formats.report.surface import deformed_view, reference_view
 from sms_jobs.formats.report.view import View
-from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Need, tuples
+from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Need, deformed_tuples, tuples
 from sms_jobs.kinds.report_chapter import Chapter, Sampling, role
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.fields import MergedField, PointCloud, Regions, StrainField
+from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import split_pair
+
+GAUGES = "gauges"
 
 
 def pairs_by_camera(campaign: Campaign) -> dict[str, tuple[str, ...]]:
@@ -39,6 +42,11 @@ def _needs(campaign: Campaign) -> Iterable[Need]:
             yield Need(role("correlate", state, pair), "correlate", each)
     for loaded in campaign.states[1:] if campaign.shape_pairs else ():
         yield Need(role("merge", loaded.label), "merge", Subject(campaign.name, loaded.label))
+
+
+def _gauges(campaign: Campaign) -> Iterable[Need]:
+    for each in deformed_tuples(campaign):
+        yield Need(role(GAUGES, each.state or "", each.pair or ""), GAUGES, each)
 
 
 def _best_pairs(inputs: Inputs, campaign: Campaign) -> Mapping[str, str]:
@@ -77,8 +85,11 @@ def _deformed(inputs: Inputs, campaign: Campaign, state: LoadState, sampling: Sa
             if best is None or _valid(strain) > _valid(best[1]):
                 best = (pair, strain)
             del strain
-        if best is not None:
-            yield deformed_view(merged, *best, sampling.of(merged.reason.shape))
+        if best is None:
+            continue
+        readings = role(GAUGES, state.label, best[0])
+        gauges = inputs.read(readings, "gauges", GaugeReadings) if readings in inputs.datasets else None
+        yield deformed_view(merged, *best, sampling.of(merged.reason.shape), gauges)
 
 
 def _valid(field: StrainField) -> int:
@@ -95,4 +106,5 @@ CHAPTER = Chapter(
     needs=_needs,
     reference=_reference,
     deformed=_deformed,
+    also={GAUGES: _gauges},
 )

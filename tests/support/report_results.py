@@ -17,6 +17,7 @@ from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
 from sms_jobs.records.assessment import Assessment, Errors
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
 from sms_jobs.records.fields import MergedField, Mesh, PointCloud, Region, Regions, StrainField
+from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.scene import HalvesApart, Plane, Scene
 from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
@@ -84,6 +85,13 @@ def records_for(need: Need, size: tuple[int, int]) -> Mapping[str, Any]:
             for c in CAMERAS
         }
         return {**fields, "mesh": mesh()}
+    if need.source == "gauges":
+        readings = np.array([0.001 * load, np.nan]), np.array([2e-6, np.nan], np.float32)
+        return {
+            "gauges": GaugeReadings(
+                "small", ("G1", "<G2>"), *readings, np.zeros((2, 3)), np.zeros(2, np.int32)
+            )
+        }
     assert need.source == "assess", need
     return {"assessment": Assessment(errors, errors, replace(errors, rms=42e-6), np.zeros(size, np.float32))}
 
@@ -106,7 +114,8 @@ def run_on_results(
     archive = Archive(folder / "archive")
     with ExitStack() as stack:
         datasets = {}
-        for place, need in enumerate(kind.needs(campaign, subject)):
+        parameters = kind.parameters(**given)
+        for place, need in enumerate(kind.all_needs(campaign, subject, parameters)):
             made = Provenance(
                 need.source,
                 1,
@@ -126,7 +135,7 @@ def run_on_results(
         inputs = Inputs(subject, kind.context(campaign, subject), datasets)
         told: list[float] = []
         documents = []
-        for output in kind.run(inputs, kind.parameters(**given), lambda part, _="": told.append(part)):
+        for output in kind.run(inputs, parameters, lambda part, _="": told.append(part)):
             path = folder / output.filename
             output.write(path)
             documents.append((output, path))

@@ -14,7 +14,7 @@ from sms_jobs.records.campaign import LoadState
 _WIDTH, _HEIGHT = 560, 330
 _LEFT, _RIGHT, _TOP, _BOTTOM = 66, 14, 12, 46
 _COLOURS = 6
-_TICKS = 5
+_TICKS = 6
 _LARGEST_LABELS = 12
 
 

@@ -59,12 +59,12 @@ function pointChart(points, title, unit, axis) {
   const x = (v) => left + ((v - x0) / (x1 - x0)) * (right - left), y = (v) => bottom - ((v - y0) / (y1 - y0)) * (bottom - top);
   const svg = drawn("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": title });
   const text = (words, attributes) => svg.append(drawn("text", attributes, words));
-  for (const value of ticks(y0, y1, 5)) {
+  for (const value of ticks(y0, y1, 6)) {
     svg.append(drawn("path", { class: "grid", d: `M${left} ${y(value)}H${right}` }));
     text(String(Number(value.toPrecision(6))), { x: left - 6, y: y(value) + 4, "text-anchor": "end" });
   }
   const named = !axis || axis.names;
-  const marks = named ? points.map((p) => [p.x, p.state]) : ticks(x0, x1, 5).map((v) => [v, String(Number(v.toPrecision(6)))]);
+  const marks = named ? points.map((p) => [p.x, p.state]) : ticks(x0, x1, 6).map((v) => [v, String(Number(v.toPrecision(6)))]);
   for (const [value, label] of marks) text(label, { x: x(value), y: bottom + 17, "text-anchor": "middle" });
   svg.append(drawn("path", { class: "axis", d: `M${left} ${top}V${bottom}H${right}` }));
   text(axis ? axis.label : "state", { x: (left + right) / 2, y: bottom + 37, "text-anchor": "middle" });

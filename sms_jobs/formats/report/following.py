@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from sms_jobs.formats.report.charts import Chart, Line, Point
-from sms_jobs.formats.report.html import Cell, Markup, table
+from sms_jobs.formats.report.html import Cell, Markup, number, table
 from sms_jobs.formats.report.view import Field, Statistic, View
 
 _PERCENTILE = 99.0
@@ -49,6 +49,13 @@ def places(view: View) -> tuple[Place, ...]:
         pixel = (row * view.step_px + half, column * view.step_px + half)
         found.append(Place(view.key, each.name, each.unit, row, column, *pixel))
     return tuple(found)
+
+
+def _cell(one: Statistic) -> Cell:
+    """Return a number, with its standard deviation where the table is to show it."""
+    if one.charted and one.value is not None and one.sigma is not None:
+        return f"{number(one.value)} ± {number(one.sigma)}"
+    return one.value
 
 
 @dataclass
@@ -100,7 +107,7 @@ class Followed:
             for group in dict.fromkeys(one.group for one in statistics):
                 mine = [one for one in statistics if one.group == group]
                 heads = tuple(f"{one.name} [{one.unit}]" if one.unit else one.name for one in mine)
-                made.setdefault((group, heads), []).append([state, key, *(one.value for one in mine)])
+                made.setdefault((group, heads), []).append([state, key, *(_cell(one) for one in mine)])
         parts = []
         for (group, heads), rows in made.items():
             parts += [Markup(f"<h3>{escape(group)}</h3>")] if group else []

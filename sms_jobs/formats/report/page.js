@@ -23,6 +23,9 @@ function start() {
       views.find((view) => view.section === entry.target).refresh();
     }
   }, { rootMargin: "400px" });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    for (const view of views) if (view.values) view.refresh();
+  });
   for (const section of sections) {
     views.push(new View(section));
     near.observe(section);

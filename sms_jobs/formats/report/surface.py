@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.formats.report.view import Field, Sampler, Statistic, View
 from sms_jobs.records.fields import MergedField, PointCloud, Regions, StrainField
+from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.quantity import SYMMETRIC, XYZ
 from sms_jobs.records.reasons import Reason
@@ -61,8 +62,14 @@ def reference_view(
     )
 
 
-def deformed_view(merged: MergedField, pair: str, strain: StrainField, sampler: Sampler) -> View:
-    """Return the displacement of a camera's view, and its strain by one pair."""
+def deformed_view(
+    merged: MergedField,
+    pair: str,
+    strain: StrainField,
+    sampler: Sampler,
+    gauges: GaugeReadings | None = None,
+) -> View:
+    """Return the displacement of a camera's view, and strain and gauge readings of one pair."""
     components = np.sqrt(merged.covariance[_DIAGONAL])
     length, length_sigma = _length(merged)
     fields = [
@@ -88,7 +95,11 @@ def deformed_view(merged: MergedField, pair: str, strain: StrainField, sampler: 
         sampler.size,
         sampler.step_px,
         tuple(fields),
-        (*_displacement_statistics(merged, length, length_sigma), *_strain_statistics(strain)),
+        (
+            *_displacement_statistics(merged, length, length_sigma),
+            *_strain_statistics(strain),
+            *_gauge_statistics(gauges),
+        ),
         POSITION,
         MOVEMENT,
         notes=(f"Strain: {strain.measure}, over a gauge length of {strain.gauge_length_mm:.4g} mm.",),
@@ -162,9 +173,7 @@ def _displacement_statistics(
     largest = np.unravel_index(int(np.argmax(np.where(known, length, -1.0))), length.shape)
     most = Statistic("largest displacement", "mm", None, group=group)
     if known.any():
-        most = Statistic(
-            most.name, "mm", float(length[largest]), float(sigma[largest]), charted=True, group=group
-        )
+        most = Statistic(most.name, "mm", float(length[largest]), float(sigma[largest]), group=group)
     return (
         Statistic("valid", "%", PER_CENT * float(np.mean(merged.reason == Reason.VALID)), group=group),
         *(
@@ -193,6 +202,22 @@ def _strain_statistics(field: StrainField) -> tuple[Statistic, ...]:
             group=group,
         ),
         Statistic("sigma xx, median", "µε", _median(MICROSTRAIN * field.sigma[0]), group=group),
+    )
+
+
+def _gauge_statistics(gauges: GaugeReadings | None) -> tuple[Statistic, ...]:
+    if gauges is None:
+        return ()
+    return tuple(
+        Statistic(
+            name,
+            "µε",
+            _finite(MICROSTRAIN * float(strain)),
+            _finite(MICROSTRAIN * float(sigma)),
+            charted=True,
+            group="Virtual gauges",
+        )
+        for name, strain, sigma in zip(gauges.names, gauges.strain, gauges.sigma, strict=True)
     )
 
 

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from support.report_results import campaign, grid, records_for, run_on_results
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds import all_kinds, export, report
+from sms_jobs.kinds import all_kinds, export, report, report_state
 from sms_jobs.kinds.kind import MEASUREMENT, DocumentOutput, Need
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Mesh
@@ -127,6 +127,29 @@ def test_many_states_leave_out_maps_but_no_numbers(run: Run) -> None:
         last = Checker.of(folder.read("S08.html").decode())
         assert len(last.images) == 4
         assert [link for link in last.links if link.endswith(".html")] == ["index.html", "S07.html"]
+
+
+def test_a_state_has_a_report_of_its_own(run: Run) -> None:
+    long = campaign(states=4, virtual=False)
+    subjects = list(report_state.KIND.subjects(long))
+    assert [str(s) for s in subjects] == [f"plate/S0{i}" for i in (1, 2, 3)]
+    ((output, path),) = run(report_state.KIND, long, subjects[1], figure_width_px=240, also="gauges")
+    assert (output.filename, output.subject) == ("plate-S02-report.html", subjects[1])
+    page = Checker.of(path.read_text(encoding="utf-8"))
+    assert len(page.images) == 3 + 4
+    words = " ".join(page.words)
+    assert "State S02, 2469 N" in words
+    assert "S01" not in words
+    assert "S03" not in words
+    # What a gauge read, 2,000 microstrain at this load, and another that read nothing.
+    assert "2000 ± 2" in page.words
+    assert "<G2> [µε]" in page.words
+
+
+def test_only_what_is_known_can_be_shown_besides() -> None:
+    with pytest.raises(ValidationError, match="shows no 'moments' besides; choose among gauges"):
+        report.ReportParameters(also=("moments",))
+    assert report.ReportParameters(also="gauges").also == ("gauges",)
 
 
 def test_the_report_of_the_same_results_is_the_same(run: Run, tmp_path: Path) -> None:
