@@ -7,13 +7,12 @@ that they know one key before anything else is said. Every request is answered, 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import AuthenticationError
-from multiprocessing.connection import Client, Connection
-from socket import IPPROTO_TCP, TCP_NODELAY, create_connection, socket
+from multiprocessing.connection import Client, Connection, answer_challenge, deliver_challenge
+from socket import AF_INET, IPPROTO_TCP, SOCK_STREAM, TCP_NODELAY, create_connection, fromfd, socket
 from typing import Any
 
 from pydantic import TypeAdapter
@@ -175,8 +174,15 @@ def _connection(address: Address, key: bytes) -> Connection:
     try:
         # Found out first, because the client of the standard library waits for minutes.
         create_connection((address.host, address.port), _CONNECT_S).close()
-        connection = Client((address.host, address.port), authkey=key)
+        connection = Client((address.host, address.port))
         prompt(connection)
+        if not connection.poll(_CONNECT_S):
+            connection.close()
+            raise LinkLost(
+                f"the scanner at {address} is lent to another client: end what records with it, or wait"
+            )
+        answer_challenge(connection, key)
+        deliver_challenge(connection, key)
     except AuthenticationError as error:
         raise LinkLost(
             f"the server of the scanner at {address} has another key: copy the file that `sms rig serve` "
@@ -190,9 +196,14 @@ def _connection(address: Address, key: bytes) -> Connection:
     return connection
 
 
+def wire_of(connection: Connection) -> socket:
+    """Return the wire of a connection, which stays open when this is closed."""
+    return fromfd(connection.fileno(), AF_INET, SOCK_STREAM)
+
+
 def prompt(connection: Connection) -> None:
     """Have short messages sent at once, not when there are more of them."""
-    with socket(fileno=os.dup(connection.fileno())) as wire:
+    with wire_of(connection) as wire:
         wire.setsockopt(IPPROTO_TCP, TCP_NODELAY, 1)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -22,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.errors import InvalidInput, SmsError
+from sms_jobs.errors import InstrumentError, InvalidInput, SmsError
 from sms_jobs.instruments.clock import Clock, RealClock
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.recorder import ConnectedRig
@@ -35,6 +34,7 @@ from sms_jobs.instruments.scanners.link import (
     Address,
     as_told,
     prompt,
+    wire_of,
 )
 from sms_jobs.instruments.simulated.optics import WHITE, Hall, SimulatedCamera
 from sms_jobs.records.measurement import FringeSequence
@@ -96,7 +96,7 @@ class ScannerServer:
 
 def _proven(connection: Connection, key: bytes) -> bool:
     """Return whether a caller knows the key, and prove to it that this is known here too."""
-    with socket(fileno=os.dup(connection.fileno())) as wire:
+    with wire_of(connection) as wire:
         hang_up = threading.Timer(_PROOF_S, partial(_hang_up, wire))
         hang_up.start()
         try:
@@ -137,14 +137,17 @@ class _Visit:
                 )
             setting = None if told["setting"] is None else SETTING.validate_python(told["setting"])
             with connected(self.rig(), setting, self.threads, self.clock) as rig:
-                lent = _Lent(rig, self.clock)
-                self._answer(lent.facts())
-                while True:
-                    self._serve_request(lent, self._request())
+                lent = Lent(rig, self.clock)
+                try:
+                    self._answer(lent.facts())
+                    while True:
+                        self._serve_request(lent, self._request())
+                finally:
+                    lent.rest()
         except (SmsError, KeyError, TypeError, ValueError) as error:
             self._answer(as_told(error))
 
-    def _serve_request(self, lent: _Lent, told: Mapping[str, Any]) -> None:
+    def _serve_request(self, lent: Lent, told: Mapping[str, Any]) -> None:
         try:
             answer, image = lent.obey(told)
         except SmsError as error:
@@ -172,7 +175,7 @@ class _Visit:
 
 
 @dataclass
-class _Lent:
+class Lent:
     """The sensors of a scanner while a client has them."""
 
     rig: ConnectedRig
@@ -187,6 +190,15 @@ class _Lent:
             "described": dict(self.rig.described),
             "simulated": self.rig.simulation is not None,
         }
+
+    def rest(self) -> None:
+        """Leave projectors dark and cameras still, whatever state they are in."""
+        for leave in (
+            *(p.dark for p in self.rig.projectors.values()),
+            *(c.disarm for c in self.rig.cameras.values()),
+        ):
+            with suppress(InstrumentError):
+                leave()
 
     def obey(self, told: Mapping[str, Any]) -> tuple[dict[str, Any], NDArray[Any] | None]:
         """Do what a request asks for and return the answer."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sms_jobs.errors import ConfigurationError, InvalidInput, LinkLost
+from sms_jobs.errors import ConfigurationError, FrameLost, InvalidInput, LinkLost
 from sms_jobs.formats.rig_configuration import parse_rig
 from sms_jobs.instruments.clock import RealClock
 from sms_jobs.instruments.connection import connected
@@ -22,8 +23,8 @@ from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.recorder import interrupted, is_finished, record_state, recorded
 from sms_jobs.instruments.scanners.keys import made_key, read_key
 from sms_jobs.instruments.scanners.link import Address, ScannerLink
-from sms_jobs.instruments.scanners.server import ScannerServer
-from sms_jobs.instruments.simulated.optics import Setting
+from sms_jobs.instruments.scanners.server import Lent, ScannerServer
+from sms_jobs.instruments.simulated.optics import Setting, SimulatedCamera
 from sms_jobs.instruments.simulated.rig import SimulatedRig
 from sms_jobs.jobs.stations import known_sensors
 from sms_jobs.records.measurement import FringeSequence
@@ -209,6 +210,35 @@ def test_who_does_not_know_the_key_is_turned_away(served: Served, tmp_path: Path
         with pytest.raises(InvalidInput, match="has no C9"):  # told with the next answer
             link.ask("time")
         assert link.ask("time")[0]["time_s"] > 0.0
+
+
+def test_a_scanner_is_lent_to_one_client_at_a_time(served: Served) -> None:
+    served.start(1)
+    server = served.servers["1"].address
+    with closing(ScannerLink(server, KEY, RealClock(), None)):
+        began = time.monotonic()
+        with pytest.raises(LinkLost, match="is lent to another client"):
+            ScannerLink(server, KEY, RealClock(), None)
+        assert time.monotonic() - began < 30.0  # it does not wait for the other to end
+    # Those who gave up are not waited for.
+    with closing(ScannerLink(server, KEY, RealClock(), None)) as link:
+        assert link.ask("time")[0]["time_s"] > 0.0
+
+
+def test_a_scanner_whose_client_is_gone_rests() -> None:
+    file = rig_file("scanner", {"C1": 'driver = "simulated"'}, {"P1": 'driver = "simulated"'})
+    with connected(file, Setting(scene(), "S00", ())) as rig:
+        lent = Lent(rig, rig.clock)
+        lent.obey({"command": "arm", "camera": "C1", "exposure": 1.0})
+        lent.obey({"command": "show", "projector": "P1", "number": -1})
+        camera = rig.cameras["C1"]
+        assert isinstance(camera, SimulatedCamera)
+        assert camera.hall.view("C1", 1.0).any()
+        lent.rest()
+        assert not camera.hall.view("C1", 1.0).any()
+        camera.trigger()  # one that is not armed takes nothing
+        with pytest.raises(FrameLost):
+            camera.read(0.0)
 
 
 def test_a_key_is_made_once_and_for_its_owner(tmp_path: Path) -> None:
