@@ -163,6 +163,11 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
             f"{inputs.subject} is recorded where its rig is connected, and no rig file is on this host; "
             "`sms rig add` takes one"
         )
+    if station.rig.simulated and task.setting is None:
+        raise InvalidInput(
+            f"rig {station.rig.name} is simulated, and campaign {inputs.subject.campaign} describes no scene "
+            "for it to look at: give its plan a [scene], or name a rig with real sensors"
+        )
     spool, sequence = station.spool, task.sequence
     limits = parameters.limits()
     finished_before = [pair for pair in task.pairs if is_finished(spool, pair)]
