@@ -245,7 +245,8 @@ def test_a_doubtful_set_is_asked_about_while_the_specimen_is_held(home: Path) ->
 
 @pytest.mark.long
 def test_an_aborted_recording_goes_on_where_it_stopped(home: Path) -> None:
-    rig(home, SLOW)
+    # A command that is started on a busy machine is to find it still recording.
+    rig(home, RIG.replace("settle_ms = 40.0", "settle_ms = 400.0"))
     with service(home):
         job = run(home, "acquire", "run", "plate", "--state", "S00", "--no-wait")["jobs"][0]
         wait_until(lambda: spooled(home) > 5)
