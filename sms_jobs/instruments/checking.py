@@ -51,15 +51,15 @@ def checked(rig: ConnectedRig) -> RigCheck:
     InstrumentError
         When one does not answer, or a camera delivers no frame.
     """
-    homed = None if rig.stage is None else rig.stage.homed()
+    stage_rad = None if rig.stage is None else rig.stage.known_angles()
     looking = all(c.there for c in rig.cameras.values() if isinstance(c, ScannerCamera))
     return RigCheck(
         rig.described,
         _views(rig) if looking else {},
         {name: camera.facts.full_scale for name, camera in rig.cameras.items()} if looking else {},
         rig.read_channels(),
-        rig.stage.angles() if rig.stage is not None and homed else None,
-        homed,
+        stage_rad,
+        None if rig.stage is None else stage_rad is not None,
     )
 
 

@@ -145,8 +145,8 @@ class Stage(Protocol):
         """Return pan and tilt as the stage reads them, in rad."""
         ...
 
-    def homed(self) -> bool:
-        """Say whether it knows where it is; until then its angles mean nothing."""
+    def known_angles(self) -> tuple[float, float] | None:
+        """Return the same; None when it has not been home, so that its angles mean nothing."""
         ...
 
     def home(self) -> None:

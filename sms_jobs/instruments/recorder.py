@@ -261,7 +261,7 @@ class _Set:
             "gain": facts.gain,
             "read_noise": facts.read_noise,
             "channels": channels,
-            "stage_rad": stage.angles() if stage is not None and stage.homed() else None,
+            "stage_rad": None if stage is None else stage.known_angles(),
             "simulation": None,
         }
         if self.rig.simulation is not None:

@@ -100,14 +100,15 @@ class PanTilt:
         pan, tilt = self.read()
         return pan.value, tilt.value
 
-    def homed(self) -> bool:
-        """Say whether both axes know where they are; until then their angles mean nothing."""
-        return all(self._axes.state(axis).homed for axis in AXES)
+    def known_angles(self) -> tuple[float, float] | None:
+        """Return pan and tilt in rad; None when an axis has not been home, whose angles mean nothing."""
+        pan, tilt = (self._axes.state(axis) for axis in AXES)
+        return (pan.position_rad, tilt.position_rad) if pan.homed and tilt.homed else None
 
     def stage(self) -> None:
         """Make ready for poses: look for the home position where an axis does not know it."""
         self._ready()
-        if not self.homed():
+        if self.known_angles() is None:
             self.reference()
 
     def unstage(self) -> None:
@@ -159,7 +160,7 @@ class PanTilt:
     def home(self) -> None:
         """Go back to 0 the way the pan axis came, so that the cable uncoils; look for 0 if it is lost."""
         self._ready()
-        if self.homed():
+        if self.known_angles() is not None:
             self.move(0.0, 0.0)
         else:
             self.reference()

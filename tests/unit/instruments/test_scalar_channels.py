@@ -141,5 +141,5 @@ def test_the_examples_of_the_documentation_are_valid() -> None:
     blocks = [block.split("```")[0] for block in text.split("```toml\n")[1:]]
     protocols = [line for block in blocks for line in block.splitlines() if line.startswith("protocol")]
     assert len([LineProtocol(**tomllib.loads(line)["protocol"]) for line in protocols]) == 3
-    faults = tomllib.loads(blocks[-1])["faults"]
+    faults = tomllib.loads(next(block for block in blocks if block.startswith("faults")))["faults"]
     assert len([Fault(**fault) for fault in faults]) == 4

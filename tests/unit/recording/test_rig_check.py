@@ -79,7 +79,6 @@ def test_cameras_say_what_they_see_of_each_projector(
         monkeypatch.setenv("SDL_VIDEODRIVER", "x11")
         found: dict[str, Any] = json.loads(told(home, "check", "desk", "--json"))
         shown = " ".join(told(home, "check", "desk").split())
-        assert (hidden.grab() == 0).all()
     assert found["views"] == {"C1": {"dark": 12.0, "P1": 200.0}}
     assert found["sensors"]["P1"] == "display 0, 320 x 200 pixels, SDL driver x11"
     assert found["sensors"]["C1"].endswith("by CV_IMAGES, 64 x 48 pixels of 8 bits, triggered by software")
@@ -96,7 +95,6 @@ def test_a_camera_without_a_frame_fails_the_check(
         monkeypatch.setenv("SDL_VIDEODRIVER", "x11")
         with pytest.raises(FrameLost, match="camera C1 delivers no more frames"):
             told(home, "check", "desk")
-        assert (hidden.grab() == 0).all()
 
 
 def test_a_stage_that_has_not_been_home_tells_no_angles(home: Path) -> None:
