@@ -13,6 +13,7 @@ from pydantic import Field
 
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.formats.report.calibration import calibration_page
+from sms_jobs.formats.report.origins import origin_sections
 from sms_jobs.formats.report.page import page_writer
 from sms_jobs.kinds.kind import (
     CALIBRATION,
@@ -26,6 +27,7 @@ from sms_jobs.kinds.kind import (
     Progress,
     Scope,
 )
+from sms_jobs.kinds.report_chapter import defaults_of_kinds
 from sms_jobs.kinds.session_adjustment import (
     Bars,
     Boards,
@@ -179,7 +181,13 @@ def adjusted(
     records = {"calibration": calibration, "uncertainty": uncertainty, "quality": quality}
     yield DatasetOutput(inputs.subject, records, _statistics(calibration, quality))
     page = calibration_page(
-        plan.name, start.rig, calibration, uncertainty, quality, parameters.figure_width_px
+        plan.name,
+        start.rig,
+        calibration,
+        uncertainty,
+        quality,
+        parameters.figure_width_px,
+        origin_sections(inputs.datasets, plan.name, defaults_of_kinds()),
     )
     yield DocumentOutput(inputs.subject, f"{plan.name}-calibration.html", "text/html", page_writer(page))
     progress(1.0, f"adjusted {quality.residuals} residuals in {quality.iterations} iterations")

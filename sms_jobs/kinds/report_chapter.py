@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from sms_jobs.discovery import declared
 from sms_jobs.formats.report.view import Sampler, View
@@ -78,3 +79,16 @@ def present(campaign: Campaign) -> tuple[Chapter, ...]:
 def role(source: str, state: str, pair: str = "") -> str:
     """Return the role of an input of a report: `<kind>/<state>/<pair>`."""
     return "/".join(part for part in (source, state, pair) if part)
+
+
+def defaults_of_kinds() -> dict[str, Mapping[str, Any]]:
+    """Return the defaults of every kind whose results can be computed again, as JSON."""
+    from sms_jobs.kinds import all_kinds
+
+    found: dict[str, Mapping[str, Any]] = {}
+    for name, kind in all_kinds().items():
+        if kind.with_instruments:
+            continue
+        required = any(f.is_required() for f in kind.parameters.model_fields.values())
+        found[name] = {} if required else kind.parameters().model_dump(mode="json")
+    return found

@@ -18,11 +18,11 @@ from sms_jobs.formats.report.charts import axes, axes_block, charts
 from sms_jobs.formats.report.following import Followed, places
 from sms_jobs.formats.report.html import Markup
 from sms_jobs.formats.report.maps import view_markup
-from sms_jobs.formats.report.origins import commands, origins
+from sms_jobs.formats.report.origins import origin_sections
 from sms_jobs.formats.report.page import Page, Part, Section
 from sms_jobs.formats.report.tables import accuracy, campaign_facts, load_states
 from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Progress, tested_states, tuples
-from sms_jobs.kinds.report_chapter import ASSESS, Chapter, Sampling, present, role
+from sms_jobs.kinds.report_chapter import ASSESS, Chapter, Sampling, defaults_of_kinds, present, role
 from sms_jobs.records.assessment import Assessment
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Campaign, LoadState
@@ -196,12 +196,8 @@ class ReportPages:
             found.append(Section("Calibration", certificate.calibration_summary(calibration, self._quality)))
         if self._recordings:
             found.append(Section("Recordings", certificate.recordings(self._recordings)))
-        again = commands(self._inputs.datasets.values(), self._campaign.name, _defaults())
-        return [
-            *found,
-            Section("How to make this again", again),
-            Section("Where this comes from", origins(self._inputs.datasets)),
-        ]
+        last = origin_sections(self._inputs.datasets, self._campaign.name, defaults_of_kinds())
+        return [*found, *last]
 
     @cached_property
     def _quality(self) -> CalibrationQuality | None:
@@ -284,19 +280,6 @@ def _text_file(folder: zipfile.ZipFile, name: str) -> TextIO:
     told = zipfile.ZipInfo(name)
     told.compress_type = zipfile.ZIP_DEFLATED
     return io.TextIOWrapper(folder.open(told, "w", force_zip64=True), encoding="utf-8", newline="\n")
-
-
-def _defaults() -> dict[str, Mapping[str, Any]]:
-    """Return the defaults of every kind whose results can be computed again, as JSON."""
-    from sms_jobs.kinds import all_kinds
-
-    found: dict[str, Mapping[str, Any]] = {}
-    for name, kind in all_kinds().items():
-        if kind.with_instruments:
-            continue
-        required = any(f.is_required() for f in kind.parameters.model_fields.values())
-        found[name] = {} if required else kind.parameters().model_dump(mode="json")
-    return found
 
 
 def _without_images(assessment: Assessment) -> Assessment:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from sms_jobs.formats.calibration_figures import draw_expected_sigma, draw_residuals
+from sms_jobs.formats.report.certificate import doubts
+from sms_jobs.formats.report.charts import Axis, Chart, Line, Point, charts
 from sms_jobs.formats.report.html import Cell, Markup, facts, figure, figures, paragraph, table
 from sms_jobs.formats.report.page import Section, page
 from sms_jobs.metrology.geometry.camera import Intrinsics
@@ -26,10 +28,14 @@ def calibration_page(
     uncertainty: CalibrationUncertainty,
     quality: CalibrationQuality,
     width_px: int,
+    closing: Sequence[Section] = (),
 ) -> str:
-    """Return the page about the calibration that a session gave; `before` is what it began with."""
+    """Return the page about the calibration that a session gave; `before` is what it began with.
+
+    `closing` are the last sections: where it comes from.
+    """
     sections = [
-        Section("In short", [_summary(calibration, quality), *_warnings(quality)]),
+        Section("In short", [_summary(calibration, quality)]),
         Section("Expected standard deviation of a point", _expected(quality, width_px)),
         Section("Poses that took no part", _held_out(quality, calibration.volume.diagonal_mm)),
         Section(
@@ -43,13 +49,15 @@ def calibration_page(
         ),
         Section("Left out", _refused(quality.refused)),
         Section("Parameters", [_parameters(before, calibration.rig, uncertainty)]),
+        *closing,
     ]
     introduction = paragraph(
         "Deviations are one standard deviation. What is called expected comes from the calibration alone; "
         "the noise of a measurement comes on top of it.",
         faint=True,
     )
-    return page(f"Calibration session {session}", [introduction], sections)
+    about = [introduction, *_warnings(quality)]
+    return page(f"Calibration session {session}", about, sections)
 
 
 def _summary(calibration: Calibration, quality: CalibrationQuality) -> Markup:
@@ -58,7 +66,7 @@ def _summary(calibration: Calibration, quality: CalibrationQuality) -> Markup:
     lengths = ""
     if np.isfinite(held_out) and held_out > 0.0:
         lengths = (
-            f"{MICROMETRES * held_out:.1f} um rms, 1/{diagonal / held_out:,.0f} of the volume's diagonal of "
+            f"{MICROMETRES * held_out:.1f} µm rms, 1/{diagonal / held_out:,.0f} of the volume's diagonal of "
             f"{diagonal:.1f} mm"
         )
     size = f"{quality.residuals:,} residuals, {quality.parameters} parameters"
@@ -78,7 +86,7 @@ def _summary(calibration: Calibration, quality: CalibrationQuality) -> Markup:
 def _warnings(quality: CalibrationQuality) -> list[Markup]:
     if not quality.warnings:
         return [paragraph("Nothing speaks against using this calibration.")]
-    return [table(["look at this before it is used"], [[warning] for warning in quality.warnings])]
+    return doubts(quality.warnings, "What to look at before this calibration is used")
 
 
 def _expected(quality: CalibrationQuality, width_px: int) -> list[Markup]:
@@ -93,7 +101,7 @@ def _expected(quality: CalibrationQuality, width_px: int) -> list[Markup]:
         seen = np.isfinite(sigma)
         drawn = draw_expected_sigma(quality.place[seen], sigma[seen], pair, width_px)
         pictures.append(figure(drawn, f"Expected standard deviation of a point of {pair}, three levels of Z"))
-    header = ["pair", "least [um]", "median [um]", "largest [um]"]
+    header = ["pair", "least [µm]", "median [µm]", "largest [µm]"]
     return [table(header, rows), figures(pictures)]
 
 
@@ -106,11 +114,20 @@ def _held_out(quality: CalibrationQuality, diagonal_mm: float) -> list[Markup]:
             [pose, MICROMETRES * error, diagonal_mm / abs(error) if error else None]
             for pose, error in quality.bar_length_error_mm.items()
         ]
-        parts.append(table(["pose of the bar", "length error [um]", "diagonal / error"], rows))
+        parts.append(_over_poses("length error of the bar", "µm", quality.bar_length_error_mm, MICROMETRES))
+        parts.append(table(["pose of the bar", "length error [µm]", "diagonal / error"], rows))
     if quality.board_rms_px:
         boards: list[list[Cell]] = [[pose, rms] for pose, rms in quality.board_rms_px.items()]
+        parts.append(_over_poses("residuals of the board, rms", "px", quality.board_rms_px, 1.0))
         parts.append(table(["pose of the board", "rms [px]"], boards))
     return parts
+
+
+def _over_poses(what: str, unit: str, found: Mapping[str, float], scale: float) -> Markup:
+    """Chart what each pose was found to be, in order."""
+    points = tuple(Point(pose, scale * value) for pose, value in found.items() if np.isfinite(value))
+    along = Axis("pose", {pose: float(place) for place, pose in enumerate(found)}, names=True)
+    return charts([Chart(what, unit, (Line("left out, measured by the rest", points),))], [along])
 
 
 def _by(what: str, rms: Mapping[str, float]) -> list[Markup]:

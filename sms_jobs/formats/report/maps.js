@@ -53,7 +53,7 @@ class View {
     this.turn = made("button", { type: "button", "aria-pressed": "false",
       title: "turn the surface in space", onclick: () => this.toggleSpace() }, "3D");
     if (!this.about.position) this.turn.hidden = true;
-    this.canvas = made("canvas", { tabindex: 0, role: "img", "aria-describedby": `${id}-read` });
+    this.canvas = made("canvas", { tabindex: 0, role: "application", "aria-describedby": `${id}-read` });
     this.picture = made("div", { class: "picture" }, this.canvas);
     this.scale = made("canvas", { class: "scale", role: "img" });
     this.legend = made("ul", { class: "legend", hidden: true });

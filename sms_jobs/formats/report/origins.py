@@ -11,6 +11,7 @@ from shlex import quote
 from typing import Any, Protocol, runtime_checkable
 
 from sms_jobs.formats.report.html import Cell, Markup, code, folded, paragraph, table
+from sms_jobs.formats.report.page import Section
 from sms_jobs.formats.report.tables import local_time
 from sms_jobs.records.campaign import Subject
 
@@ -156,6 +157,18 @@ def commands(
     )
     whole = Markup(f"<pre>{escape(f'sms job submit pipeline -c {quote(campaign)}')}</pre>")
     return [words, whole, table(["made by", "program", "files", "again by"], rows)]
+
+
+def origin_sections(
+    datasets: Mapping[str, Any],
+    campaign: str,
+    defaults: Mapping[str, Mapping[str, Any]],
+) -> list[Section]:
+    """Return the last sections of a page: the commands that make its inputs again, and its files."""
+    return [
+        Section("How to make this again", commands(datasets.values(), campaign, defaults)),
+        Section("Where this comes from", origins(datasets)),
+    ]
 
 
 def origins(datasets: Mapping[str, Any]) -> list[Markup]:

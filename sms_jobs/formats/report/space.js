@@ -22,8 +22,11 @@ let opened = null;
 
 function openSpace(view) {
   closeSpace();
-  opened = new Space(view);
-  return opened.ready;
+  const canvas = made("canvas", { class: "space", tabindex: 0, role: "application",
+    "aria-label": `Surface of ${view.about.title}, state ${view.about.state}. Arrow keys turn it, plus and minus zoom, 0 brings it back.` });
+  const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
+  if (gl) opened = new Space(view, canvas, gl);
+  else view.read.textContent = "This browser shows no WebGL 2, which the surface in space needs; the map tells the same.";
 }
 
 function closeSpace() {
@@ -48,27 +51,16 @@ function about(axis, angle) {
 }
 
 class Space {
-  constructor(view) {
-    this.view = view; view.space = this;
+  constructor(view, canvas, gl) {
+    this.view = view; view.space = this; this.canvas = canvas; this.gl = gl;
     this.times = view.about.movement ? 1 : 0; this.most = 1; this.zoom = 1; this.pan = [0, 0]; this.turn = null;
-    this.canvas = made("canvas", { class: "space", tabindex: 0, role: "img",
-      "aria-label": `Surface of ${view.about.title}, state ${view.about.state}. Arrow keys turn it, plus and minus zoom, 0 brings it back.` });
     this.marks = ["X", "Y", "Z"].map((name) => made("span", { class: "axis-name", "aria-hidden": "true" }, name));
-    this.gl = this.canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
     view.turn.setAttribute("aria-pressed", "true");
-    if (!this.gl) {
-      this.canvas = null;
-      view.read.textContent = "This browser shows no WebGL 2, which the view in space needs; the map and the values are the same.";
-      closeSpaceOf(view);
-      opened = null;
-      this.ready = Promise.resolve();
-      return;
-    }
     view.canvas.hidden = true;
     view.picture.append(this.canvas, ...this.marks);
     this.listen();
     this.slider();
-    this.ready = this.load();
+    this.load();
   }
 
   slider() {
@@ -269,19 +261,15 @@ class Space {
   }
 
   close() {
-    if (this.watch) this.watch.disconnect();
-    if (this.canvas) this.canvas.remove();
+    this.watch.disconnect();
+    this.canvas.remove();
     for (const mark of this.marks) mark.remove();
     if (this.bar) this.bar.remove();
-    const lose = this.gl && this.gl.getExtension("WEBGL_lose_context");
-    if (lose) lose.loseContext();
-    closeSpaceOf(this.view);
+    // Browsers keep a dozen of them at most.
+    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
+    this.view.space = null;
+    this.view.canvas.hidden = false;
+    this.view.turn.setAttribute("aria-pressed", "false");
+    this.view.paint();
   }
-}
-
-function closeSpaceOf(view) {
-  view.space = null;
-  view.canvas.hidden = false;
-  view.turn.setAttribute("aria-pressed", "false");
-  view.paint();
 }

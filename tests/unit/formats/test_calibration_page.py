@@ -54,7 +54,7 @@ def written(quality: CalibrationQuality) -> str:
 def test_the_page_says_what_a_metrologist_asks(rng: np.random.Generator) -> None:
     page = written(quality(rng))
     # rms of 12 and -16 um, and the box of 540 x 540 x 500 mm.
-    assert "14.1 um rms" in page
+    assert "14.1 µm rms" in page
     assert f"1/{CALIBRATION.volume.diagonal_mm / 0.0141421:,.0f}" in page
     for expected in ("board frame of pose B01", "200,000 residuals", "500.002", "at the limb", "812"):
         assert expected in page
