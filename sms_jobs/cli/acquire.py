@@ -14,7 +14,7 @@ from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import JobRow
-from sms_jobs.cli import completion, output
+from sms_jobs.cli import completion, output, recorded_states
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import unsuccessful, wait_for
 from sms_jobs.errors import Conflict, InvalidInput, JobFailed
@@ -28,6 +28,7 @@ from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.job import JobState
 
 app = typer.Typer(help="Recordings: states, with the instruments of a rig.", no_args_is_help=True)
+app.command("show")(recorded_states.show)
 
 _LOOK_EVERY_S = 0.2
 _FINDINGS = 6

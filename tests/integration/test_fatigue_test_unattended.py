@@ -194,5 +194,10 @@ def test_ten_states_are_recorded_and_reported(home: Path, load_frame: None) -> N
     logs = [log.read_text() for log in (home / "logs" / "jobs").glob("*.log")]
     (mended,) = [text for text in logs if "hunts, attempt 1 of 2" in text and "attempt 2 of 2" not in text]
     assert "fatigue/S03" in mended
+    shown = answer("acquire", "show", "fatigue", "--home", str(home))
+    assert [(s["recording"], s["pairs"], s["doubtful"]) for s in shown] == [("recorded", 4, 0)] * len(LOADS_N)
+    # Moved by 5e-4 mm a newton, and stretched by 4e-6 from the middle of 75 mm on.
+    assert shown[3]["displacement_mm"] > 1200.0 * 5e-4
+    assert all(s["processing"] == s["failed"] == 0 for s in shown)
     states = [j["state"] for j in answer("job", "list", "-c", "fatigue", "--home", str(home))]
     assert set(states) == {"succeeded"}

@@ -1,0 +1,83 @@
+"""`sms acquire show`: the states of a test while it goes on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from contextlib import suppress
+from typing import Annotated
+
+import typer
+from rich.live import Live
+from rich.table import Table
+
+from sms_jobs import bootstrap
+from sms_jobs.bootstrap import Services
+from sms_jobs.cli import completion, output
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.jobs.campaign_progress import StateProgress, progress_of
+
+_EVERY_S = 2.0
+_COLUMNS = ("state", "planned [N]", "read", "recording", "verdict", "processing", "mm", "microstrain")
+
+
+def show(
+    campaign: Annotated[
+        str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
+    ],
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Go on showing it until Ctrl-C, every two seconds.")
+    ] = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Show the states of a test: what is recorded, how good it is, and what is known of it already.
+
+    The last columns are the largest displacement, in mm, and the largest principal strain of all pairs.
+
+    Example: sms acquire show wing-fatigue --watch
+    """
+    with bootstrap.services(home) as services:
+        if as_json:
+            output.print_json_list(_found(services, campaign))
+        elif watch:
+            _watch(services, campaign)
+        else:
+            output.print_table(_COLUMNS, map(_row, _found(services, campaign)), empty="there is no state")
+
+
+def _watch(services: Services, campaign: str) -> None:
+    with suppress(KeyboardInterrupt), Live(console=output.answer, auto_refresh=False) as live:
+        while True:
+            live.update(_table(map(_row, _found(services, campaign))), refresh=True)
+            time.sleep(_EVERY_S)
+
+
+def _found(services: Services, campaign: str) -> list[StateProgress]:
+    with services.catalogue.reading() as session:
+        return progress_of(session, campaign)
+
+
+def _table(rows: Iterable[tuple[object, ...]]) -> Table:
+    table = Table(*_COLUMNS, box=None, pad_edge=False, header_style="bold")
+    for row in rows:
+        table.add_row(*(output.shown(cell) for cell in row))
+    return table
+
+
+def _row(state: StateProgress) -> tuple[object, ...]:
+    verdict = f"{state.pairs} good" if state.pairs else ""
+    if state.doubtful:
+        verdict = f"{state.doubtful} of {state.pairs} doubtful"
+    processing = [f"{state.processing} to do"] if state.processing else []
+    processing += [f"{state.failed} failed"] if state.failed else []
+    return (
+        state.label,
+        state.load_n,
+        ", ".join(f"{name} {value:g}" for name, value in state.channels.items()),
+        state.recording,
+        verdict,
+        ", ".join(processing),
+        state.displacement_mm,
+        None if state.strain is None else f"{1e6 * state.strain:.0f}",
+    )

@@ -1,0 +1,167 @@
+"""How a test comes along: which states are recorded, how good they are, and what is known of them already."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.campaigns import campaign_row, definition
+from sms_jobs.catalogue.models import FileRow, JobRow, LoadStateRow, StatisticRow
+from sms_jobs.kinds.acquire import KIND
+from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.records.campaign import LoadState, Subject
+from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState
+
+_BEFORE = "_before"
+_LARGEST = {"correlate": "maximum_displacement_mm", "strain": "maximum_principal_strain"}
+"""By kind, the statistic that says at a glance what a state did."""
+
+
+@dataclass(frozen=True)
+class StateProgress:
+    """What is known of a state.
+
+    Attributes
+    ----------
+    label
+        Of the state.
+    load_n
+        As planned, if it is.
+    recording
+        State of the job that records it; empty before there is one, "recorded" once it lies in the archive.
+    recorded_at
+        When its last pair was archived.
+    pairs, doubtful
+        How many are recorded, and how many of these are doubted.
+    channels
+        What was read before its sets, by name: of the last pair.
+    processing, failed
+        Jobs that are to process it and have not ended, and that ended without success.
+    displacement_mm, strain
+        Largest displacement and largest principal strain of all pairs; None before they are computed.
+    """
+
+    label: str
+    load_n: float | None
+    recording: str
+    recorded_at: datetime | None
+    pairs: int
+    doubtful: int
+    channels: dict[str, float]
+    processing: int
+    failed: int
+    displacement_mm: float | None
+    strain: float | None
+
+
+def progress_of(session: Session, name: str) -> list[StateProgress]:
+    """Return how each state of a campaign comes along, in order."""
+    row = campaign_row(session, name)
+    files, jobs = _newest_files(session, row.id), _jobs(session, row.id)
+    return [_progress(state, files[state.label], jobs[state.label]) for state in definition(row).states]
+
+
+@dataclass
+class _Found:
+    """The newest file of a source and pair."""
+
+    created_at: datetime
+    statistics: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class _Jobs:
+    """The jobs of a state."""
+
+    recording: str = ""
+    processing: Counter[JobState] = field(default_factory=Counter)
+
+
+def _newest_files(session: Session, campaign_id: int) -> defaultdict[str, dict[tuple[str, str], _Found]]:
+    """Return by state, source and pair what the newest file says."""
+    rows = session.execute(
+        select(
+            LoadStateRow.label,
+            FileRow.source,
+            FileRow.pair,
+            FileRow.id,
+            FileRow.created_at,
+            StatisticRow.name,
+            StatisticRow.value,
+        )
+        .join(LoadStateRow, LoadStateRow.id == FileRow.state_id)
+        .join(StatisticRow, StatisticRow.file_id == FileRow.id)
+        .where(
+            FileRow.campaign_id == campaign_id,
+            FileRow.source.in_((MEASUREMENT, *_LARGEST)),
+            FileRow.pair.is_not(None),
+        )
+        .order_by(FileRow.id)
+    )
+    found: defaultdict[str, dict[tuple[str, str], _Found]] = defaultdict(dict)
+    newest: dict[tuple[str, str, str], int] = {}
+    for label, source, of, file_id, created_at, name, value in rows:
+        pair = of or ""
+        if newest.get((label, source, pair)) != file_id:
+            newest[label, source, pair] = file_id
+            found[label][source, pair] = _Found(created_at)
+        found[label][source, pair].statistics[name] = value
+    return found
+
+
+def _jobs(session: Session, campaign_id: int) -> defaultdict[str, _Jobs]:
+    """Return by state what records and processes it; of jobs of one kind and subject the last counts."""
+    rows = session.execute(
+        select(JobRow.kind, JobRow.subject, JobRow.state)
+        .where(JobRow.campaign_id == campaign_id)
+        .order_by(JobRow.position)
+    )
+    last = {(kind, subject): state for kind, subject, state in rows}
+    found: defaultdict[str, _Jobs] = defaultdict(_Jobs)
+    for (kind, subject), state in last.items():
+        label = Subject.parse(subject).state
+        if label is None:
+            continue
+        if kind == KIND.name:
+            found[label].recording = state.value
+        else:
+            found[label].processing[state] += 1
+    return found
+
+
+def _progress(state: LoadState, files: Mapping[tuple[str, str], _Found], jobs: _Jobs) -> StateProgress:
+    recorded = [f for (source, _), f in files.items() if source == MEASUREMENT]
+    channels = {
+        name.removesuffix(_BEFORE): value
+        for f in recorded
+        for name, value in f.statistics.items()
+        if name.endswith(_BEFORE)
+    }
+    recording = jobs.recording
+    if recorded and recording in ("", JobState.SUCCEEDED.value):
+        recording = "recorded"
+    return StateProgress(
+        state.label,
+        state.load_n,
+        recording,
+        max((f.created_at for f in recorded), default=None),
+        len(recorded),
+        sum(f.statistics.get("doubts", 0.0) > 0.0 for f in recorded),
+        channels,
+        sum(count for job, count in jobs.processing.items() if job in ACTIVE),
+        sum(count for job, count in jobs.processing.items() if job in UNSUCCESSFUL),
+        *(_largest(files, kind) for kind in _LARGEST),
+    )
+
+
+def _largest(files: Mapping[tuple[str, str], _Found], kind: str) -> float | None:
+    name = _LARGEST[kind]
+    values = [
+        f.statistics[name] for (source, _), f in files.items() if source == kind and name in f.statistics
+    ]
+    return max(values, default=None)

@@ -1,0 +1,95 @@
+"""What is told of a test while it goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from sqlalchemy.orm import Session
+
+from sms_jobs import bootstrap
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue.campaigns import campaign_row, state_ids
+from sms_jobs.catalogue.models import FileRow, JobRow, StatisticRow
+from sms_jobs.jobs.campaign_progress import StateProgress, progress_of
+from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.submission import submit
+from sms_jobs.records.job import JobState
+from sms_jobs.virtual_rig.campaigns import small_plate
+
+NOW = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
+
+
+@pytest.fixture
+def services(tmp_path: Path) -> Iterator[Services]:
+    bootstrap.initialise(tmp_path)
+    with bootstrap.services(tmp_path) as made:
+        calibration, campaign = small_plate("plate")
+        register_campaign(made.catalogue, made.archive, campaign, calibration, NOW)
+        yield made
+
+
+def progress(services: Services) -> list[StateProgress]:
+    with services.catalogue.reading() as session:
+        return progress_of(session, "plate")
+
+
+def add(session: Session, source: str, label: str, pair: str, minutes: int, **statistics: float) -> None:
+    """Enter a file into the catalogue, as an archived one is."""
+    campaign = campaign_row(session, "plate")
+    file = FileRow(
+        source=source,
+        path=f"{source}-{label}-{pair}-{minutes}",
+        content_hash="0" * 64,
+        size_bytes=1,
+        media_type="application/x-hdf5",
+        created_at=NOW + timedelta(minutes=minutes),
+        campaign_id=campaign.id,
+        state_id=state_ids(session, campaign.id)[label],
+        pair=pair,
+    )
+    session.add(file)
+    session.flush()
+    session.add_all(StatisticRow(file_id=file.id, name=n, value=v) for n, v in statistics.items())
+
+
+def test_a_test_that_has_not_begun(services: Services) -> None:
+    states = progress(services)
+    assert [(s.label, s.load_n) for s in states] == [("S00", 0.0), ("S01", 1200.0)]
+    assert all(s.recording == "" and s.pairs == 0 and s.displacement_mm is None for s in states)
+
+
+def test_what_is_recorded_and_computed_is_told(services: Services) -> None:
+    with services.catalogue.writing() as session:
+        submit(session, "plate", [Request("acquire", {}, ())], NOW)
+        first = session.query(JobRow).filter(JobRow.subject == "plate/S00").one()
+        first.state = JobState.SUCCEEDED
+        add(session, "measurement", "S00", "C1P1", 1, doubts=0.0, load_n_before=3.0)
+        add(session, "measurement", "S00", "C1P2", 2, doubts=1.0, load_n_before=4.0)
+    recorded, coming = progress(services)
+    assert (recorded.recording, recorded.pairs, recorded.doubtful) == ("recorded", 2, 1)
+    assert recorded.recorded_at == NOW + timedelta(minutes=2)
+    assert recorded.channels == {"load_n": 4.0}
+    assert (coming.recording, coming.pairs) == ("queued", 0)
+    with services.catalogue.writing() as session:
+        add(session, "correlate", "S01", "C1P1", 3, maximum_displacement_mm=9.0)
+        add(session, "correlate", "S01", "C1P1", 4, maximum_displacement_mm=0.4)  # computed again
+        add(session, "correlate", "S01", "C1P2", 5, maximum_displacement_mm=0.5)
+        add(session, "strain", "S01", "C1P1", 6, maximum_principal_strain=2e-3)
+    _, computed = progress(services)
+    assert (computed.displacement_mm, computed.strain) == (0.5, 2e-3)
+
+
+def test_the_last_job_of_its_kind_counts(services: Services) -> None:
+    with services.catalogue.writing() as session:
+        add(session, "measurement", "S00", "C1P1", 1, doubts=0.0)
+        add(session, "measurement", "S00", "C1P2", 1, doubts=0.0)
+        (failed,) = submit(session, "plate", [Request("reconstruct", {}, ("S00",), ("C1P1",))], NOW).job_ids
+        session.get_one(JobRow, failed).state = JobState.FAILED
+    assert (progress(services)[0].processing, progress(services)[0].failed) == (0, 1)
+    with services.catalogue.writing() as session:
+        submit(session, "plate", [Request("reconstruct", {}, ("S00",))], NOW)
+    assert (progress(services)[0].processing, progress(services)[0].failed) == (2, 0)
