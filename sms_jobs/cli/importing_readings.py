@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,14 +12,16 @@ from typing import Annotated, Any
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
-from sms_jobs.cli import completion, output
+from sms_jobs.cli import output
+from sms_jobs.cli.import_options import CampaignName
 from sms_jobs.cli.import_outcomes import confirm
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.importers.readings import (
     Column,
-    Readings,
+    Reading,
     Table,
     read_table,
     readings_of,
@@ -34,9 +37,6 @@ _STATE_NAMES = ("state", "label", "step", "load step")
 _TIME_NAMES = ("time", "timestamp", "date", "datetime")
 
 File = Annotated[Path, typer.Argument(help="CSV file with a header.")]
-InCampaign = Annotated[
-    str, typer.Option("--campaign", "-c", help="Campaign.", autocompletion=completion.campaign_names)
-]
 Maps = Annotated[
     list[str] | None,
     typer.Option("--map", help="COLUMN=CHANNEL[UNIT], several times; all columns if not given."),
@@ -56,22 +56,64 @@ Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask whether guess
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would change, and change nothing.")]
 
 
-def channels(
-    file: File,
-    campaign: InCampaign,
-    maps: Maps = None,
-    state_column: StateColumn = None,
-    time_column: TimeColumn = None,
-    time_zone: TimeZone = None,
-    within: Within = 2.0,
-    delimiter: Delimiter = None,
-    decimal: Decimal = None,
-    replace: Replace = False,
-    dry_run: DryRun = False,
-    yes: Yes = False,
-    home: Home = None,
-    as_json: Json = False,
-) -> None:
+@dataclass(frozen=True)
+class _Wanted:
+    """Of which campaign readings are, which columns are meant, how rows find states, and what may change."""
+
+    campaign: str
+    maps: list[str] | None
+    state_column: str | None
+    time_column: str | None
+    time_zone: str | None
+    within: timedelta
+    unit: str
+    replace: bool
+    dry_run: bool
+    yes: bool
+
+
+def _command(unit: str, words: str) -> Callable[..., None]:
+    """Return a command that enters a table, whose columns are in `unit` unless they say another."""
+
+    def command(
+        file: File,
+        campaign: CampaignName,
+        maps: Maps = None,
+        state_column: StateColumn = None,
+        time_column: TimeColumn = None,
+        time_zone: TimeZone = None,
+        within: Within = 2.0,
+        delimiter: Delimiter = None,
+        decimal: Decimal = None,
+        replace: Replace = False,
+        dry_run: DryRun = False,
+        yes: Yes = False,
+        home: Home = None,
+        as_json: Json = False,
+    ) -> None:
+        table = read_table(file, delimiter, decimal)
+        wanted = _Wanted(
+            campaign,
+            maps,
+            state_column,
+            time_column,
+            time_zone,
+            timedelta(seconds=within),
+            unit,
+            replace,
+            dry_run,
+            yes,
+        )
+        with bootstrap.services(home) as services:
+            entered = _enter(services, table, wanted)
+        _tell(table, entered, wanted, as_json)
+
+    command.__doc__ = words
+    return command
+
+
+channels = _command(
+    "",
     """Import readings, such as loads and temperatures, into the states of a campaign.
 
     Rows belong to states by their label or by their time. load[kN] and displacement[um] are those of the
@@ -79,87 +121,63 @@ def channels(
 
     Example: sms import channels log.csv -c wing --map 'Force=load[kN]' --map 'T1=temperature[C]'
     --time-column Time --time-zone Europe/Berlin
-    """
-    options = {"state": state_column, "time": time_column, "zone": time_zone}
-    table = read_table(file, delimiter, decimal)
-    _run(table, campaign, maps, options, within, "", replace, dry_run, yes, home, as_json)
-
-
-def gauges(
-    file: File,
-    campaign: InCampaign,
-    maps: Maps = None,
-    state_column: StateColumn = None,
-    time_column: TimeColumn = None,
-    time_zone: TimeZone = None,
-    within: Within = 2.0,
-    delimiter: Delimiter = None,
-    decimal: Decimal = None,
-    replace: Replace = False,
-    dry_run: DryRun = False,
-    yes: Yes = False,
-    home: Home = None,
-    as_json: Json = False,
-) -> None:
+    """,
+)
+gauges = _command(
+    "um/m",
     """Import strain gauges into the states of a campaign: um/m, unless a column says another unit.
 
-    Strains are stored as ratios.
+    Strains are stored as ratios. 'sms data gauges' shows those beside virtual gauges of the same name.
 
-    Example: sms import gauges gauges.csv -c wing --state-column State --map 'SG1=gauge_1'
-    """
-    options = {"state": state_column, "time": time_column, "zone": time_zone}
-    table = read_table(file, delimiter, decimal)
-    _run(table, campaign, maps, options, within, "um/m", replace, dry_run, yes, home, as_json)
+    Example: sms import gauges gauges.csv -c wing --state-column State --map 'SG1=G1'
+    """,
+)
 
 
-def _run(
-    table: Table,
-    name: str,
-    maps: list[str] | None,
-    options: Mapping[str, str | None],
-    within: float,
-    unit: str,
-    replace: bool,
-    dry_run: bool,
-    yes: bool,
-    home: Path | None,
-    as_json: bool,
-) -> None:
-    key, by_time = _key_column(table, options)
-    columns = _columns(table, maps, key, unit)
-    with bootstrap.services(home) as services:
-        with services.catalogue.reading() as session:
-            before = campaigns.definition(campaigns.campaign_row(session, name))
-            times = measured_at(session, before)
-        labels = [s.label for s in before.states]
-        if by_time:
-            zone = None if options["zone"] is None else zone_named(options["zone"])
-            if not times:
-                raise InvalidInput(
-                    f"no state of campaign {name} has a time or a measurement: give --state-column instead"
-                )
-            states, left_out = states_by_time(
-                table, table.column(key), times, zone, timedelta(seconds=within)
+@dataclass(frozen=True)
+class _Entered:
+    """What a table told, what was left out of it, and what it changes, in words."""
+
+    columns: list[Column]
+    readings: tuple[Reading, ...]
+    left_out: list[str]
+    changes: list[str]
+
+
+def _enter(services: Services, table: Table, wanted: _Wanted) -> _Entered:
+    """Find the states of the rows, and give the campaign what they say of them."""
+    key, by_time = _key_column(table, wanted.state_column, wanted.time_column)
+    columns = _columns(table, wanted.maps, key, wanted.unit)
+    with services.catalogue.reading() as session:
+        before = campaigns.definition(campaigns.campaign_row(session, wanted.campaign))
+        times = measured_at(session, before)
+    if by_time:
+        if not times:
+            raise InvalidInput(
+                f"no state of campaign {wanted.campaign} has a time or a measurement: give --state-column "
+                "instead"
             )
-        else:
-            states, left_out = states_by_label(table, table.column(key), labels)
-        found = readings_of(table, states, columns)
-        after, changes = with_readings(before, found.readings, replace_others=replace)
-        if changes and not dry_run and not (maps or yes):
+        zone = None if wanted.time_zone is None else zone_named(wanted.time_zone)
+        states, left_out = states_by_time(table, table.column(key), times, zone, wanted.within)
+    else:
+        states, left_out = states_by_label(table, table.column(key), [s.label for s in before.states])
+    found = readings_of(table, states, columns)
+    after, changes = with_readings(before, found.readings, replace_others=wanted.replace)
+    if changes and not wanted.dry_run:
+        if not (wanted.maps or wanted.yes):
             _confirm(table, columns, changes)
-        if changes and not dry_run:
-            amend_campaign(services.catalogue, services.archive, before, after, datetime.now(UTC))
-    _tell(table, columns, found, [*left_out, *found.left_out], changes, name, dry_run, as_json)
+        amend_campaign(services.catalogue, services.archive, before, after, datetime.now(UTC))
+    return _Entered(columns, found.readings, [*left_out, *found.left_out], changes)
 
 
-def _key_column(table: Table, options: Mapping[str, str | None]) -> tuple[str, bool]:
+def _key_column(table: Table, state: str | None, time: str | None) -> tuple[str, bool]:
     """Return the column that finds states, and whether it holds times."""
-    if options["state"] is not None and options["time"] is not None:
+    if state is not None and time is not None:
         raise InvalidInput("give --state-column or --time-column, not both")
-    if options["state"] is not None:
-        return options["state"], False
-    if options["time"] is not None:
-        return options["time"], True
+    if state is not None:
+        return state, False
+    if time is not None:
+        return time, True
     for names, by_time in ((_STATE_NAMES, False), (_TIME_NAMES, True)):
         for header in table.header:
             if header.lower() in names:
@@ -198,39 +216,30 @@ def _confirm(table: Table, columns: list[Column], changes: list[str]) -> None:
     confirm(f"Enter {len(changes)} values of {table.source}?")
 
 
-def _tell(
-    table: Table,
-    columns: list[Column],
-    found: Readings,
-    left_out: list[str],
-    changes: list[str],
-    campaign: str,
-    dry_run: bool,
-    as_json: bool,
-) -> None:
-    remarks = [*table.remarks, *(f"{c.header} becomes {c.target}" for c in columns)]
+def _tell(table: Table, entered: _Entered, wanted: _Wanted, as_json: bool) -> None:
+    remarks = [*table.remarks, *(f"{c.header} becomes {c.target}" for c in entered.columns)]
     if as_json:
         body: dict[str, Any] = {
-            "campaign": campaign,
-            "dry_run": dry_run,
-            "states": [r.state for r in found.readings],
-            "changes": changes,
-            "left_out": left_out,
+            "campaign": wanted.campaign,
+            "dry_run": wanted.dry_run,
+            "states": [r.state for r in entered.readings],
+            "changes": entered.changes,
+            "left_out": entered.left_out,
             "remarks": remarks,
         }
         output.print_json(body)
     else:
         for remark in remarks:
             output.say(remark)
-        for text in left_out[:_TOLD]:
+        for text in entered.left_out[:_TOLD]:
             output.say(f"left out: {text}")
-        if len(left_out) > _TOLD:
-            output.say(f"left out: {len(left_out) - _TOLD} more; --json lists all")
-        for change in changes:
+        if len(entered.left_out) > _TOLD:
+            output.say(f"left out: {len(entered.left_out) - _TOLD} more; --json lists all")
+        for change in entered.changes:
             output.answer.print(change, markup=False)
-        end = (
-            "nothing was changed" if dry_run or not changes else f"campaign {campaign} is brought up to date"
-        )
-        output.say(f"{len(changes)} values of {len(found.readings)} states; {end}")
-    if not found.readings:
+        end = f"campaign {wanted.campaign} is brought up to date"
+        if wanted.dry_run or not entered.changes:
+            end = "nothing was changed"
+        output.say(f"{len(entered.changes)} values of {len(entered.readings)} states; {end}")
+    if not entered.readings:
         raise typer.Exit(_FINDINGS)
