@@ -76,8 +76,8 @@ def wanting(verdict: Verdict, limits: Limits) -> list[str]:
         )
     if verdict.lit_fraction < limits.lit_fraction:
         doubts.append(
-            f"fringes stand out in {verdict.lit_fraction:.0%} of the image, wanted is "
-            f"{limits.lit_fraction:.0%}"
+            f"fringes stand out in {verdict.lit_fraction:.2%} of the image, wanted is "
+            f"{limits.lit_fraction:.2%}"
         )
     return doubts
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from pydantic import Field, field_validator
@@ -40,12 +40,15 @@ from sms_jobs.kinds.kind import (
 )
 from sms_jobs.kinds.simulate import scene_at
 from sms_jobs.metrology.geometry.stage_poses import StagePose
+from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.recording import Recording
 
 ANGLES = ("pan_rad", "tilt_rad")
 """The channels of a state that say where a stage is to be."""
+_SPHERES_FILL = 1e-4
+"""Two spheres of 16 px across, the least that a centre can be found from, in an image of four megapixels."""
 _CHANNEL = re.compile(
     r"(?P<name>[A-Za-z0-9][A-Za-z0-9._-]*)(?:=(?P<limit>[0-9]+(?:\.[0-9]*)?(?:e[-+]?[0-9]+)?))?"
 )
@@ -58,7 +61,10 @@ class AcquireParameters(Parameters):
         0.02, ge=0.0, le=1.0, description="most of the lit region that may be saturated"
     )
     lit_fraction: float = Field(
-        0.01, ge=0.0, le=1.0, description="least part of the image in which fringes must stand out"
+        0.01,
+        ge=0.0,
+        le=1.0,
+        description="least part of the image in which fringes must stand out; of a ball bar 0.0001 at most",
     )
     recordings: int = Field(
         2, ge=1, le=10, description="how often a set is recorded until it keeps these limits"
@@ -116,12 +122,15 @@ class Order:
         Where a stage has to bring an artefact: pan and tilt; None where nothing moves.
     setting
         What stands before simulated instruments; None where nothing is simulated.
+    fills
+        What part of the image may at least be asked to be lit: the spheres of a bar fill little of it.
     """
 
     pairs: tuple[str, ...]
     sequence: FringeSequence
     angles_rad: tuple[float, float] | None
     setting: Setting | None
+    fills: float = 1.0
 
 
 def stage_angles(state: LoadState) -> tuple[float, float] | None:
@@ -138,7 +147,9 @@ def order(campaign: Campaign, subject: Subject) -> Order:
         load = {} if state.load_n is None else {"load_n": state.load_n}
         scene = scene_at(campaign.scene, campaign, state)
         setting = Setting(scene, state.label, state.deformation, load | state.channels)
-    return Order(campaign.pairs, campaign.sequence, stage_angles(state), setting)
+    shown = None if campaign.session is None else campaign.session.artefacts.get(state.artefact or "")
+    fills = _SPHERES_FILL if isinstance(shown, BallBar) else 1.0
+    return Order(campaign.pairs, campaign.sequence, stage_angles(state), setting, fills)
 
 
 def all_states(campaign: Campaign) -> tuple[Subject, ...]:
@@ -170,6 +181,7 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
         )
     spool, sequence = station.spool, task.sequence
     limits = parameters.limits()
+    limits = replace(limits, lit_fraction=min(limits.lit_fraction, task.fills))
     finished_before = [pair for pair in task.pairs if is_finished(spool, pair)]
     with connected(station.rig, task.setting, inputs.threads) as rig:
         if task.angles_rad is not None:

@@ -169,6 +169,8 @@ def test_from_recipe_to_certified_calibration(home: Path) -> None:
         # Six boards by hand, and the bar once.
         assert done.stderr.count("Enter records it") == 7
         assert "S01: mount the bar on the stage" in done.stderr
+        shown = answer("acquire", "show", "table-3", "--home", str(home))
+        assert [(s["pairs"], s["doubtful"]) for s in shown] == [(4, 0)] * 31
         answer("job", "wait", "-c", "table-3", "--home", str(home), timeout=7200.0)
         certified = answer("calibration", "certify", "table-3", "--home", str(home))
     assert certified["new"]
