@@ -172,7 +172,9 @@ def _frame(chart: Chart, axis: Axis, x: _Scale, y: _Scale) -> str:
     labels = [(value, number(round(value, 12))) for value in ticks(x.low, x.high)]
     if axis.names:
         every = ceil(len(axis.places) / _LARGEST_LABELS)
-        labels = [(place, escape(name)) for name, place in list(axis.places.items())[::every]]
+        named = list(axis.places.items())[::every]
+        # A state without a value, as the reference of a displacement, lies beyond the chart.
+        labels = [(place, escape(name)) for name, place in named if x.low <= place <= x.high]
     for value, label in labels:
         parts.append(f'<path class="grid" d="M{x(value)} {_TOP}V{bottom}"/>')
         parts.append(f'<text x="{x(value)}" y="{bottom + 17}" text-anchor="middle">{label}</text>')

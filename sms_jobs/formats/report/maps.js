@@ -29,8 +29,14 @@ class View {
 
   get field() { return this.about.fields[this.chosen]; }
   get part() { return this.ofSigma && this.field.sigma ? this.field.sigma : this.field; }
+  // The range of colours: what was asked for, else the field's own; blue and red meet at zero.
+  get shown() {
+    const [low, high] = this.limits || this.part.limits;
+    if (this.limits || this.colours !== "bluered" || low >= 0 || high <= 0) return [low, high];
+    return [-Math.max(-low, high), Math.max(-low, high)];
+  }
   get palette() {
-    if (this.field.categories) return paletteOf("categories");
+    if (this.field.categories) return paletteOf("groups");
     return paletteOf(this.colours || (this.field.unit === "count" && !this.ofSigma ? "grey" : "viridis"));
   }
 
@@ -124,7 +130,7 @@ class View {
   }
 
   spreadOut() {
-    const limits = this.limits || this.part.limits;
+    const limits = this.shown;
     for (const view of views) {
       const place = view.about.fields.findIndex((field) => field.name === this.field.name);
       if (place < 0 || view === this) continue;
@@ -144,7 +150,7 @@ class View {
     this.select.value = String(this.chosen);
     this.spread.disabled = !field.sigma;
     this.spread.setAttribute("aria-pressed", String(part !== field));
-    const limits = this.limits || part.limits;
+    const limits = this.shown;
     this.low.value = written(limits[0]); this.high.value = written(limits[1]);
     for (const control of [this.low, this.high, this.scheme]) control.disabled = Boolean(field.categories);
     this.scheme.value = this.colours || "";
@@ -185,7 +191,7 @@ class View {
   colour(value, limits) {
     if (!(value === value)) return MISSING;
     const palette = this.palette, last = palette.length / 3 - 1;
-    const place = this.field.categories ? Math.min(value, last)
+    const place = this.field.categories ? Math.min(this.field.groups[value], last)
       : Math.round(Math.min(Math.max((value - limits[0]) / (limits[1] - limits[0]), 0), 1) * last);
     return [palette[3 * place], palette[3 * place + 1], palette[3 * place + 2]];
   }
@@ -193,7 +199,9 @@ class View {
   // Screen: a canvas of `width` CSS pixels shows the whole image at zoom 1.
   get screen() {
     const width = this.picture.clientWidth, { rows, columns } = this.about;
-    return { width, height: Math.round(width * Math.min(rows / columns, 1.3)), ratio: window.devicePixelRatio || 1 };
+    // A tall image is seen as a whole: no higher than the window.
+    const height = Math.min(width * Math.min(rows / columns, 1.3), Math.max(320, 0.85 * window.innerHeight));
+    return { width, height: Math.round(height), ratio: window.devicePixelRatio || 1 };
   }
 
   get pitch() {
@@ -309,9 +317,10 @@ class View {
     const field = this.field;
     this.scale.hidden = Boolean(field.categories); this.legend.hidden = !field.categories;
     if (field.categories) {
-      this.legend.replaceChildren(...field.categories.map((words, place) => {
+      const present = field.names.filter((_, group) => field.groups.includes(group));
+      this.legend.replaceChildren(...present.map((words) => {
         const swatch = made("span", { class: "swatch" });
-        swatch.style.background = `rgb(${this.colour(place, limits).join()})`;
+        swatch.style.background = `rgb(${this.colour(field.groups.indexOf(field.names.indexOf(words)), limits).join()})`;
         return made("li", {}, swatch, words);
       }));
       return;

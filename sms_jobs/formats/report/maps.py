@@ -13,7 +13,7 @@ from sms_jobs.formats.figures import Map, draw_map, robust_limits
 from sms_jobs.formats.report.html import Markup, figure, figures
 from sms_jobs.formats.report.packing import pack, pack_sigma
 from sms_jobs.formats.report.page import json_block
-from sms_jobs.formats.report.view import Field, View
+from sms_jobs.formats.report.view import VALID, Field, View
 
 _CATEGORIES = 64
 
@@ -107,6 +107,9 @@ def _packed_categories(field: Field, name: str) -> tuple[dict[str, Any], list[Ma
     for place, flags in enumerate(listed):
         numbers[field.values == flags] = place
     packed = pack(numbers)
+    meanings = [words.get(flags, str(flags)) for flags in listed]
+    # Coloured by the first of several reasons, as there are too many combinations to tell apart.
+    firsts = list(dict.fromkeys([VALID, *map(_first, meanings)]))
     told = {
         "name": field.name,
         "unit": field.unit,
@@ -114,9 +117,15 @@ def _packed_categories(field: Field, name: str) -> tuple[dict[str, Any], list[Ma
         "step": packed.step,
         "data": name,
         "limits": (0.0, float(max(1, len(listed) - 1))),
-        "categories": [words.get(flags, str(flags)) for flags in listed],
+        "categories": meanings,
+        "names": firsts,
+        "groups": [firsts.index(_first(words)) for words in meanings],
     }
     return told, [_block(name, packed.text)]
+
+
+def _first(words: str) -> str:
+    return words.partition(",")[0]
 
 
 def _block(name: str, packed: str) -> Markup:

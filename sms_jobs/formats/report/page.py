@@ -60,8 +60,10 @@ def _colour_maps() -> str:
         name: matplotlib.colormaps[given](numbers, bytes=True)[:, :3].tobytes().hex()
         for name, given in (("viridis", "viridis"), ("bluered", "coolwarm"), ("grey", "gray"))
     }
-    listed = matplotlib.colormaps["tab20"](np.arange(20), bytes=True)[:, :3]
-    found["categories"] = np.tile(listed, (4, 1)).astype(np.uint8).tobytes().hex()
+    # The first is of what is valid.
+    found["groups"] = (
+        "ebebeb" + matplotlib.colormaps["tab20"](np.arange(20), bytes=True)[:, :3].tobytes().hex()
+    )
     return json.dumps(found)
 
 

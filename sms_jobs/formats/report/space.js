@@ -192,7 +192,7 @@ class Space {
 
   colour() {
     if (!this.program || !this.view.values) return;
-    const limits = this.view.limits || this.view.part.limits, tints = new Uint8Array(3 * this.view.values.length);
+    const limits = this.view.shown, tints = new Uint8Array(3 * this.view.values.length);
     this.view.values.forEach((value, i) => tints.set(this.view.colour(value, limits), 3 * i));
     this.buffer("tint", tints, this.gl.UNSIGNED_BYTE, true);
     this.draw();

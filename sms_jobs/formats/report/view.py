@@ -23,6 +23,10 @@ ImageValues = (
 )
 
 
+VALID = "valid"
+"""What a field of reasons says of a pixel that has a value."""
+
+
 @dataclass(frozen=True)
 class Field:
     """A scalar over an image, sampled; make it by `Sampler.field` or `Sampler.reasons`.
@@ -193,7 +197,7 @@ class Sampler:
 
 def _in_words(bits: int) -> str:
     if not bits:
-        return "valid"
+        return VALID
     return ", ".join(
         (flag.name or str(flag.value)).lower().replace("_", " ") for flag in Reason if flag.value & bits
     )
