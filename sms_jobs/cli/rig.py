@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import getpass
+import os
 import signal
+import socket
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from math import degrees, radians
 from pathlib import Path
 from typing import Annotated
@@ -13,12 +19,14 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.errors import InvalidInput
 from sms_jobs.records.optical_instruments import RigFile
 
 app = typer.Typer(help="Rigs: the instruments that are connected to this host.", no_args_is_help=True)
 
 Rig = Annotated[str, typer.Argument(help="Name of the rig.")]
+_LONGEST = timedelta(minutes=5)
+"""What a check or a move may take; a rig whose holder was killed is free again after it."""
 _SIMULATED = "simulated: there when a campaign gives it a scene"
 
 
@@ -100,9 +108,7 @@ def check(rig: Rig, home: Home = None, as_json: Json = False) -> None:
     from sms_jobs.instruments.checking import checked
     from sms_jobs.instruments.connection import connected
 
-    with bootstrap.services(home) as services:
-        described = services.stations.rig(rig)
-    with connected(described) as found:
+    with _held(home, rig, "check") as described, connected(described) as found:
         check = checked(found)
     sensors = {name: check.sensors.get(name, _SIMULATED) for name in described.sensors}
     if as_json:
@@ -127,11 +133,10 @@ def home_(rig: Rig, home: Home = None) -> None:
 
     Example: sms rig home virtual
     """
-    from sms_jobs.instruments.connection import connected
+    from sms_jobs.instruments.connection import connected_stage
 
-    with connected(_with_stage(home, rig)) as found:
-        assert found.stage is not None
-        found.stage.home()
+    with _held(home, rig, "home") as described, connected_stage(described) as stage:
+        stage.home()
     output.say(f"the stage of {rig} is at home")
 
 
@@ -146,14 +151,12 @@ def move(
 
     Example: sms rig move virtual --pan 22.5 --tilt -45
     """
-    from sms_jobs.instruments.connection import connected
-    from sms_jobs.metrology.geometry.stage_poses import StagePose
+    from sms_jobs.instruments.connection import connected_stage
 
-    with connected(_with_stage(home, rig)) as found:
-        assert found.stage is not None
-        found.stage.stage()
-        found.stage.set(StagePose(radians(pan_deg), radians(tilt_deg))).wait()
-        pan, tilt = found.stage.angles()
+    with _held(home, rig, "move") as described, connected_stage(described) as stage:
+        stage.stage()
+        stage.move(radians(pan_deg), radians(tilt_deg))
+        pan, tilt = stage.angles()
     output.say(f"the stage of {rig} is at pan {degrees(pan):.3f} deg, tilt {degrees(tilt):.3f} deg")
 
 
@@ -248,9 +251,19 @@ def _angles(angles_rad: tuple[float, float] | None, rig: str) -> str:
     return f"pan {pan:.3f} deg, tilt {tilt:.3f} deg"
 
 
-def _with_stage(home: Path | None, rig: str) -> RigFile:
+@contextmanager
+def _held(home: Path | None, rig: str, doing: str) -> Iterator[RigFile]:
+    """Hold a rig as a recording does, so that none begins meanwhile and none is disturbed."""
+    from sms_jobs.jobs import locks
+    from sms_jobs.kinds.kind import rig_queue
+
+    holder = f"{getpass.getuser()}, sms rig {doing}, process {os.getpid()} on {socket.gethostname()}"
     with bootstrap.services(home) as services:
         described = services.stations.rig(rig)
-    if described.stage is None:
-        raise NotFound(f"rig {rig} has no stage; describe one under [[stages]] of its file")
-    return described
+        with services.catalogue.writing() as session:
+            locks.acquire_for(session, [rig_queue(rig)], holder, datetime.now(UTC), _LONGEST)
+        try:
+            yield described
+        finally:
+            with services.catalogue.writing() as session:
+                locks.release(session, holder=holder)

@@ -118,6 +118,29 @@ def channel_reader(rig: RigFile, name: str, clock: Clock | None = None) -> Itera
         channel.close()
 
 
+@contextmanager
+def connected_stage(rig: RigFile, clock: Clock | None = None) -> Iterator[PanTilt]:
+    """Connect the stage of a rig, and nothing else of it: a stage moves without cameras and displays.
+
+    Raises
+    ------
+    NotFound
+        When the rig has no stage.
+    InstrumentError
+        When it does not answer, or does not work.
+    """
+    if rig.stage is None:
+        raise NotFound(f"rig {rig.name} has no stage; describe one under [[stages]] of its file")
+    clock = clock or RealClock()
+    simulation = SerialSimulation(rig.serial.at(""), clock)
+    stage = Connector(clock, OperationLog(clock), simulation).stage(rig.stage)
+    with ExitStack() as stack:
+        stack.callback(stage.close)
+        stage.connect()
+        stack.push(partial(_stand_still, stage))
+        yield stage
+
+
 def _stand_still(
     stage: PanTilt,
     problem: type[BaseException] | None,
@@ -162,12 +185,17 @@ class WiredTrigger:
 
     def fire(self, cameras: Mapping[str, Camera]) -> None:
         """Expose all of them."""
-        for box, wired in self.boxes:
-            if names := [name for name in cameras if name in wired]:
+        wired = {name for _, names in self.boxes for name in names if name in cameras}
+        # The light of a simulated trigger line reaches a simulated camera by a call; a real one is told
+        # beforehand, so that it does not take for an answer what it exposed before.
+        simulated = {name for name in wired if isinstance(cameras[name], SimulatedCamera)}
+        for name in wired - simulated:
+            cameras[name].trigger()
+        for box, sensors in self.boxes:
+            if names := [name for name in cameras if name in sensors]:
                 box.fire(names)
         for name, camera in cameras.items():
-            # The light of a simulated trigger line reaches a simulated camera by a call.
-            if isinstance(camera, SimulatedCamera) or not any(name in wired for _, wired in self.boxes):
+            if name in simulated or name not in wired:
                 camera.trigger()
 
 

@@ -6,6 +6,7 @@ make and is here: setting up, triggering, exposing, counting, unpacking.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, TypeAlias
@@ -19,8 +20,12 @@ from sms_jobs.instruments.codecs.pixel_formats import BITS, unpacked
 from sms_jobs.instruments.protocols import CameraFacts, Frame
 from sms_jobs.instruments.real_cameras import RealCamera, checked_image
 
+logger = logging.getLogger(__name__)
+
 Value: TypeAlias = bool | int | float | str
 SOFTWARE, ACQUISITION = "software", "acquisition"
+_MOST_UNASKED = 100
+"""Frames that are thrown away at once: noise on a line must not hold a recording up for ever."""
 _LAST_NUMBER = 65535
 """After which GigE Vision counts from 1 again."""
 
@@ -210,12 +215,14 @@ class GenicamCamera:
             self._begin()
 
     def trigger(self) -> None:
-        """Take a frame, unless it is triggered by wire."""
-        if self._settings.trigger == SOFTWARE:
-            self._features.execute("TriggerSoftware")
-        elif self._settings.trigger == ACQUISITION:
+        """Take a frame, or make ready for the wire; what came without being asked for is thrown away."""
+        if self._settings.trigger == ACQUISITION:
             self._halt()
             self._begin()
+            return
+        self._forget()
+        if self._settings.trigger == SOFTWARE:
+            self._features.execute("TriggerSoftware")
 
     def read(self, timeout_s: float) -> Frame:
         """Return the oldest frame that was not read.
@@ -253,6 +260,20 @@ class GenicamCamera:
     def close(self) -> None:
         """Let go of it."""
         self._stream.close()
+
+    def _forget(self) -> None:
+        """Throw away frames that nobody asked for; the numbers of those that follow tell of them."""
+        if not self._streaming:
+            return
+        unasked: list[int] = []
+        for _ in range(_MOST_UNASKED):
+            if not self._stream.take(0.0, lambda delivered: unasked.append(delivered.number)):
+                break
+        if unasked:
+            logger.warning(
+                "camera %s delivered %d frames without being triggered: look for noise on its line",
+                *(self._settings.name, len(unasked)),
+            )
 
     def _begin(self) -> None:
         self._last = None

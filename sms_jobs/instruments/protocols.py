@@ -85,7 +85,7 @@ class Camera(Protocol):
         ...
 
     def trigger(self) -> None:
-        """Take a frame, where no trigger controller does so by wire."""
+        """Take a frame; a camera that a trigger controller exposes by wire makes ready for that alone."""
         ...
 
     def read(self, timeout_s: float) -> Frame:

@@ -95,7 +95,8 @@ class GentlStream:
         What is not complete is dropped by harvesters, and nothing comes then.
         """
         with _words(self._name):
-            buffer = self._acquirer.try_fetch(timeout=timeout_s, is_raw=True)
+            # harvesters takes 0 for no limit at all.
+            buffer = self._acquirer.try_fetch(timeout=max(timeout_s, 1e-3), is_raw=True)
         if buffer is None:
             return False
         try:

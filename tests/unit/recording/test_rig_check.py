@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import threading
+from datetime import UTC, datetime, timedelta
+from math import radians
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +16,20 @@ from support.display import COLUMNS, ROWS, display
 from support.homes import make_home
 from typer.testing import CliRunner
 
+from sms_jobs import bootstrap
 from sms_jobs.cli import rig as command
-from sms_jobs.errors import FrameLost
+from sms_jobs.errors import DevicesBusy, FrameLost, LinkLost
 from sms_jobs.formats.rig_configuration import example_rig, parse_rig
 from sms_jobs.instruments.checking import checked
 from sms_jobs.instruments.clock import SimulatedClock
-from sms_jobs.instruments.connection import connected
+from sms_jobs.instruments.connection import connected, connected_stage
 from sms_jobs.instruments.recorder import Limits, record_state, recorded
 from sms_jobs.instruments.scanners.link import Address
 from sms_jobs.instruments.scanners.server import ScannerServer
 from sms_jobs.instruments.simulated.optics import Setting
+from sms_jobs.jobs import locks
 from sms_jobs.jobs.stations import known_sensors
+from sms_jobs.kinds.kind import rig_queue
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.virtual_rig.campaigns import small_plate
 
@@ -149,3 +154,33 @@ def test_a_scanner_without_a_scene_is_only_named(tmp_path: Path) -> None:
         serving.join()
     assert check.views == {}
     assert check.sensors["C1"].startswith(f"scanner at {server.address}")
+
+
+def test_a_rig_that_somebody_uses_is_left_alone(home: Path) -> None:
+    connect(home, example_rig())
+    with bootstrap.services(home) as services:
+        with services.catalogue.writing() as session:
+            now = datetime.now(UTC)
+            locks.acquire_for(session, [rig_queue("virtual")], "anna at the rig", now, timedelta(minutes=1))
+        for words in (["check"], ["home"], ["move", "--pan", "0", "--tilt", "0"]):
+            with pytest.raises(DevicesBusy, match="rig-virtual, which 'anna at the rig' has held"):
+                told(home, words[0], "virtual", *words[1:])
+        with services.catalogue.writing() as session:
+            locks.release(session, holder="anna at the rig")
+        told(home, "check", "virtual")
+        with services.catalogue.reading() as session:
+            assert locks.held(session, datetime.now(UTC)) == []
+
+
+def test_a_stage_is_moved_without_cameras_and_displays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    sensors = desk("no-such-camera").partition("[[cameras]]")[1:]
+    stage = example_rig().partition("[[stages]]")[1:]
+    rig = parse_rig("\n".join(['name = "lone"', *sensors, *stage]), "rig.toml", known_sensors())
+    with pytest.raises(LinkLost, match="camera C1 cannot be opened"), connected(rig, clock=SimulatedClock()):
+        pass
+    with connected_stage(rig, SimulatedClock()) as found:
+        found.home()
+        found.move(0.1, -0.1)
+        # It settles within 0.01 degrees, and an encoder has up to 0.0018 degrees a count.
+        assert found.known_angles() == pytest.approx((0.1, -0.1), abs=radians(0.012))
