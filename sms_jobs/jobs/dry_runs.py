@@ -97,7 +97,7 @@ def dry_run(
     rehearsed: dict[str, StateRehearsal] = {}
     if not missing:
         poses = [_pose(s) for s in states]
-        found = rehearse(rig, campaign.pairs, campaign.sequence, poses, parameters.texture_exposure)
+        found = rehearse(rig, campaign.shape_pairs, campaign.sequence, poses, parameters.texture_exposure)
         rehearsed = {s.label: r for s, r in zip(states, found, strict=True)}
         missing += [f"{label}: {r.problem}" for label, r in rehearsed.items() if r.problem]
     # A set that is recorded again lies beside the one that it replaces.
@@ -118,7 +118,7 @@ def dry_run(
         found_room["spool"],
         found_room["archive"],
         tuple(missing),
-        _remarks(rig, states),
+        _remarks(rig, campaign, states),
     )
 
 
@@ -131,8 +131,8 @@ def _missing_sensors(rig: RigFile, campaign: Campaign) -> Iterator[str]:
     """Tell which sensors the rig lacks, or has with another size."""
     sizes = {c.name: (c.columns, c.rows) for c in rig.cameras}
     sizes |= {p.name: (p.columns, p.rows) for p in rig.projectors}
-    for camera in campaign.cameras_alone:
-        yield f"{camera} looks on without a projector, and is not recorded with instruments"
+    if not campaign.shape_pairs:
+        yield f"campaign {campaign.name} has no projector, and cameras alone are not recorded"
     names = dict.fromkeys(name for pair in campaign.shape_pairs for name in split_pair(pair))
     for name in names:
         if name not in sizes:
@@ -154,14 +154,19 @@ def _missing_channels(rig: RigFile, parameters: AcquireParameters) -> Iterator[s
         yield str(error)
 
 
-def _remarks(rig: RigFile, states: Sequence[LoadState]) -> tuple[str, ...]:
-    """Tell which values of the plan no channel of the rig will confirm."""
+def _remarks(rig: RigFile, campaign: Campaign, states: Sequence[LoadState]) -> tuple[str, ...]:
+    """Tell which cameras are not recorded, and which values of the plan no channel will confirm."""
+    alone = tuple(
+        f"{camera} looks on without a projector: its images are imported, not recorded"
+        for camera in campaign.cameras_alone
+    )
     known = {c.name for c in rig.serial.channels}
     told = {"load_n" for s in states if s.load_n is not None} | {n for s in states for n in s.channels}
     unread = sorted(told - known - set(ANGLES))
     if not unread:
-        return ()
-    return (f"the plan says what {' and '.join(unread)} will be, which no channel of rig {rig.name} reads",)
+        return alone
+    words = f"the plan says what {' and '.join(unread)} will be, which no channel of rig {rig.name} reads"
+    return (*alone, words)
 
 
 def _packed(session: Session, rig: RigFile) -> float | None:

@@ -117,7 +117,7 @@ class Order:
     Attributes
     ----------
     pairs, sequence
-        All of them, projector by projector.
+        All of them, projector by projector; images of cameras alone are not recorded here.
     angles_rad
         Where a stage has to bring an artefact: pan and tilt; None where nothing moves.
     setting
@@ -149,11 +149,13 @@ def order(campaign: Campaign, subject: Subject) -> Order:
         setting = Setting(scene, state.label, state.deformation, load | state.channels)
     shown = None if campaign.session is None else campaign.session.artefacts.get(state.artefact or "")
     fills = _SPHERES_FILL if isinstance(shown, BallBar) else 1.0
-    return Order(campaign.pairs, campaign.sequence, stage_angles(state), setting, fills)
+    return Order(campaign.shape_pairs, campaign.sequence, stage_angles(state), setting, fills)
 
 
 def all_states(campaign: Campaign) -> tuple[Subject, ...]:
-    """Return every state, of specimens and artefacts alike."""
+    """Return every state, of specimens and artefacts alike, where a projector lights them."""
+    if not campaign.shape_pairs:
+        return ()
     return tuple(Subject(campaign.name, s.label) for s in campaign.states)
 
 

@@ -12,7 +12,8 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.formats.rig_configuration import parse_rig
 from sms_jobs.jobs.dry_runs import DryRun, dry_run
 from sms_jobs.jobs.stations import known_sensors
-from sms_jobs.records.campaign import Campaign, LoadState
+from sms_jobs.kinds.acquire import all_states, order
+from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.sessions import small_session
 
@@ -83,6 +84,18 @@ def test_what_the_rig_lacks_is_told(services: Services) -> None:
     without = tried(services, small_session("session"), RIG.replace("stages =", "# stages ="))
     assert len(without.missing) == 6
     assert without.missing[0].startswith("S01: rig hall-3 has no stage")
+
+
+def test_a_camera_that_looks_on_alone_is_not_recorded(services: Services) -> None:
+    plate = replace(asking_for(), pairs=("C1P1", "C1P2", "C2"))
+    done = tried(services, plate)
+    assert done.missing == ()
+    assert done.frames == 2 * len(plate.states) * (plate.sequence.frames + 1)
+    assert done.remarks[0] == "C2 looks on without a projector: its images are imported, not recorded"
+    assert order(plate, Subject("plate", "S00")).pairs == ("C1P1", "C1P2")
+    alone = replace(plate, pairs=("C2",))
+    assert "cameras alone are not recorded" in tried(services, alone).missing[0]
+    assert all_states(alone) == ()
 
 
 def test_values_that_no_channel_confirms_are_remarked_on(services: Services) -> None:
