@@ -53,7 +53,8 @@ CHAPTER = Chapter(
     introduction="A camera alone measures in the plane of its image: x points to the right and y up, both as "
     "the camera sees the specimen. Lengths are in millimetres where the size of a pixel was given, in pixels "
     "of the reference image elsewhere, strains in microstrain (µε). Standard deviations cover the camera's "
-    "noise and the misfit of the subsets. Motion towards the camera or out of the plane looks like strain.",
+    "noise and the misfit of the subsets. Motion towards the camera or out of the plane looks like strain. "
+    "Where nothing was measured the image itself shows.",
     needs=_needs,
     reference=_reference,
     deformed=_deformed,

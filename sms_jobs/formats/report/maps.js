@@ -155,10 +155,10 @@ class View {
     for (const control of [this.low, this.high, this.scheme]) control.disabled = Boolean(field.categories);
     this.scheme.value = this.colours || "";
     const values = await (part === field ? this.fields.values(field) : this.fields.sigma(field));
-    const sigma = await this.fields.sigma(field);
+    const sigma = await this.fields.sigma(field), behind = await this.behind();
     if (this.field !== field || this.part !== part) return;
     this.values = values; this.sigma = sigma;
-    this.image = this.coloured(values, limits);
+    this.image = this.coloured(values, limits, behind);
     this.canvas.setAttribute("aria-label", `Map of ${field.name}, ${this.about.title}, state ${this.about.state}. ` +
       "Arrow keys move the point whose values are read; plus and minus zoom; Enter follows the point over the states.");
     this.paintScale(limits);
@@ -175,13 +175,24 @@ class View {
       "Once the map is clicked, the wheel zooms and dragging moves it.";
   }
 
-  coloured(values, limits) {
+  // What was seen in a flat image at rest, as greys: it is shown where a field has no value.
+  async behind() {
+    if (this.about.position || this.field.unit === "count" || this.field.categories) return null;
+    const other = views.find((view) => view.about.key === this.about.key && view.fields.named("texture"));
+    if (!other) return null;
+    const { limits, ...texture } = other.fields.named("texture");
+    const levels = await other.fields.values(texture);
+    return levels.map((level) => 255 * Math.min(Math.max((level - limits[0]) / (limits[1] - limits[0]), 0), 1));
+  }
+
+  coloured(values, limits, behind) {
     const canvas = document.createElement("canvas");
     canvas.width = this.fields.columns; canvas.height = this.fields.rows;
     const context = canvas.getContext("2d");
     const pixels = context.createImageData(canvas.width, canvas.height);
     for (let i = 0; i < values.length; i++) {
-      const [r, g, b] = this.colour(values[i], limits);
+      const seen = behind && !(values[i] === values[i]) ? behind[i] : NaN;
+      const [r, g, b] = seen === seen ? [seen, seen, seen] : this.colour(values[i], limits);
       pixels.data.set([r, g, b, 255], 4 * i);
     }
     context.putImageData(pixels, 0, 0);
@@ -335,7 +346,7 @@ class View {
       context.fillRect(x, 0, 1.5, 14);
     }
     context.fillStyle = ink; context.strokeStyle = ink; context.font = "12px system-ui, sans-serif";
-    const marks = ticks(limits[0], limits[1], 4);
+    const marks = ticks(limits[0], limits[1], 6);
     for (const value of marks) {
       const x = ((value - limits[0]) / (limits[1] - limits[0])) * width;
       context.fillRect(Math.min(x, width - 1), 14, 1, 4);
