@@ -45,27 +45,21 @@ def _given(value: float | None) -> Given | None:
 
 
 def load_states(states: Sequence[LoadState], recorded: Mapping[str, datetime]) -> Markup:
-    """List the load states; `recorded` says when those were measured whose definition does not."""
+    """List the load states by what is known of them.
+
+    `recorded` says when those were measured whose definition does not.
+    """
     channels = sorted({name for state in states for name in state.channels})
-    header = ["state", "load [N]", "displacement [mm]", "time", *channels]
-    rows: list[list[Cell]] = []
-    for place, state in enumerate(states):
-        rows.append(
-            [
-                state.label + (" (reference)" if place == 0 else ""),
-                _given(state.load_n),
-                _given(state.displacement_mm),
-                local_time(state.time or recorded.get(state.label)),
-                *(_given(state.channels.get(name)) for name in channels),
-            ]
-        )
-    return table(header, rows)
-
-
-def _error_cells(errors: Errors | None, scale: float) -> list[Cell]:
-    if errors is None:
-        return [None] * 4
-    return [errors.rms * scale, errors.bias * scale, errors.score_rms, errors.valid_fraction * PER_CENT]
+    columns: dict[str, list[Cell]] = {
+        "load [N]": [_given(state.load_n) for state in states],
+        "displacement [mm]": [_given(state.displacement_mm) for state in states],
+        "time": [local_time(state.time or recorded.get(state.label)) for state in states],
+        **{name: [_given(state.channels.get(name)) for state in states] for name in channels},
+    }
+    labels = [state.label + (" (reference)" if place == 0 else "") for place, state in enumerate(states)]
+    known = {name: cells for name, cells in columns.items() if any(cell is not None for cell in cells)}
+    rows = zip(labels, *known.values(), strict=True)
+    return table(["state", *known], [list(row) for row in rows])
 
 
 def accuracy(assessments: Mapping[tuple[str, str], Assessment], diagonal_mm: float) -> list[Markup]:
