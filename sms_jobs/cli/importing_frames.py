@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from math import degrees
@@ -13,6 +13,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import search
 from sms_jobs.cli import output
 from sms_jobs.cli.import_options import (
     AddStates,
@@ -56,6 +57,7 @@ from sms_jobs.formats.importers.layout import FrameLayout, layout_of, load_layou
 from sms_jobs.jobs.importing import amend_campaign, import_measurement, known_of, with_states
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.sensors import Calibration, split_pair
 
 
 @dataclass(frozen=True)
@@ -297,6 +299,7 @@ class _Import:
         camera = camera_model(self.listing.folder, good, self.layout) if good else None
         if camera is not None:
             remarks += camera.remarks
+        remarks += self._calibrated_otherwise(wanted.rig, good)
         if good and not dry_run:
             self._prepare(wanted)
         with output.progress_bar() as bar:
@@ -309,6 +312,26 @@ class _Import:
                     outcome.rows.append(self._enter(camera, one, dry_run))
                 bar.advance(step)
         return outcome
+
+    def _calibrated_otherwise(self, rig: str, good: Sequence[Inspected]) -> list[str]:
+        """Say which cameras the newest calibration of the rig knows with images of another size."""
+        with self.services.catalogue.reading() as session:
+            views = search.list_calibrations(session, rig)
+        if not views:
+            return []
+        with self.services.archive.open(views[0].path) as dataset:
+            known = {s.name: s for s in dataset.read("calibration", Calibration).rig.sensors}
+        told: dict[str, None] = {}
+        for one in good:
+            camera = split_pair(one.found.pair)[0]
+            about, sensor = next(iter(one.facts.values())), known.get(camera)
+            if sensor and (about.columns, about.rows) != (sensor.columns, sensor.rows):
+                remark = (
+                    f"{camera} of rig {rig} is calibrated for {sensor.columns} x {sensor.rows} px, and these "
+                    f"frames have {about.columns} x {about.rows}: shape needs a calibration of that size"
+                )
+                told[remark] = None
+        return list(told)
 
     def _prepare(self, wanted: Campaign) -> None:
         catalogue, archive, now = self.services.catalogue, self.services.archive, datetime.now(UTC)

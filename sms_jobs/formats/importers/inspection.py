@@ -65,12 +65,15 @@ def inspect(
     full_scale: int | None = None,
     progress: Progress = lambda: None,
 ) -> Inspected:
-    """Read every file of a tuple once and say whether they fit together."""
+    """Read every file of a tuple once and say whether they fit together.
+
+    Of a tuple that is refused by its names already nothing is read, however many files it has.
+    """
     facts: dict[str, ImageFacts] = {}
     faults = list(found.faults)
     remarks: dict[str, None] = {}
     times: list[float] = []
-    for name in found.files:
+    for name in () if found.faults else found.files:
         if name in facts:
             continue
         try:

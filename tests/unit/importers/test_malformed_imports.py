@@ -7,6 +7,7 @@ import re
 import struct
 import zlib
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import cv2
@@ -19,6 +20,8 @@ from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns
 from sms_jobs.cli.importing import app
 from sms_jobs.errors import NotFound, SmsError
+from sms_jobs.jobs.registration import register_calibration
+from sms_jobs.virtual_rig.campaigns import small_plate
 from tests.support.foreign_frames import fringes, save
 
 Spoil = Callable[[Path], None]
@@ -284,6 +287,44 @@ def test_there_are_as_many_cases_as_promised() -> None:
     assert len(CASES) + len(TABLES) >= 60
 
 
+def test_twenty_thousand_files_are_judged_by_their_names(home: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "frames"
+    (folder / "S00").mkdir(parents=True)
+    for number in range(20_000):
+        frame(folder, number).touch()
+    found = refusal("frames", str(folder), "-c", "spoilt", *PNG, "--yes", "--home", str(home))
+    assert_says(found, "frames 6, 7, 8, 9, 10, 11, 12, 13 and 19986 more are more than the 6 of the layout")
+    # Nothing has been read: empty files would be told besides.
+    assert "is empty" not in found
+    nothing_was_entered(home)
+
+
+def test_frames_that_the_calibration_does_not_fit_are_told(home: Path, tmp_path: Path) -> None:
+    bootstrap.initialise(tmp_path / "home")
+    calibration, _ = small_plate("plate")
+    save(tmp_path / "frames" / "S00", fringes())
+    with bootstrap.services(tmp_path / "home") as services:
+        register_calibration(services.catalogue, services.archive, calibration, datetime.now(UTC))
+    done = CliRunner().invoke(
+        app,
+        [
+            "frames",
+            str(tmp_path / "frames"),
+            "-c",
+            "other",
+            *PNG[:-2],
+            "--rig",
+            calibration.rig.name,
+            "--yes",
+            "--home",
+            str(tmp_path / "home"),
+            "--dry-run",
+        ],
+    )
+    assert done.exit_code == 0, done.exception
+    assert_says(done.stderr, r"C1 of rig .* is calibrated for \d+ x \d+ px, and these frames have 40 x 24")
+
+
 HEAD = "state,Force [kN],SG1\n"
 MAPS = ("--map", "Force [kN]=load[kN]", "--map", "SG1=gauge_1[um/m]")
 TABLES: dict[str, tuple[str | bytes, tuple[str, ...], str]] = {
@@ -332,6 +373,16 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert done.exit_code == 0, done.exception
     return folder
+
+
+def test_gauges_that_read_nothing_are_told_and_left_out(measured: Path, tmp_path: Path) -> None:
+    file = tmp_path / "gauges.csv"
+    file.write_text("state,SG1,SG2\nS00,NaN,nan\n", encoding="utf-8")
+    done = CliRunner().invoke(
+        app, ["gauges", str(file), "-c", "plate", "--yes", "--home", str(measured), "--dry-run"]
+    )
+    assert not isinstance(done.exception, SmsError), done.exception
+    assert_says(done.stderr, "(?i)nan|empty|no number")
 
 
 @pytest.mark.parametrize("name", TABLES)
