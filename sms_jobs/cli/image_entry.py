@@ -57,7 +57,7 @@ def make_campaign(services: Services, existing: Campaign | None, wanted: Campaig
 
 @dataclass(frozen=True)
 class EnteredImages:
-    """Enters images one after the other."""
+    """Enters images one after the other; what is assumed of their noise is told where it counts."""
 
     services: Services
     campaign: str
@@ -66,6 +66,7 @@ class EnteredImages:
     recorded_at: datetime | None
     newer: bool
     dry_run: bool
+    noise_counts: bool = True
 
     def all_of(self, inspected: list[Inspected]) -> Outcome:
         """Enter all that have no fault, and say what became of each."""
@@ -89,7 +90,7 @@ class EnteredImages:
         full_scale = given.full_scale or full_scale_of(facts, given.raw, remarks)
         gain, read_noise = given.gain, given.read_noise
         if gain is None or read_noise is None:
-            usual = usual_noise(full_scale, remarks)
+            usual = usual_noise(full_scale, remarks if self.noise_counts else [])
             gain = usual.gain if gain is None else gain
             read_noise = usual.read_noise if read_noise is None else read_noise
         return ImageCamera(full_scale, gain, read_noise)

@@ -113,7 +113,7 @@ def boards(
             else:
                 wanted = board_images.with_poses(existing, poses)
             make_campaign(services, existing, wanted)
-        enter = EnteredImages(services, campaign, listing, settings, at, newer, dry_run)
+        enter = EnteredImages(services, campaign, listing, settings, at, newer, dry_run, noise_counts=False)
         outcome = enter.all_of(inspected)
     tell(
         outcome,

@@ -139,9 +139,9 @@ def certify(
     file, found = session_result(catalogue, archive, campaign)
     assert found.quality is not None
     if found.quality.warnings and not despite_warnings:
-        listed = "; ".join(found.quality.warnings)
+        listed, count = "; ".join(found.quality.warnings), len(found.quality.warnings)
         raise Conflict(
-            f"the calibration of session {campaign} has {len(found.quality.warnings)} warnings and is "
+            f"the calibration of session {campaign} has {count} warning{'s' * (count != 1)} and is "
             f"not taken into use: {listed}; see its report, or say --despite-warnings"
         )
     calibration = replace(found.calibration, valid_from=valid_from or found.calibration.valid_from)
