@@ -211,6 +211,58 @@ def _quadratic(
 
 
 @kernel
+def _slopes(frame: Floats, scatter: Floats, mixed: Floats, gradient: Floats) -> tuple[float, float, float]:
+    """Fill the slopes (2, 3) of the displacement along e_x and e_y: d,a = A^-1 T^T (mixed).
+
+    Returns 00, 01 and 11 of the inverse of A, the points' scatter in the plane.
+    """
+    spread = np.zeros((2, 2))
+    for a in range(2):
+        for b in range(2):
+            for k in range(3):
+                for m in range(3):
+                    spread[a, b] += frame[a, k] * scatter[k, m] * frame[b, m]
+    determinant = spread[0, 0] * spread[1, 1] - spread[0, 1] * spread[1, 0]
+    i00 = spread[1, 1] / determinant
+    i11 = spread[0, 0] / determinant
+    i01 = -spread[0, 1] / determinant
+    for m in range(3):
+        bx = frame[0, 0] * mixed[0, m] + frame[0, 1] * mixed[1, m] + frame[0, 2] * mixed[2, m]
+        by = frame[1, 0] * mixed[0, m] + frame[1, 1] * mixed[1, m] + frame[1, 2] * mixed[2, m]
+        gradient[0, m] = i00 * bx + i01 * by
+        gradient[1, m] = i01 * bx + i11 * by
+    return i00, i01, i11
+
+
+@kernel
+def _strain_of(frame: Floats, gradient: Floats, green: bool, f: Floats) -> tuple[float, float, float]:
+    """Return xx, yy and xy, and fill what e_x and e_y become, (2, 3): themselves for small strain."""
+    xx = yy = xy = 0.0
+    for m in range(3):
+        xx += frame[0, m] * gradient[0, m]
+        yy += frame[1, m] * gradient[1, m]
+        xy += 0.5 * (frame[0, m] * gradient[1, m] + frame[1, m] * gradient[0, m])
+        if green:
+            xx += 0.5 * gradient[0, m] ** 2
+            yy += 0.5 * gradient[1, m] ** 2
+            xy += 0.5 * gradient[0, m] * gradient[1, m]
+        for a in range(2):
+            f[a, m] = frame[a, m] + (gradient[a, m] if green else 0.0)
+    return xx, yy, xy
+
+
+@kernel
+def _sigma_of(f: Floats, noise: Floats, inverse: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return the standard deviations of xx, yy and xy from the covariance of the displacement, packed."""
+    i00, i01, i11 = inverse
+    nxx = _quadratic(f[0], noise, f[0])
+    nyy = _quadratic(f[1], noise, f[1])
+    nxy = _quadratic(f[0], noise, f[1])
+    shear = 0.5 * np.sqrt(i11 * nxx + i00 * nyy + 2.0 * i01 * nxy)
+    return np.sqrt(i00 * nxx), np.sqrt(i11 * nyy), shear
+
+
+@kernel
 def _strain_rows(
     start: int,
     stop: int,
@@ -242,7 +294,6 @@ def _strain_rows(
     along = np.empty((2, 3))
     vectors = np.empty((3, 3))
     frame = np.empty((3, 3))
-    spread = np.empty((2, 2))
     gradient = np.empty((2, 3))
     f = np.empty((2, 3))
     for r in range(start, stop):
@@ -260,43 +311,9 @@ def _strain_rows(
             turned[:] = scatter
             if not _tangent_frame(turned, along, x_axis, vectors, frame):
                 continue
-            # The 2 x 2 scatter in the plane, its inverse, and the gradient d,a = A^-1 T^T (mixed).
-            for a in range(2):
-                for b in range(2):
-                    spread[a, b] = 0.0
-                    for k in range(3):
-                        for m in range(3):
-                            spread[a, b] += frame[a, k] * scatter[k, m] * frame[b, m]
-            determinant = spread[0, 0] * spread[1, 1] - spread[0, 1] * spread[1, 0]
-            i00 = spread[1, 1] / determinant
-            i11 = spread[0, 0] / determinant
-            i01 = -spread[0, 1] / determinant
-            for m in range(3):
-                bx = frame[0, 0] * mixed[0, m] + frame[0, 1] * mixed[1, m] + frame[0, 2] * mixed[2, m]
-                by = frame[1, 0] * mixed[0, m] + frame[1, 1] * mixed[1, m] + frame[1, 2] * mixed[2, m]
-                gradient[0, m] = i00 * bx + i01 * by
-                gradient[1, m] = i01 * bx + i11 * by
-            xx = yy = xy = 0.0
-            for m in range(3):
-                xx += frame[0, m] * gradient[0, m]
-                yy += frame[1, m] * gradient[1, m]
-                xy += 0.5 * (frame[0, m] * gradient[1, m] + frame[1, m] * gradient[0, m])
-                if green:
-                    xx += 0.5 * gradient[0, m] ** 2
-                    yy += 0.5 * gradient[1, m] ** 2
-                    xy += 0.5 * gradient[0, m] * gradient[1, m]
-                for a in range(2):
-                    f[a, m] = frame[a, m] + (gradient[a, m] if green else 0.0)
-            strain[0, r, c] = xx
-            strain[1, r, c] = yy
-            strain[2, r, c] = xy
-            noise = sums[8:] / total
-            nxx = _quadratic(f[0], noise, f[0])
-            nyy = _quadratic(f[1], noise, f[1])
-            nxy = _quadratic(f[0], noise, f[1])
-            sigma[0, r, c] = np.sqrt(i00 * nxx)
-            sigma[1, r, c] = np.sqrt(i11 * nyy)
-            sigma[2, r, c] = 0.5 * np.sqrt(i11 * nxx + i00 * nyy + 2.0 * i01 * nxy)
+            inverse = _slopes(frame, scatter, mixed, gradient)
+            strain[:, r, c] = _strain_of(frame, gradient, green, f)
+            sigma[:, r, c] = _sigma_of(f, sums[8:] / total, inverse)
 
 
 def independent_equivalent(
