@@ -62,6 +62,12 @@ def load_states(states: Sequence[LoadState], recorded: Mapping[str, datetime]) -
     return table(["state", *known], [list(row) for row in rows])
 
 
+def _error_cells(errors: Errors | None, scale: float) -> list[Cell]:
+    if errors is None:
+        return [None] * 4
+    return [errors.rms * scale, errors.bias * scale, errors.score_rms, errors.valid_fraction * PER_CENT]
+
+
 def accuracy(assessments: Mapping[tuple[str, str], Assessment], diagonal_mm: float) -> list[Markup]:
     """List the errors of every (state, pair), for shape, displacement and strain.
 
