@@ -179,6 +179,7 @@ class GenicamCamera:
         """Number of the last frame by the camera's count of this acquisition."""
         self._number = 0
         self._clocks_apart_s: float | None = None
+        self._exposure_s = 0.0
         self._set_up()
 
     @property
@@ -243,7 +244,7 @@ class GenicamCamera:
                 frames.append(self._frame(delivered))
 
         if self._streaming:
-            self._stream.take(timeout_s, use)
+            self._stream.take(timeout_s + self._exposure_s, use)
         if self._settings.trigger == ACQUISITION:
             self._halt()
         if not frames:
@@ -356,6 +357,7 @@ class GenicamCamera:
                 f"camera {name} is to expose for {wanted / 1e3:g} ms and says {taken / 1e3:g} ms: choose an "
                 "exposure that it has"
             )
+        self._exposure_s = taken / 1e6
 
     def _one_of(self, *names: str) -> str:
         for name in names:

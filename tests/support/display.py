@@ -53,7 +53,10 @@ def display(folder: Path) -> Iterator[Display]:
     screen = f"{COLUMNS}x{ROWS}x24"
     words = [server, "-displayfd", str(write), "-screen", "0", screen, "-fbdir", str(folder)]
     with subprocess.Popen(
-        [*words, "-nolisten", "tcp"], pass_fds=[write], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [*words, "-noreset", "-nolisten", "tcp"],
+        pass_fds=[write],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
     ) as process:
         os.close(write)
         try:

@@ -150,16 +150,20 @@ class AravisFeatures:
     def set(self, name: str, value: Value) -> None:
         """Set a feature."""
         kind = self._kind(name)
-        sent: Any = (
-            str(value).encode() if kind == "string" else float(value) if kind == "float" else int(value)
-        )
+        sent: Any = str(value).encode()
+        if kind != "string":
+            fits = not isinstance(value, str) and (kind == "float" or int(value) == value)
+            if not fits:
+                what = "a number" if kind == "float" else "a whole number or a truth value"
+                raise DeviceFault(f"camera {self._name} wants {what} for {name}")
+            sent = float(value) if kind == "float" else int(value)
         _call(self._name, f"arv_device_set_{kind}_feature_value", self._device, name.encode(), sent)
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return the least and the greatest value of a number."""
         kind = self._kind(name)
         if kind not in ("integer", "float"):
-            raise DeviceFault(f"{name} is no number")
+            raise DeviceFault(f"camera {self._name} wants no number for {name}: correct the rig file")
         low, high = (c_int64(), c_int64()) if kind == "integer" else (c_double(), c_double())
         _call(
             self._name,
@@ -179,7 +183,7 @@ class AravisFeatures:
         aravis = library()
         node = aravis.arv_device_get_feature(self._device, name.encode())
         if not node:
-            raise DeviceFault(f"there is no feature {name}")
+            raise DeviceFault(f"camera {self._name} has no feature {name}")
         for kind in ("enumeration", "boolean", "float", "integer"):
             if aravis.g_type_check_instance_is_a(node, getattr(aravis, f"arv_gc_{kind}_get_type")()):
                 return "string" if kind == "enumeration" else kind

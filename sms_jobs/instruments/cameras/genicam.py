@@ -57,13 +57,21 @@ class GentlFeatures:
     def set(self, name: str, value: Value) -> None:
         """Set a feature."""
         with _words(self._name):
-            self._nodes.get_node(name).value = value
+            try:
+                self._nodes.get_node(name).value = value
+            except (TypeError, AttributeError) as error:
+                raise DeviceFault(f"camera {self._name} wants another kind of value for {name}") from error
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return the least and the greatest value of a number."""
         with _words(self._name):
             node = self._nodes.get_node(name)
-            return float(node.min), float(node.max)
+            try:
+                return float(node.min), float(node.max)
+            except AttributeError as error:
+                raise DeviceFault(
+                    f"camera {self._name} wants no number for {name}: correct the rig file"
+                ) from error
 
     def execute(self, name: str) -> None:
         """Execute a command."""

@@ -90,6 +90,7 @@ class OpencvCamera:
         self._clock = clock
         self._asked = 0
         self._number = 0
+        self._exposure_s = 0.0
         self._capture = self._opened()
         try:
             self._set_up()
@@ -148,8 +149,9 @@ class OpencvCamera:
             self._grab()
         image = self._next()
         now = self._clock.monotonic()
-        if now > begun + timeout_s:
-            raise FrameLost(f"camera {name} took {now - begun:.3g} s for a frame, more than {timeout_s:g} s")
+        allowed = timeout_s + (self._settings.discarded + 1) * self._exposure_s
+        if now > begun + allowed:
+            raise FrameLost(f"camera {name} took {now - begun:.3g} s for a frame, more than {allowed:.3g} s")
         self._number += 1
         return Frame(self._number, now, checked_image(name, image, self.facts))
 
@@ -203,6 +205,7 @@ class OpencvCamera:
                 f"camera {self._settings.name} is to expose for {exposure_ms:g} ms and says "
                 f"{taken * _EXPOSURE_UNIT_MS:g} ms: choose an exposure that it has"
             )
+        self._exposure_s = taken * _EXPOSURE_UNIT_MS / 1e3
 
     def _grab(self) -> None:
         if not self._capture.grab():

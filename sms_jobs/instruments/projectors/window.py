@@ -141,6 +141,11 @@ class Screen:
         self._paint()
         self._renderer.present()
 
+    def drawn(self) -> Levels:
+        """Return what the graphics driver drew last, (rows, columns, red green blue)."""
+        pixels: Levels = self._pygame.surfarray.array3d(self._renderer.to_surface()).transpose(1, 0, 2)
+        return pixels
+
     def close(self) -> None:
         """Take the window away."""
         del self._texture, self._renderer  # before the window that they belong to
@@ -163,13 +168,13 @@ class Screen:
         columns, rows = self.size
         levels = np.add.outer(np.arange(rows), 7 * np.arange(columns)).astype(np.uint8)
         self._draw(levels)
-        drawn = self._pygame.surfarray.array3d(self._renderer.to_surface())
-        if drawn.shape != (columns, rows, 3):
+        drawn = self.drawn()
+        if drawn.shape != (rows, columns, 3):
             raise DeviceFault(
-                f"display {self.number} of {columns} x {rows} pixels is drawn with {drawn.shape[0]} x "
-                f"{drawn.shape[1]}: switch scaling off in the system's display settings"
+                f"display {self.number} of {columns} x {rows} pixels is drawn with {drawn.shape[1]} x "
+                f"{drawn.shape[0]}: switch scaling off in the system's display settings"
             )
-        off = np.abs(drawn.astype(np.int16) - levels.T[:, :, None]).max()
+        off = np.abs(drawn.astype(np.int16) - levels[:, :, None]).max()
         if off:
             raise DeviceFault(
                 f"display {self.number} draws grey levels that are off by up to {off}: choose another "

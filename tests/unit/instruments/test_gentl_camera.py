@@ -101,6 +101,9 @@ def test_features_are_set_before_all_else(settings: GentlSettings, place: Surrou
         ({"columns": 50}, "is to have Width = 50, and allows 100 to 800: correct the rig file"),
         ({"trigger": "software"}, 'cannot be triggered: say trigger = "acquisition"'),
         ({"exposure_ms": 5.0}, "has no feature ExposureTime or ExposureTimeAbs: leave out"),
+        ({"features": {"EventNotification": 3}}, "wants no number for EventNotification"),
+        ({"features": {"BouncingBallSize": "big"}}, "cannot convert string 'big' to int"),
+        ({"features": {"BouncingBallSize": 20.5}}, "wants another kind of value for BouncingBallSize"),
         ({"features": {"Nonsense": 1}}, "has no feature Nonsense, which is to be 1"),
     ],
 )

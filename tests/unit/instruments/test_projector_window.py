@@ -164,6 +164,20 @@ def test_a_job_that_projects_can_still_be_terminated(projector: WindowProjector)
     assert not caught >> 14 & 1  # SIGTERM, number 15, has its own effect
 
 
+def test_where_there_is_no_x_server_pixels_are_read_back(
+    monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    # SDL's own display in memory, asked for by name; it has this size.
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    columns, rows = 1024, 768
+    with ExitStack() as ending:
+        place = Surroundings(SimulatedClock(), ending)
+        projector = connect(replace(SETTINGS, columns=columns, rows=rows), place)
+        levels = rng.integers(0, 256, (rows, columns), dtype=np.uint8)
+        projector.screen.show(levels)
+        np.testing.assert_array_equal(projector.screen.drawn(), np.repeat(levels[:, :, None], 3, axis=2))
+
+
 @pytest.mark.parametrize("wrong", [{"display": -1}, {"settle_ms": -5.0}, {"gamma": 0.0}, {"columns": 0}])
 def test_settings_that_cannot_be(wrong: dict[str, float]) -> None:
     with pytest.raises(InvalidInput, match="P1"):
