@@ -36,6 +36,8 @@ trap 'exit 130' INT
 trap 'exit 143' TERM HUP
 
 set_up requirements-test.lock
+(provide_peers && provide_browser) & # while the checks run
+installing=$!
 if [ $# = 0 ]; then
     # On one core while the checks take another; left to the tests, several would compile the same at once.
     .venv/bin/python -c 'from sms_jobs.bench.groups import all_groups; [g.warm_up() for g in all_groups().values()]' &
@@ -45,9 +47,8 @@ if [ $# = 0 ]; then
     step "mypy" .venv/bin/mypy
     step "layers" .venv/bin/lint-imports
 fi
+wait $installing
 start_servers
-provide_peers
-provide_browser
 say "== servers: $SMS_TEST_POSTGRESQL_URL and $SMS_TEST_REDIS_URL"
 export CI="${CI:-true}"
 if [ $# = 0 ]; then
