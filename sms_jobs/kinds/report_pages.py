@@ -9,18 +9,19 @@ from datetime import datetime
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 import numpy as np
 
 from sms_jobs.formats.report import certificate, html
 from sms_jobs.formats.report.charts import axes, axes_block, charts
-from sms_jobs.formats.report.following import Followed, places
+from sms_jobs.formats.report.following import Followed, Place, places
 from sms_jobs.formats.report.html import Markup
 from sms_jobs.formats.report.maps import view_markup
 from sms_jobs.formats.report.origins import origin_sections
 from sms_jobs.formats.report.page import Page, Part, Section
 from sms_jobs.formats.report.tables import accuracy, campaign_facts, load_states
+from sms_jobs.formats.report.view import View
 from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Progress, tested_states, tuples
 from sms_jobs.kinds.report_chapter import ASSESS, Chapter, Sampling, defaults_of_kinds, present, role
 from sms_jobs.records.assessment import Assessment
@@ -83,7 +84,8 @@ class ReportPages:
 
     def write_states(self, path: Path) -> None:
         """Write a ZIP file with a page of every deformed state, and a page that leads to them."""
-        names = {state.label: f"{state.label}.html" for state in self._deformed}
+        # Numbered, as the names of two states may differ in case alone, or one be called index.
+        names = {s.label: f"{place:03}-{s.label}.html" for place, s in enumerate(self._deformed, start=1)}
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as folder:
             with _text_file(folder, "index.html") as out:
                 self._index(out, names)
@@ -106,7 +108,7 @@ class ReportPages:
         part.add(Markup("</div>"))
         return found
 
-    def _followed_places(self, chapter: Chapter) -> Any:
+    def _followed_places(self, chapter: Chapter) -> tuple[Place, ...]:
         """Return where fields are followed: where they are large at the last state."""
         if not self._deformed:
             return ()
@@ -114,7 +116,7 @@ class ReportPages:
         last = chapter.deformed(self._inputs, self._campaign, self._deformed[-1], bare)
         return tuple(place for view in last for place in places(view))
 
-    def _state(self, state: LoadState, over: Mapping[str, Followed] | None, part: Part | None) -> None:
+    def _state(self, state: LoadState, over: Mapping[str, Followed], part: Part | None) -> None:
         """Read a state: its numbers into the tables, its views into a part."""
         sampling = self._sampling if part is not None else Sampling(self._sampling.map_px, 0)
         if part is not None:
@@ -125,15 +127,14 @@ class ReportPages:
             )
         for chapter in self._chapters:
             for view in chapter.deformed(self._inputs, self._campaign, state, sampling):
-                if over is not None:
-                    over[chapter.name].add(state.label, view)
+                over[chapter.name].add(state.label, view)
                 if part is not None:
                     self._write(view, state.label, part)
                 del view
         if part is not None:
             part.add(Markup("</div>"))
 
-    def _write(self, view: Any, state: str, part: Part) -> None:
+    def _write(self, view: View, state: str, part: Part) -> None:
         self._drawn += 1
         part.add(*view_markup(view, self._drawn, state, self._sampling.still_px))
 
@@ -262,9 +263,8 @@ class ReportPages:
         over = {c.name: Followed(()) for c in self._chapters}
         with Part() as part:
             self._state(state, over, part)
-            page = Page(
-                out, f"Campaign {self._campaign.name}: {_heading(state)}", [Markup(f"<nav>{line}</nav>")]
-            )
+            about = [*self._introduction(), Markup(f'<nav aria-label="States">{line}</nav>')]
+            page = Page(out, f"Campaign {self._campaign.name}: {_heading(state)}", about)
             page.add(*(table for f in over.values() for table in f.tables()))
             page.copy(part)
             page.end()

@@ -50,16 +50,17 @@ def load_states(states: Sequence[LoadState], recorded: Mapping[str, datetime]) -
     `recorded` says when those were measured whose definition does not.
     """
     channels = sorted({name for state in states for name in state.channels})
-    columns: dict[str, list[Cell]] = {
-        "load [N]": [_given(state.load_n) for state in states],
-        "displacement [mm]": [_given(state.displacement_mm) for state in states],
-        "time": [local_time(state.time or recorded.get(state.label)) for state in states],
-        **{name: [_given(state.channels.get(name)) for state in states] for name in channels},
-    }
+    columns: list[tuple[str, list[Cell]]] = [
+        ("load [N]", [_given(state.load_n) for state in states]),
+        ("displacement [mm]", [_given(state.displacement_mm) for state in states]),
+        ("time", [local_time(state.time or recorded.get(state.label)) for state in states]),
+    ]
+    for name in channels:
+        columns.append((name, [_given(state.channels.get(name)) for state in states]))
     labels = [state.label + (" (reference)" if place == 0 else "") for place, state in enumerate(states)]
-    known = {name: cells for name, cells in columns.items() if any(cell is not None for cell in cells)}
-    rows = zip(labels, *known.values(), strict=True)
-    return table(["state", *known], [list(row) for row in rows])
+    known = [(name, cells) for name, cells in columns if any(cell is not None for cell in cells)]
+    rows = zip(labels, *(cells for _, cells in known), strict=True)
+    return table(["state", *(name for name, _ in known)], [list(row) for row in rows])
 
 
 def _error_cells(errors: Errors | None, scale: float) -> list[Cell]:
