@@ -54,13 +54,16 @@ def load_states(states: Sequence[LoadState], recorded: Mapping[str, datetime]) -
         ("load [N]", [_given(state.load_n) for state in states]),
         ("displacement [mm]", [_given(state.displacement_mm) for state in states]),
         ("time", [local_time(state.time or recorded.get(state.label)) for state in states]),
+        *(_channel(states, name) for name in channels),
     ]
-    for name in channels:
-        columns.append((name, [_given(state.channels.get(name)) for state in states]))
     labels = [state.label + (" (reference)" if place == 0 else "") for place, state in enumerate(states)]
     known = [(name, cells) for name, cells in columns if any(cell is not None for cell in cells)]
     rows = zip(labels, *(cells for _, cells in known), strict=True)
     return table(["state", *(name for name, _ in known)], [list(row) for row in rows])
+
+
+def _channel(states: Sequence[LoadState], name: str) -> tuple[str, list[Cell]]:
+    return name, [_given(state.channels.get(name)) for state in states]
 
 
 def _error_cells(errors: Errors | None, scale: float) -> list[Cell]:
