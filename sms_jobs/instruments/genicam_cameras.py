@@ -211,6 +211,7 @@ class GenicamCamera:
             When the camera cannot expose so long, or was not told its own exposure.
         """
         self._halt()
+        self._clocks_apart_s = None  # clocks drift
         self._expose(exposure)
         if self._settings.trigger != ACQUISITION:
             self._begin()
@@ -320,11 +321,12 @@ class GenicamCamera:
         for name, offset in (("OffsetX", settings.offset_x), ("OffsetY", settings.offset_y)):
             if offset:
                 self._set(name, offset)
+        self._set_if_there("ExposureMode", "Timed")
         self._set_if_there("ExposureAuto", "Off")
         self._set_if_there("GainAuto", "Off")
         if settings.gain is not None:
-            gain = self._one_of("Gain", "GainRaw")
-            self._set(gain, settings.gain if gain == "Gain" else round(settings.gain))
+            gain, raw = self._one_of("Gain", "GainRaw"), int(settings.gain)
+            self._set(gain, raw if gain == "GainRaw" and raw == settings.gain else settings.gain)
         self._expose(1.0)
         if settings.trigger == ACQUISITION:
             self._set_if_there("TriggerMode", "Off")

@@ -200,6 +200,7 @@ class AravisStream:
 
     def start(self) -> None:
         """Begin an acquisition, with a receiver of its own."""
+        self._release()
         aravis = library()
         self._stream = _call(self._name, "arv_camera_create_stream", self._camera, None, None)
         payload = _call(self._name, "arv_camera_get_payload", self._camera)

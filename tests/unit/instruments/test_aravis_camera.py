@@ -136,6 +136,7 @@ def test_sixteen_bits(place: Surroundings) -> None:
         ({"pixel_format": "Mono12"}, "refuses.*'Mono12'.*PixelFormat was to be Mono12; correct the rig file"),
         ({"columns": 5000}, "is to have Width = 5000, and allows 1 to 2048: correct the rig file"),
         ({"trigger": "Line9"}, "TriggerSource was to be Line9"),
+        ({"gain": 1.5}, "wants a whole number or a truth value for GainRaw"),
         ({"features": {"TriggerActivation": 3}}, "wants no number for TriggerActivation"),
         ({"features": {"TestRegister": "seven"}}, "wants a whole number or a truth value for TestRegister"),
         ({"features": {"BinningVertical": 1.5}}, "wants a whole number or a truth value for BinningVertical"),
