@@ -12,12 +12,21 @@ def outline(
     mask: Annotated[
         Path, typer.Argument(help="Image of a camera's size; pixels brighter than half its brightest count.")
     ],
+    above: Annotated[
+        float | None,
+        typer.Option(help="Pixels brighter than this count; half of the brightest if not given.", min=0.0),
+    ] = None,
+    least_px: Annotated[
+        int, typer.Option("--least-px", help="Pieces and holes of fewer pixels are left out.", min=0)
+    ] = 0,
 ) -> None:
     """Print the outlines of a mask image, for the region-of-interest of 'sms job submit correlate'.
 
     Example: sms job submit correlate -c panel --region-of-interest "$(sms data outline mask.png)"
+
+    Example: sms data outline blacked.tif --above 0 --least-px 1000, of a picture with a black background
     """
     # OpenCV reads the image; no other command of data needs it.
     from sms_jobs.formats.masks import region_of_mask
 
-    typer.echo(region_of_mask(mask))
+    typer.echo(region_of_mask(mask, above, least_px))

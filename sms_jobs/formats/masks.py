@@ -6,22 +6,32 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.metrology.images.region_of_interest import outlines_of, written
 
 
-def region_of_mask(path: Path) -> str:
+def region_of_mask(path: Path, above: float | None = None, least_px: int = 0) -> str:
     """Return the outlines of a mask image, whose bright pixels count.
 
-    A pixel counts when its grey level is above half of the image's brightest.
+    Parameters
+    ----------
+    path
+        Of the image.
+    above
+        Pixels count whose grey level is higher; half of the image's brightest if not given. A picture whose
+        background was painted black is a mask above 0.
+    least_px
+        Pieces and holes of fewer pixels are left out.
 
     Raises
     ------
     NotFound
         There is no such file.
     InvalidInput
-        It is no image, or black all over.
+        It is no image, or nothing of it counts.
     """
     if not path.is_file():
         raise NotFound(f"there is no file {path}; give a mask image whose bright pixels count")
@@ -30,7 +40,19 @@ def region_of_mask(path: Path) -> str:
     )
     if grey is None:
         raise InvalidInput(f"{path} is no image that can be read; save the mask as PNG or TIFF")
+    inside = np.asarray(grey > (grey.max() / 2 if above is None else above))
+    inside = ~_large(~_large(inside, least_px), least_px)
     try:
-        return written(outlines_of(grey > grey.max() / 2))
+        return written(outlines_of(inside))
     except ValueError as error:
         raise InvalidInput(f"{path} cannot be a mask: {error}; paint what counts white") from error
+
+
+def _large(inside: NDArray[np.bool_], least_px: int) -> NDArray[np.bool_]:
+    """Return the pieces of at least so many pixels."""
+    if least_px < 2:
+        return inside
+    labels, _ = ndimage.label(inside)
+    large = np.bincount(labels.ravel()) >= least_px
+    large[0] = False
+    return np.asarray(large[labels])

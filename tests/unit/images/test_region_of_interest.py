@@ -100,3 +100,18 @@ def test_the_command_prints_it(tmp_path: Path) -> None:
     shown = sms("data", "outline", str(tmp_path / "mask.png"))
     assert shown.returncode == 0
     np.testing.assert_array_equal(inside(shown.stdout.strip()), mask > 0)
+
+
+def test_a_picture_with_a_black_background_is_a_mask(tmp_path: Path) -> None:
+    """Its speckle is dark in places and its background has specks: both are small."""
+    mask = np.zeros((60, 80), dtype=bool)
+    mask[10:50, 10:70] = True
+    mask[20:30, 30:40] = False
+    levels = np.where(mask, 90, 0).astype(np.uint8)
+    levels[12, 12:15] = 0
+    levels[40, 40] = 255
+    levels[2, 2:5] = 7
+    path = tmp_path / "blacked.png"
+    cv2.imwrite(str(path), levels)
+    found = inside_outlines(parse_outlines(region_of_mask(path, above=0.0, least_px=50)), mask.shape)
+    np.testing.assert_array_equal(found, mask)
