@@ -9,6 +9,7 @@ from sms_jobs.cli import (
     importing_boards,
     importing_frames,
     importing_images,
+    importing_points,
     importing_readings,
     importing_surface,
 )
@@ -20,6 +21,7 @@ app = typer.Typer(
 app.command("frames")(importing_frames.frames)
 app.command("images")(importing_images.images)
 app.command("boards")(importing_boards.boards)
+app.command("points")(importing_points.points)
 app.command("channels")(importing_readings.channels)
 app.command("gauges")(importing_readings.gauges)
 app.command("calibration")(calibration_files.import_)

@@ -26,13 +26,17 @@ from sms_jobs.catalogue.models import (
     FileRow,
     LoadStateRow,
     MeasurementRow,
+    ResultRow,
 )
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.importers.readings import Reading
 from sms_jobs.jobs.registration import index_definition, seal_definition
+from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.kinds.sessions import OBSERVATION, OBSERVE_BOARD
 from sms_jobs.records.campaign import Campaign, CampaignDefinition, LoadState, Subject
 from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.observations import BoardObservation
 
 SOURCE_HASH = "source_sha256"
 """The parameter of an imported file that tells what it was made from."""
@@ -142,16 +146,49 @@ def _require_same(now: object, before: object, what: str) -> None:
         raise Conflict(f"{what} was changed by somebody else meanwhile: import again")
 
 
+def import_observations(
+    catalogue: Catalogue,
+    archive: Archive,
+    campaign: Campaign,
+    observations: Mapping[str, BoardObservation],
+    parameters: Mapping[str, Any],
+    now: datetime,
+) -> None:
+    """Seal and index what another program saw of the board of a session of one pair: all of it, or nothing.
+
+    It stands where `observe-board` would have put it, without a job.
+    """
+    kind = kind_named(OBSERVE_BOARD)
+    sealed: list[tuple[Subject, Sealed]] = []
+    try:
+        for label, observation in observations.items():
+            subject = Subject(campaign.name, label, campaign.pairs[0])
+            file = _seal(
+                archive, subject, {OBSERVATION: observation}, parameters, now, kind.name, kind.version
+            )
+            sealed.append((subject, file))
+        with catalogue.writing() as session:
+            for subject, file in sealed:
+                row = _file(session, subject, file, now, kind.name)
+                session.add(ResultRow(file_id=row.id, kind=kind.name, kind_version=kind.version))
+    except BaseException:
+        for _, file in sealed:
+            archive.discard(file.path)
+        raise
+
+
 def _seal(
     archive: Archive,
     subject: Subject,
     records: Mapping[str, Any],
     parameters: Mapping[str, Any],
     now: datetime,
+    kind: str = MEASUREMENT,
+    version: int = 1,
 ) -> Sealed:
     provenance = Provenance(
-        kind=MEASUREMENT,
-        kind_version=1,
+        kind=kind,
+        kind_version=version,
         subject=subject,
         job_id="",
         attempt=1,
@@ -169,10 +206,19 @@ def _seal(
 
 
 def _index(session: Session, subject: Subject, sealed: Sealed, recorded_at: datetime, now: datetime) -> None:
+    file = _file(session, subject, sealed, now, MEASUREMENT)
+    session.add(
+        MeasurementRow(
+            file_id=file.id, state_id=file.state_id, pair=subject.pair or "", recorded_at=recorded_at
+        )
+    )
+
+
+def _file(session: Session, subject: Subject, sealed: Sealed, now: datetime, source: str) -> FileRow:
     campaign = campaigns.campaign_row(session, subject.campaign)
     state_id = campaigns.state_ids(session, campaign.id)[subject.state or ""]
     file = FileRow(
-        source=MEASUREMENT,
+        source=source,
         path=sealed.path,
         content_hash=sealed.content_hash,
         size_bytes=sealed.size_bytes,
@@ -184,9 +230,7 @@ def _index(session: Session, subject: Subject, sealed: Sealed, recorded_at: date
     )
     session.add(file)
     session.flush()
-    session.add(
-        MeasurementRow(file_id=file.id, state_id=state_id, pair=subject.pair or "", recorded_at=recorded_at)
-    )
+    return file
 
 
 def with_states(campaign: Campaign, labels: Iterable[str]) -> Campaign:

@@ -1,0 +1,101 @@
+"""`sms import points`: points of a board that another program has found become observations of a session."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.cli import output
+from sms_jobs.cli.import_options import CampaignName, DryRun
+from sms_jobs.cli.import_outcomes import existing_campaign, time_given
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.formats.importers.board_points import BoardTable, read_points
+from sms_jobs.formats.importers.boards import BOARD
+from sms_jobs.jobs.importing import import_observations
+from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
+from sms_jobs.records.sensors import SensorFormat, sensors_of
+
+_SIZE = re.compile(r"(\d{1,5})x(\d{1,5})")
+
+
+def points(
+    file: Annotated[Path, typer.Argument(help="Table (CSV) of points; see docs/import.md.")],
+    campaign: CampaignName,
+    rig: Annotated[str, typer.Option(help="Rig that is calibrated.")],
+    pair: Annotated[str, typer.Option(help="Camera and projector that saw the board, C1P1, or C1 alone.")],
+    size: Annotated[
+        list[str], typer.Option(help="Image size of each sensor in px, as C1=1280x960; repeat for the other.")
+    ],
+    sigma_px: Annotated[
+        float,
+        typer.Option("--sigma-px", help="Standard deviation of the points, in each direction.", min=1e-4),
+    ] = 0.1,
+    recorded_at: Annotated[
+        str | None,
+        typer.Option("--recorded-at", help="When, as 2026-05-04T10:00:00+02:00; now if not given."),
+    ] = None,
+    dry_run: DryRun = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Import points of a board that another program has found, as a calibration session of its own.
+
+    They stand where the job kind observe-board would have put them: calibrate-boards goes on with them.
+
+    Example: sms import points corners.csv -c june --rig desk --pair C1P1 --size C1=1280x960 --size
+    P1=1024x768
+    """
+    at = time_given(recorded_at) or datetime.now(UTC)
+    table = read_points(file, pair, sigma_px)
+    sensors = _sensors(pair, size)
+    made = Campaign(
+        name=campaign,
+        specimen=Specimen(BOARD),
+        rig=rig,
+        states=tuple(LoadState(label, time=at, artefact=BOARD) for label in table.observations),
+        pairs=(pair,),
+        session=CalibrationSession({BOARD: table.board}, sensors),
+    )
+    with bootstrap.services(home) as services:
+        if existing_campaign(services, campaign) is not None:
+            raise Conflict(f"there is a campaign {campaign} already: give another name to -c")
+        if not dry_run:
+            now = datetime.now(UTC)
+            register_campaign(services.catalogue, services.archive, made, None, now)
+            told = {"file": str(file), "source_sha256": table.sha256, "sigma_px": sigma_px}
+            import_observations(services.catalogue, services.archive, made, table.observations, told, now)
+    _tell(table, campaign, dry_run, as_json)
+
+
+def _sensors(pair: str, sizes: list[str]) -> tuple[SensorFormat, ...]:
+    found: dict[str, SensorFormat] = {}
+    for text in sizes:
+        name, _, rest = text.partition("=")
+        match = _SIZE.fullmatch(rest)
+        if match is None or int(match[1]) < 1 or int(match[2]) < 1:
+            raise InvalidInput(f"--size should be as in C1=1280x960, not '{text}'")
+        found[name] = SensorFormat(name, int(match[1]), int(match[2]))
+    wanted = sensors_of(pair)
+    if set(found) != set(wanted):
+        raise InvalidInput(f"give --size of {' and '.join(wanted)}, not of {', '.join(found) or 'none'}")
+    return tuple(found[name] for name in wanted)
+
+
+def _tell(table: BoardTable, campaign: str, dry_run: bool, as_json: bool) -> None:
+    counts = {pose: len(seen.point) for pose, seen in table.observations.items()}
+    board = table.board
+    if as_json:
+        output.print_json({"campaign": campaign, "dry_run": dry_run, "board": board, "points": counts})
+        return
+    output.say(f"board     {board.columns} x {board.rows} points, {board.pitch_mm:g} mm apart")
+    output.print_table(["pose", "points"], list(counts.items()), empty="")
+    output.say(
+        "nothing was changed" if dry_run else f"next: sms job submit calibrate-boards --campaign {campaign}"
+    )
