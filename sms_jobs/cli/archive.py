@@ -17,7 +17,7 @@ from sms_jobs.catalogue import upkeep
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
-from sms_jobs.jobs import reindexing, retention, verification
+from sms_jobs.jobs import left_frames, reindexing, retention, verification
 from sms_jobs.jobs import repair as repairing
 from sms_jobs.jobs.reindexing import Reindexed
 from sms_jobs.jobs.verification import Checked, Finding
@@ -184,29 +184,39 @@ def gc(
     """Remove old results that newer ones have replaced, and say how much room that gives.
 
     Measurements, calibrations, pinned files ('sms data pin') and everything that a file which stays was
-    computed from are never removed.
+    computed from are never removed. Frames that recordings have left in this host's spool go when the
+    recording was cancelled so long ago, or lies in the archive.
 
     Example: sms archive gc --older-than 90d --kind reconstruct --yes
     """
     age, kinds, now = _age(older_than), [kind_named(name).name for name in kind or []], datetime.now(UTC)
     with bootstrap.services(home) as services:
+        spool = services.settings.spool_folder
         if yes:
             gone = retention.remove(services.catalogue, services.archive, now, age, kinds)
+            frames = left_frames.remove(services.catalogue, spool, now, age, kinds)
         else:
             with services.catalogue.reading() as session:
                 gone = retention.removable(session, now, age, kinds)
-    freed = sum(one.size_bytes for one in gone)
+                frames = left_frames.removable(session, spool, now, age, kinds)
+    freed = sum(g.size_bytes for g in gone) + sum(f.size_bytes for f in frames)
     if as_json:
-        output.print_json({"done": yes, "files": gone, "bytes": freed})
+        output.print_json({"done": yes, "files": gone, "frames": frames, "bytes": freed})
         return
+    rows: list[tuple[object, ...]] = [
+        (g.file_id, g.kind, g.path, output.size(g.size_bytes), g.created_at) for g in gone
+    ]
+    rows += [
+        ("", f"frames, {f.state.value}", str(f.path), output.size(f.size_bytes), f.ended_at) for f in frames
+    ]
     output.print_table(
         ["file", "kind", "path", "size", "created"],
-        [(g.file_id, g.kind, g.path, output.size(g.size_bytes), g.created_at) for g in gone],
-        empty="no result is old, replaced and needed by nothing",
+        rows,
+        empty="no result is old, replaced and needed by nothing; no frames are left of old recordings",
     )
-    if gone:
+    if rows:
         done = "removed" if yes else "would be removed; 'sms archive gc --yes' does it"
-        output.say(f"{len(gone)} files, {output.size(freed)}, {done}")
+        output.say(f"{len(rows)} files and folders, {output.size(freed)}, {done}")
 
 
 def _age(text: str) -> timedelta:
