@@ -172,14 +172,15 @@ class HalvesApart:
 class Disbond:
     """What lies on a skin lifts off it along z over a length: a stringer whose bond has opened (section 6.3).
 
-    Material above z = `level_mm` moves by d_z = gap f(x / length) (1 + tilt y), f as of `MidPointBending`;
-    what lies below stays. The lift must nowhere be negative: tilt times half the width is at most 1.
+    Material above z = `level_mm`, the top of the stringer's foot, moves by d_z = gap f(x / length)
+    (1 + tilt y), f as of `MidPointBending`; the skin, at z = 0, stays, and the foot's sides between them
+    stretch. The lift must nowhere be negative: tilt times half the width is at most 1.
     """
 
     gap_mm: float
     length_mm: float
-    tilt_per_mm: float = 0.0
-    level_mm: float = 0.01
+    tilt_per_mm: float
+    level_mm: float
     motion: Literal["disbond"] = "disbond"
 
 

@@ -91,10 +91,18 @@ def deflection_line(s: float) -> tuple[float, float]:
 
 @kernel
 def _lift(m: Floats, x: float, y: float) -> tuple[float, float, float]:
-    """Return how far a disbond lifts what lies at (x, y), and the slopes of that along x and y."""
+    """Return how far a disbond lifts the stringer at (x, y), and the slopes of that along x and y."""
     f, df = deflection_line(x / m[2])
     tilted = 1.0 + m[3] * y
     return m[1] * f * tilted, m[1] * df / m[2] * tilted, m[1] * f * m[3]
+
+
+@kernel
+def _share(z: float, level: float) -> tuple[float, float]:
+    """Return which part of a disbond's lift is that of material at height z, and its slope along z."""
+    if z <= 0.0:
+        return 0.0, 0.0
+    return (1.0, 0.0) if z >= level else (z / level, 1.0 / level)
 
 
 @kernel
@@ -125,11 +133,12 @@ def carried(
             nx -= m[1] * df / m[2] * g * nz
             ny -= m[1] * f * dg / m[3] * nz
         elif m[0] == DISBOND:
-            if z > m[4]:
-                lift, along, across = _lift(m, x, y)
-                z += lift
-                nx -= along * nz
-                ny -= across * nz
+            lift, along, across = _lift(m, x, y)
+            share, slope = _share(z, m[4])
+            z += lift * share
+            nz /= 1.0 + lift * slope
+            nx -= along * share * nz
+            ny -= across * share * nz
         elif x < 0.0:
             x -= 0.5 * m[1]
         else:
@@ -143,8 +152,8 @@ def followed_back(
 ) -> tuple[float, float, float, float, float, float, bool]:
     """Carry a point of the world and a direction back to the specimen at rest: the inverse of `carried`.
 
-    The last value is False in a gap between halves or under a disbond, which comes from no material; the
-    point is then taken to the edge of the gap.
+    The last value is False in a gap between halves, which comes from no material; the point is then
+    taken to the edge of the gap.
     """
     material = True
     for i in range(chain.shape[0] - 1, -1, -1):
@@ -167,11 +176,10 @@ def followed_back(
             z -= m[1] * f * g
             vz -= m[1] * (df / m[2] * g * vx + f * dg / m[3] * vy)
         elif m[0] == DISBOND:
-            if z > m[4]:
-                lift, along, across = _lift(m, x, y)
-                material = material and z > m[4] + lift
-                z = max(z - lift, m[4])
-                vz -= along * vx + across * vy
+            lift, along, across = _lift(m, x, y)
+            z = z - lift if z >= m[4] + lift else min(z, z * m[4] / (m[4] + lift))
+            share, slope = _share(z, m[4])
+            vz = (vz - share * (along * vx + across * vy)) / (1.0 + lift * slope)
         else:
             half = 0.5 * m[1]
             if abs(x) < half:
@@ -215,9 +223,12 @@ def gradients(chain: Floats, material: Floats) -> Floats:
         elif row[0] == DISBOND:
             gap, length, tilt, level = row[1:5]
             f, df = _deflection_lines(x[:, 0] / length)
-            slope = gap * np.stack([df * (1.0 + tilt * x[:, 1]) / length, f * tilt], axis=-1)
-            slope[x[:, 2] <= level] = 0.0
-            total[:, 2] += np.einsum("ni,nij->nj", slope, total[:, :2])
+            share = np.clip(x[:, 2] / level, 0.0, 1.0)
+            inside = (x[:, 2] > 0.0) & (x[:, 2] < level)
+            tilted = 1.0 + tilt * x[:, 1]
+            slope = gap * share[:, None] * np.stack([df * tilted / length, f * tilt], axis=-1)
+            stretch = 1.0 + np.where(inside, gap * f * tilted / level, 0.0)
+            total[:, 2] = stretch[:, None] * total[:, 2] + np.einsum("ni,nij->nj", slope, total[:, :2])
         x = carried_points(chain[i : i + 1], x)
     return total
 

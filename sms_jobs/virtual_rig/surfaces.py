@@ -36,7 +36,6 @@ Floats: TypeAlias = NDArray[np.float64]
 PLANE, CYLINDER, SPHERE = 0, 1, 2
 X_AXIS: Vector = (1.0, 0.0, 0.0)
 Y_AXIS: Vector = (0.0, 1.0, 0.0)
-_BOND_MM = 0.02  # between skin and stringer
 
 
 @dataclass(frozen=True)
@@ -236,7 +235,7 @@ def _top_hat(surface: TopHat) -> tuple[Patch, ...]:
 def _stiffened_panel(surface: StiffenedPanel) -> tuple[Patch, ...]:
     """Return skin (1), the foot's halves (2: +y, 3: -y), the web's top (4), its sides and the foot's (5 - 8).
 
-    The skin goes on under the foot; the sides of the foot end just above it, where a disbond opens.
+    The skin goes on under the foot.
     """
     width, foot, web = surface.width_mm, surface.foot_width_mm, surface.web_thickness_mm
     thickness, height = surface.foot_thickness_mm, surface.web_height_mm
@@ -256,8 +255,8 @@ def _stiffened_panel(surface: StiffenedPanel) -> tuple[Patch, ...]:
         _rectangle(4, (0.0, 0.0, top), width, web),
         side(5, web / 2.0, thickness, top),
         side(6, -web / 2.0, thickness, top),
-        side(7, foot / 2.0, _BOND_MM, thickness),
-        side(8, -foot / 2.0, _BOND_MM, thickness),
+        side(7, foot / 2.0, 0.0, thickness),
+        side(8, -foot / 2.0, 0.0, thickness),
     )
 
 

@@ -40,6 +40,7 @@ _POSITIONS: tuple[tuple[Vector, Vector], ...] = (
     ((0.033, -0.029, 0.004), (-186.0, 1.5, 2.0)),
 )
 """How the panel lies in the frame of the rig at each of its positions."""
+_FOOT_MM = 5.0  # thickness of the stringer's foot
 
 
 def _of_300_mm(size: Size) -> tuple[Sensor, ...]:
@@ -87,7 +88,7 @@ def wing_panel(name: str, size: Size) -> tuple[Made, ...]:
 def disbond_buckling(name: str, size: Size) -> Made:
     """Return the rig and the campaign of thesis section 6.3: a stiffened panel that buckles.
 
-    A skin of 290 mm with a stringer of T profile, 3 mm of foot under a web of 30 mm, whose bond is open over
+    A skin of 290 mm with a stringer of T profile, 5 mm of foot under a web of 30 mm, whose bond is open over
     200 mm. As the load grows the stringer lifts off the skin there, more on the side of positive y, and the
     skin bends out less.
     """
@@ -97,7 +98,7 @@ def disbond_buckling(name: str, size: Size) -> Made:
     for number, (load_n, gap, bend) in enumerate(zip(loads_n, gaps_mm, bends_mm, strict=True), start=1):
         strain = -9e-4 * load_n / loads_n[-1]
         deformation = (
-            Disbond(gap, 200.0, tilt_per_mm=0.008),
+            Disbond(gap, 200.0, tilt_per_mm=0.008, level_mm=_FOOT_MM),
             UniaxialStrain(strain, 0.3),
             MidPointBending(bend, 600.0, 600.0),
             Rigid((1e-4 * bend, -2e-4 * bend, 1e-4 * bend), (0.3 * bend, -0.1 * bend, 0.2 * bend)),
@@ -106,7 +107,7 @@ def disbond_buckling(name: str, size: Size) -> Made:
         states.append(LoadState(f"S{number:02d}", load_n, 290.0 * strain, time, deformation=deformation))
     scene = Scene(
         Rig("virtual-scanner", _of_300_mm(size)),
-        StiffenedPanel(290.0, 290.0, 80.0, 3.0, 30.0, 8.0),
+        StiffenedPanel(290.0, 290.0, 80.0, _FOOT_MM, 30.0, 8.0),
         _speckle(size),
         placed((0.03, -0.02, 0.01), (2.0, -1.0, -10.0)),
         CameraResponse(exposure=0.9),
