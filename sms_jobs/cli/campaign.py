@@ -22,6 +22,7 @@ app = typer.Typer(
     help="Campaigns: a specimen, its load states, and how they are measured.", no_args_is_help=True
 )
 app.command("simulate")(simulated_campaigns.simulate)
+app.command("exact")(simulated_campaigns.exact)
 
 
 @app.command()

@@ -26,6 +26,7 @@ from sms_jobs.cli import (
     pins,
     portable_data,
     saved_queries,
+    state_comparison,
     surface_fields,
 )
 from sms_jobs.cli.found_files import After, As, Columns, Force, Format, Limit, Out, Wanted
@@ -48,6 +49,7 @@ app.command("gauges")(surface_fields.gauges)
 app.command("section")(surface_fields.section)
 app.command("advise")(advice.advise)
 app.command("compare")(field_comparison.compare)
+app.command("compare-states")(state_comparison.compare_states)
 app.command("pack")(portable_data.pack)
 app.command("check")(portable_data.check)
 app.command("unpack")(portable_data.unpack)

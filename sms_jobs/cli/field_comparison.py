@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
@@ -17,9 +19,14 @@ from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.other_fields import PointField, draw_difference, read_point_field
+from sms_jobs.formats.planar_surfaces import planar_grid, planar_mesh
 from sms_jobs.records.fields import Mesh
+from sms_jobs.records.planar import PlanarDisplacement
+
+Floats: TypeAlias = NDArray[np.float64]
 
 _AXES = ("X", "Y", "Z")
+_IMAGE_STEP_PX = 4
 
 
 def compare(
@@ -56,48 +63,19 @@ def compare(
 
     Example: sms data compare 42 --with panel.vtu --field U --scale-mm 1000 --free-of-motion --out diff.png
     """
-    # Other commands of this group load without what this one computes with.
-    from sms_jobs.metrology.deformation.comparison import free_of_motion, laid_on, values_at
-    from sms_jobs.metrology.geometry.transforms import transform
-
     if out is not None and out.suffix not in (".csv", ".png"):
         raise InvalidInput(f"'{out}' must end in .csv or .png")
     if out is not None and out.exists() and not force:
         raise Conflict(f"{out} exists; choose another name or add --force")
+    how = How(field, scale_mm, align, free, within_mm)
     with bootstrap.services(home) as services:
-        mine, sigma = _merged(services, file)
-        theirs = (
-            _merged(services, other)[0] if other.isdigit() else read_point_field(Path(other), field, scale_mm)
-        )
-    residual: float | None = None
-    if align:
-        pose, residual = laid_on(theirs.points, mine.points)
-        theirs = PointField(transform(pose, theirs.points), theirs.values @ pose.matrix().T)
-    difference = mine.values - values_at(theirs.points, theirs.values, mine.points, within_mm)
-    known = np.asarray(np.isfinite(difference).all(axis=1))
-    if np.count_nonzero(known) < 3:
-        raise InvalidInput(
-            f"file {file} and {other} have {np.count_nonzero(known)} points within {within_mm:g} mm of each "
-            "other; give their shapes one frame with --align, their lengths one unit with --scale-mm, or a "
-            "larger --within-mm"
-        )
-    if free:
-        difference = free_of_motion(mine.points, difference)
-    length = np.linalg.norm(difference[known], axis=1)
-    facts: dict[str, Any] = {
-        "points": int(known.sum()),
-        "of": len(mine.points),
-        "rms_mm": float(np.sqrt(np.mean(length**2))),
-        "largest_mm": float(length.max()),
-        "stated_sigma_mm": float(np.sqrt(np.mean(sigma[known] ** 2))),
-    }
-    for axis, values in zip(_AXES, difference[known].T, strict=True):
+        found = difference_of(services, file, other, how)
+    facts = found.facts()
+    for axis, values in zip(_AXES, found.difference[found.known].T, strict=True):
         facts[f"mean_{axis}_mm"] = float(values.mean())
         facts[f"rms_{axis}_mm"] = float(np.sqrt(np.mean(values**2)))
-    if residual is not None:
-        facts["alignment_rms_mm"] = residual
     if out is not None:
-        out.write_bytes(_written(out, mine.points, difference, f"file {file} minus {other}"))
+        out.write_bytes(_written(out, found.points, found.difference, f"file {file} minus {other}"))
         output.say(f"wrote {out}")
     if as_json:
         output.print_json({"file": file, "other": other} | facts)
@@ -105,11 +83,91 @@ def compare(
     output.print_facts({k.replace("_mm", " [mm]").replace("_", " "): _short(v) for k, v in facts.items()})
 
 
+@dataclass(frozen=True)
+class How:
+    """How two displacements are compared: the options of the command, under their names."""
+
+    field: str | None
+    scale_mm: float
+    align: bool
+    free: bool
+    within_mm: float
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A measured displacement minus another.
+
+    Attributes
+    ----------
+    points, difference
+        (n, 3) in mm; NaN where the other has nothing near.
+    sigma
+        (n,), stated of the measured displacement, in mm.
+    alignment_rms_mm
+        Distance left between the shapes; None where they were not laid on each other.
+    """
+
+    points: Floats
+    difference: Floats
+    sigma: Floats
+    alignment_rms_mm: float | None
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Where there is a difference, (n,)."""
+        return np.asarray(np.isfinite(self.difference).all(axis=1))
+
+    def facts(self) -> dict[str, Any]:
+        """Return what people ask for, with units in the names."""
+        length = np.linalg.norm(self.difference[self.known], axis=1)
+        facts: dict[str, Any] = {
+            "points": len(length),
+            "of": len(self.points),
+            "rms_mm": float(np.sqrt(np.mean(length**2))),
+            "largest_mm": float(length.max()),
+            "stated_sigma_mm": float(np.sqrt(np.mean(self.sigma[self.known] ** 2))),
+        }
+        if self.alignment_rms_mm is not None:
+            facts["alignment_rms_mm"] = self.alignment_rms_mm
+        return facts
+
+
+def difference_of(services: Services, file: str, other: str, how: How) -> Difference:
+    """Subtract the displacement of a mesh file, or of another merged result, from a merged one.
+
+    Raises `InvalidInput` where fewer than three points have anything of the other near.
+    """
+    # Other commands of this group load without what this one computes with.
+    from sms_jobs.metrology.deformation.comparison import free_of_motion, laid_on, values_at
+    from sms_jobs.metrology.geometry.transforms import transform
+
+    mine, sigma = _merged(services, file)
+    if other.isdigit():
+        theirs = _merged(services, other)[0]
+    else:
+        theirs = read_point_field(Path(other), how.field, how.scale_mm)
+    residual: float | None = None
+    if how.align:
+        pose, residual = laid_on(theirs.points, mine.points)
+        theirs = PointField(transform(pose, theirs.points), theirs.values @ pose.matrix().T)
+    difference = mine.values - values_at(theirs.points, theirs.values, mine.points, how.within_mm)
+    found = Difference(mine.points, difference, sigma, residual)
+    met = np.count_nonzero(found.known)
+    if met < 3:
+        raise InvalidInput(
+            f"file {file} and {other} have {met} points within {how.within_mm:g} mm of each other; give "
+            "their shapes one frame with --align, their lengths one unit with --scale-mm, or a larger "
+            "--within-mm"
+        )
+    return replace(found, difference=free_of_motion(mine.points, difference)) if how.free else found
+
+
 def _short(value: float) -> str:
     return str(value) if isinstance(value, int) else f"{value:.4g}"
 
 
-def _written(out: Path, points: np.ndarray[Any, Any], difference: np.ndarray[Any, Any], title: str) -> bytes:
+def _written(out: Path, points: Floats, difference: Floats, title: str) -> bytes:
     if out.suffix == ".png":
         return draw_difference(points, difference, title)
     text = io.StringIO()
@@ -119,14 +177,35 @@ def _written(out: Path, points: np.ndarray[Any, Any], difference: np.ndarray[Any
     return text.getvalue().encode()
 
 
-def _merged(services: Services, key: str) -> tuple[PointField, np.ndarray[Any, Any]]:
+def _merged(services: Services, key: str) -> tuple[PointField, Floats]:
     """Return the displacement of a merged result at its vertices, and its standard deviation."""
     with services.catalogue.reading() as session:
         view = search.file_view(session, key)
+    if view.source == "correlate-images":
+        return _in_image(services, view)
     if view.source not in ("merge", "combine"):
-        raise InvalidInput(f"file {key} is a {view.source}; choose a merged or combined result of a state")
+        raise InvalidInput(
+            f"file {key} is a {view.source}; choose a merged or combined result of a state, or displacement in "
+            "the image of a camera alone"
+        )
     with services.archive.open(view.path) as dataset:
         mesh = dataset.read("mesh", Mesh)
     values = dict(zip(mesh.value_names, mesh.values, strict=True))
     displacement = np.stack([values[f"displacement {axis}"] for axis in _AXES], axis=1)
     return PointField(mesh.vertices, displacement), values["sigma of displacement"]
+
+
+def _in_image(services: Services, view: search.FileView) -> tuple[PointField, np.ndarray[Any, Any]]:
+    """Return displacement in an image as that of a flat surface in mm, X to the right and Y up."""
+    with services.archive.open(view.path) as dataset:
+        moved = dataset.read("displacement", PlanarDisplacement)
+    if moved.mm_per_px is None:
+        raise InvalidInput(
+            f"the displacement of {view.subject} has no scale, and what it is compared with is in mm; correlate "
+            "again with mm-per-px"
+        )
+    mesh = planar_mesh(planar_grid(moved, None), _IMAGE_STEP_PX)
+    values = dict(zip(mesh.value_names, mesh.values, strict=True))
+    x, y = values["displacement X"], values["displacement Y"]
+    sigma = np.hypot(values["sigma of displacement X"], values["sigma of displacement Y"])
+    return PointField(mesh.vertices, np.stack([x, y, np.zeros_like(x)], axis=1)), sigma

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.catalogue import campaigns
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs.registration import register_campaign
 
 if TYPE_CHECKING:
@@ -84,16 +86,50 @@ def simulate(
 def _made(experiment: str, name: str, size: Size) -> tuple[Made, ...]:
     """Return the campaigns of an experiment, each with its calibration."""
     # Other commands of this group load without the virtual rig.
-    from sms_jobs.virtual_rig import campaigns, wing_campaigns
+    from sms_jobs.virtual_rig import campaigns as tests
+    from sms_jobs.virtual_rig import wing_campaigns
 
     if experiment == "wing-panel":
         return wing_campaigns.wing_panel(name, size)
     return (
         {
-            "top-hat-bending": campaigns.top_hat_bending,
-            "hole-and-step": campaigns.hole_and_step_translation,
-            "tension-panel": campaigns.tension_panel,
+            "top-hat-bending": tests.top_hat_bending,
+            "hole-and-step": tests.hole_and_step_translation,
+            "tension-panel": tests.tension_panel,
             "disbond-buckling": wing_campaigns.disbond_buckling,
-            "plate-and-mirror": campaigns.plate_and_mirror,
+            "plate-and-mirror": tests.plate_and_mirror,
         }[experiment](name, size),
     )
+
+
+def exact(
+    campaign: Annotated[str, typer.Argument(help="Name of a campaign on the virtual rig.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files, one a state.")],
+    step_px: Annotated[int, typer.Option(help="Distance of the nodes in the images, px.", min=1, max=64)] = 2,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Write the exact displacement of every state at the nodes of a mesh, as a calculation would give it.
+
+    Example: sms campaign exact hat --out model; sms data compare-states hat --with 'model/{state}.vtu'
+    """
+    from sms_jobs.formats.other_fields import write_point_field
+    from sms_jobs.virtual_rig.exact_meshes import exact_mesh
+
+    with bootstrap.services(home) as services, services.catalogue.reading() as session:
+        defined = campaigns.definition(campaigns.campaign_row(session, campaign))
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    for state in defined.states[1:]:
+        path = out / f"{state.label}.vtu"
+        if path.exists() and not force:
+            raise Conflict(f"{path} exists; choose another folder or add --force")
+        mesh = exact_mesh(defined, state.label, step_px)
+        write_point_field(path, mesh.nodes, mesh.triangles, mesh.displacement)
+        written.append({"state": state.label, "file": str(path), "nodes": len(mesh.nodes)})
+    if as_json:
+        output.print_json_list(written)
+        return
+    for one in written:
+        output.say(f"wrote {one['file']}: {one['nodes']} nodes")

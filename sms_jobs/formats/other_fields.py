@@ -65,6 +65,14 @@ def read_point_field(path: Path, name: str | None, scale_mm: float) -> PointFiel
     return PointField(points * scale_mm, fields[chosen] * scale_mm)
 
 
+def write_point_field(path: Path, nodes: Floats, triangles: NDArray[np.int32], displacement: Floats) -> None:
+    """Write nodes (n, 3) in mm, triangles (m, 3) and the displacement at the nodes in mm as VTU."""
+    import meshio
+
+    mesh = meshio.Mesh(nodes, [("triangle", triangles)], point_data={"displacement": displacement})
+    mesh.write(path, file_format="vtu")
+
+
 def draw_difference(points: Floats, difference: Floats, title: str) -> bytes:
     """Draw the components of a difference of displacements (n, 3) over x and y, as PNG (thesis Fig. 72)."""
     figure = new_figure(11.0, 3.8)

@@ -8,6 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.geometry.transforms import inverse, transform
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.scene import Simulation
 from sms_jobs.records.sensors import Calibration, split_pair
@@ -18,6 +20,8 @@ from sms_jobs.virtual_rig.campaigns import (
     tension_panel,
     top_hat_bending,
 )
+from sms_jobs.virtual_rig.deformations import carried_points, packed_chain
+from sms_jobs.virtual_rig.exact_meshes import exact_mesh
 from sms_jobs.virtual_rig.light import trace
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import exact_shape, exact_truth
@@ -154,3 +158,19 @@ def test_the_wing_panel_is_seen_from_three_positions_that_overlap() -> None:
     for (_, end), (start, _) in pairwise(sorted(ranges)):
         assert 100.0 < end - start < 180.0
     assert (min(r[0] for r in ranges), max(r[1] for r in ranges)) == pytest.approx((-330.0, 330.0), abs=20.0)
+
+
+def test_the_exact_mesh_is_that_of_the_deformation() -> None:
+    _, campaign = PRINTED[NAMES.index("plate")]
+    assert campaign.scene is not None
+    mesh = exact_mesh(campaign, "S01", 4)
+    material = transform(inverse(campaign.scene.placement), mesh.nodes)
+    # Nodes lie on the plate, to rounding of 1000 mm, and move as its points do.
+    np.testing.assert_allclose(material[:, 2], 0.0, atol=1e-9)
+    ends = carried_points(packed_chain(campaign.states[1].deformation, campaign.scene.placement), material)
+    np.testing.assert_allclose(mesh.displacement, ends - mesh.nodes, atol=1e-9)
+    assert mesh.triangles.max() == len(mesh.nodes) - 1
+    # 150 mm in steps of four pixels of 1.4 mm.
+    assert len(mesh.nodes) == pytest.approx((150.0 / 5.6) ** 2, rel=0.1)
+    with pytest.raises(InvalidInput, match="not on the virtual rig"):
+        exact_mesh(replace(campaign, scene=None), "S01", 4)

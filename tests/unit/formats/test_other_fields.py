@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.formats.other_fields import draw_difference, read_point_field
+from sms_jobs.formats.other_fields import draw_difference, read_point_field, write_point_field
+from sms_jobs.formats.state_differences import StateDifference, draw_states, written_table
 
 
 @pytest.mark.parametrize("suffix", ["vtu", "vtk", "xdmf"])
@@ -45,3 +46,29 @@ def test_a_difference_is_drawn(rng: np.random.Generator) -> None:
     points, difference = rng.normal(size=(2, 50, 3))
     difference[3] = np.nan
     assert draw_difference(points, difference, "measured minus calculated").startswith(b"\x89PNG")
+
+
+def test_what_is_written_is_read_again(tmp_path: Path, rng: np.random.Generator) -> None:
+    nodes, moved = rng.normal(size=(2, 4, 3))
+    write_point_field(tmp_path / "S01.vtu", nodes, np.array([[0, 1, 2], [1, 2, 3]], np.int32), moved)
+    found = read_point_field(tmp_path / "S01.vtu", "displacement", 1.0)
+    np.testing.assert_array_equal(found.points, nodes)
+    np.testing.assert_array_equal(found.values, moved)
+
+
+def test_the_rms_is_told_over_all_states(rng: np.random.Generator) -> None:
+    length = np.r_[np.full(95, 0.01), np.full(5, 0.2)]
+    states = [
+        StateDifference(f"S0{k}", load, 0.5 * k, rng.normal(size=(100, 3)), k * length, 0.008)
+        for k, load in ((1, 1000.0), (2, None))
+    ]
+    first, second = states
+    assert first.rms_mm == pytest.approx(np.sqrt((95 * 0.01**2 + 5 * 0.2**2) / 100))
+    assert first.good_rms_mm == pytest.approx(0.01)
+    assert second.rms_mm == pytest.approx(2.0 * first.rms_mm)
+    named = second.named()
+    assert (named["state"], named["load_n"], named["points"]) == ("S02", None, 100.0)
+    header, *rows = written_table(states).decode().splitlines()
+    assert header.startswith("state,load_n,prescribed_mm,points,rms_mm")
+    assert [row.split(",")[:2] for row in rows] == [["S01", "1000.0"], ["S02", ""]]
+    assert draw_states(states, "measured minus calculated").startswith(b"\x89PNG")

@@ -1,0 +1,70 @@
+"""The exact displacement of a simulated specimen at the nodes of a mesh, as a calculation would give it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.deformation.merging import join_meshes
+from sms_jobs.metrology.surfaces.meshing import triangulate_image
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.scene import Simulation
+from sms_jobs.records.sensors import split_pair
+from sms_jobs.virtual_rig.truth import exact_truth
+
+Floats: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ExactMesh:
+    """Nodes (n, 3) in mm at the reference state, triangles (m, 3), and displacement (n, 3) in mm."""
+
+    nodes: Floats
+    triangles: NDArray[np.int32]
+    displacement: Floats
+
+
+def exact_mesh(campaign: Campaign, label: str, step_px: int, threads: int = 1) -> ExactMesh:
+    """Return what exactly happens by a state to the surface that the campaign's cameras see.
+
+    Parameters
+    ----------
+    campaign
+        On the virtual rig.
+    label
+        Of the state.
+    step_px
+        Distance of the nodes in the images.
+    threads
+        How many threads to use; the result does not depend on it.
+
+    Raises
+    ------
+    InvalidInput
+        The campaign is not on the virtual rig, or has no such state.
+    """
+    scene = campaign.scene
+    if scene is None:
+        raise InvalidInput(
+            f"campaign {campaign.name} is not on the virtual rig, so nobody knows its exact displacement"
+        )
+    state = campaign.state(label)
+    surfaces, moved = [], []
+    for camera, projector in {split_pair(p)[0]: split_pair(p) for p in reversed(campaign.pairs)}.values():
+        rest, end = (
+            Simulation(scene, camera, projector, s.deformation, s.label) for s in (campaign.reference, state)
+        )
+        truth = exact_truth(rest, end, threads=threads)
+        labels = np.where(truth.shape.seen, truth.shape.region, 0).astype(np.int32)
+        pixels, faces = triangulate_image(labels, step_px)
+        row, column = pixels.T
+        surfaces.append((np.ascontiguousarray(truth.shape.xyz[:, row, column].T), faces))
+        moved.append(truth.displacement[:, row, column].T)
+    nodes, triangles, which, vertex = join_meshes(surfaces)
+    return ExactMesh(
+        nodes, triangles, np.concatenate([part[vertex[which == k]] for k, part in enumerate(moved)])
+    )
