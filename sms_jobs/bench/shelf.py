@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -44,12 +44,19 @@ class Shelf:
 
 
 def reconstructed(
-    calibration: Calibration, campaign: Campaign, say: Callable[[str], None], threads: int
+    calibration: Calibration,
+    campaign: Campaign,
+    say: Callable[[str], None],
+    threads: int,
+    states: Sequence[str] = (),
 ) -> tuple[Shelf, Subject]:
-    """Record and reconstruct a campaign's first pair at rest and at its last state; return that tuple."""
+    """Record and reconstruct a campaign's first pair at rest and at some states; return the last tuple.
+
+    The campaign's last state alone if none is given.
+    """
     shelf = Shelf(campaign, threads)
-    states = (campaign.reference.label, campaign.states[-1].label)
-    for label in states:
+    deformed = tuple(states) or (campaign.states[-1].label,)
+    for label in (campaign.reference.label, *deformed):
         subject = Subject(campaign.name, label, campaign.pairs[0])
         say(f"recording and reconstructing {subject}")
         shelf.records[CALIBRATION, subject] = {"calibration": calibration}
@@ -58,4 +65,4 @@ def reconstructed(
         frames = np.stack([recorded.frames.frame(i) for i in range(recorded.frames.shape[0])])
         shelf.records[MEASUREMENT, subject] = {"measurement": replace(recorded, frames=ArrayStack(frames))}
         shelf.run(reconstruct.KIND, subject, reconstruct.KIND.parameters())
-    return shelf, Subject(campaign.name, states[1], campaign.pairs[0])
+    return shelf, Subject(campaign.name, deformed[-1], campaign.pairs[0])
