@@ -103,7 +103,7 @@ class ReportPages:
         part.add(Markup('<div class="views">'))
         for view in chapter.reference(self._inputs, self._campaign, self._sampling):
             found.add(label, view)
-            self._write(view, label, part)
+            self._write(view, label, part, level=3)
             del view
         part.add(Markup("</div>"))
         return found
@@ -134,9 +134,9 @@ class ReportPages:
         if part is not None:
             part.add(Markup("</div>"))
 
-    def _write(self, view: View, state: str, part: Part) -> None:
+    def _write(self, view: View, state: str, part: Part, level: int = 4) -> None:
         self._drawn += 1
-        part.add(*view_markup(view, self._drawn, state, self._sampling.still_px))
+        part.add(*view_markup(view, self._drawn, state, self._sampling.still_px, level))
 
     def _compose(
         self,

@@ -82,7 +82,11 @@ def doubts(
     if not warnings:
         return []
     items = "".join(f"<li>{escape(warning)}</li>" for warning in warnings)
-    return [Markup(f'<div class="doubts" role="note"><h3>{escape(what)}</h3><ul>{items}</ul></div>')]
+    return [
+        Markup(
+            f'<div class="doubts" role="note"><p><strong>{escape(what)}</strong></p><ul>{items}</ul></div>'
+        )
+    ]
 
 
 def doubts_of(quality: CalibrationQuality | None, found: Mapping[str, Recording]) -> Iterable[str]:

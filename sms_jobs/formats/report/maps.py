@@ -18,12 +18,15 @@ from sms_jobs.formats.report.view import VALID, Field, View
 _CATEGORIES = 64
 
 
-def view_markup(view: View, number: int, state: str, still_px: int) -> Iterator[Markup]:
-    """Yield a view of a state in pieces; `number` tells it from the others of the page."""
+def view_markup(view: View, number: int, state: str, still_px: int, level: int = 4) -> Iterator[Markup]:
+    """Yield a view of a state in pieces; `number` tells it from the others of the page.
+
+    `level` is that of its heading, one below the heading that it stands under.
+    """
     name = f"v{number}"
     yield Markup(
         f'<section class="view" id="{name}" aria-labelledby="{name}t">\n'
-        f'<h4 id="{name}t">{escape(view.title)}</h4>'
+        f'<h{level} id="{name}t">{escape(view.title)}</h{level}>'
     )
     yield Markup(f'<div class="stills">{figures(_stills(view, state, still_px)).html}</div>')
     for note in view.notes:
