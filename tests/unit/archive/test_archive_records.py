@@ -76,7 +76,7 @@ def example(hint: Any, rng: np.random.Generator, meta: Any = None) -> Any:
     if hint is datetime:
         zone = timezone(timedelta(hours=int(rng.integers(-11, 12))))
         return datetime(2026, 1, 1, 12, 0, int(rng.integers(60)), 123_456, tzinfo=zone)
-    simple = {int: int(rng.integers(3, 9)), float: float(rng.normal()), str: f"S{rng.integers(99)}"}
+    simple = {int: int(rng.integers(3, 9)), float: float(rng.normal()), str: f"S{rng.integers(10**9)}"}
     return {**simple, bool: True, type(None): None}[hint]
 
 
