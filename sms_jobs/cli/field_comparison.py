@@ -185,8 +185,8 @@ def _merged(services: Services, key: str) -> tuple[PointField, Floats]:
         return _in_image(services, view)
     if view.source not in ("merge", "combine"):
         raise InvalidInput(
-            f"file {key} is a {view.source}; choose a merged or combined result of a state, or displacement in "
-            "the image of a camera alone"
+            f"file {key} is a {view.source}; choose a merged or combined result of a state, or displacement "
+            "in the image of a camera alone"
         )
     with services.archive.open(view.path) as dataset:
         mesh = dataset.read("mesh", Mesh)
@@ -201,8 +201,8 @@ def _in_image(services: Services, view: search.FileView) -> tuple[PointField, np
         moved = dataset.read("displacement", PlanarDisplacement)
     if moved.mm_per_px is None:
         raise InvalidInput(
-            f"the displacement of {view.subject} has no scale, and what it is compared with is in mm; correlate "
-            "again with mm-per-px"
+            f"the displacement of {view.subject} has no scale, and what it is compared with is in mm; "
+            "correlate again with mm-per-px"
         )
     mesh = planar_mesh(planar_grid(moved, None), _IMAGE_STEP_PX)
     values = dict(zip(mesh.value_names, mesh.values, strict=True))

@@ -139,6 +139,19 @@ def test_strain_is_that_of_the_coupon(done: tuple[Path, dict[str, Any]], tmp_pat
     assert mesh.points[:, 0].max() < (SIZE - 10) * SCALE
 
 
+def test_two_states_are_compared(done: tuple[Path, dict[str, Any]]) -> None:
+    home, _ = done
+    late, early = newest(home, "correlate-images")
+    assert (late["subject"], early["subject"]) == ("coupon/02/C1", "coupon/01/C1")
+    found = run(home, "data", "compare", str(late["id"]), "--with", str(early["id"]))
+    # Held at the lower end: half the length moves by half of what the states differ by in strain, upwards.
+    expected = (ALONG[2] - ALONG[1]) * SIZE / 2 * SCALE
+    # A tenth: the rows that could be matched are not quite the image's.
+    assert found["mean_Y_mm"] == pytest.approx(expected, rel=0.1)
+    assert abs(found["mean_X_mm"]) < 0.02 * SCALE
+    assert found["rms_Z_mm"] == 0.0
+
+
 def test_a_virtual_gauge_stands_beside_the_real_one(done: tuple[Path, dict[str, Any]]) -> None:
     home, _ = done
     rows = run(home, "data", "gauges", "-c", "coupon")["gauges"]
