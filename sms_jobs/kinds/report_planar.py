@@ -8,8 +8,10 @@ from sms_jobs.formats.report.planar import planar_view, texture_view
 from sms_jobs.formats.report.view import View
 from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Need, deformed_images_alone, tested_states
 from sms_jobs.kinds.report_chapter import Chapter, Sampling, role
+from sms_jobs.kinds.report_surface import GAUGES
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.fields import ImageMatches
+from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
 
@@ -22,6 +24,11 @@ def _needs(campaign: Campaign) -> Iterable[Need]:
     for each in deformed_images_alone(campaign):
         for kind in ("correlate-images", "strain-images"):
             yield Need(role(kind, each.state or "", each.pair or ""), kind, each)
+
+
+def _gauges(campaign: Campaign) -> Iterable[Need]:
+    for each in deformed_images_alone(campaign):
+        yield Need(role(GAUGES, each.state or "", each.pair or ""), GAUGES, each)
 
 
 def _reference(inputs: Inputs, campaign: Campaign, sampling: Sampling) -> Iterator[View]:
@@ -44,7 +51,9 @@ def _deformed(inputs: Inputs, campaign: Campaign, state: LoadState, sampling: Sa
         moved = inputs.read(found, "displacement", PlanarDisplacement)
         matches = inputs.read(found, "matches", ImageMatches)
         strain = inputs.read(role("strain-images", state.label, camera), "strain", PlanarStrain)
-        yield planar_view(moved, matches, strain, sampling.of(moved.reason.shape))
+        readings = role(GAUGES, state.label, camera)
+        gauges = inputs.read(readings, "gauges", GaugeReadings) if readings in inputs.datasets else None
+        yield planar_view(moved, matches, strain, sampling.of(moved.reason.shape), gauges)
 
 
 CHAPTER = Chapter(
@@ -58,4 +67,5 @@ CHAPTER = Chapter(
     needs=_needs,
     reference=_reference,
     deformed=_deformed,
+    also={GAUGES: _gauges},
 )

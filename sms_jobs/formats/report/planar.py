@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.formats.report.surface import gauge_statistics
 from sms_jobs.formats.report.tables import MICROSTRAIN, PER_CENT
 from sms_jobs.formats.report.view import Field, Sampler, Statistic, View
 from sms_jobs.metrology.images.texture_quality import speckle_width
 from sms_jobs.records.fields import ImageMatches
+from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
 from sms_jobs.records.reasons import Reason
@@ -69,9 +71,13 @@ def _speckle(texture: NDArray[np.float64], labels: NDArray[np.int32] | None, noi
 
 
 def planar_view(
-    moved: PlanarDisplacement, matches: ImageMatches, strain: PlanarStrain, sampler: Sampler
+    moved: PlanarDisplacement,
+    matches: ImageMatches,
+    strain: PlanarStrain,
+    sampler: Sampler,
+    gauges: GaugeReadings | None = None,
 ) -> View:
-    """Return displacement and strain of a camera's image at a deformed state."""
+    """Return displacement, strain and gauge readings of a camera's image at a deformed state."""
     scale, unit = (1.0, "px") if moved.mm_per_px is None else (moved.mm_per_px, "mm")
     u, v = scale * moved.displacement[0], -scale * moved.displacement[1]
     sigma_u, sigma_v = scale * moved.sigma[0], scale * moved.sigma[1]
@@ -84,16 +90,23 @@ def planar_view(
         sampler.reasons("status of the displacement", moved.reason),
         sampler.reasons("status of the strain", strain.reason),
     ]
-    matched = matches.reason == Reason.VALID
+    group = "Displacement"
+    valid = matches.reason == Reason.VALID
+    matched = PER_CENT * float(valid.mean()) if valid.size else None
     statistics = (
-        Statistic("points matched", "%", PER_CENT * float(matched.mean()) if matched.size else None),
-        Statistic("displacement valid", "%", PER_CENT * float(np.mean(moved.reason == Reason.VALID))),
-        Statistic("displacement x, median", unit, _percentile(u)),
-        Statistic("displacement y, median", unit, _percentile(v)),
-        Statistic("displacement, 99th percentile", unit, _percentile(length, _HIGH), charted=True),
-        Statistic("sigma of displacement x, median", unit, _percentile(sigma_u)),
-        Statistic("sigma of displacement y, median", unit, _percentile(sigma_v)),
+        Statistic("points matched", "%", matched, group=group),
+        Statistic(
+            "displacement valid", "%", PER_CENT * float(np.mean(moved.reason == Reason.VALID)), group=group
+        ),
+        Statistic("displacement x, median", unit, _percentile(u), group=group),
+        Statistic("displacement y, median", unit, _percentile(v), group=group),
+        Statistic(
+            "displacement, 99th percentile", unit, _percentile(length, _HIGH), charted=True, group=group
+        ),
+        Statistic("sigma of displacement x, median", unit, _percentile(sigma_u), group=group),
+        Statistic("sigma of displacement y, median", unit, _percentile(sigma_v), group=group),
         *_strain_statistics(strain),
+        *gauge_statistics(gauges),
     )
     return View(
         moved.camera,
@@ -153,15 +166,24 @@ def _principal_sigma(field: PlanarStrain, place: int) -> NDArray[np.float64]:
 def _strain_statistics(field: PlanarStrain) -> tuple[Statistic, ...]:
     medians = [_percentile(MICROSTRAIN * component) for component in field.strain]
     first, second = MICROSTRAIN * field.principal
+    group = "Strain"
     return (
-        Statistic("strain valid", "%", PER_CENT * float(np.mean(field.reason == Reason.VALID))),
+        Statistic("strain valid", "%", PER_CENT * float(np.mean(field.reason == Reason.VALID)), group=group),
         *(
-            Statistic(f"strain {name}, median", "µε", value, charted=name != "xy")
+            Statistic(f"strain {name}, median", "µε", value, charted=name != "xy", group=group)
             for name, value in zip(("xx", "yy", "xy"), medians, strict=True)
         ),
-        Statistic("first principal strain, 99th percentile", "µε", _percentile(first, _HIGH), charted=True),
-        Statistic("second principal strain, 1st percentile", "µε", _percentile(second, 100.0 - _HIGH)),
-        Statistic("sigma of strain yy, median", "µε", _percentile(MICROSTRAIN * field.sigma[1])),
+        Statistic(
+            "first principal strain, 99th percentile",
+            "µε",
+            _percentile(first, _HIGH),
+            charted=True,
+            group=group,
+        ),
+        Statistic(
+            "second principal strain, 1st percentile", "µε", _percentile(second, 100.0 - _HIGH), group=group
+        ),
+        Statistic("sigma of strain yy, median", "µε", _percentile(MICROSTRAIN * field.sigma[1]), group=group),
     )
 
 

@@ -98,7 +98,7 @@ def deformed_view(
         (
             *_displacement_statistics(merged, length, length_sigma),
             *_strain_statistics(strain),
-            *_gauge_statistics(gauges),
+            *gauge_statistics(gauges),
         ),
         POSITION,
         MOVEMENT,
@@ -205,7 +205,8 @@ def _strain_statistics(field: StrainField) -> tuple[Statistic, ...]:
     )
 
 
-def _gauge_statistics(gauges: GaugeReadings | None) -> tuple[Statistic, ...]:
+def gauge_statistics(gauges: GaugeReadings | None) -> tuple[Statistic, ...]:
+    """Return what virtual gauges read, each charted under its name; nothing where none were read."""
     if gauges is None:
         return ()
     return tuple(

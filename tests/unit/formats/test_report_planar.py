@@ -14,6 +14,7 @@ from sms_jobs.formats.report.view import Sampler, View
 from sms_jobs.kinds import report
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
 from sms_jobs.records.fields import ImageMatches
+from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
 from sms_jobs.records.reasons import Reason
@@ -113,3 +114,21 @@ def test_a_report_of_a_camera_alone_wants_no_calibration() -> None:
     campaign = Campaign("coupon", Specimen("coupon"), "camera", states, ("C1",))
     sources = [need.source for need in report.KIND.needs(campaign, Subject("coupon"))]
     assert sorted(sources) == ["correlate-images", "measurement", "measurement", "strain-images"]
+
+
+def test_gauges_that_were_read_can_be_asked_for() -> None:
+    one = np.ones(1)
+    place = np.zeros((1, 3))
+    gauges = GaugeReadings(
+        "small", ("G1",), 1e-3 * one, 1e-5 * one.astype(np.float32), place, np.ones(1, np.int32)
+    )
+    view = planar_view(*records(), SAMPLER, gauges)
+    (found,) = (s for s in view.statistics if s.name == "G1")
+    assert found.value == pytest.approx(1000.0)
+    assert found.sigma == pytest.approx(10.0)
+    assert found.charted
+    states = tuple(LoadState(label) for label in ("00", "01"))
+    campaign = Campaign("coupon", Specimen("coupon"), "camera", states, ("C1",))
+    asked = report.ReportParameters(also=("gauges",))
+    needs = report.KIND.all_needs(campaign, Subject("coupon"), asked)
+    assert [str(need.subject) for need in needs if need.source == "gauges"] == ["coupon/01/C1"]
