@@ -219,8 +219,12 @@ class FaultCampaign:
             return session.scalar(query) or 0
 
     def settle(self) -> None:
-        """Wait until every job has ended."""
-        wait_until(lambda: self.left() == 0, timeout=_PATIENCE_S)
+        """Wait until every job has ended and every message has been sent."""
+        wait_until(lambda: self.left() == self._unsent() == 0, timeout=_PATIENCE_S)
+
+    def _unsent(self) -> int:
+        with self.catalogue.reading() as session:
+            return session.scalar(select(func.count()).select_from(OutboxRow)) or 0
 
     def _start(self) -> subprocess.Popen[bytes]:
         with (self.place.home.parent / f"up-{self.place.home.name}.log").open("ab") as log:
