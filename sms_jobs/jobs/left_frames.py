@@ -78,9 +78,9 @@ def remove(
         gone = removable(session, spool, now, older_than, kinds)
         for one in gone:
             one.path.replace(one.path.with_name(f"{_GONE}-{one.job_id}"))
-    # Also what is left of a removal that was killed.
+    # Also what is left of a removal that was killed; somebody else may be at it too.
     for path in spool.glob(f"{_GONE}-*"):
-        shutil.rmtree(path)
+        shutil.rmtree(path, ignore_errors=True)
     return gone
 
 
