@@ -61,7 +61,7 @@ def simulate(
         return
     if experiment not in EXPERIMENTS:
         raise InvalidInput(f"there is no experiment '{experiment}'; choose among {', '.join(EXPERIMENTS)}")
-    found = _made(experiment, name or experiment, "small" if small else "full")
+    found = experiment_campaigns(experiment, name or experiment, "small" if small else "full")
     with bootstrap.services(home) as services:
         for calibration, campaign in found:
             register_campaign(services.catalogue, services.archive, campaign, calibration, datetime.now(UTC))
@@ -83,7 +83,7 @@ def simulate(
         )
 
 
-def _made(experiment: str, name: str, size: Size) -> tuple[Made, ...]:
+def experiment_campaigns(experiment: str, name: str, size: Size) -> tuple[Made, ...]:
     """Return the campaigns of an experiment, each with its calibration."""
     # Other commands of this group load without the virtual rig.
     from sms_jobs.virtual_rig import campaigns as tests
