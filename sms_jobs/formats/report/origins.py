@@ -134,7 +134,9 @@ def commands(
         if not isinstance(dataset, Traceable) or dataset.provenance.subject.campaign != campaign:
             continue
         made = dataset.provenance
-        key = (made.kind, made.kind_version, json.dumps(dict(made.parameters), sort_keys=True))
+        # What was brought in has a folder and files for parameters, each of its own: it is told once.
+        settings = dict(made.parameters) if made.kind in defaults else {}
+        key = (made.kind, made.kind_version, json.dumps(settings, sort_keys=True))
         group = alike.setdefault(key, _Alike(made))
         group.files += 1
         for listed, name in ((group.states, made.subject.state), (group.pairs, made.subject.pair)):
