@@ -33,8 +33,8 @@ from sms_jobs.records.sensors import Calibration
 
 _INTRODUCTION = (
     "Grey in a map means that nothing could be measured there. Standard deviations are one sigma, without a "
-    "coverage factor. What a map tells under the pointer is the archive's value at a sampled pixel, rounded to "
-    "about an eighth of its standard deviation; the whole field is given by sms data export."
+    "coverage factor. What a map tells under the pointer is the archive's value at a sampled pixel, rounded "
+    "to about an eighth of its standard deviation; the whole field is given by sms data export."
 )
 
 
