@@ -7,13 +7,14 @@ the other. Each position is a campaign with states and pairs of the same names; 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.kinds.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.kind import (
     MEASUREMENT,
@@ -171,7 +172,7 @@ def _aligned(
     # A view from elsewhere bends straight lines of pixels, which a subset of first order would be biased by.
     settings = MatchSettings(parameters.subset_radius_px, shape_order=2)
     grid = GridSettings(minimum_score=parameters.minimum_score, maximum_sigma=parameters.maximum_sigma_px)
-    pose = overlapping(here[0], there[0], parameters.search_range_rotation_rad, threads)
+    pose = _start(here, there, parameters.search_range_rotation_rad, threads)
     for _ in range(_ROUNDS):
         each = [common_points(a, b, pose, settings, grid, threads) for a, b in zip(here, there, strict=True)]
         points = each[0]
@@ -180,6 +181,14 @@ def _aligned(
         found = align_views(points, pose)
         pose = found.pose
     return points, found
+
+
+def _start(here: list[View], there: list[View], range_rotation: float, threads: int) -> Pose:
+    """Return where the first camera that sees some of the overlap finds it."""
+    for a, b in zip(here[:-1], there[:-1], strict=True):
+        with suppress(MeasurementFailed):
+            return overlapping(a, b, range_rotation, threads)
+    return overlapping(here[-1], there[-1], range_rotation, threads)
 
 
 def _axis_of(inputs: Inputs, camera: str, campaign: str) -> Vector:

@@ -45,16 +45,17 @@ def exact_mesh(campaign: Campaign, label: str, step_px: int, threads: int = 1) -
     Raises
     ------
     InvalidInput
-        The campaign is not on the virtual rig, or has no such state.
+        The campaign is not on the virtual rig, has no projector, or has no such state.
     """
-    scene = campaign.scene
-    if scene is None:
+    scene, pairs = campaign.scene, campaign.shape_pairs
+    if scene is None or not pairs:
         raise InvalidInput(
-            f"campaign {campaign.name} is not on the virtual rig, so nobody knows its exact displacement"
+            f"campaign {campaign.name} is not measured in space on the virtual rig, so its exact displacement "
+            "is not known; see 'sms campaign simulate' for those that are"
         )
     state = campaign.state(label)
     surfaces, moved = [], []
-    for camera, projector in {split_pair(p)[0]: split_pair(p) for p in reversed(campaign.pairs)}.values():
+    for camera, projector in {split_pair(p)[0]: split_pair(p) for p in reversed(pairs)}.values():
         rest, end = (
             Simulation(scene, camera, projector, s.deformation, s.label) for s in (campaign.reference, state)
         )

@@ -172,5 +172,5 @@ def test_the_exact_mesh_is_that_of_the_deformation() -> None:
     assert mesh.triangles.max() == len(mesh.nodes) - 1
     # 150 mm in steps of four pixels of 1.4 mm.
     assert len(mesh.nodes) == pytest.approx((150.0 / 5.6) ** 2, rel=0.1)
-    with pytest.raises(InvalidInput, match="not on the virtual rig"):
+    with pytest.raises(InvalidInput, match="not measured in space on the virtual rig"):
         exact_mesh(replace(campaign, scene=None), "S01", 4)

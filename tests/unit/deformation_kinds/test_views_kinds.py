@@ -177,6 +177,24 @@ def test_the_views_differ_by_what_is_stated(views: tuple[Shelf, Shelf]) -> None:
     assert told["overlap_vertices_0_1"] > 1000
 
 
+def test_a_camera_that_sees_nothing_of_the_overlap_does_no_harm(views: tuple[Shelf, Shelf]) -> None:
+    # A second camera with its back to the overlap: the same frames, of which no pixel is trusted.
+    records = dict(views[0].records)
+    for name in ("left", "right"):
+        at_rest = Subject(name, "S00", PAIR)
+        for source in ("measurement", "reconstruct"):
+            records[source, Subject(name, "S00", "C0P1")] = records[source, at_rest]
+        blind = dict(records["reconstruct", at_rest])
+        blind["cloud"] = replace(blind["cloud"], reason=np.ones_like(blind["cloud"].reason))
+        records["reconstruct", Subject(name, "S00", "C0P1")] = blind
+    campaign = replace(views[0].campaign, pairs=("C0P1", PAIR))
+    both = replace(views[0], campaign=campaign, records=records)
+    both.run(align.KIND, Subject("left"), CHOSEN)
+    one, two = (shelf.records["align", Subject("left")]["view_1"] for shelf in (views[0], both))
+    assert one.points == two.points
+    np.testing.assert_array_equal(one.residual, two.residual)
+
+
 @contextmanager
 def refused(kind: type[Exception], words: str) -> Iterator[None]:
     with pytest.raises(kind, match=words):
