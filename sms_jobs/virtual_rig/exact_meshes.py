@@ -50,8 +50,8 @@ def exact_mesh(campaign: Campaign, label: str, step_px: int, threads: int = 1) -
     scene, pairs = campaign.scene, campaign.shape_pairs
     if scene is None or not pairs:
         raise InvalidInput(
-            f"campaign {campaign.name} is not measured in space on the virtual rig, so its exact displacement "
-            "is not known; see 'sms campaign simulate' for those that are"
+            f"campaign {campaign.name} is not measured in space on the virtual rig, so its exact "
+            "displacement is not known; see 'sms campaign simulate' for those that are"
         )
     state = campaign.state(label)
     surfaces, moved = [], []
