@@ -66,9 +66,13 @@ def create(
             {"campaign": campaign.name, "states": len(campaign.states), "pairs": campaign.pairs}
         )
         return
+    if campaign.scene is not None:
+        following = f"sms job submit simulate --campaign {campaign.name}"
+    else:
+        following = f"sms acquire run {campaign.name} --dry-run"
     output.say(
         f"campaign {campaign.name} has {len(campaign.states)} states and {len(campaign.pairs)} pairs; "
-        f"next: sms job submit simulate --campaign {campaign.name}"
+        f"next: {following}"
     )
 
 
