@@ -95,13 +95,17 @@ def _living(pid: int | None) -> psutil.Process | None:
     return None
 
 
+def _label(number: int) -> str:
+    return f"S{number:04d}"
+
+
 def prepare(place: Place, states: int) -> None:
     """Make a home with a campaign of so many states and one pair."""
     calibration, campaign = small_plate("plate")
     first, second = campaign.states
     assert second.time is not None
     later = (
-        replace(second, label=f"S{k:04d}", time=second.time + k * timedelta(minutes=1))
+        replace(second, label=_label(k), time=second.time + k * timedelta(minutes=1))
         for k in range(1, states)
     )
     campaign = replace(campaign, states=(first, *later), pairs=campaign.pairs[:1])
@@ -175,10 +179,11 @@ class FaultCampaign:
                     process.wait()
             self.catalogue.close()
 
-    def submit(self, *kinds: str) -> None:
-        """Submit jobs of some kinds about the whole campaign, to be computed whatever was before."""
+    def submit(self, *kinds: str, states: int = 0) -> None:
+        """Submit jobs of some kinds about so many states, or all, to be computed whatever was before."""
+        labels = tuple(_label(k) for k in range(1, states + 1))
         with self.catalogue.writing() as session:
-            requests = [Request(kind) for kind in kinds]
+            requests = [Request(kind, states=labels) for kind in kinds]
             done = submit(session, "plate", requests, datetime.now(UTC), use_cache=False)
         self.jobs += len(done.job_ids)
 
