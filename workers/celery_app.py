@@ -11,6 +11,7 @@ from kombu.exceptions import OperationalError
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.kinds.kind import Queue
 from sms_jobs.settings import Settings
+from sms_jobs.workers import file_transport
 
 RUN = "sms_jobs.run"
 """Name of the one task that there is."""
@@ -63,12 +64,11 @@ def _over_files(settings: Settings) -> dict[str, object]:
     for folder in (messages, control):
         folder.mkdir(parents=True, exist_ok=True)
     return {
-        "broker_url": "filesystem://localhost",
+        "broker_url": f"{file_transport.SCHEME}://localhost",
         "broker_transport_options": {
             "data_folder_in": str(messages),
             "data_folder_out": str(messages),
             "control_folder": str(control),
-            "store_processed": False,
             "polling_interval": 0.05,
         },
     }

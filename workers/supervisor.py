@@ -39,6 +39,8 @@ _TICK_S = 0.2
 _RECOVER_EVERY_S = 1.0
 _ANALYSE_EVERY_S = 3600.0
 _RESTART_AFTER_S = 2.0
+_ALONE_S = 120.0
+"""How long a worker may be without processes for jobs, as when it starts; after that it hangs."""
 _PATIENCE_WITH_JOBS_S = 600.0
 """How long a worker that is told to stop may finish what it runs."""
 
@@ -64,6 +66,7 @@ class Supervisor:
         self._host = socket.gethostname()
         self._app = make_app(self._settings, self._queues)
         self._process: subprocess.Popen[bytes] | None = None
+        self._company: Company | None = None
         self._stop_asked = 0
         self._idle = False
 
@@ -101,13 +104,27 @@ class Supervisor:
                 analyse_at = moment + _ANALYSE_EVERY_S
                 self._done(self._analyse)
             if moment >= recover_at:
-                duties = (self._fire_schedules, self._enforce, self._recover, self._look_whether_idle)
+                duties = (
+                    self._fire_schedules,
+                    self._enforce,
+                    self._recover,
+                    self._end_if_alone,
+                    self._look_whether_idle,
+                )
                 if sum(map(self._done, duties)) == len(duties):
                     recover_at = moment + _RECOVER_EVERY_S
                     if until_idle and self._idle:
                         return
             self._restart_if_dead()
             time.sleep(_TICK_S)
+
+    def _end_if_alone(self) -> None:
+        """End a worker that lives without processes for jobs: an error may leave it so, for ever."""
+        if self._process is None or self._company is None or self._process.poll() is not None:
+            return
+        if self._company.missed_s(time.monotonic()) > _ALONE_S:
+            logger.error("the worker has had no process for jobs for %.0f s; killing it", _ALONE_S)
+            self._process.kill()
 
     def _done(self, duty: Callable[[], None]) -> bool:
         """Do one duty; False when it could not be done, which keeps the supervisor from no other."""
@@ -201,6 +218,7 @@ class Supervisor:
                 stdin=subprocess.DEVNULL,
                 process_group=0,
             )
+        self._company = Company(self._process.pid, time.monotonic())
         logger.info("worker %s started as process %d", self.worker_id, self._process.pid)
 
     def _restart_if_dead(self) -> None:
@@ -237,6 +255,32 @@ class Supervisor:
 
     def _ask_to_stop(self, number: int, frame: FrameType | None) -> None:
         self._stop_asked += 1
+
+
+class Company:
+    """Tells how long a process has had no child.
+
+    Parameters
+    ----------
+    pid
+        Of the process.
+    now
+        Seconds of a monotonic clock.
+    """
+
+    def __init__(self, pid: int, now: float) -> None:
+        self._pid = pid
+        self._last = now
+
+    def missed_s(self, now: float) -> float:
+        """Look, and return the seconds since the process was last seen with a child."""
+        try:
+            children = psutil.Process(self._pid).children()
+        except psutil.NoSuchProcess:
+            children = []
+        if any(child.status() != psutil.STATUS_ZOMBIE for child in children):
+            self._last = now
+        return now - self._last
 
 
 def limits_of(settings: Settings) -> Limits:
