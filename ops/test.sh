@@ -26,6 +26,11 @@ step() {
     fi
 }
 
+# Compiles the kernels of some groups of benchmarks, which are all that take long to compile.
+compile_kernels() {
+    .venv/bin/python -c 'import sys; from sms_jobs.bench.groups import group_named as g; [g(n).warm_up() for n in sys.argv[1:]]' "$@"
+}
+
 # A bare Debian has a Python that cannot make virtual environments.
 if python="$(find_python)" && ! "$python" -c 'import venv, ensurepip' 2>/dev/null; then
     provide "the venv module of $python" python3-venv
@@ -39,9 +44,9 @@ set_up requirements-test.lock
 (provide_peers && provide_browser) & # while the checks run
 installing=$!
 if [ $# = 0 ]; then
-    # On one core while the checks take another; left to the tests, several would compile the same at once.
-    .venv/bin/python -c 'from sms_jobs.bench.groups import all_groups; [g.warm_up() for g in all_groups().values()]' &
-    kernels=$!
+    # While the checks run; left to the tests, several would compile the same at once. Ranging is half of it.
+    compile_kernels fdr & ranging=$!
+    compile_kernels phase dic displacement strain calibration & others=$!
     step "ruff check" .venv/bin/ruff check .
     step "ruff format" .venv/bin/ruff format --check .
     step "mypy" .venv/bin/mypy
@@ -52,10 +57,11 @@ start_servers
 say "== servers: $SMS_TEST_POSTGRESQL_URL and $SMS_TEST_REDIS_URL"
 export CI="${CI:-true}"
 if [ $# = 0 ]; then
-    step "kernels" wait $kernels
-    # As many processes as cores; a file's tests stay in one, since they share what is costly to make. In the
-    # order of the folders, so that those of the whole service, which take longest, are not left for the end.
-    set -- -n auto --dist loadfile --no-loadscope-reorder --durations=25
+    step "kernels" wait $ranging $others
+    # A process more than cores, since tests of the service wait a good part of their time. A file's tests stay
+    # in one, since they share what is costly to make. In the order of the folders, so that those of the whole
+    # service, which take longest, are not left for the end.
+    set -- -n "$(($(getconf _NPROCESSORS_ONLN) + 1))" --dist loadfile --no-loadscope-reorder --durations=25
 fi
 step "pytest" .venv/bin/python -m pytest "$@"
 if [ -n "$failed" ]; then

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
+import pytest
 from support.command import answer, kill_all, service, wait_until
 from support.deployments import Deployment
 from support.homes import make_home
@@ -61,6 +62,7 @@ def test_a_campaign_runs_to_its_report_and_again_by_reuse(deployment: Deployment
     assert files_on_disk(deployment) == files_in_catalogue(deployment)
 
 
+@pytest.mark.long  # every run of the tests kills more, over shorter jobs, in tests/faults
 def test_a_campaign_survives_the_killing_of_its_service(deployment: Deployment) -> None:
     make_home(deployment.home, deployment.environment)
     jobs = submit_all(deployment)

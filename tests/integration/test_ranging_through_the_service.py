@@ -14,6 +14,8 @@ from sms_jobs.records.fields import PhaseMaps, PointCloud, ReturnMaps
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 
+pytestmark = pytest.mark.long  # a minute of rendering and ranging; each step has tests of its own in memory
+
 PLAN = """
 name = "mirror"
 rig = "virtual"
