@@ -88,6 +88,7 @@ def test_a_folder_of_the_checkout_has_one_import_name(name: str) -> None:
     assert f"import sms_jobs.{name} instead" in done.stderr
 
 
+@pytest.mark.long  # a minute; what is in the wheel is looked at in every run
 def test_the_service_runs_from_the_wheel(installed: Path, tmp_path: Path) -> None:
     home = tmp_path / "home"
 

@@ -6,6 +6,7 @@ import os
 import signal
 
 from sqlalchemy import select
+import pytest
 from support.command import answer, service, sms, wait_until
 from support.deployments import Deployment
 from support.homes import make_home
@@ -16,6 +17,7 @@ from sms_jobs.jobs import inquiry
 from sms_jobs.records.job import JobState
 
 
+@pytest.mark.long  # it waits for three limits of time
 def test_a_frozen_job_is_cancelled_by_force_and_the_rest_runs_on(deployment: Deployment) -> None:
     # A frozen process hears neither the flag nor SIGTERM: it stands for native code that never returns.
     environment = deployment.environment | {"SMS_STOP_GRACE_S": "0.5", "SMS_WORKERS": "1"}

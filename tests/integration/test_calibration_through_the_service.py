@@ -16,6 +16,10 @@ from sms_jobs.records.campaign import Campaign, Specimen
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.virtual_rig.sessions import BEGIN, small_session
 
+pytestmark = (
+    pytest.mark.long
+)  # a minute of rendering and observing; every run's demo calibrates a rig through jobs
+
 USAGE, NOT_FOUND, CONFLICT, FINDINGS = 2, 3, 4, 6
 
 

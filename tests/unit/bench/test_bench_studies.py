@@ -37,6 +37,7 @@ def test_a_study_is_written_as_picture_and_numbers(home: Path) -> None:
     assert again.read_bytes() == picture.read_bytes()
 
 
+@pytest.mark.long  # 10 s
 def test_table_6_is_at_the_bounds() -> None:
     said: list[str] = []
     table = table_6.run(said.append).table

@@ -112,6 +112,7 @@ class PlainResiduals:
         return np.concatenate(found)
 
 
+@pytest.mark.long  # the solver takes 20 s
 def test_an_independent_solver_finds_the_same_optimum() -> None:
     wanted = Wanted(
         points=12,

@@ -161,6 +161,7 @@ def test_real_chessboards_in_stereo_start_as_well_as_published() -> None:
     assert rms(adjusted.residual_board) < 0.19
 
 
+@pytest.mark.long  # 20 s
 def test_simulated_dots_in_stereo_start_as_well_as_published() -> None:
     views = []
     for path in sorted(FOLDER.glob("dots_stereo/*.jpeg")):
