@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import signal
 
-from sqlalchemy import select
 import pytest
+from sqlalchemy import select
 from support.command import answer, service, sms, wait_until
 from support.deployments import Deployment
 from support.homes import make_home
