@@ -6,6 +6,7 @@
 #   stop_servers     ends what start_servers started and removes the folder
 #   provide_peers    installs what projectors and cameras are tried against
 #   provide_browser  installs a Chromium for the tests of reports
+#   do_without_browser  leaves these tests out where there is none and nobody insists
 #
 # A URL that is set beforehand is used as it is, and no server is started for it.
 
@@ -62,16 +63,25 @@ provide_peers() {
 }
 
 # The names are those of tests/support/browser.py; SMS_TEST_BROWSER names another, or 'none' to skip its tests.
-provide_browser() {
-    local name what="a Chromium (or set SMS_TEST_BROWSER to the path of one, or to none to leave its tests out)"
+find_browser() {
+    local name
     if [ -n "${SMS_TEST_BROWSER:-}" ]; then return; fi
     for name in chromium-headless-shell chromium chromium-browser google-chrome google-chrome-stable "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome"; do
         if command -v "$name" >/dev/null; then return; fi
     done
+    return 1
+}
+
+provide_browser() {
+    local what="a Chromium (or set SMS_TEST_BROWSER to the path of one, or to none to leave its tests out)"
+    if find_browser; then return; fi
     # The shell is the same browser without windows, and a third lighter; not every Debian has it.
-    if (provide "$what" chromium-headless-shell) || (provide "$what" chromium); then return; fi
-    # Ubuntu has it as a snap alone. Where nobody insists, the tests of reports in a browser are left out.
-    if [ "${CI:-}" != true ]; then
+    (provide "$what" chromium-headless-shell) || (provide "$what" chromium) || true
+}
+
+# Ubuntu has it as a snap alone. Where nobody insists, the tests of reports in a browser are left out.
+do_without_browser() {
+    if [ "${CI:-}" != true ] && ! find_browser; then
         say "no Chromium: the tests of reports in a browser are skipped"
         export SMS_TEST_BROWSER=none
     fi

@@ -53,6 +53,7 @@ if [ $# = 0 ]; then
     step "layers" .venv/bin/lint-imports
 fi
 wait $installing
+do_without_browser
 start_servers
 say "== servers: $SMS_TEST_POSTGRESQL_URL and $SMS_TEST_REDIS_URL"
 export CI="${CI:-true}"
