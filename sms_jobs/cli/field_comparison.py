@@ -17,7 +17,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.other_fields import PointField, draw_difference, read_point_field
 from sms_jobs.formats.planar_surfaces import planar_grid, planar_mesh
 from sms_jobs.records.fields import Mesh
@@ -63,10 +63,8 @@ def compare(
 
     Example: sms data compare 42 --with panel.vtu --field U --scale-mm 1000 --free-of-motion --out diff.png
     """
-    if out is not None and out.suffix not in (".csv", ".png"):
-        raise InvalidInput(f"'{out}' must end in .csv or .png")
-    if out is not None and out.exists() and not force:
-        raise Conflict(f"{out} exists; choose another name or add --force")
+    if out is not None:
+        output.check_written(out, (".csv", ".png"), force)
     how = How(field, scale_mm, align, free, within_mm)
     with bootstrap.services(home) as services:
         found = difference_of(services, file, other, how)

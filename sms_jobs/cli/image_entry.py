@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -10,10 +11,17 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.cli import output
 from sms_jobs.cli.import_outcomes import Outcome, row_of
 from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.formats.importers.folders import Listing
-from sms_jobs.formats.importers.frames import Arrangement
+from sms_jobs.formats.importers.folders import Listing, NamePattern
+from sms_jobs.formats.importers.frames import Arrangement, is_image
 from sms_jobs.formats.importers.image_files import RawFormat
-from sms_jobs.formats.importers.image_sets import ImageCamera, image_hash, image_measurement, of_one_size
+from sms_jobs.formats.importers.image_sets import (
+    ImageCamera,
+    arrange_images,
+    guess_image_pattern,
+    image_hash,
+    image_measurement,
+    of_one_size,
+)
 from sms_jobs.formats.importers.inspection import Inspected, full_scale_of, inspect, usual_noise
 from sms_jobs.jobs.importing import amend_campaign, import_measurement, known_of
 from sms_jobs.jobs.registration import register_campaign
@@ -32,6 +40,25 @@ class GivenCamera:
     def given(self) -> dict[str, float | None]:
         """Return what an image is read with besides its file."""
         return {"full_scale": self.full_scale, "gain": self.gain, "read_noise": self.read_noise}
+
+
+def arranged(
+    listing: Listing, pattern: str | None, camera: str | None, reference: str | None, named: Mapping[str, str]
+) -> tuple[str, Arrangement]:
+    """Return the pattern of the names, guessed where it is not given, and what each image is by it.
+
+    Raises `InvalidInput` for a folder without images, and for a pattern that fits none.
+    """
+    names = [name for name in listing.files if is_image(name)]
+    if not names:
+        raise InvalidInput(
+            f"{listing.folder} has no image among {len(listing.files)} files: give the folder of the images"
+        )
+    text = pattern or guess_image_pattern(names)
+    found = arrange_images(listing, NamePattern.parse(text, named), camera, reference, named)
+    if not found.tuples:
+        raise InvalidInput(f"no file of {listing.folder} fits the pattern '{text}': give another --pattern")
+    return text, found
 
 
 def inspect_images(listing: Listing, arrangement: Arrangement, camera: GivenCamera) -> list[Inspected]:

@@ -10,7 +10,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.cli import output
-from sms_jobs.cli.image_entry import EnteredImages, GivenCamera, inspect_images, make_campaign
+from sms_jobs.cli.image_entry import EnteredImages, GivenCamera, arranged, inspect_images, make_campaign
 from sms_jobs.cli.import_options import (
     AddStates,
     Cameras,
@@ -25,9 +25,9 @@ from sms_jobs.cli.import_outcomes import TOLD, confirm, existing_campaign, tell,
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.importers import boards as board_images
-from sms_jobs.formats.importers.folders import NamePattern, list_folder
-from sms_jobs.formats.importers.frames import Arrangement, is_image
-from sms_jobs.formats.importers.image_sets import arrange_images, guess_image_pattern, named_cameras
+from sms_jobs.formats.importers.folders import list_folder
+from sms_jobs.formats.importers.frames import Arrangement
+from sms_jobs.formats.importers.image_sets import named_cameras
 from sms_jobs.records.artefacts import Artefact
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Box, SensorFormat
@@ -84,15 +84,7 @@ def boards(
     named = named_cameras(cameras)
     described = _described(board, chessboard, pitch_mm)
     box = None if volume is None else _box(volume)
-    names = [name for name in listing.files if is_image(name)]
-    if not names:
-        raise InvalidInput(
-            f"{folder} has no image among {len(listing.files)} files: give the folder of the images"
-        )
-    text = pattern or guess_image_pattern(names)
-    arrangement = arrange_images(listing, NamePattern.parse(text, named), camera, None, named)
-    if not arrangement.tuples:
-        raise InvalidInput(f"no file of {folder} fits the pattern '{text}': give another --pattern")
+    text, arrangement = arranged(listing, pattern, camera, None, named)
     with bootstrap.services(home) as services:
         existing = existing_campaign(services, campaign)
         _check(existing, campaign, rig, described, arrangement, add_states)

@@ -9,7 +9,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.cli import output
-from sms_jobs.cli.image_entry import EnteredImages, GivenCamera, inspect_images, make_campaign
+from sms_jobs.cli.image_entry import EnteredImages, GivenCamera, arranged, inspect_images, make_campaign
 from sms_jobs.cli.import_options import (
     AddStates,
     Cameras,
@@ -28,10 +28,10 @@ from sms_jobs.cli.import_options import (
 from sms_jobs.cli.import_outcomes import TOLD, confirm, existing_campaign, tell, time_given
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.importers.folders import NamePattern, list_folder
-from sms_jobs.formats.importers.frames import Arrangement, is_image
+from sms_jobs.formats.importers.folders import list_folder
+from sms_jobs.formats.importers.frames import Arrangement
 from sms_jobs.formats.importers.image_files import RawFormat
-from sms_jobs.formats.importers.image_sets import arrange_images, guess_image_pattern, named_cameras
+from sms_jobs.formats.importers.image_sets import named_cameras
 from sms_jobs.jobs.importing import with_states
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 
@@ -74,15 +74,7 @@ def images(
     at = time_given(recorded_at)
     settings = GivenCamera(None if raw is None else RawFormat.parse(raw), full_scale, gain, read_noise)
     named = named_cameras(cameras)
-    names = [name for name in listing.files if is_image(name)]
-    if not names:
-        raise InvalidInput(
-            f"{folder} has no image among {len(listing.files)} files: give the folder of the images"
-        )
-    text = pattern or guess_image_pattern(names)
-    arrangement = arrange_images(listing, NamePattern.parse(text, named), camera, reference, named)
-    if not arrangement.tuples:
-        raise InvalidInput(f"no file of {folder} fits the pattern '{text}': give another --pattern")
+    text, arrangement = arranged(listing, pattern, camera, reference, named)
     with bootstrap.services(home) as services:
         existing = existing_campaign(services, campaign)
         wanted = _wanted(existing, campaign, rig, specimen, arrangement, add_states)

@@ -26,6 +26,8 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from sms_jobs.errors import Conflict, InvalidInput
+
 SCHEMA = 1
 """Version of every JSON object that is printed."""
 
@@ -69,6 +71,14 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, empty:
         answer.print(table)
     else:
         say(empty)
+
+
+def check_written(out: Path, endings: tuple[str, str], force: bool) -> None:
+    """Refuse a file to write that ends otherwise, or is there and may not be replaced."""
+    if out.suffix not in endings:
+        raise InvalidInput(f"'{out}' must end in {' or '.join(endings)}")
+    if out.exists() and not force:
+        raise Conflict(f"{out} exists; choose another name or add --force")
 
 
 def print_facts(facts: dict[str, Any]) -> None:

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from sms_jobs.cli import output
-from sms_jobs.errors import Conflict, InvalidInput
 
 app = typer.Typer(help="Speckle patterns for specimens.", no_args_is_help=True)
 
@@ -39,10 +38,7 @@ def print_(
     """
     from sms_jobs.formats.printed_speckle import Sheet, as_pdf, as_png
 
-    if out.suffix not in (".pdf", ".png"):
-        raise InvalidInput(f"'{out}' must end in .pdf or .png")
-    if out.exists() and not force:
-        raise Conflict(f"{out} exists; choose another name or add --force")
+    output.check_written(out, (".pdf", ".png"), force)
     sheet = Sheet(width_mm, height_mm, speckle_mm, dpi, seed, mirrored)
     out.write_bytes(as_pdf(sheet) if out.suffix == ".pdf" else as_png(sheet))
     output.say(f"wrote {out}: {width_mm:g} mm x {height_mm:g} mm at {dpi} dpi")

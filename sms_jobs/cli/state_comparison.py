@@ -15,7 +15,7 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.cli import output
 from sms_jobs.cli.field_comparison import How, difference_of
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import Conflict, InvalidInput, NotFound
+from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats.state_differences import StateDifference, draw_states, written_table
 from sms_jobs.records.campaign import LoadState, Subject
 
@@ -58,10 +58,8 @@ def compare_states(
 
     Example: sms data compare-states hat --with 'model/{state}.vtu' --free-of-motion --out states.png
     """
-    if out is not None and out.suffix not in (".csv", ".png"):
-        raise InvalidInput(f"'{out}' must end in .csv or .png")
-    if out is not None and out.exists() and not force:
-        raise Conflict(f"{out} exists; choose another name or add --force")
+    if out is not None:
+        output.check_written(out, (".csv", ".png"), force)
     if kind not in ("merge", "combine"):
         raise InvalidInput(f"--kind cannot be '{kind}'; choose merge or combine")
     how = How(field, scale_mm, align, free, within_mm)

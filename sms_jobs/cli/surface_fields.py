@@ -17,7 +17,7 @@ from sms_jobs.catalogue import campaigns, search
 from sms_jobs.catalogue.search import Ancestor, FileView
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import Conflict, InvalidInput, NotFound
+from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.fields import PointCloud
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
@@ -249,9 +249,6 @@ def _point(text: str, option: str) -> tuple[float, float]:
 
 
 def _write(out: Path, force: bool, table: str, picture: Any) -> None:
-    if out.suffix not in (".csv", ".png"):
-        raise InvalidInput(f"'{out}' must end in .csv or .png")
-    if out.exists() and not force:
-        raise Conflict(f"{out} exists; choose another name or add --force")
+    output.check_written(out, (".csv", ".png"), force)
     out.write_bytes(table.encode() if out.suffix == ".csv" else picture())
     output.say(f"wrote {out}")
