@@ -157,7 +157,11 @@ def _rows_above(session: Session, campaigns: int, calibrations: int) -> None:
     for key in range(1, campaigns + 1):
         at = BEGUN + timedelta(hours=key)
         name = f"c{key - 1:05d}"
-        session.add(CampaignRow(id=key, name=name, specimen_id=1, rig_id=1, created_at=at, definition={}))
+        session.add(
+            CampaignRow(
+                id=key, name=name, specimen_id=1, rig_id=1, created_at=at, definition={}, definition_hash=""
+            )
+        )
 
 
 def _at(n: ColumnElement[int], each: int) -> ColumnElement[Any]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Collection
 from datetime import datetime
 from typing import Any
 
@@ -24,8 +27,8 @@ from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.sensors import Calibration
 
 _DEFINITION = TypeAdapter(Campaign)
-# Every job asks this: making the statement takes longer than running it.
 _BY_NAME = select(CampaignRow).where(CampaignRow.name == bindparam("name"))
+KEPT_DEFINITIONS = 16
 
 
 def add_campaign(session: Session, campaign: Campaign, now: datetime, plan: str | None = None) -> None:
@@ -47,14 +50,8 @@ def add_campaign(session: Session, campaign: Campaign, now: datetime, plan: str 
         session.add(specimen)
     rig = _rig(session, campaign.rig)
     session.flush()
-    row = CampaignRow(
-        name=campaign.name,
-        specimen_id=specimen.id,
-        rig_id=rig.id,
-        created_at=now,
-        definition=as_json(campaign),
-        plan=plan,
-    )
+    row = CampaignRow(name=campaign.name, specimen_id=specimen.id, rig_id=rig.id, created_at=now, plan=plan)
+    define(row, campaign)
     session.add(row)
     session.flush()
     for position, state in enumerate(campaign.states):
@@ -101,18 +98,45 @@ def definition(row: CampaignRow) -> Campaign:
     return _DEFINITION.validate_python(row.definition)
 
 
+def define(row: CampaignRow, campaign: Campaign) -> None:
+    """Give a row its definition, or another one."""
+    row.definition = as_json(campaign)
+    canonical = json.dumps(row.definition, sort_keys=True, separators=(",", ":"))
+    row.definition_hash = hashlib.sha256(canonical.encode()).hexdigest()
+
+
+class Definitions:
+    """The campaigns that jobs were about lately, read and parsed once.
+
+    With hundreds of states that takes longer than all else that the service does for a job.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[str, Campaign] = {}
+
+    def get(self, session: Session, campaign_id: int, known_by: str) -> Campaign:
+        """Return the definition of a campaign that has that hash; where it has another one by now, that."""
+        if known_by in self._known:
+            return self._known[known_by]
+        row = session.get_one(CampaignRow, campaign_id)
+        campaign = self._known[row.definition_hash] = definition(row)
+        if len(self._known) > KEPT_DEFINITIONS:
+            del self._known[next(iter(self._known))]
+        return campaign
+
+
 def as_json(campaign: Campaign) -> dict[str, Any]:
     """Return what a row keeps of a campaign."""
     kept: dict[str, Any] = _DEFINITION.dump_python(campaign, mode="json")
     return kept
 
 
-def state_ids(session: Session, campaign_id: int) -> dict[str, int]:
-    """Return the ids of a campaign's states by label."""
-    rows = session.execute(
-        select(LoadStateRow.label, LoadStateRow.id).where(LoadStateRow.campaign_id == campaign_id)
-    )
-    return dict(rows.all())
+def state_ids(session: Session, campaign_id: int, labels: Collection[str] | None = None) -> dict[str, int]:
+    """Return the ids of a campaign's states, or of some of them, by label."""
+    query = select(LoadStateRow.label, LoadStateRow.id).where(LoadStateRow.campaign_id == campaign_id)
+    if labels is not None:
+        query = query.where(LoadStateRow.label.in_(labels))
+    return dict(session.execute(query).all())
 
 
 def add_calibration(session: Session, calibration: Calibration, file_id: int) -> int:

@@ -118,6 +118,7 @@ class CampaignRow(Table):
     rig_id: Mapped[int] = mapped_column(ForeignKey("rig.id"), index=True)
     created_at: Mapped[datetime]
     definition: Mapped[dict[str, Any]]
+    definition_hash: Mapped[str] = mapped_column(String(64))
     plan: Mapped[str | None] = mapped_column(Text)
     """The file that it was made from, letter by letter; None where it was made by a program."""
 

@@ -333,7 +333,7 @@ def continues(before: Campaign, after: Campaign) -> bool:
 
 def bring_up_to_date(session: Session, row: CampaignRow, after: Campaign) -> None:
     """Give a campaign of the catalogue the definition that continues its own."""
-    row.definition = campaigns.as_json(after)
+    campaigns.define(row, after)
     rows = {
         r.label: r for r in session.scalars(select(LoadStateRow).where(LoadStateRow.campaign_id == row.id))
     }

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from math import isfinite
-from typing import Any
+from typing import Any, cast
 
-from sqlalchemy import bindparam, select, update
+from sqlalchemy import Row, Table, bindparam, select, update
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Sealed
@@ -29,8 +29,9 @@ from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Kind, Output
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import Measurement
 
-# Every job asks this: making the statement takes longer than running it.
-_INPUTS = select(DependencyRow).where(DependencyRow.job_id == bindparam("job")).order_by(DependencyRow.role)
+# Every job asks this: making the statement takes longer than running it, and so does loading rows as objects.
+_EDGE = cast(Table, DependencyRow.__table__)
+_INPUTS = select(_EDGE).where(_EDGE.c.job_id == bindparam("job")).order_by(_EDGE.c.role)
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,8 @@ def resolve_inputs(session: Session, job_id: str) -> tuple[ResolvedInput, ...]:
         A producer has succeeded, but the catalogue knows no such file of it.
     """
     found = []
-    edges = session.scalars(_INPUTS, {"job": job_id}).all()
+    session.flush()
+    edges = session.execute(_INPUTS, {"job": job_id}).all()
     for edge in edges:
         file_id = edge.file_id or _produced(session, edge)
         file = session.get(FileRow, file_id) if file_id else None
@@ -90,7 +92,7 @@ def resolve_inputs(session: Session, job_id: str) -> tuple[ResolvedInput, ...]:
     return tuple(found)
 
 
-def _produced(session: Session, edge: DependencyRow) -> int | None:
+def _produced(session: Session, edge: Row[Any]) -> int | None:
     producer = session.get_one(JobRow, edge.producer_id)
     subject = Subject.parse(edge.subject)
     query = select(FileRow.id).where(
@@ -112,8 +114,8 @@ def add_outputs(
     session: Session, held: Claim, kind: Kind[Any], outputs: Sequence[SealedOutput], now: datetime
 ) -> None:
     """Index the sealed outputs of a job, with their statistics and where they come from."""
-    campaign = campaigns.campaign_row(session, held.subject.campaign)
-    states = campaigns.state_ids(session, campaign.id)
+    labels = {o.subject.state for o in outputs if o.subject.state is not None}
+    states = campaigns.state_ids(session, held.campaign_id, labels)
     for output in outputs:
         state_id = None if output.subject.state is None else states[output.subject.state]
         file = FileRow(
@@ -123,7 +125,7 @@ def add_outputs(
             size_bytes=output.file.size_bytes,
             media_type=output.file.media_type,
             created_at=now,
-            campaign_id=campaign.id,
+            campaign_id=held.campaign_id,
             state_id=state_id,
             pair=output.subject.pair,
             job_id=held.job_id,

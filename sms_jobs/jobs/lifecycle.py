@@ -18,6 +18,7 @@ from sqlalchemy.orm.util import identity_key
 from sqlalchemy.sql.dml import ReturningUpdate
 
 from sms_jobs.catalogue.models import (
+    CampaignRow,
     DependencyRow,
     EventRow,
     JobDeviceRow,
@@ -45,11 +46,23 @@ _UNCLAIM = (
 
 @dataclass(frozen=True)
 class Claim:
-    """A worker's right to run a job, for as long as `fence` is the newest."""
+    """A worker's right to run a job, for as long as `fence` is the newest.
+
+    Attributes
+    ----------
+    job_id, kind, subject, parameters, repeatable, use_cache
+        As they were submitted.
+    fence, attempt
+        Of this claim; others of the same job have others.
+    campaign_id, definition_hash
+        Of its campaign, at that moment.
+    """
 
     job_id: str
     fence: int
     attempt: int
+    campaign_id: int
+    definition_hash: str
     kind: str
     subject: Subject
     parameters: dict[str, Any]
@@ -132,6 +145,8 @@ def claim(
             row.id,
             row.fence,
             row.attempts,
+            row.campaign_id,
+            row.definition_hash,
             row.kind,
             Subject.parse(row.subject),
             row.parameters,
@@ -176,6 +191,11 @@ def _claiming() -> ReturningUpdate[Any]:
             _JOB.c.id,
             _JOB.c.fence,
             _JOB.c.attempts,
+            _JOB.c.campaign_id,
+            select(CampaignRow.definition_hash)
+            .where(CampaignRow.id == _JOB.c.campaign_id)
+            .scalar_subquery()
+            .label("definition_hash"),
             _JOB.c.kind,
             _JOB.c.subject,
             _JOB.c.parameters,
@@ -249,9 +269,9 @@ def queue_ready_dependents(session: Session, producer_id: str, now: datetime) ->
 def _waiting_for() -> Select[str]:
     needing = select(DependencyRow.job_id).where(DependencyRow.producer_id == bindparam("producer"))
     return (
-        select(JobRow.id)
-        .where(JobRow.id.in_(needing), JobRow.state == JobState.WAITING)
-        .order_by(JobRow.id)
+        select(_JOB.c.id)
+        .where(_JOB.c.id.in_(needing), _JOB.c.state == JobState.WAITING)
+        .order_by(_JOB.c.id)
         .with_for_update()
     )
 

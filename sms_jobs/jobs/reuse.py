@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from pydantic import TypeAdapter
-from sqlalchemy import bindparam, select
+from sqlalchemy import Table, bindparam, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import FileRow, JobRow
@@ -17,25 +17,28 @@ from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import JobState
 
 _ANYTHING = TypeAdapter(Any)
-# Every job asks these: making the statements takes longer than running them.
+# Every job asks these: making the statements takes longer than running them, and so does what loads rows as
+# objects.
+_JOB = cast(Table, JobRow.__table__)
+_FILE = cast(Table, FileRow.__table__)
 _NEWEST = (
-    select(JobRow.id)
+    select(_JOB.c.id)
     .where(
-        JobRow.reuse_key == bindparam("key"),
-        JobRow.state == JobState.SUCCEEDED,
-        JobRow.reused_from.is_(None),
-        JobRow.repeatable,
+        _JOB.c.reuse_key == bindparam("key"),
+        _JOB.c.state == JobState.SUCCEEDED,
+        _JOB.c.reused_from.is_(None),
+        _JOB.c.repeatable,
     )
-    .order_by(JobRow.finished_at.desc())
+    .order_by(_JOB.c.finished_at.desc())
     .limit(1)
 )
-_PATHS = (
-    select(FileRow.path)
-    .where(FileRow.job_id == bindparam("job"))
-    .order_by(FileRow.id)
+_FILES = (
+    select(_FILE.c.job_id, _FILE.c.path)
+    .where(_FILE.c.job_id == _NEWEST.scalar_subquery())
+    .order_by(_FILE.c.id)
     .with_for_update(read=True, key_share=True)
 )
-_KEY = select(JobRow.reuse_key).where(JobRow.id == bindparam("job"))
+_KEY = select(_JOB.c.reuse_key).where(_JOB.c.id == bindparam("job"))
 
 
 def reuse_key(
@@ -74,10 +77,11 @@ def reuse_key(
 
 def earlier_success(session: Session, key: str) -> tuple[str, tuple[str, ...]] | None:
     """Return (job id, paths of its files) of the newest job that computed the same, if there is one."""
-    job_id = session.scalar(_NEWEST, {"key": key})
-    if job_id is None:
-        return None
     # Locked, so that no policy lets them go before this is committed. One that did so meanwhile is seen by
     # the key, which is gone with the first of them.
-    paths = tuple(session.scalars(_PATHS, {"job": job_id}))
-    return (job_id, paths) if session.scalar(_KEY, {"job": job_id}) == key else None
+    files = session.execute(_FILES, {"key": key}).all()
+    if not files:
+        return None
+    job_id = files[0].job_id
+    still = session.execute(_KEY, {"job": job_id}).scalar() == key
+    return (job_id, tuple(file.path for file in files)) if still else None

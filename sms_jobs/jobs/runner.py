@@ -14,7 +14,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from math import isfinite
 from pathlib import Path
@@ -24,7 +24,7 @@ from sqlalchemy.orm import Session
 
 import sms_jobs
 from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.campaigns import Definitions
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import (
     Cancelled,
@@ -85,6 +85,7 @@ class Runner:
     stations: Stations
     now: Callable[[], datetime]
     least_room_mb: float
+    _definitions: Definitions = field(default_factory=Definitions, init=False, repr=False)
 
     def run_next(self, queues: Sequence[str]) -> str | None:
         """Run the first job of some queues to its end; return its id, or None when there was none.
@@ -162,7 +163,7 @@ class Runner:
                 self.archive.discard(output.file.path)
 
     def _load(self, session: Session, kind: Kind[Any], held: Claim) -> _Task:
-        definition = campaigns.definition(campaigns.campaign_row(session, held.subject.campaign))
+        definition = self._definitions.get(session, held.campaign_id, held.definition_hash)
         inputs = indexing.resolve_inputs(session, held.job_id)
         station = self.stations.station(definition.rig, held.job_id) if kind.with_instruments else None
         context = kind.context(definition, held.subject)

@@ -11,7 +11,7 @@ from support.jobs import submit_pipeline
 
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow, OutboxRow, SavedQueryRow
+from sms_jobs.catalogue.models import CampaignRow, JobRow, OutboxRow, SavedQueryRow
 from sms_jobs.errors import FormatTooNew
 
 
@@ -38,6 +38,8 @@ def test_upgrading_again_changes_nothing(catalogue: Catalogue) -> None:
 
 def test_a_catalogue_in_use_is_taken_back_and_forth(catalogue: Catalogue) -> None:
     jobs = submit_pipeline(catalogue)
+    with catalogue.reading() as session:
+        known_by = session.scalars(select(CampaignRow.definition_hash)).all()
     with catalogue.writing() as session:
         configuration = schema.configuration()
         configuration.attributes["connection"] = session.connection()
@@ -48,6 +50,7 @@ def test_a_catalogue_in_use_is_taken_back_and_forth(catalogue: Catalogue) -> Non
     with catalogue.reading() as session:
         assert set(session.scalars(select(JobRow.id))) == set(jobs)
         assert session.scalars(select(OutboxRow.queue).distinct()).all() == ["acquisition"]
+        assert session.scalars(select(CampaignRow.definition_hash)).all() == known_by != []
 
 
 def test_a_newer_catalogue_is_refused_with_both_revisions_named(catalogue: Catalogue) -> None:
