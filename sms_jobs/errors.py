@@ -77,6 +77,10 @@ class ServerUnreachable(SmsError):
     retryable = True
 
 
+class CommitInDoubt(ServerUnreachable):
+    """A database went away while it committed: nobody knows whether it did."""
+
+
 class StorageFull(SmsError):
     """The disk that holds the archive or the catalogue has no room left."""
 

@@ -37,6 +37,7 @@ def _runner() -> Runner:
     return Runner(
         catalogue=Catalogue(_settings.catalogue_url),
         archive=Archive(_settings.archive_root),
+        queues=_queues,
         worker_id=os.environ[WORKER_ID],
         host=socket.gethostname(),
         lease=timedelta(seconds=_settings.lease_s),
@@ -52,8 +53,7 @@ def _runner() -> Runner:
 def run(job_id: str) -> None:
     """Run queued jobs until there are none; `job_id` only says that there is at least one."""
     try:
-        while _runner().run_next(_queues) is not None:
-            pass
+        _runner().run_queued()
     except BaseException:
         # The catalogue could not be told how a job ended, or whether it began. A process that lives on would
         # keep the job's lease for ever; one that is gone tells the supervisor to run the job again.

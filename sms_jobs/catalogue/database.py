@@ -20,7 +20,7 @@ from sqlalchemy.exc import (
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
 
-from sms_jobs.errors import ConfigurationError, ServerUnreachable, StorageFull
+from sms_jobs.errors import CommitInDoubt, ConfigurationError, ServerUnreachable, StorageFull
 
 _WRITING = "sms_writing"
 _RETURNED = "sms_returned_at"
@@ -69,13 +69,23 @@ class Catalogue:
 
         On SQLite the write lock is taken at once, so that nothing read inside can be changed by another
         process before it is written back.
+
+        Raises
+        ------
+        CommitInDoubt
+            The server went away while it committed.
         """
-        with (
-            self._explained(),
-            Session(self._writing, expire_on_commit=False) as session,
-            session.begin(),
-        ):
+        with self._explained(), Session(self._writing, expire_on_commit=False) as session:
             yield session
+            try:
+                session.commit()
+            except DBAPIError as error:
+                if not error.connection_invalidated:
+                    raise
+                raise CommitInDoubt(
+                    f"the connection to the catalogue {self.describe()} broke while something was being "
+                    "written, which may be there or not; run 'sms doctor'"
+                ) from error
 
     def close(self) -> None:
         """Close all connections."""

@@ -35,8 +35,8 @@ from sms_jobs.records.job import UNSUCCESSFUL, JobState, origins
 
 # Statements that every job passes through are made once: that takes longer than running them.
 _JOB = cast(Table, JobRow.__table__)
-_EVENT = insert(cast(Table, EventRow.__table__))
-_OUTBOX = insert(cast(Table, OutboxRow.__table__))
+_EVENT = insert(cast(Table, EventRow.__table__)).inline()
+_OUTBOX = insert(cast(Table, OutboxRow.__table__)).inline()
 _UNCLAIM = (
     update(_JOB)
     .where(_JOB.c.id == bindparam("job"))

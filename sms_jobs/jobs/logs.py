@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+_FORMAT = logging.Formatter("%(asctime)s %(levelname)s %(message)s")
+
 
 def job_log(log_folder: Path, job_id: str) -> Path:
     """Return where a job's log lies."""
@@ -19,7 +21,7 @@ def logged(log_folder: Path, job_id: str) -> Iterator[None]:
     path = job_log(log_folder, job_id)
     path.parent.mkdir(parents=True, exist_ok=True)
     handler = logging.FileHandler(path, encoding="utf-8", delay=True)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    handler.setFormatter(_FORMAT)
     logger = logging.getLogger("sms_jobs")
     logger.addHandler(handler)
     try:

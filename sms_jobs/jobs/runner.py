@@ -28,6 +28,7 @@ from sms_jobs.catalogue.campaigns import Definitions
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import (
     Cancelled,
+    CommitInDoubt,
     InstrumentError,
     LeaseLost,
     OverLimit,
@@ -59,6 +60,8 @@ class Runner:
     ----------
     catalogue, archive
         Where jobs come from and outputs go.
+    queues
+        Whose jobs it takes.
     worker_id, host
         Of the supervisor that looks after this process.
     lease
@@ -77,6 +80,7 @@ class Runner:
 
     catalogue: Catalogue
     archive: Archive
+    queues: Sequence[str]
     worker_id: str
     host: str
     lease: timedelta
@@ -87,29 +91,42 @@ class Runner:
     least_room_mb: float
     _definitions: Definitions = field(default_factory=Definitions, init=False, repr=False)
 
-    def run_next(self, queues: Sequence[str]) -> str | None:
-        """Run the first job of some queues to its end; return its id, or None when there was none.
+    def run_queued(self) -> None:
+        """Run queued jobs, the first of them first, until there are none.
 
-        With too little room for a job, none is begun and all queues are held back.
+        The transaction that ends a job claims the next: a commit is a good part of what a job costs. With
+        too little room for a job, none is begun and all queues are held back.
+
+        Raises
+        ------
+        CommitInDoubt
+            A job may or may not have ended, and the next have been claimed: the process must end, so that
+            its supervisor sees what became of them.
         """
+        held = self._claimed()
+        while held is not None:
+            with logged(self.log_folder, held.job_id):
+                logger.info("job %s: %s %s, attempt %d", held.job_id, held.kind, held.subject, held.attempt)
+                held = self._run_to_end(held)
+
+    def _claimed(self) -> Claim | None:
+        with self.catalogue.writing() as session:
+            return self._claim(session)
+
+    def _claim(self, session: Session) -> Claim | None:
         try:
             require_room(self.archive.root, self.least_room_mb)
         except StorageFull as error:
-            with self.catalogue.writing() as session:
-                self._hold_queues_back(session, error)
+            self._hold_queues_back(session, error)
             return None
-        with self.catalogue.writing() as session:
-            held = lifecycle.claim(session, queues, self.worker_id, os.getpid(), self.now(), self.lease)
-        if held is None:
-            return None
-        with logged(self.log_folder, held.job_id):
-            logger.info("job %s: %s %s, attempt %d", held.job_id, held.kind, held.subject, held.attempt)
-            self._run_to_end(held)
-        return held.job_id
+        return lifecycle.claim(session, self.queues, self.worker_id, os.getpid(), self.now(), self.lease)
 
-    def _run_to_end(self, held: Claim) -> None:
+    def _run_to_end(self, held: Claim) -> Claim | None:
+        """Run a job, tell how it ended, and return the next one."""
         try:
-            self._run(held)
+            return self._run(held)
+        except CommitInDoubt:
+            raise
         except LeaseLost as error:
             logger.warning("job %s: %s", held.job_id, error)
         except OverLimit as error:
@@ -120,8 +137,9 @@ class Runner:
             self._fail(held, _as_ours(error))
         except Exception as error:  # noqa: BLE001 - a kind may raise anything; the job's row must tell it
             self._fail(held, error)
+        return self._claimed()
 
-    def _run(self, held: Claim) -> None:
+    def _run(self, held: Claim) -> Claim | None:
         kind = kind_named(held.kind)
         # Looked up and, if there is one, reused in one transaction: with most of what such a job costs.
         with self.catalogue.writing() as session:
@@ -129,9 +147,10 @@ class Runner:
             hashes = {i.role: i.content_hash for i in task.inputs}
             key = reuse.reuse_key(kind, held.subject, held.parameters, task.context, hashes)
             earlier = self._reuse(session, held, key) if held.use_cache and held.repeatable else None
+            following = None if earlier is None else self._claim(session)
         if earlier is not None:
             logger.info("job %s: reused from %s", held.job_id, earlier)
-            return
+            return following
         if held.attempt > 1 and (held.repeatable or kind.with_instruments):
             self._clear_leftovers(held)
         started = time.monotonic()
@@ -141,19 +160,28 @@ class Runner:
         except BaseException:
             self._discard(held, kind, sealed)
             raise
-        # From here on an exception may leave the commit in doubt: the files stay, and the next attempt
-        # clears away those that were not indexed.
+        took = f"took {time.monotonic() - started:.1f} s"
+        return self._succeed(held, kind, sealed, key, took)
+
+    def _succeed(
+        self, held: Claim, kind: Kind[Any], sealed: Sequence[SealedOutput], key: str, message: str
+    ) -> Claim | None:
+        """End a job well, enter what it made into the catalogue, and return the next job."""
+        # Where this fails, the files stay: nobody may know whether it was committed. The next attempt clears
+        # away those that were not indexed.
         with self.catalogue.writing() as session:
-            took = f"took {time.monotonic() - started:.1f} s"
-            done = lifecycle.succeed(session, held, self.now(), took, reuse_key=key)
+            done = lifecycle.succeed(session, held, self.now(), message, reuse_key=key)
             if done:
                 indexing.add_outputs(session, held, kind, sealed, self.now())
+            following = self._claim(session) if done else None
         if not done:
             self._discard(held, kind, sealed)
             raise LeaseLost("a newer attempt has begun; what this one made is discarded")
+        # Nothing may fail any more: the following job is this process's already.
         if kind.with_instruments:
             self.stations.empty(held.job_id)
         logger.info("job %s: done, %d files", held.job_id, len(sealed))
+        return following
 
     def _discard(self, held: Claim, kind: Kind[Any], sealed: Sequence[SealedOutput]) -> None:
         # What was measured and cannot be measured again is kept for the operator; with instruments, the

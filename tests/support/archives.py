@@ -65,24 +65,26 @@ def run_jobs(
     """Submit jobs and run them in this process."""
     with catalogue.writing() as session:
         done = submit(session, campaign, list(requests), clock())
+    runner(catalogue, archive, clock).run_queued()
+    return done.job_ids
+
+
+def runner(catalogue: Catalogue, archive: Archive, clock: Clock) -> Runner:
+    """Return what runs jobs in this process, as worker `w1`."""
     home = archive.root.parent
-    stations = Stations(home / "rigs", home / "spool")
-    runner = Runner(
+    return Runner(
         catalogue,
         archive,
+        ["cpu", "io", "acquisition"],
         "w1",
         "here",
         timedelta(hours=1),
         1,
         home / "logs",
-        stations,
+        Stations(home / "rigs", home / "spool"),
         clock,
         least_room_mb=0.0,
     )
-    (home / "logs").mkdir(exist_ok=True)
-    while runner.run_next(["cpu", "io", "acquisition"]):
-        pass
-    return done.job_ids
 
 
 def emptied(catalogue: Catalogue) -> None:
