@@ -1,16 +1,25 @@
-"""Homes with a campaign in them."""
+"""Homes with a campaign in them, and results that no job has made."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from sms_jobs import bootstrap
+from sms_jobs.archive import Provenance
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.models import FileRow
 from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.records.campaign import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
+
+WHEN = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
+"""When the first stored result was made."""
 
 
 def make_home(home: Path, environment: Mapping[str, str], campaign: str = "plate") -> None:
@@ -22,3 +31,36 @@ def make_home(home: Path, environment: Mapping[str, str], campaign: str = "plate
         with bootstrap.services(home) as services:
             calibration, record = small_plate(campaign)
             register_campaign(services.catalogue, services.archive, record, calibration, datetime.now(UTC))
+
+
+def stored(
+    services: Services, kind: str, subject: str, records: dict[str, Any] | None, number: int = 0
+) -> int:
+    """Seal and enter what a job would have made: records, or a text document."""
+    about = Subject.parse(subject)
+    made = Provenance(
+        kind, 1, about, f"{number:032x}", 1, WHEN + timedelta(seconds=number), {}, (), "0.1", "h", "me"
+    )
+    if records is None:
+        sealed = services.archive.seal_document(
+            "page.html", "text/html", lambda path: path.write_text("<p>page</p>") and None, made
+        )
+    else:
+        sealed = services.archive.seal_dataset(records, made)
+    with services.catalogue.writing() as session:
+        campaign = campaigns.campaign_row(session, about.campaign)
+        states = campaigns.state_ids(session, campaign.id)
+        row = FileRow(
+            source=kind,
+            path=sealed.path,
+            content_hash=sealed.content_hash,
+            size_bytes=sealed.size_bytes,
+            media_type=sealed.media_type,
+            created_at=made.created_at,
+            campaign_id=campaign.id,
+            state_id=states[about.state] if about.state else None,
+            pair=about.pair,
+        )
+        session.add(row)
+        session.flush()
+        return row.id

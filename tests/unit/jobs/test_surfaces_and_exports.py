@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from support.homes import make_home
+from support.homes import WHEN, make_home, stored
 
 from sms_jobs import bootstrap
-from sms_jobs.archive import Provenance
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import campaigns, search
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue import search
 from sms_jobs.cli import exporting, importing_surface
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.formats.exporters import exporter_named
@@ -25,12 +23,10 @@ from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.reindexing import reindex, unknown_files
 from sms_jobs.jobs.submission import submit
 from sms_jobs.jobs.surfaces import register_surface
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Mesh, PointCloud
 from sms_jobs.records.surfaces import SURFACE, ReferenceSurface
 from sms_jobs.virtual_rig.campaigns import small_plate
 
-WHEN = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
 CORNERS = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]])
 TRIANGLE = np.array([[0, 1, 2]], np.int32)
 
@@ -44,39 +40,6 @@ def services(home: Path) -> Iterator[Services]:
 
 def reference(scale: float = 1.0) -> ReferenceSurface:
     return ReferenceSurface("part.stl", "0" * 64, "mm", False, scale * CORNERS, TRIANGLE)
-
-
-def stored(
-    services: Services, kind: str, subject: str, records: dict[str, Any] | None, number: int = 0
-) -> int:
-    """Seal and enter what a job would have made: records, or a text document."""
-    about = Subject.parse(subject)
-    made = Provenance(
-        kind, 1, about, f"{number:032x}", 1, WHEN + timedelta(seconds=number), {}, (), "0.1", "h", "me"
-    )
-    if records is None:
-        sealed = services.archive.seal_document(
-            "page.html", "text/html", lambda path: path.write_text("<p>page</p>") and None, made
-        )
-    else:
-        sealed = services.archive.seal_dataset(records, made)
-    with services.catalogue.writing() as session:
-        campaign = campaigns.campaign_row(session, about.campaign)
-        states = campaigns.state_ids(session, campaign.id)
-        row = FileRow(
-            source=kind,
-            path=sealed.path,
-            content_hash=sealed.content_hash,
-            size_bytes=sealed.size_bytes,
-            media_type=sealed.media_type,
-            created_at=made.created_at,
-            campaign_id=campaign.id,
-            state_id=states[about.state] if about.state else None,
-            pair=about.pair,
-        )
-        session.add(row)
-        session.flush()
-        return row.id
 
 
 def cloud(height: float = 0.0) -> PointCloud:
