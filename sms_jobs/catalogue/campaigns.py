@@ -9,7 +9,7 @@ from datetime import datetime
 from typing import Any
 
 from pydantic import TypeAdapter
-from sqlalchemy import bindparam, func, select
+from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import (
@@ -27,7 +27,6 @@ from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.sensors import Calibration
 
 _DEFINITION = TypeAdapter(Campaign)
-_BY_NAME = select(CampaignRow).where(CampaignRow.name == bindparam("name"))
 KEPT_DEFINITIONS = 16
 
 
@@ -79,10 +78,10 @@ def refuse_taken_name(session: Session, name: str) -> None:
         )
 
 
-def campaign_row(session: Session, name: str) -> CampaignRow:
-    """Return the row of a campaign; raise `NotFound` with the names that there are."""
-    row = session.scalar(_BY_NAME, {"name": name})
-    if row is None:
+def campaign_id(session: Session, name: str) -> int:
+    """Return the number of a campaign; raise `NotFound` with the names that there are."""
+    number = session.scalar(select(CampaignRow.id).where(CampaignRow.name == name))
+    if number is None:
         known = session.scalars(select(CampaignRow.name).order_by(CampaignRow.id.desc()).limit(5)).all()
         hint = (
             f"the latest are {', '.join(known)}"
@@ -90,7 +89,12 @@ def campaign_row(session: Session, name: str) -> CampaignRow:
             else "there is none yet; see 'sms campaign create --help'"
         )
         raise NotFound(f"there is no campaign '{name}'; {hint}")
-    return row
+    return number
+
+
+def campaign_row(session: Session, name: str) -> CampaignRow:
+    """Return the row of a campaign, with its whole definition; raises as `campaign_id` does."""
+    return session.get_one(CampaignRow, campaign_id(session, name))
 
 
 def definition(row: CampaignRow) -> Campaign:

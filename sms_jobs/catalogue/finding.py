@@ -374,7 +374,7 @@ class _Conditions:
             wanted = self._test(part, Field("campaign", "text", field.column), CampaignRow.name.expression)
             numbers = self._session.scalars(select(CampaignRow.id).where(wanted)).all()
         else:
-            numbers = [campaigns.campaign_row(self._session, value.text).id for value in _values(part)]
+            numbers = [campaigns.campaign_id(self._session, value.text) for value in _values(part)]
         if isinstance(part, Comparison) and part.operator is Operator.UNEQUAL:
             return FileRow.campaign_id.not_in(numbers)
         if not numbers:

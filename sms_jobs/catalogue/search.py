@@ -71,7 +71,7 @@ def find_files(
     if source is not None:
         query = query.where(FileRow.source == source)
     if campaign is not None:
-        query = query.where(FileRow.campaign_id == campaigns.campaign_row(session, campaign).id)
+        query = query.where(FileRow.campaign_id == campaigns.campaign_id(session, campaign))
     if state is not None:
         query = query.where(LoadStateRow.label == state)
     if pair is not None:

@@ -95,7 +95,7 @@ def _pairs(services: Services, campaign: str, other: str, kind: str) -> list[tup
     with services.catalogue.reading() as session:
         states = campaigns.definition(campaigns.campaign_row(session, campaign)).states
         if _STATE not in other:
-            campaigns.campaign_row(session, other)
+            campaigns.campaign_id(session, other)
         for state in states[1:]:
             mine = campaigns.newest_file(session, kind, Subject(campaign, state.label), DATASET_MEDIA_TYPE)
             if _STATE in other:

@@ -86,7 +86,7 @@ def session_result(
     Raises `NotFound` where the session has given none.
     """
     with catalogue.reading() as session:
-        campaigns.campaign_row(session, campaign)
+        campaigns.campaign_id(session, campaign)
         subject = Subject(campaign)
         # A session with a ball bar is not done before the bar has taken part.
         kind = CALIBRATE if _has_bar(session, campaign) else CALIBRATE_BOARDS

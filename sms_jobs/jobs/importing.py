@@ -215,8 +215,8 @@ def _index(session: Session, subject: Subject, sealed: Sealed, recorded_at: date
 
 
 def _file(session: Session, subject: Subject, sealed: Sealed, now: datetime, source: str) -> FileRow:
-    campaign = campaigns.campaign_row(session, subject.campaign)
-    state_id = campaigns.state_ids(session, campaign.id)[subject.state or ""]
+    campaign_id = campaigns.campaign_id(session, subject.campaign)
+    label = subject.state or ""
     file = FileRow(
         source=source,
         path=sealed.path,
@@ -224,8 +224,8 @@ def _file(session: Session, subject: Subject, sealed: Sealed, now: datetime, sou
         size_bytes=sealed.size_bytes,
         media_type=sealed.media_type,
         created_at=now,
-        campaign_id=campaign.id,
-        state_id=state_id,
+        campaign_id=campaign_id,
+        state_id=campaigns.state_ids(session, campaign_id, [label])[label],
         pair=subject.pair,
     )
     session.add(file)

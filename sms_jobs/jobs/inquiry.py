@@ -104,7 +104,7 @@ def list_jobs(
     """Return jobs, the latest submitted first."""
     query = select(JobRow).order_by(JobRow.position.desc()).limit(limit)
     if campaign is not None:
-        query = query.where(JobRow.campaign_id == campaigns.campaign_row(session, campaign).id)
+        query = query.where(JobRow.campaign_id == campaigns.campaign_id(session, campaign))
     if states:
         query = query.where(JobRow.state.in_(states))
     if kind is not None:
@@ -120,7 +120,7 @@ def counts(
     if job_ids is not None:
         query = query.where(JobRow.id.in_(job_ids))
     if campaign is not None:
-        query = query.where(JobRow.campaign_id == campaigns.campaign_row(session, campaign).id)
+        query = query.where(JobRow.campaign_id == campaigns.campaign_id(session, campaign))
     return {state.value: count for state, count in session.execute(query)}
 
 
@@ -323,7 +323,7 @@ def active(session: Session, campaign: str | None = None) -> list[str]:
     """Return the ids of jobs that have not ended, of a campaign or all, in order of submission."""
     query = select(JobRow.id).where(JobRow.state.in_(ACTIVE)).order_by(JobRow.position)
     if campaign is not None:
-        query = query.where(JobRow.campaign_id == campaigns.campaign_row(session, campaign).id)
+        query = query.where(JobRow.campaign_id == campaigns.campaign_id(session, campaign))
     return list(session.scalars(query))
 
 
@@ -334,7 +334,7 @@ def retryable(session: Session, campaign: str) -> list[str]:
         select(JobRow.id)
         .where(
             JobRow.state.in_(states),
-            JobRow.campaign_id == campaigns.campaign_row(session, campaign).id,
+            JobRow.campaign_id == campaigns.campaign_id(session, campaign),
         )
         .order_by(JobRow.position)
     )

@@ -73,7 +73,7 @@ def tell_again(session: Session, campaign: Campaign, provenance: Provenance) -> 
             id=provenance.job_id,
             kind=provenance.kind,
             kind_version=provenance.kind_version,
-            campaign_id=campaigns.campaign_row(session, campaign.name).id,
+            campaign_id=campaigns.campaign_id(session, campaign.name),
             subject=str(subject),
             parameters=dict(provenance.parameters),
             queue=_OF_UNKNOWN_KINDS if kind is None else kind.queue.value,

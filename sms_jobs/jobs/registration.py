@@ -91,7 +91,7 @@ def index_definition(session: Session, name: str, sealed: Sealed, now: datetime)
         size_bytes=sealed.size_bytes,
         media_type=sealed.media_type,
         created_at=now,
-        campaign_id=campaigns.campaign_row(session, name).id,
+        campaign_id=campaigns.campaign_id(session, name),
     )
     session.add(file)
     session.flush()

@@ -359,7 +359,7 @@ def _file_row(session: Session, one: Found, source: str) -> FileRow:
 
 
 def _place(session: Session, subject: Subject) -> tuple[int, int | None, str | None]:
-    campaign_id = campaigns.campaign_row(session, subject.campaign).id
+    campaign_id = campaigns.campaign_id(session, subject.campaign)
     if subject.state is None:
         return campaign_id, None, None
     state_id = session.scalar(

@@ -109,7 +109,7 @@ def add(
     # What it needs may come into being later: that it could run is enough.
     plan(campaign, order.requests, lambda need: Existing(file_id=0))
     if expression.form == "after":
-        campaigns.campaign_row(session, expression.what)
+        campaigns.campaign_id(session, expression.what)
     if expression.form == "at" and not next_times(expression, now, now - grace, 1):
         raise InvalidInput(f"{expression.what} is past; give a time to come")
     session.add(
@@ -203,8 +203,8 @@ def _passed(session: Session, row: ScheduleRow, now: datetime) -> list[datetime]
 
 def _has_ended(session: Session, campaign: str) -> bool:
     """Tell whether a campaign has had jobs and all of them have ended."""
-    row = campaigns.campaign_row(session, campaign)
-    states = set(session.scalars(select(JobRow.state).where(JobRow.campaign_id == row.id).distinct()))
+    campaign_id = campaigns.campaign_id(session, campaign)
+    states = set(session.scalars(select(JobRow.state).where(JobRow.campaign_id == campaign_id).distinct()))
     return bool(states) and not states & ACTIVE
 
 

@@ -36,7 +36,7 @@ def register_surface(
         There is no such campaign; nothing is changed.
     """
     with catalogue.reading() as session:
-        campaigns.campaign_row(session, campaign)
+        campaigns.campaign_id(session, campaign)
     sealed, statistics = _seal(archive, campaign, surface, now)
     try:
         with catalogue.writing() as session:
@@ -96,7 +96,7 @@ def _index(
         size_bytes=sealed.size_bytes,
         media_type=sealed.media_type,
         created_at=now,
-        campaign_id=campaigns.campaign_row(session, campaign).id,
+        campaign_id=campaigns.campaign_id(session, campaign),
     )
     session.add(file)
     session.flush()
