@@ -160,7 +160,7 @@ def restricted(
 def check(session: Session, query: Query, vocabulary: Vocabulary) -> None:
     """Raise what `find_page` would raise, without looking for anything."""
     fields = Fields(session, vocabulary)
-    _Conditions(session, query, fields).all_of(query.condition)
+    _Conditions(session, query, fields).all_of(conjuncts(query.condition))
 
 
 def statement(
@@ -170,22 +170,26 @@ def statement(
     if query.kind is not None:
         fields.refuse_unknown_kind(query.kind, query.text)
     conditions = _Conditions(session, query, fields)
-    found = select(FileRow.id).where(conditions.all_of(query.condition))
+    wanted = conjuncts(query.condition)
+    found = select(FileRow.id)
     if query.kind is not None:
         found = found.where(FileRow.source == query.kind.text)
     number: ColumnElement[int] = FileRow.id.expression
     few = _few(session, conditions.sources())
-    calibration = conditions.calibration()
+    of_calibration = conditions.of_one_calibration()
     if few is not None:
         source, count = few
         # The limit tells the database how few they are; files that come in meanwhile find room in it.
         found = found.where(FileRow.id.in_(select(source.limit(2 * count + 100).subquery().c[0])))
         _walk_indexes(session, sort=True)
-    elif calibration is not None:
+    elif of_calibration is not None:
         # The index of its files is walked, in place of that of all files.
+        part, calibration = of_calibration
+        wanted = tuple(other for other in wanted if other is not part)
         used = aliased(CalibrationUseRow)
         found = found.join(used, used.file_id == FileRow.id).where(used.calibration_id == calibration)
         number = used.file_id.expression
+    found = found.where(conditions.all_of(wanted))
     if after is not None:
         found = found.where(number < after)
     return found.order_by(number.desc()).limit(limit)
@@ -224,8 +228,8 @@ class _Conditions:
         self._dialect = session.get_bind().dialect.name
         self._known: set[int] = set()
 
-    def all_of(self, condition: Condition | None) -> ColumnElement[bool]:
-        return and_(True, *(self._expression(part) for part in conjuncts(condition)))
+    def all_of(self, parts: Sequence[Condition]) -> ColumnElement[bool]:
+        return and_(True, *(self._expression(part) for part in parts))
 
     def sources(self) -> list[Select[int]]:
         """Return selections of file numbers by an index; every file that is wanted is in each of them."""
@@ -257,13 +261,13 @@ class _Conditions:
         if len(known) == len(branches):
             yield select(union_all(*(select(k.c[0]) for k in known)).subquery().c[0])
 
-    def calibration(self) -> int | None:
-        """Return the calibration with which every file that is wanted was computed, if there is one."""
+    def of_one_calibration(self) -> tuple[Condition, int] | None:
+        """Return what asks for the files of one calibration, and its number, if the query does."""
         for part in conjuncts(self._query.condition):
             if not isinstance(part, Comparison) or part.operator is not Operator.EQUAL:
                 continue
             if self._field(part).type == "calibration":
-                return self._calibrations(part)[0]
+                return part, self._calibrations(part)[0]
         return None
 
     def _calibrated(self, part: Test) -> Iterator[Select[int]]:

@@ -28,6 +28,10 @@ def _measured(url: str, files: int, run: Run) -> dict[str, float]:
     with closing(Catalogue(url, create=True)) as catalogue:
         schema.upgrade(catalogue)
         large_catalogue.fill(catalogue, files, lambda text: run.say(f"catalogue: {text}"))
+        if catalogue.dialect == "postgresql":
+            # As its autovacuum does by itself after so many rows: before, no index answers alone.
+            with catalogue.engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+                connection.exec_driver_sql("VACUUM")
         for text in large_catalogue.DOCUMENTED:
             found = []
             for _ in range(REPEATS + 1):
@@ -56,10 +60,10 @@ def measure(run: Run) -> Iterator[Found]:
             yield Figure(f"find_1m_rows{name}_slowest_ms", None if run.quick else taken[slowest], "ms")
             yield Condition(
                 f"find_1m_rows{name}",
-                f"{files} files with 1 to 3 statistics each and a job, ANALYZE done; wall time from the "
-                f"text to 50 files with the values asked for, median of {REPEATS} after one that does not "
-                f"count, over {len(taken)} queries of docs/query.md: {middle:.1f} ms; slowest "
-                f"{taken[slowest]:.1f} ms: {slowest}",
+                f"{files} files with 1 to 3 statistics each and a job, ANALYZE done, and VACUUM on "
+                f"PostgreSQL; wall time from the text to 50 files with the values asked for, median of "
+                f"{REPEATS} after one that does not count, over {len(taken)} queries of docs/query.md: "
+                f"{middle:.1f} ms; slowest {taken[slowest]:.1f} ms: {slowest}",
             )
 
 
