@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from pydantic import TypeAdapter
-from sqlalchemy import Table, bindparam, select
+from sqlalchemy import Table, bindparam, func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import FileRow, JobRow
@@ -32,13 +32,17 @@ _NEWEST = (
     .order_by(_JOB.c.finished_at.desc())
     .limit(1)
 )
+_SEEN = _FILE.alias()
 _FILES = (
-    select(_FILE.c.job_id, _FILE.c.path)
+    select(
+        _FILE.c.job_id,
+        _FILE.c.path,
+        select(func.count()).where(_SEEN.c.job_id == _FILE.c.job_id).scalar_subquery().label("seen"),
+    )
     .where(_FILE.c.job_id == _NEWEST.scalar_subquery())
     .order_by(_FILE.c.id)
-    .with_for_update(read=True, key_share=True)
+    .with_for_update(read=True, key_share=True, of=_FILE)
 )
-_KEY = select(_JOB.c.reuse_key).where(_JOB.c.id == bindparam("job"))
 
 
 def reuse_key(
@@ -77,11 +81,9 @@ def reuse_key(
 
 def earlier_success(session: Session, key: str) -> tuple[str, tuple[str, ...]] | None:
     """Return (job id, paths of its files) of the newest job that computed the same, if there is one."""
-    # Locked, so that no policy lets them go before this is committed. One that did so meanwhile is seen by
-    # the key, which is gone with the first of them.
+    # Locked, so that no policy lets them go before this is committed. Those that one lets go just now are
+    # waited for, and counted, but do not come any more.
     files = session.execute(_FILES, {"key": key}).all()
-    if not files:
+    if not files or len(files) < files[0].seen:
         return None
-    job_id = files[0].job_id
-    still = session.execute(_KEY, {"job": job_id}).scalar() == key
-    return (job_id, tuple(file.path for file in files)) if still else None
+    return files[0].job_id, tuple(file.path for file in files)

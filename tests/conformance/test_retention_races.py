@@ -9,9 +9,10 @@ from datetime import timedelta
 from typing import Any
 
 import pytest
-from sqlalchemy import delete, event, insert, select
+from sqlalchemy import delete, event, insert, select, text
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
+from support.command import wait_until
 from support.deployments import Deployment
 from support.jobs import NOW, claim, ids, submit_pipeline
 
@@ -26,8 +27,9 @@ from sms_jobs.catalogue.models import (
     ResultRow,
     RigRow,
 )
-from sms_jobs.errors import NotFound
+from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.jobs import lifecycle, retention, reuse
+from sms_jobs.records.job import JobState
 
 LATER = NOW + timedelta(days=2)
 DAY = timedelta(days=1)
@@ -195,3 +197,35 @@ def test_a_result_that_is_being_reused_is_kept_and_one_that_went_is_not_reused(
     assert [one.path for one in retention.remove(catalogue, archive, LATER, DAY)] == [path]
     with catalogue.writing() as session:
         assert reuse.earlier_success(session, "same") is None
+
+
+@pytest.mark.parametrize("deployment", ["grown"], indirect=True)  # SQLite has one writer at a time
+@pytest.mark.parametrize("goes", [True, False])
+def test_a_result_of_which_one_file_goes_meanwhile_is_not_reused(
+    catalogue: Catalogue, deployment: Deployment, goes: bool
+) -> None:
+    archive = Archive(deployment.home / "archive")
+    (first, path), (_, second_path) = superseded_files(catalogue, archive, 2)
+    with catalogue.writing() as session:
+        made_by = session.get_one(FileRow, first).job_id
+        job = session.get_one(JobRow, made_by)
+        job.state, job.reuse_key, job.finished_at = JobState.SUCCEEDED, "same", NOW
+
+    def ask(of: Catalogue) -> tuple[str, tuple[str, ...]] | None:
+        with of.writing() as session:
+            return reuse.earlier_success(session, "same")
+
+    def somebody_waits() -> bool:
+        with catalogue.reading() as session:
+            locks = "SELECT count(*) FROM pg_locks WHERE NOT granted"
+            return bool(session.scalar(text(locks)))
+
+    with closing(deployment.catalogue()) as other, ThreadPoolExecutor(1) as pool:
+        with suppress(Conflict), catalogue.writing() as session:
+            retention.forget(session, [first])
+            asked = pool.submit(ask, other)
+            wait_until(somebody_waits, timeout=30)
+            if not goes:
+                raise Conflict("the policy thinks better of it")
+        assert asked.result(timeout=30) == (None if goes else (made_by, (path, second_path)))
+    assert (ask(catalogue) is None) is goes
