@@ -1,23 +1,28 @@
-"""Sends the messages that the catalogue says are due; the only sender there is."""
+"""Sends the messages that the catalogue says are due; the only sender there is.
+
+A message wakes a process, which then runs all that is queued. More of them than there are processes would
+wake nobody, lie about while those work, and be read one after the other when nothing is left to do.
+"""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
-from datetime import UTC, datetime, timedelta
+from collections.abc import Sequence
+from datetime import UTC, datetime
 
 from celery import Celery
 
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.jobs import doorbell
+from sms_jobs.jobs.doorbell import Call
 from sms_jobs.workers.celery_app import RUN, message_queue
 
 logger = logging.getLogger(__name__)
 
 _EVERY_S = 0.1
-_RING_AGAIN_EVERY_S = 1.0
-_PATIENCE = timedelta(seconds=5)
+_RING_AGAIN_EVERY_S = 2.0
 _AFTER_FAULT_S = 2.0
 
 
@@ -51,22 +56,32 @@ class Publisher(threading.Thread):
     def _send_due(self) -> None:
         with self._catalogue.reading() as session:
             due = doorbell.unsent(session)
-        if not due:
-            return
-        for _, job_id, queue in due:
-            self._send(job_id, queue)
-        with self._catalogue.writing() as session:
-            doorbell.sent(session, due, datetime.now(UTC))
+        if due:
+            self._ring(doorbell.calls(due))
+            with self._catalogue.writing() as session:
+                doorbell.sent(session, due)
 
     def _ring_again(self) -> None:
-        now = datetime.now(UTC)
         with self._catalogue.reading() as session:
-            overdue = doorbell.overdue(session, now, _PATIENCE, self._capacity)
-        for job_id, queue in overdue:
-            self._send(job_id, queue)
-        if overdue:
-            with self._catalogue.writing() as session:
-                doorbell.rung(session, [job_id for job_id, _ in overdue], now)
+            calls = doorbell.unheard(session)
+        self._ring(calls, again=True)
 
-    def _send(self, job_id: str, queue: str) -> None:
-        self._app.send_task(RUN, args=[job_id], queue=message_queue(queue), ignore_result=True, retry=False)
+    def _ring(self, calls: Sequence[Call], *, again: bool = False) -> None:
+        """Send messages as far as there are processes for them; again, as far as none lie about already."""
+        with self._catalogue.reading() as session:
+            listeners = doorbell.listeners(session, datetime.now(UTC))
+        for call in calls:
+            # A worker that is about to start is not counted yet.
+            processes, waiting = max(listeners[call.queue], self._capacity), self._waiting(call.queue)
+            for _ in range(min(call.number - waiting if again else call.number, processes - waiting)):
+                self._send(call)
+
+    def _waiting(self, queue: str) -> int:
+        """Return how many messages lie in a queue."""
+        with self._app.connection_or_acquire() as connection:
+            return int(connection.default_channel.queue_declare(message_queue(queue)).message_count)
+
+    def _send(self, call: Call) -> None:
+        self._app.send_task(
+            RUN, args=[call.job_id], queue=message_queue(call.queue), ignore_result=True, retry=False
+        )

@@ -28,7 +28,7 @@ from sms_jobs.errors import SmsError, StorageFull
 from sms_jobs.jobs import limits, queues, recovery, schedules
 from sms_jobs.jobs.limits import Force, Limits
 from sms_jobs.jobs.runner import require_room
-from sms_jobs.records.job import ACTIVE
+from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN
 from sms_jobs.settings import Settings
 from sms_jobs.workers.celery_app import QUEUES, WORKER_ID, WORKER_QUEUES, make_app, message_queue
 from sms_jobs.workers.publisher import Publisher
@@ -37,6 +37,8 @@ logger = logging.getLogger(__name__)
 
 _TICK_S = 0.2
 _RECOVER_EVERY_S = 1.0
+_BEAT_EVERY_S = ALIVE_WITHIN.total_seconds() / 3
+"""Or more often, where leases are shorter."""
 _ANALYSE_EVERY_S = 3600.0
 _RESTART_AFTER_S = 2.0
 _ALONE_S = 120.0
@@ -99,7 +101,7 @@ class Supervisor:
         while not self._stop_asked:
             moment = time.monotonic()
             if moment >= beat_at and self._done(self._beat):
-                beat_at = moment + self._settings.lease_s / 3
+                beat_at = moment + min(self._settings.lease_s / 3, _BEAT_EVERY_S)
             if moment >= analyse_at:
                 analyse_at = moment + _ANALYSE_EVERY_S
                 self._done(self._analyse)

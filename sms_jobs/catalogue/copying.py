@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import datetime
 from typing import Any
 
 from sqlalchemy import Table as SqlTable
@@ -17,10 +17,9 @@ from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow, Table, WorkerRow
 from sms_jobs.errors import ConfigurationError, Conflict
-from sms_jobs.records.job import JobState
+from sms_jobs.records.job import ALIVE_WITHIN, JobState
 
 _AT_ONCE = 2000
-_ALIVE_WITHIN = timedelta(seconds=60)
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ def require_idle(source: Catalogue, now: datetime) -> None:
             select(func.count()).select_from(JobRow).where(JobRow.state == JobState.RUNNING)
         )
         alive = session.scalars(
-            select(WorkerRow).where(WorkerRow.draining.is_(False), WorkerRow.beat_at >= now - _ALIVE_WITHIN)
+            select(WorkerRow).where(WorkerRow.draining.is_(False), WorkerRow.beat_at >= now - ALIVE_WITHIN)
         ).all()
     if alive:
         names = ", ".join(f"{w.id} on {w.host} (process {w.pid})" for w in alive)

@@ -282,8 +282,6 @@ class JobRow(Table):
     submitted_at: Mapped[datetime]
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]
-    rung_at: Mapped[datetime | None]
-    """When a message about it was last sent."""
     attempts: Mapped[int] = mapped_column(default=0)
     crashes: Mapped[int] = mapped_column(default=0)
     fence: Mapped[int] = mapped_column(default=0)

@@ -21,8 +21,8 @@ from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import Outlook, outlook
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs import health, inquiry
+from sms_jobs.records.job import ALIVE_WITHIN
 
-_ALIVE_WITHIN = timedelta(seconds=60)
 _FINDINGS = 6
 _LITTLE_ROOM_BYTES = 10e9
 
@@ -103,7 +103,7 @@ def _facts(services: Services) -> dict[str, Any]:
             "jobs": inquiry.counts(session),
             "workers": [
                 {"id": w.id, "host": w.host, "pid": w.pid, "running": w.running, "beat_at": w.beat_at}
-                for w in inquiry.workers(session, datetime.now(UTC) - _ALIVE_WITHIN)
+                for w in inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)
             ],
         }
 
@@ -147,7 +147,7 @@ def _checks(services: Services) -> Iterator[_Check]:
         database = health.database_version(session)
         pauses = health.pauses(session)
         workers = health.workers(session, datetime.now(UTC))
-        alive = len(inquiry.workers(session, datetime.now(UTC) - _ALIVE_WITHIN))
+        alive = len(inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN))
     yield _Check("versions", None, _versions(database))
     yield _Check("schema", f"{len(drift)} differences from this version's: {drift[0]}" if drift else None)
     yield _Check("place of the catalogue", health.database_on_network(catalogue), catalogue.describe())

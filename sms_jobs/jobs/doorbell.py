@@ -1,14 +1,26 @@
-"""Which messages are to be sent. A message only wakes a worker: losing all of them loses nothing."""
+"""For which queues messages are to be sent. They only wake processes: losing all of them loses nothing."""
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
 
-from sqlalchemy import delete, or_, select, update
+from sqlalchemy import delete, exists, func, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import JobRow, OutboxRow
-from sms_jobs.records.job import JobState
+from sms_jobs.catalogue.models import JobRow, OutboxRow, QueueRow, WorkerRow
+from sms_jobs.records.job import ALIVE_WITHIN, JobState
+
+
+@dataclass(frozen=True)
+class Call:
+    """Jobs of a queue for which processes are to be woken: how many, and one of them by its id."""
+
+    queue: str
+    job_id: str
+    number: int
 
 
 def unsent(session: Session, limit: int = 500) -> list[tuple[int, str, str]]:
@@ -19,31 +31,36 @@ def unsent(session: Session, limit: int = 500) -> list[tuple[int, str, str]]:
     return [(key, job_id, queue) for key, job_id, queue in rows]
 
 
-def sent(session: Session, messages: list[tuple[int, str, str]], now: datetime) -> None:
+def calls(messages: Sequence[tuple[int, str, str]]) -> list[Call]:
+    """Return what messages that are due come to, queue by queue."""
+    number = Counter(queue for _, _, queue in messages)
+    first = {queue: job_id for _, job_id, queue in reversed(messages)}
+    return [Call(queue, job_id, number[queue]) for queue, job_id in first.items()]
+
+
+def sent(session: Session, messages: Sequence[tuple[int, str, str]]) -> None:
     """Forget messages that the broker has taken."""
+    # Rows of jobs are left alone: whoever is woken would find them locked, and pass them over.
     session.execute(delete(OutboxRow).where(OutboxRow.id.in_([key for key, _, _ in messages])))
-    session.execute(
-        update(JobRow).where(JobRow.id.in_([job_id for _, job_id, _ in messages])).values(rung_at=now)
-    )
 
 
-def overdue(session: Session, now: datetime, patience: timedelta, limit: int) -> list[tuple[str, str]]:
-    """Return (job id, queue) of jobs that are queued although their message was sent long ago.
-
-    `limit` is how many a worker can run at once: more messages would wake nobody.
-    """
+def unheard(session: Session) -> list[Call]:
+    """Return the jobs that are queued, whatever became of their messages; those of paused queues are not."""
+    paused = exists().where(QueueRow.name == JobRow.queue, QueueRow.paused_at.is_not(None))
     rows = session.execute(
-        select(JobRow.id, JobRow.queue)
-        .where(
-            JobRow.state == JobState.QUEUED,
-            or_(JobRow.rung_at.is_(None), JobRow.rung_at < now - patience),
-        )
-        .order_by(JobRow.priority.desc(), JobRow.position)
-        .limit(limit)
+        select(JobRow.queue, func.min(JobRow.id), func.count())
+        .where(JobRow.state == JobState.QUEUED, ~paused)
+        .group_by(JobRow.queue)
     )
-    return [(job_id, queue) for job_id, queue in rows]
+    return [Call(queue, job_id, number) for queue, job_id, number in rows]
 
 
-def rung(session: Session, job_ids: list[str], now: datetime) -> None:
-    """Note that messages about these jobs were sent again."""
-    session.execute(update(JobRow).where(JobRow.id.in_(job_ids)).values(rung_at=now))
+def listeners(session: Session, now: datetime) -> Counter[str]:
+    """Return how many processes of living workers serve each queue."""
+    found: Counter[str] = Counter()
+    alive = select(WorkerRow.queues, WorkerRow.concurrency).where(
+        WorkerRow.beat_at >= now - ALIVE_WITHIN, WorkerRow.draining.is_(False)
+    )
+    for queues, concurrency in session.execute(alive):
+        found.update(dict.fromkeys(queues.split(","), concurrency))
+    return found

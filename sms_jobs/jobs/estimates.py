@@ -28,11 +28,9 @@ from sms_jobs.jobs.foreseen import foreseen_reuse
 from sms_jobs.jobs.makespan import Places, Task, makespan
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Queue
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.job import ACTIVE, JobState
+from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, JobState
 from sms_jobs.records.measurement import FringeSequence
 
-ALIVE_WITHIN = timedelta(seconds=60)
-"""A worker that gave a sign of life since then counts."""
 _PACE_OVER = timedelta(minutes=10)
 _REMEMBERED = 200
 """Jobs of a kind, the latest, that an estimate looks back on."""

@@ -16,8 +16,7 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow, WorkerRow
 from sms_jobs.jobs import queues
-from sms_jobs.jobs.metrics import ALIVE_WITHIN
-from sms_jobs.records.job import JobState
+from sms_jobs.records.job import ALIVE_WITHIN, JobState
 
 _MISSED_FOR = timedelta(days=1)
 """A worker that vanished is a finding for so long."""

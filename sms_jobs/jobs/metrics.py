@@ -14,10 +14,7 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue.models import EventRow, FileRow, JobRow, ScheduleFireRow, ScheduleRow, WorkerRow
 from sms_jobs.jobs import queues
 from sms_jobs.jobs.fire_times import parse_expression, times_until
-from sms_jobs.records.job import JobState
-
-ALIVE_WITHIN = timedelta(seconds=60)
-"""A worker whose last sign of life is older counts as dead."""
+from sms_jobs.records.job import ALIVE_WITHIN, JobState
 
 _REMEMBERED_FOR = timedelta(hours=1)
 """A worker that vanished is told of for so long; one that ended in order is not."""

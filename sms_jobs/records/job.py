@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from enum import Enum
 
 
@@ -68,6 +69,9 @@ UNSUCCESSFUL = frozenset(
         JobState.NEEDS_OPERATOR,
     }
 )
+
+ALIVE_WITHIN = timedelta(seconds=60)
+"""A worker whose last sign of life is older counts as dead."""
 
 
 def origins(target: JobState) -> tuple[JobState, ...]:

@@ -311,7 +311,7 @@ class JobLives(JobModel):
         """Send the messages that are due."""
         with self.catalogue.writing() as session:
             due = doorbell.unsent(session)
-            doorbell.sent(session, due, self.now)
+            doorbell.sent(session, due)
         assert Counter(job_id for _, job_id, _ in due) == self.outbox
         self.outbox.clear()
 
