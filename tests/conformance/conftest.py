@@ -6,9 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.archives import Clock
 from support.deployments import Deployment
 from support.jobs import NOW
 
+from sms_jobs.archive import Archive
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.jobs import recovery
@@ -37,3 +39,15 @@ def catalogue(deployment: Deployment) -> Iterator[Catalogue]:
         yield opened
     finally:
         opened.close()
+
+
+@pytest.fixture
+def archive(deployment: Deployment) -> Archive:
+    """The archive of the home, with nothing in it."""
+    return Archive(deployment.home / "archive")
+
+
+@pytest.fixture
+def clock() -> Clock:
+    """A second later whenever it is asked."""
+    return Clock()

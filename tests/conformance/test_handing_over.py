@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 from sqlalchemy import event, select, text
 from support.archives import Clock, registered, runner
-from support.deployments import Deployment
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
@@ -19,16 +18,6 @@ from sms_jobs.jobs.submission import submit
 from sms_jobs.records.job import JobState
 
 on_postgresql = pytest.mark.parametrize("deployment", ["grown"], indirect=True)
-
-
-@pytest.fixture
-def archive(deployment: Deployment) -> Archive:
-    return Archive(deployment.home / "archive")
-
-
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
 
 
 @pytest.fixture

@@ -30,16 +30,6 @@ REQUESTS = [Request("simulate"), Request("pipeline")]
 
 
 @pytest.fixture
-def archive(deployment: Deployment) -> Archive:
-    return Archive(deployment.home / "archive")
-
-
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
-
-
-@pytest.fixture
 def shapes(catalogue: Catalogue, archive: Archive, clock: Clock) -> Archive:
     """An archive with a campaign, its recordings and shapes."""
     registered(catalogue, archive, clock)

@@ -18,16 +18,6 @@ from sms_jobs.jobs.repair import Repair
 
 
 @pytest.fixture
-def archive(deployment: Deployment) -> Archive:
-    return Archive(deployment.home / "archive")
-
-
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
-
-
-@pytest.fixture
 def made(catalogue: Catalogue, archive: Archive, clock: Clock) -> Archive:
     registered(catalogue, archive, clock)
     run_jobs(catalogue, archive, clock, [Request("simulate"), Request("reconstruct")])

@@ -7,7 +7,6 @@ from datetime import timedelta
 import pytest
 from sqlalchemy import select
 from support.archives import Clock, everything, registered, run_jobs
-from support.deployments import Deployment
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
@@ -17,16 +16,6 @@ from sms_jobs.jobs import retention, verification
 from sms_jobs.jobs.planning import Request
 
 SECOND = timedelta(seconds=1)
-
-
-@pytest.fixture
-def archive(deployment: Deployment) -> Archive:
-    return Archive(deployment.home / "archive")
-
-
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
 
 
 @pytest.fixture
