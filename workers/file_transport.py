@@ -3,11 +3,13 @@
 Kombu's own transport over files writes a message where it is read from. One whose writer was interrupted,
 found the disk full, or was merely slower than a reader, is empty then, and ends the worker that meets it.
 Here a message comes into its place by a rename, and what cannot be read is dropped: it is only a doorbell,
-which is rung again. The same holds for the tables of who listens to whom, which are made again.
+which is rung again. The tables of who listens to whom come into their places in the same way, one after
+the other; one that cannot be read is made again.
 """
 
 from __future__ import annotations
 
+import fcntl
 import logging
 from pathlib import Path
 from queue import Empty
@@ -41,33 +43,40 @@ class Channel(filesystem.Channel):
         for name in sorted(path.name for path in Path(self.data_folder_in).iterdir()):
             if name.partition(".")[2] != f"{queue}.msg":
                 continue
-            taken = Path(self.data_folder_in, f"{name}.taken")
+            path = Path(self.data_folder_in, name)
             try:
-                Path(self.data_folder_in, name).rename(taken)  # whoever is first has it
+                text = path.read_bytes()
+                path.unlink()  # whoever is first has it
             except FileNotFoundError:
                 continue
             try:
-                return loads(taken.read_text(encoding="utf-8"))
+                return loads(text.decode("utf-8"))
             except ValueError:
                 logger.warning("message %s cannot be read and is dropped", name)
-            finally:
-                taken.unlink(missing_ok=True)
         raise Empty
 
     def get_table(self, exchange: str) -> list[Any]:
-        """Return who listens to an exchange; nobody, while that is being written."""
+        """Return who listens to an exchange; nobody, where that cannot be read: they say it again."""
         try:
-            return list(super().get_table(exchange))
-        except ValueError:
+            known = loads(self._exchange_file(exchange).read_text(encoding="utf-8"))
+            return [filesystem.exchange_queue_t(*one) for one in known]
+        except FileNotFoundError:
+            return []
+        except (ValueError, TypeError):
+            logger.warning("the table of exchange %s cannot be read and is made again", exchange)
             return []
 
-    def _queue_bind(self, exchange: str, *binding: Any) -> None:
-        try:
-            super()._queue_bind(exchange, *binding)
-        except ValueError:
-            logger.warning("the table of exchange %s cannot be read and is made again", exchange)
-            self._exchange_file(exchange).unlink(missing_ok=True)
-            super()._queue_bind(exchange, *binding)
+    def _queue_bind(self, exchange: str, *binding: str | None) -> None:
+        listener = filesystem.exchange_queue_t(*(part or "" for part in binding))
+        table = self._exchange_file(exchange)
+        self.control_folder.mkdir(exist_ok=True)
+        with (self.control_folder / "lock").open("ab") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            known = self.get_table(exchange)
+            if listener not in known:
+                begun = table.with_suffix(".begun")
+                begun.write_text(dumps([listener, *known]), encoding="utf-8")
+                begun.replace(table)
 
 
 class Transport(filesystem.Transport):
