@@ -80,6 +80,9 @@ def _over_redis(url: str) -> dict[str, object]:
             f"broker_url begins with '{url.split(':')[0]}:'; write redis://HOST:PORT/NUMBER, "
             "or leave it empty for files in the home"
         )
+    if url.startswith("rediss://") and "ssl_cert_reqs=" not in url:
+        # Celery would take any certificate.
+        url += f"{'&' if '?' in url else '?'}ssl_cert_reqs=required"
     # Longer than any job: a message that Redis redelivers would only wake a worker for nothing.
     return {"broker_url": url, "broker_transport_options": {"visibility_timeout": 86_400}}
 
