@@ -31,13 +31,7 @@ class Channel(filesystem.Channel):
 
     def _put(self, queue: str, payload: Any, **_: Any) -> None:  # type: ignore[override]
         name = f"{round(1e3 * monotonic())}_{uuid4()}.{queue}.msg"
-        begun = Path(self.data_folder_out, f"{name}.begun")
-        try:
-            begun.write_text(dumps(payload), encoding="utf-8")
-            begun.replace(Path(self.data_folder_out, name))
-        except OSError as error:
-            begun.unlink(missing_ok=True)
-            raise ChannelError(f"a message for {queue} cannot be written ({error.strerror})") from error
+        _write_whole(Path(self.data_folder_out, name), payload)
 
     def _get(self, queue: str, timeout: float | None = None) -> Any:
         for name in sorted(path.name for path in Path(self.data_folder_in).iterdir()):
@@ -74,9 +68,18 @@ class Channel(filesystem.Channel):
             fcntl.flock(lock, fcntl.LOCK_EX)
             known = self.get_table(exchange)
             if listener not in known:
-                begun = table.with_suffix(".begun")
-                begun.write_text(dumps([listener, *known]), encoding="utf-8")
-                begun.replace(table)
+                _write_whole(table, [listener, *known])
+
+
+def _write_whole(path: Path, content: Any) -> None:
+    """Let a file come into its place by a rename; raise `ChannelError` and leave nothing where it cannot."""
+    begun = path.with_name(f"{path.name}.begun")
+    try:
+        begun.write_text(dumps(content), encoding="utf-8")
+        begun.replace(path)
+    except OSError as error:
+        begun.unlink(missing_ok=True)
+        raise ChannelError(f"{path} cannot be written ({error.strerror})") from error
 
 
 class Transport(filesystem.Transport):
