@@ -1,4 +1,4 @@
-"""Runs `sms` as a person does: in a process of its own."""
+"""Runs `sms`: as a person does, in a process of its own, or in this one where only its answer is wanted."""
 
 from __future__ import annotations
 
@@ -11,9 +11,14 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import psutil
+import pytest
+from typer.testing import CliRunner
+
+from sms_jobs.cli.main import app
 
 SMS = [sys.executable, "-W", "error::DeprecationWarning:sms_jobs", "-m", "sms_jobs.cli.main"]
 
@@ -34,10 +39,32 @@ def sms(
 
 
 def answer(*arguments: str, environment: Mapping[str, str] | None = None, timeout: float = 300.0) -> Any:
-    """Run a command that must succeed, and return the JSON it prints."""
-    done = sms(*arguments, "--json", environment=environment, timeout=timeout)
-    assert done.returncode == 0, done.stderr
+    """Run a command that must succeed, and return the JSON it prints.
+
+    It runs in this process: to start another costs more than most commands do.
+    """
+    with pytest.MonkeyPatch.context() as patch, _within(timeout):
+        for name, value in {"COLUMNS": "200", **(environment or {})}.items():
+            patch.setenv(name, value)
+        done = CliRunner().invoke(app, [*arguments, "--json"])
+    assert done.exit_code == 0, f"{arguments}: {done.stderr}{done.exception}"
     return json.loads(done.stdout.splitlines()[-1])
+
+
+@contextmanager
+def _within(seconds: float) -> Iterator[None]:
+    """Fail where something takes longer, whatever it waits for."""
+
+    def late(number: int, frame: FrameType | None) -> None:
+        raise AssertionError(f"the command did not end within {seconds:.0f} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 @contextmanager
