@@ -5,9 +5,10 @@ from __future__ import annotations
 import subprocess
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 from sqlalchemy import func, select
@@ -21,13 +22,15 @@ from sms_jobs.records.scene import Rigid, UniaxialStrain
 from sms_jobs.records.sensors import Rig
 from sms_jobs.virtual_rig.campaigns import Lens, aimed, small_plate
 
-pytestmark = pytest.mark.long
-
 LOADS_N = (0.0, 400.0, 800.0, 1200.0, 800.0, 0.0, -300.0, -600.0, -300.0, 0.0)
 """Tension, then compression."""
 
-RIG = """
-name = "bench"
+FEW_LOADS_N = (0.0, 400.0, -300.0)
+"""The same in short: with one camera and one projector, and fewer things that go wrong."""
+
+PAIRS = ("C1P1", "C1P2", "C2P1", "C2P2")
+
+CAMERAS = """
 cameras = [
     { name = "C1", driver = "simulated", columns = 128, rows = 128, faults = [
         { fault = "dropped-frame", state = "S02", frame = 15 },
@@ -40,6 +43,17 @@ projectors = [
     { name = "P1", driver = "simulated", columns = 256, rows = 192, settle_ms = 10.0 },
     { name = "P2", driver = "simulated", columns = 256, rows = 192, settle_ms = 10.0 },
 ]
+"""
+ONE_CAMERA = """
+cameras = [{ name = "C1", driver = "simulated", columns = 128, rows = 128, faults = [
+    { fault = "dropped-frame", state = "S02", frame = 15 }, #CABLE
+] }]
+projectors = [{ name = "P1", driver = "simulated", columns = 256, rows = 192, settle_ms = 10.0 }]
+"""
+RIG = """
+name = "bench"
+#SENSORS
+
 
 [[stages]]
 name = "stage"
@@ -73,9 +87,28 @@ SERVO = '{ fault = "hunting-servo", state = "S08", amount = 0.002, times = 0 },'
 CABLE = '{ fault = "unplugged", state = "S06", frame = 60 },'
 
 
+@dataclass(frozen=True)
+class Plan:
+    """A test: its loads, and the sensors before the specimen."""
+
+    loads_n: tuple[float, ...]
+    pairs: tuple[str, ...]
+    sensors: str
+
+
+WHOLE = Plan(LOADS_N, PAIRS, CAMERAS)
+SHORT = Plan(FEW_LOADS_N, PAIRS[:1], ONE_CAMERA)
+
+
 @pytest.fixture
-def home(tmp_path: Path) -> Path:
-    """A home with a campaign of ten states before two cameras and two projectors."""
+def plan(request: pytest.FixtureRequest) -> Plan:
+    assert isinstance(request.param, Plan)
+    return request.param
+
+
+@pytest.fixture
+def home(tmp_path: Path, plan: Plan) -> Path:
+    """A home with the campaign of a test."""
     home = tmp_path / "home"
     bootstrap.initialise(home)
     calibration, campaign = small_plate("fatigue")
@@ -91,28 +124,28 @@ def home(tmp_path: Path) -> Path:
             channels={"temperature": 21.5, "pan_rad": 0.05 if load < 0.0 else -0.05, "tilt_rad": 0.02},
             deformation=(UniaxialStrain(load * 4e-6, 0.3), Rigid(translation_mm=(load * 5e-4, 0.0, 0.0))),
         )
-        for number, load in enumerate(LOADS_N)
+        for number, load in enumerate(plan.loads_n)
     )
     with bootstrap.services(home) as services:
         register_campaign(
             services.catalogue,
             services.archive,
-            replace(campaign, rig="bench", states=states, pairs=rig.pairs(), scene=replace(scene, rig=rig)),
+            replace(campaign, rig="bench", states=states, pairs=plan.pairs, scene=replace(scene, rig=rig)),
             replace(calibration, rig=rig),
             datetime.now(UTC),
         )
     return home
 
 
-def connect(home: Path, cable: str, servo: str) -> None:
+def connect(home: Path, plan: Plan, cable: str, servo: str) -> None:
     file = home / "rig.toml"
-    text = RIG.replace("#CABLE", cable).replace("#SERVO", servo)
+    text = RIG.replace("#SENSORS", plan.sensors).replace("#CABLE", cable).replace("#SERVO", servo)
     file.write_text(text.replace('"LOAD"', f"'{home / 'load.csv'}'"))
     assert sms("rig", "add", str(file), "--replace", "--home", str(home)).returncode == 0
 
 
 @pytest.fixture
-def load_frame(home: Path) -> Iterator[None]:
+def load_frame(home: Path, plan: Plan) -> Iterator[None]:
     """Software of a load frame: it ramps to a load, holds it until its state is recorded, and writes it."""
     over = threading.Event()
 
@@ -123,7 +156,7 @@ def load_frame(home: Path) -> Iterator[None]:
             while not over.is_set():
                 with services.catalogue.reading() as session:
                     done = session.scalar(MEASURED_STATES) or 0
-                target = (*LOADS_N, 0.0)[done]
+                target = (*plan.loads_n, 0.0)[done]
                 load += max(-100.0, min(100.0, target - load))
                 file.write(f"{datetime.now(UTC).isoformat()},{load:.1f}\n")
                 file.flush()
@@ -155,17 +188,52 @@ def _resume(home: Path, job: str) -> None:
     assert answer("acquire", "resume", job, "--home", str(home))["jobs"] == {"succeeded": 1}
 
 
-def test_ten_states_are_recorded_and_reported(home: Path, load_frame: None) -> None:
-    connect(home, CABLE, SERVO)
+def _all_measured(home: Path, plan: Plan) -> dict[str, Any]:
+    """Return the statistics of every measurement: each tuple once, while its load was held."""
+    files = answer("data", "find", "-c", "fatigue", "--kind", "measurement", "--home", str(home))
+    assert sorted(f["subject"] for f in files) == [
+        f"fatigue/S{n:02d}/{pair}" for n in range(len(plan.loads_n)) for pair in plan.pairs
+    ]
+    statistics = {
+        f["subject"]: answer("data", "show", str(f["id"]), "--home", str(home))["statistics"] for f in files
+    }
+    for subject, found in statistics.items():
+        load = plan.loads_n[int(subject.split("/")[1][1:])]
+        assert abs(found["load_n_before"] - load) <= 5.0
+        assert found["temperature_before"] == 21.5  # a garbled reply and a late one were asked for again
+        assert found["doubts"] == 0.0
+    return statistics
+
+
+@pytest.mark.parametrize("plan", [SHORT], indirect=True)
+def test_a_cable_is_lost_in_an_unattended_test(home: Path, plan: Plan, load_frame: None) -> None:
+    connect(home, plan, CABLE.replace("S06", "S01").replace("60", "30"), "")
+    with service(home):
+        lost = _needs_operator(home, "fatigue/S01", "camera C1 does not answer; check its cable")
+        connect(home, plan, "", "")
+        _resume(home, lost)
+        last = follow(home)
+        assert last.returncode == 0, last.stderr
+        answer("job", "wait", "-c", "fatigue", "--home", str(home))
+    statistics = _all_measured(home, plan)
+    assert statistics["fatigue/S02/C1P1"]["retaken_frames"] == 1.0
+    strains = answer("data", "find", "-c", "fatigue", "--kind", "strain", "--home", str(home))
+    assert {f["subject"] for f in strains} == {"fatigue/S01/C1P1", "fatigue/S02/C1P1"}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("plan", [WHOLE], indirect=True)
+def test_ten_states_are_recorded_and_reported(home: Path, plan: Plan, load_frame: None) -> None:
+    connect(home, plan, CABLE, SERVO)
     with service(home):
         # S06 lost a cable and waits, and the servo at S08 hunts; nobody asked the load frame for more.
         lost = _needs_operator(home, "fatigue/S06", "camera C2 does not answer; check its cable")
-        connect(home, "", SERVO)
+        connect(home, plan, "", SERVO)
         _resume(home, lost)
         hunting = _needs_operator(
             home, "fatigue/S08", "the servo of 'stage' hunts: after 2 attempts of 2 s pan"
         )
-        connect(home, "", "")
+        connect(home, plan, "", "")
         _resume(home, hunting)
         last = follow(home)
         assert last.returncode == 0, last.stderr
@@ -174,20 +242,7 @@ def test_ten_states_are_recorded_and_reported(home: Path, load_frame: None) -> N
             "job", "submit", "report", "-c", "fatigue", "--wait", "--home", str(home), timeout=900.0
         )
     assert report["jobs"] == {"succeeded": 1}
-    files = answer("data", "find", "-c", "fatigue", "--kind", "measurement", "--home", str(home))
-    subjects = [f["subject"] for f in files]
-    assert sorted(subjects) == [
-        f"fatigue/S{n:02d}/{pair}" for n in range(len(LOADS_N)) for pair in ("C1P1", "C1P2", "C2P1", "C2P2")
-    ]
-    statistics = {
-        f["subject"]: answer("data", "show", str(f["id"]), "--home", str(home))["statistics"] for f in files
-    }
-    for subject, found in statistics.items():
-        # Each was recorded while its load was held.
-        load = LOADS_N[int(subject.split("/")[1][1:])]
-        assert abs(found["load_n_before"] - load) <= 5.0
-        assert found["temperature_before"] == 21.5  # a garbled reply and a late one were asked for again
-        assert found["doubts"] == 0.0
+    statistics = _all_measured(home, plan)
     assert statistics["fatigue/S02/C1P1"]["retaken_frames"] == 1.0
     assert statistics["fatigue/S04/C1P1"]["recordings"] == 2.0
     # At S03 the servo hunted once, and stood still when it was told again.
