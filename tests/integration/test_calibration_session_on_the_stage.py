@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from datetime import datetime, timedelta
 from math import degrees
 from pathlib import Path
@@ -28,10 +28,7 @@ from sms_jobs.records.recording import Recording
 from sms_jobs.records.scene import Rigid
 from sms_jobs.virtual_rig.sessions import calibration_session
 
-pytestmark = pytest.mark.long
-
-RIG = """
-name = "bending"
+TWO_CAMERAS = """
 cameras = [
     { name = "C1", driver = "simulated", columns = 512, rows = 512 },
     { name = "C2", driver = "simulated", columns = 512, rows = 512 },
@@ -40,6 +37,14 @@ projectors = [
     { name = "P1", driver = "simulated", columns = 1024, rows = 768, settle_ms = 10.0 },
     { name = "P2", driver = "simulated", columns = 1024, rows = 768, settle_ms = 10.0 },
 ]
+"""
+ONE_CAMERA = """
+cameras = [{ name = "C1", driver = "simulated", columns = 512, rows = 512 }]
+projectors = [{ name = "P1", driver = "simulated", columns = 1024, rows = 768, settle_ms = 10.0 }]
+"""
+RIG = """
+name = "bending"
+#SENSORS
 
 [[stages]]
 name = "stage"
@@ -49,11 +54,25 @@ tilt = { module = 13, minimum_deg = -108, maximum_deg = 108, velocity_deg_s = 60
 """
 
 
-def recipe(session: Campaign) -> str:
+@dataclass(frozen=True)
+class Plan:
+    """How much of the session is recorded: how many poses of each artefact, before which sensors."""
+
+    boards: int
+    bars: int
+    sensors: str
+    names: tuple[str, ...]
+
+
+WHOLE = Plan(6, 25, TWO_CAMERAS, ("C1", "C2", "P1", "P2"))
+SHORT = Plan(1, 4, ONE_CAMERA, ("C1", "P1"))
+
+
+def recipe(session: Campaign, plan: Plan) -> str:
     """Return the file of a session: boards pose by pose, the bar by how many poses in which range."""
     assert session.session is not None
     assert session.scene is not None
-    boards = [s for s in session.states if s.artefact == "board"]
+    boards = [s for s in session.states if s.artefact == "board"][: plan.boards]
     tripod = session.states[-1].deformation[1]
     assert isinstance(tripod, Rigid)
     board, bar, volume = (
@@ -70,7 +89,7 @@ def recipe(session: Campaign) -> str:
         f"volume = {{ low_mm = {list(volume.low)}, high_mm = {list(volume.high)} }}",
         *(f"artefacts.{n} = {_flat(a)}" for n, a in (("board", board), ("bar", bar))),
         "[session.stage_poses]",
-        'artefact = "bar"\ncount = 25\npan_deg = [-45, 45]\ntilt_deg = [-45, 45]',
+        f'artefact = "bar"\ncount = {plan.bars}\npan_deg = [-45, 45]\ntilt_deg = [-45, 45]',
         f"tripod = {_placement(tripod)}",
     ]
     for state in boards:
@@ -79,7 +98,7 @@ def recipe(session: Campaign) -> str:
     scene = session.scene
     lines.append(f"[scene]\nseed = {scene.seed}\ncamera = {_flat(scene.camera)}")
     lines.append(f"projector = {_flat(scene.projector)}")
-    for sensor in scene.rig.sensors:
+    for sensor in (x for x in scene.rig.sensors if x.name in plan.names):
         intrinsics = "\n".join(
             f"{f.name} = {getattr(sensor.intrinsics, f.name)!r}" for f in fields(Intrinsics)
         )
@@ -106,10 +125,17 @@ def _flat(record: Any) -> str:
 
 
 @pytest.fixture
-def home(tmp_path: Path) -> Path:
+def plan(request: pytest.FixtureRequest) -> Plan:
+    assert isinstance(request.param, Plan)
+    return request.param
+
+
+@pytest.fixture
+def home(tmp_path: Path, plan: Plan) -> Path:
     home = tmp_path / "home"
     bootstrap.initialise(home)
-    for name, text in (("rig.toml", RIG), ("session.toml", recipe(calibration_session("table-3", "small")))):
+    session = recipe(calibration_session("table-3", "small"), plan)
+    for name, text in (("rig.toml", RIG.replace("#SENSORS", plan.sensors)), ("session.toml", session)):
         (home / name).write_text(text)
     assert sms("rig", "add", str(home / "rig.toml"), "--home", str(home)).returncode == 0
     made = sms("campaign", "create", str(home / "session.toml"), "--home", str(home))
@@ -117,10 +143,10 @@ def home(tmp_path: Path) -> Path:
     return home
 
 
-def acquire(home: Path) -> subprocess.CompletedProcess[str]:
+def acquire(home: Path, *options: str) -> subprocess.CompletedProcess[str]:
     """Record the session as somebody does who presses Enter whenever an artefact stands."""
     return subprocess.run(
-        [*SMS, "acquire", "run", "table-3", "--process", "--home", str(home)],
+        [*SMS, "acquire", "run", "table-3", *options, "--home", str(home)],
         input="\n" * 7,
         capture_output=True,
         text=True,
@@ -159,11 +185,27 @@ def _as_was_said(home: Path, said: dict[str, Any]) -> None:
     assert took > foretold - len(begun) * 0.1
 
 
-def test_from_recipe_to_certified_calibration(home: Path) -> None:
+@pytest.mark.parametrize("plan", [SHORT], indirect=True)
+def test_a_recipe_is_recorded_on_the_stage(home: Path, plan: Plan) -> None:
     said = answer("acquire", "run", "table-3", "--dry-run", "--home", str(home))
     assert not said["missing"]
     with service(home):
         done = acquire(home)
+    assert done.returncode == 0, done.stderr
+    # The board by hand, and the bar once: from one pose to the next it is the stage that moves.
+    assert done.stderr.count("Enter records it") == 2
+    shown = answer("acquire", "show", "table-3", "--home", str(home))
+    assert [(s["pairs"], s["doubtful"]) for s in shown] == [(1, 0)] * 5
+    _as_was_said(home, said)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("plan", [WHOLE], indirect=True)
+def test_from_recipe_to_certified_calibration(home: Path, plan: Plan) -> None:
+    said = answer("acquire", "run", "table-3", "--dry-run", "--home", str(home))
+    assert not said["missing"]
+    with service(home):
+        done = acquire(home, "--process")
         (home / "acquire.out").write_text(done.stdout + done.stderr)
         assert done.returncode == 0, done.stderr
         # Six boards by hand, and the bar once.
