@@ -1,18 +1,17 @@
-"""The connection between the server of a scanner and its client, and the client's end of it.
+"""The client's end of a link to the server of a scanner, and what both ends say of errors.
 
-Messages are JSON, an image follows as bytes: nothing that is received is ever executed. Both ends prove
-that they know one key before anything else is said. Every request is answered, in order.
+Requests are JSON, an image may follow as bytes: nothing that is received is ever executed. Every request is
+answered, in order.
 """
 
 from __future__ import annotations
 
-import json
+import secrets
+import socket
+import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import AuthenticationError
-from multiprocessing.connection import Client, Connection, answer_challenge, deliver_challenge
-from socket import AF_INET, IPPROTO_TCP, SOCK_STREAM, TCP_NODELAY, create_connection, fromfd, socket
 from typing import Any
 
 from pydantic import TypeAdapter
@@ -20,18 +19,31 @@ from pydantic import TypeAdapter
 from sms_jobs import errors
 from sms_jobs.errors import DeviceFault, InvalidInput, LinkLost, SmsError
 from sms_jobs.instruments.clock import Clock
+from sms_jobs.instruments.scanners.proof import (
+    CHALLENGE_BYTES,
+    HELLO_BYTES,
+    NONCE_BYTES,
+    PROTOCOL,
+    SessionKeys,
+    client_proof,
+    hello,
+    protocol_of,
+    same,
+    server_proof,
+    session_keys,
+)
+from sms_jobs.instruments.scanners.wire import SILENCE_S, Message, Wire, WireEnded
 from sms_jobs.instruments.simulated.optics import Setting
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import Deformation
 
-PROTOCOL = 1
 SETTING = TypeAdapter(Setting)
 SEQUENCE = TypeAdapter(FringeSequence)
 DEFORMATION = TypeAdapter(tuple[Deformation, ...])
-LONGEST_MESSAGE = 1 << 30
-"""In bytes: a frame of 500 megapixels."""
 
 _CONNECT_S = 5.0
+_PROOF_S = 5.0
+"""What a server may take to prove that it has the key."""
 _ANSWER_S = 15.0
 """What a server may take for anything but waiting for a frame; real cameras are slow to open."""
 _RENDERED_S = 120.0
@@ -70,25 +82,31 @@ class ScannerLink:
         What has to be added to the server's times to have the client's.
     """
 
-    def __init__(self, address: Address, key: bytes, clock: Clock, setting: Setting | None) -> None:
+    def __init__(
+        self,
+        address: Address,
+        key: bytes,
+        clock: Clock,
+        setting: Setting | None,
+        silence_s: float = SILENCE_S,
+    ) -> None:
         """Connect and have the server connect its instruments.
 
         Raises
         ------
         LinkLost
-            There is no server, or it has another key.
+            There is no server, it has another key, or it is lent to another client.
         InstrumentError
             One of its instruments does not answer.
         """
         self._address = address
         self._clock = clock
         self._owed = 0
-        self._lost = False
         self._least_patience_s = 0.0
-        self._connection = _connection(address, key)
+        self._wire = _proven(address, key, silence_s)
         try:
             told = None if setting is None else SETTING.dump_python(setting, mode="json")
-            self.facts = self.ask("open", protocol=PROTOCOL, setting=told)[0]
+            self.facts = self.ask("open", setting=told)[0]
             self._least_patience_s = _RENDERED_S if self.simulated else 0.0
             self.behind_s = self._behind()
         except BaseException:
@@ -105,9 +123,7 @@ class ScannerLink:
         self._send(command, values)
         self._owed += 1
 
-    def ask(
-        self, command: str, patience_s: float = _ANSWER_S, **values: Any
-    ) -> tuple[Mapping[str, Any], bytes]:
+    def ask(self, command: str, patience_s: float = _ANSWER_S, **values: Any) -> Message:
         """Send a request and return its answer, with the bytes that follow it.
 
         Raises
@@ -119,7 +135,7 @@ class ScannerLink:
         """
         self._send(command, values)
         failure: SmsError | None = None
-        answer: tuple[Mapping[str, Any], bytes] = ({}, b"")
+        answer: Message = ({}, bytearray())
         for _ in range(self._owed + 1):
             answer = self._answer(max(patience_s, self._least_patience_s))
             if failure is None and "error" in answer[0]:
@@ -131,8 +147,7 @@ class ScannerLink:
 
     def close(self) -> None:
         """Let go of the server, which then leaves its instruments dark and still."""
-        self._lost = True
-        self._connection.close()
+        self._wire.close()
 
     def _behind(self) -> float:
         """Return how far the server's clock is behind, by the quickest of a few questions."""
@@ -145,66 +160,88 @@ class ScannerLink:
         return min(found)[1]
 
     def _send(self, command: str, values: Mapping[str, Any]) -> None:
-        if self._lost:
-            raise self._gone("the link was lost before")
         try:
-            self._connection.send_bytes(json.dumps({"command": command, **values}).encode())
-        except OSError as error:
+            self._wire.send({"command": command, **values})
+        except WireEnded as error:
             raise self._gone(str(error)) from error
 
-    def _answer(self, patience_s: float) -> tuple[Mapping[str, Any], bytes]:
+    def _answer(self, patience_s: float) -> Message:
         try:
-            if not self._connection.poll(patience_s):
-                raise self._gone(f"no answer within {patience_s:g} s")
-            told = json.loads(self._connection.recv_bytes(LONGEST_MESSAGE))
-            follows = self._connection.recv_bytes(LONGEST_MESSAGE) if told.get("bytes") else b""
-        except (EOFError, OSError, ValueError) as error:
-            raise self._gone(str(error) or "it closed the connection") from error
-        return told, follows
+            answer = self._wire.receive(patience_s)
+        except WireEnded as error:
+            raise self._gone(str(error)) from error
+        if answer is None:
+            raise self._gone(f"no answer within {patience_s:g} s")
+        return answer
 
     def _gone(self, why: str) -> LinkLost:
-        self._lost = True
+        self._wire.close()  # a late answer would be taken for that to another question
         return LinkLost(
             f"the server of the scanner at {self._address} does not answer ({why}): see whether `sms rig "
             "serve` runs there, and the network"
         )
 
 
-def _connection(address: Address, key: bytes) -> Connection:
+def _proven(address: Address, key: bytes, silence_s: float) -> Wire:
+    """Connect with a server that knows the key, and prove that it is known here too."""
     try:
-        # Found out first, because the client of the standard library waits for minutes.
-        create_connection((address.host, address.port), _CONNECT_S).close()
-        connection = Client((address.host, address.port))
-        prompt(connection)
-        if not connection.poll(_CONNECT_S):
-            connection.close()
-            raise LinkLost(
-                f"the scanner at {address} is lent to another client: end what records with it, or wait"
-            )
-        answer_challenge(connection, key)
-        deliver_challenge(connection, key)
-    except AuthenticationError as error:
-        raise LinkLost(
-            f"the server of the scanner at {address} has another key: copy the file that `sms rig serve` "
-            "names there"
-        ) from error
-    except (EOFError, OSError) as error:
+        wire = socket.create_connection((address.host, address.port), _CONNECT_S)
+        try:
+            keys = _prove(wire, address, key)
+        except BaseException:
+            wire.close()
+            raise
+    except OSError as error:
         raise LinkLost(
             f"there is no server of a scanner at {address} ({error}): start `sms rig serve` there, and see "
             "whether the network and its firewall let it through"
         ) from error
-    return connection
+    return Wire(wire, keys.from_client, keys.from_server, silence_s)
 
 
-def wire_of(connection: Connection) -> socket:
-    """Return the wire of a connection, which stays open when this is closed."""
-    return fromfd(connection.fileno(), AF_INET, SOCK_STREAM)
+def _prove(wire: socket.socket, address: Address, key: bytes) -> SessionKeys:
+    """Prove to a server that the key is known, once it has done so itself."""
+    ours = hello(secrets.token_bytes(NONCE_BYTES))
+    wire.sendall(ours)
+    answer = _taken(wire, CHALLENGE_BYTES, time.monotonic() + _PROOF_S)
+    theirs, proof = answer[:HELLO_BYTES], answer[HELLO_BYTES:]
+    spoken = protocol_of(theirs)
+    if spoken != PROTOCOL:
+        raise LinkLost(_other_protocol(address, spoken))
+    if not same(proof, server_proof(key, ours, theirs)):
+        raise LinkLost(
+            f"the server of the scanner at {address} has another key: copy the file that `sms rig serve` "
+            "names there"
+        )
+    wire.sendall(client_proof(key, ours, theirs))
+    return session_keys(key, ours, theirs)
 
 
-def prompt(connection: Connection) -> None:
-    """Have short messages sent at once, not when there are more of them."""
-    with wire_of(connection) as wire:
-        wire.setsockopt(IPPROTO_TCP, TCP_NODELAY, 1)
+def _taken(wire: socket.socket, count: int, deadline: float) -> bytes:
+    """Return so many bytes; raise `OSError` when they do not come in time."""
+    taken = b""
+    while len(taken) < count:
+        left_s = deadline - time.monotonic()
+        if left_s <= 0.0:
+            raise TimeoutError(f"it did not prove within {_PROOF_S:g} s that it knows the key")
+        wire.settimeout(left_s)
+        try:
+            got = wire.recv(count - len(taken))
+        except TimeoutError:
+            continue
+        if not got:
+            raise ConnectionResetError("it closed the connection")
+        taken += got
+    return taken
+
+
+def _other_protocol(address: Address, spoken: int | None) -> str:
+    if spoken is None:
+        return f"what listens at {address} is no server of a scanner: correct the address in the rig file"
+    return (
+        f"the server of the scanner at {address} speaks version {spoken} of the protocol and this computer "
+        f"version {PROTOCOL}: give both the same version of this program"
+    )
 
 
 def as_told(error: Exception) -> dict[str, str]:

@@ -6,43 +6,34 @@ dark and cameras stop.
 
 from __future__ import annotations
 
-import json
 import logging
+import socket
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
-from multiprocessing import AuthenticationError
-from multiprocessing.connection import Connection, Listener, answer_challenge, deliver_challenge
-from socket import SHUT_RDWR, create_connection, socket
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.errors import InstrumentError, InvalidInput, SmsError
+from sms_jobs.errors import InstrumentError, InvalidInput, LinkLost, SmsError
 from sms_jobs.instruments.clock import Clock, RealClock
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.recorder import ConnectedRig
-from sms_jobs.instruments.scanners.link import (
-    DEFORMATION,
-    LONGEST_MESSAGE,
-    PROTOCOL,
-    SEQUENCE,
-    SETTING,
-    Address,
-    as_told,
-    prompt,
-    wire_of,
-)
+from sms_jobs.instruments.scanners.door import Door
+from sms_jobs.instruments.scanners.link import DEFORMATION, SEQUENCE, SETTING, Address, as_told
+from sms_jobs.instruments.scanners.proof import SessionKeys
+from sms_jobs.instruments.scanners.wire import SILENCE_S, Message, Wire, WireEnded
 from sms_jobs.instruments.simulated.optics import WHITE, Hall, SimulatedCamera
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import RigFile
 
 _LOOKS_EVERY_S = 0.2
-_PROOF_S = 5.0
-"""What a caller may take to prove that it has the key: nobody keeps others out by saying nothing."""
+_QUEUE_S = 5.0
+"""How long a client waits while another has the scanner, which may just be leaving."""
+_MOST_WAITING = 8
 
 logger = logging.getLogger(__name__)
 
@@ -60,67 +51,129 @@ class ScannerServer:
         What a client has to know.
     threads
         For rendering, where sensors are simulated.
+    silence_s
+        A client that has said nothing for so long is gone.
     """
 
-    def __init__(self, rig: Callable[[], RigFile], address: Address, key: bytes, threads: int = 1) -> None:
+    def __init__(
+        self,
+        rig: Callable[[], RigFile],
+        address: Address,
+        key: bytes,
+        threads: int = 1,
+        silence_s: float = SILENCE_S,
+    ) -> None:
         self._rig = rig
-        self._key = key
         self._threads = threads
+        self._silence_s = silence_s
         self._stopped = threading.Event()
-        self._listener = Listener((address.host, address.port), backlog=4)
-        host, port = self._listener.address[:2]
-        self.address = Address(str(host), int(port))
+        self._waiting = _WaitingRoom()
+        self._door = Door(address, key, self._let_in)
+        self.address = self._door.address
 
     def serve(self) -> None:
-        """Serve one client after the other."""
-        with self._listener:
+        """Serve one client after the other; instruments are used by the thread that calls this."""
+        self._door.open()
+        try:
             while not self._stopped.is_set():
-                with self._listener.accept() as connection:
-                    if not _proven(connection, self._key):
-                        continue
-                    logger.info("a client has come: %s", self._listener.last_accepted)
-                    try:
-                        prompt(connection)
-                        _Visit(connection, self._rig, self._threads, self._stopped).serve()
-                    except (EOFError, OSError):
-                        logger.info("the client has gone")
-                    except Exception:  # the next client is to be served, whatever became of this one
-                        logger.exception("the client was sent away")
+                client = self._waiting.next(_LOOKS_EVERY_S)
+                if client is not None:
+                    self._serve(client)
+        finally:
+            self._door.close()
+            self._waiting.close()
 
     def stop(self) -> None:
         """End it, from another thread."""
         self._stopped.set()
-        with suppress(OSError):  # it may have ended already; if not, it waits for a caller
-            create_connection((self.address.host, self.address.port), 1.0).close()
 
-
-def _proven(connection: Connection, key: bytes) -> bool:
-    """Return whether a caller knows the key, and prove to it that this is known here too."""
-    with wire_of(connection) as wire:
-        hang_up = threading.Timer(_PROOF_S, partial(_hang_up, wire))
-        hang_up.start()
+    def _let_in(self, wire: socket.socket, keys: SessionKeys, address: str) -> None:
         try:
-            deliver_challenge(connection, key)
-            answer_challenge(connection, key)
-        except (AuthenticationError, EOFError, OSError) as error:
-            # Also one that only looks whether the port is open.
-            logger.debug("a caller was turned away: %s", error)
-            return False
-        finally:
-            hang_up.cancel()
-    return True
+            host, port = wire.getsockname()[:2]
+            proven = Wire(wire, keys.from_server, keys.from_client, self._silence_s)
+            client = _Client(proven, address, Address(str(host), int(port)))
+        except (OSError, RuntimeError) as error:
+            logger.debug("the client %s has gone at once: %s", address, error)
+            wire.close()
+            return
+        self._waiting.enter(client)
+
+    def _serve(self, client: _Client) -> None:
+        with closing(client.wire) as wire:
+            logger.info("a client has come: %s", client.address)
+            try:
+                _Visit(wire, self._rig, self._threads, self._stopped).serve()
+            except WireEnded as error:
+                logger.info("the client %s has gone (%s)", client.address, error)
+            except Exception:  # the next client is to be served, whatever became of this one
+                logger.exception("the client %s was sent away", client.address)
 
 
-def _hang_up(wire: socket) -> None:
-    with suppress(OSError):
-        wire.shutdown(SHUT_RDWR)
+@dataclass(frozen=True)
+class _Client:
+    """One that has proven itself."""
+
+    wire: Wire
+    address: str
+    server: Address
+
+    def refuse(self) -> None:
+        """Tell it that another one has the scanner."""
+        taken = LinkLost(
+            f"the scanner at {self.server} is lent to another client: end what records with it, or wait"
+        )
+        with closing(self.wire) as wire, suppress(WireEnded):
+            wire.send(as_told(taken))
+
+
+class _WaitingRoom:
+    """Clients that wait until the one before them has left, for a while."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._clients: deque[_Client] = deque()
+        self._closed = False
+
+    def enter(self, client: _Client) -> None:
+        """Have a client wait; one too many is refused at once."""
+        with self._changed:
+            if len(self._clients) < _MOST_WAITING and not self._closed:
+                self._clients.append(client)
+                self._changed.notify()
+                patience = threading.Timer(_QUEUE_S, self._give_up, [client])
+                patience.daemon = True
+                patience.start()
+                return
+        client.refuse()
+
+    def next(self, patience_s: float) -> _Client | None:
+        """Return the client whose turn it is; None if nobody comes in time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._clients, patience_s)
+            return self._clients.popleft() if self._clients else None
+
+    def close(self) -> None:
+        """Send everybody away."""
+        with self._changed:
+            self._closed = True
+            clients = tuple(self._clients)
+            self._clients.clear()
+        for client in clients:
+            client.wire.close()
+
+    def _give_up(self, client: _Client) -> None:
+        with self._changed:
+            if client not in self._clients:
+                return
+            self._clients.remove(client)
+        client.refuse()
 
 
 @dataclass
 class _Visit:
     """One client, from its coming to its going."""
 
-    connection: Connection
+    wire: Wire
     rig: Callable[[], RigFile]
     threads: int
     stopped: threading.Event
@@ -130,11 +183,8 @@ class _Visit:
         """Connect the instruments, and do what the client asks for until it is gone."""
         try:
             told = self._request()
-            if told.get("command") != "open" or told.get("protocol") != PROTOCOL:
-                raise InvalidInput(
-                    f"the client speaks version {told.get('protocol')} and this server version {PROTOCOL}: "
-                    "give both computers the same version of this program"
-                )
+            if told.get("command") != "open":
+                raise InvalidInput("a client opens the scanner before it asks for anything else")
             setting = None if told["setting"] is None else SETTING.validate_python(told["setting"])
             with connected(self.rig(), setting, self.threads, self.clock) as rig:
                 lent = Lent(rig, self.clock)
@@ -144,6 +194,7 @@ class _Visit:
                         self._serve_request(lent, self._request())
                 finally:
                     lent.rest()
+                    logger.info("projectors are dark and cameras still")
         except (SmsError, KeyError, TypeError, ValueError) as error:
             self._answer(as_told(error))
 
@@ -158,20 +209,16 @@ class _Visit:
             return
         self._answer(answer, image)
 
-    def _request(self) -> dict[str, Any]:
-        while not self.connection.poll(_LOOKS_EVERY_S):
+    def _request(self) -> Mapping[str, Any]:
+        message: Message | None = None
+        while message is None:
             if self.stopped.is_set():
-                raise EOFError
-        told = json.loads(self.connection.recv_bytes(LONGEST_MESSAGE))
-        if not isinstance(told, dict):
-            raise TypeError("a request is a JSON object")
-        return told
+                raise WireEnded("the server was told to end")
+            message = self.wire.receive(_LOOKS_EVERY_S)
+        return message[0]
 
     def _answer(self, values: Mapping[str, Any], image: NDArray[Any] | None = None) -> None:
-        follows = {} if image is None else {"bytes": image.nbytes}
-        self.connection.send_bytes(json.dumps({**values, **follows}).encode())
-        if image is not None:
-            self.connection.send_bytes(np.ascontiguousarray(image).data.cast("B"))
+        self.wire.send(values, b"" if image is None else np.ascontiguousarray(image).data.cast("B"))
 
 
 @dataclass

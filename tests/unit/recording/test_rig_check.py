@@ -139,9 +139,9 @@ def test_simulated_cameras_see_the_light_of_a_scene() -> None:
 
 
 def test_a_scanner_without_a_scene_is_only_named(tmp_path: Path) -> None:
-    (tmp_path / "key").write_bytes(b"known to both ends of the wire\n")
+    (tmp_path / "key").write_text(f"{bytes(32).hex()}\n")
     lent = parse_rig(example_rig(), "rig.toml")
-    server = ScannerServer(lambda: lent, Address("127.0.0.1", 0), b"known to both ends of the wire")
+    server = ScannerServer(lambda: lent, Address("127.0.0.1", 0), bytes(32))
     serving = threading.Thread(target=server.serve)
     serving.start()
     try:
