@@ -9,6 +9,7 @@ from kombu.entity import Queue as MessageQueue
 from kombu.exceptions import OperationalError
 
 from sms_jobs.errors import ConfigurationError
+from sms_jobs.jobs.stations import EVERY_RIG
 from sms_jobs.kinds.kind import Queue
 from sms_jobs.settings import Settings
 from sms_jobs.workers import file_transport
@@ -21,6 +22,8 @@ WORKER_QUEUES = "SMS_WORKER_QUEUES"
 """Environment variables by which a supervisor tells its worker who it is and what it serves."""
 
 QUEUES = tuple(queue.value for queue in Queue)
+"""Of every host."""
+ALL_QUEUES = (*QUEUES, EVERY_RIG)
 
 
 def message_queue(queue: str) -> str:

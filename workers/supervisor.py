@@ -30,7 +30,7 @@ from sms_jobs.jobs.limits import Force, Limits
 from sms_jobs.jobs.runner import require_room
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN
 from sms_jobs.settings import Settings
-from sms_jobs.workers.celery_app import QUEUES, WORKER_ID, WORKER_QUEUES, make_app, message_queue
+from sms_jobs.workers.celery_app import ALL_QUEUES, WORKER_ID, WORKER_QUEUES, make_app, message_queue
 from sms_jobs.workers.publisher import Publisher
 
 logger = logging.getLogger(__name__)
@@ -55,10 +55,10 @@ class Supervisor:
     services
         Of the home.
     queues
-        Names of the job queues that are served.
+        Names of the job queues that are served; may say that of every rig.
     """
 
-    def __init__(self, services: Services, queues: Sequence[str] = QUEUES) -> None:
+    def __init__(self, services: Services, queues: Sequence[str] = ALL_QUEUES) -> None:
         self.worker_id = secrets.token_hex(4)
         self._services = services
         self._settings = services.settings
@@ -66,7 +66,8 @@ class Supervisor:
         self._lease = timedelta(seconds=self._settings.lease_s)
         self._limits = limits_of(self._settings)
         self._host = socket.gethostname()
-        self._app = make_app(self._settings, self._queues)
+        self._served = services.stations.served(self._queues)
+        self._app = make_app(self._settings, self._served)
         self._process: subprocess.Popen[bytes] | None = None
         self._company: Company | None = None
         self._stop_asked = 0
@@ -82,7 +83,7 @@ class Supervisor:
                 self.worker_id,
                 self._host,
                 os.getpid(),
-                self._queues,
+                self._served,
                 self._settings.workers,
                 datetime.now(UTC),
             )
@@ -107,6 +108,7 @@ class Supervisor:
                 self._done(self._analyse)
             if moment >= recover_at:
                 duties = (
+                    self._look_for_rigs,
                     self._fire_schedules,
                     self._enforce,
                     self._recover,
@@ -119,6 +121,15 @@ class Supervisor:
                         return
             self._restart_if_dead()
             time.sleep(_TICK_S)
+
+    def _look_for_rigs(self) -> None:
+        """Note rigs that have come or gone; the processes of the worker see them by themselves."""
+        served = self._services.stations.served(self._queues)
+        if served != self._served:
+            with self._services.catalogue.writing() as session:
+                recovery.note_queues(session, self.worker_id, served)
+            self._served = served
+            logger.info("serving %s from now on", ", ".join(served))
 
     def _end_if_alone(self) -> None:
         """End a worker that lives without processes for jobs: an error may leave it so, for ever."""
@@ -206,7 +217,7 @@ class Supervisor:
         }
         command = [sys.executable, "-m", "celery", "-A", "sms_jobs.workers.tasks", "worker"]
         command += ["--pool", "prefork", "--concurrency", str(self._settings.workers)]
-        command += ["--queues", ",".join(message_queue(queue) for queue in self._queues)]
+        command += ["--queues", ",".join(message_queue(queue) for queue in self._served)]
         command += ["--hostname", f"sms-{self.worker_id}@%h", "--loglevel", "INFO"]
         command += ["--without-gossip", "--without-mingle", "--without-heartbeat"]
         self._settings.log_folder.mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,7 @@ from functools import cache
 from typing import Any
 
 import cv2
-from celery.signals import worker_init, worker_process_init
+from celery.signals import worker_init, worker_process_init, worker_ready
 
 from sms_jobs import settings as settings_file
 from sms_jobs.archive import Archive
@@ -24,11 +24,14 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.jobs.runner import Runner
 from sms_jobs.jobs.stations import Stations
 from sms_jobs.kinds import all_kinds
-from sms_jobs.workers.celery_app import QUEUES, RUN, WORKER_ID, WORKER_QUEUES, make_app
+from sms_jobs.workers.celery_app import ALL_QUEUES, RUN, WORKER_ID, WORKER_QUEUES, make_app, message_queue
 
 _settings = settings_file.load()
-_queues = tuple(os.environ.get(WORKER_QUEUES, ",".join(QUEUES)).split(","))
-app = make_app(_settings, _queues)
+_queues = tuple(os.environ.get(WORKER_QUEUES, ",".join(ALL_QUEUES)).split(","))
+_stations = Stations.of(_settings)
+app = make_app(_settings, _stations.served(_queues))
+
+_LOOK_FOR_RIGS_EVERY_S = 1.0
 
 
 @cache
@@ -43,7 +46,7 @@ def _runner() -> Runner:
         lease=timedelta(seconds=_settings.lease_s),
         threads=_settings.threads,
         log_folder=_settings.log_folder,
-        stations=Stations.of(_settings),
+        stations=_stations,
         now=lambda: datetime.now(UTC),
         least_room_mb=_settings.least_room_mb,
     )
@@ -73,6 +76,25 @@ def _prepare_process(**_: Any) -> None:
 def _load_kinds(**_: Any) -> None:
     # Once, before the fork: a process that takes the place of a killed one has them at once.
     all_kinds()
+
+
+@worker_ready.connect  # type: ignore[untyped-decorator]
+def _serve_rigs_that_come(sender: Any, **_: Any) -> None:
+    threading.Thread(target=_watch_rigs, args=(sender,), daemon=True).start()
+
+
+def _watch_rigs(consumer: Any) -> None:
+    """Have the worker be woken for rigs that are connected while it runs."""
+    while True:
+        for queue in map(message_queue, _stations.served(_queues)):
+            if queue not in app.amqp.queues.consume_from:
+                consumer.call_soon(_consume, consumer, queue)
+        time.sleep(_LOOK_FOR_RIGS_EVERY_S)
+
+
+def _consume(consumer: Any, queue: str) -> None:
+    if consumer.task_consumer is not None:  # or it connects just now, and is asked again
+        consumer.add_task_queue(queue)
 
 
 def _end_with_parent(parent: int) -> None:

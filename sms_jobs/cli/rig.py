@@ -39,7 +39,7 @@ def add(
 ) -> None:
     """Connect a rig to this host: take over the file that describes its instruments.
 
-    A worker serves it from its next start on.
+    A worker that runs here serves it from now on.
 
     Example: sms rig add --example > rig.toml; sms rig add rig.toml
     """
@@ -54,7 +54,7 @@ def add(
         rig = services.stations.add(file, replace)
     output.say(
         f"rig {rig.name} is connected: {', '.join(rig.devices)}; 'sms rig check {rig.name}' talks to them, "
-        "'sms up' or 'sms worker start' serves it from its next start on"
+        "'sms up' or 'sms worker start' serves it, now if it runs"
     )
 
 

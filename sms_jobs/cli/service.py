@@ -49,12 +49,11 @@ def up(
 
     Example: sms up --home /data/sms
     """
-    from sms_jobs.workers.celery_app import QUEUES
     from sms_jobs.workers.supervisor import Supervisor
 
     output.log_to_stderr()
     with bootstrap.services(home) as services:
-        supervisor = Supervisor(services, (*QUEUES, *services.stations.queues()))
+        supervisor = Supervisor(services)
         output.say(
             f"worker {supervisor.worker_id} serves {services.settings.home} with "
             f"{services.settings.workers} jobs at a time; Ctrl-C ends it"

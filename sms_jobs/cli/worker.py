@@ -28,17 +28,18 @@ def start(
 ) -> None:
     """Join the service on this host, serving some queues only, until Ctrl-C.
 
-    A rig that `sms rig add` has connected to this host has a queue of its own, such as rig-wing.
+    A rig that `sms rig add` has connected to this host has a queue of its own, such as rig-wing; `rigs`
+    stands for all of them, also for those that are connected later.
 
-    Example: sms worker start --queues cpu,io
+    Example: sms worker start --queues cpu,io,rigs
     """
-    from sms_jobs.workers.celery_app import QUEUES
+    from sms_jobs.workers.celery_app import ALL_QUEUES
     from sms_jobs.workers.supervisor import Supervisor
 
     output.log_to_stderr()
     with bootstrap.services(home) as services:
-        known = (*QUEUES, *services.stations.queues())
-        wanted = known if queues is None else tuple(queue.strip() for queue in queues.split(","))
+        known = (*ALL_QUEUES, *services.stations.queues())
+        wanted = ALL_QUEUES if queues is None else tuple(queue.strip() for queue in queues.split(","))
         unknown = [queue for queue in wanted if queue not in known]
         if unknown:
             raise InvalidInput(f"there is no queue '{unknown[0]}' here; choose among {', '.join(known)}")

@@ -40,6 +40,11 @@ def register_worker(
     )
 
 
+def note_queues(session: Session, worker_id: str, queues: Collection[str]) -> None:
+    """Note which queues a supervisor serves now."""
+    session.execute(update(WorkerRow).where(WorkerRow.id == worker_id).values(queues=",".join(queues)))
+
+
 def drain(session: Session, worker_id: str) -> None:
     """Let a worker finish what it runs and claim nothing more."""
     session.execute(update(WorkerRow).where(WorkerRow.id == worker_id).values(draining=True))

@@ -61,7 +61,7 @@ class Runner:
     catalogue, archive
         Where jobs come from and outputs go.
     queues
-        Whose jobs it takes.
+        Whose jobs it takes; may say that of every rig.
     worker_id, host
         Of the supervisor that looks after this process.
     lease
@@ -119,7 +119,8 @@ class Runner:
         except StorageFull as error:
             self._hold_queues_back(session, error)
             return None
-        return lifecycle.claim(session, self.queues, self.worker_id, os.getpid(), self.now(), self.lease)
+        queues = self.stations.served(self.queues)
+        return lifecycle.claim(session, queues, self.worker_id, os.getpid(), self.now(), self.lease)
 
     def _run_to_end(self, held: Claim) -> Claim | None:
         """Run a job, tell how it ended, and return the next one."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from sms_jobs.kinds.kind import Station, rig_queue
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.settings import Settings
+
+EVERY_RIG = "rigs"
+"""Among the queues that a worker is to serve: those of every rig of its host, whenever it is connected."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,10 @@ class Stations:
     def queues(self) -> tuple[str, ...]:
         """Return the queues of the jobs that work with these rigs."""
         return tuple(rig_queue(name) for name in self.names())
+
+    def served(self, queues: Sequence[str]) -> tuple[str, ...]:
+        """Return the queues that a worker serves now which is to serve these."""
+        return tuple(q for queue in queues for q in (self.queues() if queue == EVERY_RIG else (queue,)))
 
     def rig(self, name: str) -> RigFile:
         """Return what the file of a rig says.

@@ -134,8 +134,13 @@ def test_a_state_is_recorded_and_processed(home: Path) -> None:
     assert np.diff(recording.times_s).min() >= 0.04
 
 
+def has_begun(home: Path) -> bool:
+    """Tell whether a worker is ready, whatever it serves."""
+    return any(" ready." in log.read_text("utf-8") for log in (home / "logs").glob("worker-*.log"))
+
+
 def test_a_killed_worker_loses_no_complete_frame(home: Path) -> None:
-    rig(home, SLOW)
+    (home / "rigs" / "bench.toml").unlink()
     with bootstrap.services(home) as services:
         # Looked at from here: a command for each look would take most of the time of this test.
         def submitted() -> str:
@@ -153,6 +158,9 @@ def test_a_killed_worker_loses_no_complete_frame(home: Path) -> None:
 
         with service(home) as supervisor:
             job = submitted()
+            # A rig that is connected later is served by the worker that runs.
+            wait_until(lambda: has_begun(home))
+            rig(home, SLOW)
             wait_until(lambda: spooled(home) > 10)
             seen = spooled(home)
             _kill_recorder(supervisor)
