@@ -114,8 +114,13 @@ class Settings(BaseSettings):
 
     @property
     def log_folder(self) -> Path:
-        """Return the folder of the jobs' and workers' logs."""
+        """Return the folder of the workers' logs."""
         return self.home / "logs"
+
+    @property
+    def job_log_folder(self) -> Path:
+        """Return the folder of the jobs' logs: where every host sees them, beside what the jobs made."""
+        return self.archive_root / ".logs"
 
 
 def default_home() -> Path:

@@ -45,7 +45,7 @@ def _runner() -> Runner:
         host=socket.gethostname(),
         lease=timedelta(seconds=_settings.lease_s),
         threads=_settings.threads,
-        log_folder=_settings.log_folder,
+        log_folder=_settings.job_log_folder,
         stations=_stations,
         now=lambda: datetime.now(UTC),
         least_room_mb=_settings.least_room_mb,

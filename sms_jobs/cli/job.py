@@ -238,18 +238,20 @@ def show(job: JobId, home: Home = None, as_json: Json = False) -> None:
 
 @app.command()
 def logs(job: JobId, home: Home = None) -> None:
-    """Print the log of a job.
+    """Print the log of a job, whichever host has run it.
 
     Example: sms job logs 3f2a
     """
     with bootstrap.services(home) as services:
         with services.catalogue.reading() as session:
             row = inquiry.find_job(session, job)
-        path = job_log(services.settings.log_folder, row.id)
+        path = job_log(services.settings.job_log_folder, row.id)
     if path.exists():
         sys.stdout.write(path.read_text(encoding="utf-8"))
     else:
-        output.say(f"job {row.id[: inquiry.SHORT]} is {row.state.value} and has written no log on this host")
+        output.say(
+            f"job {row.id[: inquiry.SHORT]} is {row.state.value} and has written no log: there is no {path}"
+        )
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""One log file a job, beside the worker's own log."""
+"""One log file a job, where every host can read it."""
 
 from __future__ import annotations
 

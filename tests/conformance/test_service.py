@@ -6,7 +6,7 @@ from collections import Counter
 from typing import Any
 
 import pytest
-from support.command import answer, kill_all, service, wait_until
+from support.command import answer, kill_all, service, sms, wait_until
 from support.deployments import Deployment
 from support.homes import make_home
 from support.jobs import JOBS
@@ -35,7 +35,7 @@ def files_on_disk(deployment: Deployment) -> set[str]:
     return {
         str(path.relative_to(root))
         for path in root.rglob("*")
-        if path.is_file() and not path.name.endswith(".provenance.json")
+        if path.is_file() and ".logs" not in path.parts and not path.name.endswith(".provenance.json")
     }
 
 
@@ -60,6 +60,15 @@ def test_a_campaign_runs_to_its_report_and_again_by_reuse(deployment: Deployment
         source for source, _, _ in found
     }
     assert files_on_disk(deployment) == files_in_catalogue(deployment)
+    # On any host: all that another one needs are the catalogue and the archive.
+    other = deployment.home.parent / "other"
+    shared = {
+        "SMS_DATABASE_URL": f"sqlite:///{deployment.home / 'catalogue.sqlite'}",
+        "SMS_ARCHIVE": str(deployment.home / "archive"),
+    }
+    make_home(other, deployment.environment, "another")
+    said = sms("job", "logs", first[0], "--home", str(other), environment=shared | deployment.environment)
+    assert f"job {first[0]}: simulate plate/S00, attempt 1" in said.stdout, said.stderr
 
 
 @pytest.mark.long  # every run of the tests kills more, over shorter jobs, in tests/faults

@@ -246,7 +246,7 @@ def test_ten_states_are_recorded_and_reported(home: Path, plan: Plan, load_frame
     assert statistics["fatigue/S02/C1P1"]["retaken_frames"] == 1.0
     assert statistics["fatigue/S04/C1P1"]["recordings"] == 2.0
     # At S03 the servo hunted once, and stood still when it was told again.
-    logs = [log.read_text() for log in (home / "logs" / "jobs").glob("*.log")]
+    logs = [log.read_text() for log in (home / "archive" / ".logs" / "jobs").glob("*.log")]
     (mended,) = [text for text in logs if "hunts, attempt 1 of 2" in text and "attempt 2 of 2" not in text]
     assert "fatigue/S03" in mended
     shown = answer("acquire", "show", "fatigue", "--home", str(home))

@@ -52,6 +52,11 @@ class Host:
     def run(self, *arguments: str) -> Any:
         return answer(*arguments, "--home", str(self.home), environment=self.environment)
 
+    def say(self, *arguments: str) -> str:
+        done = sms(*arguments, "--home", str(self.home), environment=self.environment)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
     def drain(self, worker: str) -> datetime:
         """Drain a worker, whichever host it is on; return when that was done."""
         done = sms("worker", "drain", worker, "--home", str(self.home), environment=self.environment)
@@ -106,6 +111,10 @@ def test_a_campaign_outlives_the_restart_of_either_host(
         listed = a.run("job", "list", "--limit", "1000")
         assert {job["attempts"] for job in listed} == {1}
         assert a.run("worker", "list")[-1]["id"] == third
+        # What a job has said is read on either host, whichever ran it.
+        for host in (a, b):
+            for job in (jobs[0], jobs[-1]):
+                assert f"job {job}: " in host.say("job", "logs", job)
 
     files = a.run("data", "find", "--limit", "1000")
     seen = Counter((f["source"], f["subject"], f["path"].rpartition("-")[2], f["media_type"]) for f in files)
@@ -114,5 +123,5 @@ def test_a_campaign_outlives_the_restart_of_either_host(
     assert {f["path"] for f in files} == {
         str(path.relative_to(tmp_path / "shared"))
         for path in (tmp_path / "shared").rglob("*")
-        if path.is_file() and not path.name.endswith(".provenance.json")
+        if path.is_file() and ".logs" not in path.parts and not path.name.endswith(".provenance.json")
     }

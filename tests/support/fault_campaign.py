@@ -404,7 +404,7 @@ def files_on_disk(archive: Path) -> list[str]:
     return [
         path.relative_to(archive).as_posix()
         for path in archive.rglob("*")
-        if path.is_file() and not path.name.endswith(".provenance.json")
+        if path.is_file() and ".logs" not in path.parts and not path.name.endswith(".provenance.json")
     ]
 
 
