@@ -51,8 +51,8 @@ def make_app(settings: Settings, queues: Sequence[str] = QUEUES) -> Celery:
         # Recovery never goes through the broker: a message that is lost is rung again.
         task_acks_late=False,
         worker_prefetch_multiplier=1,
-        # Nobody asks for results: a worker that ends does not wait for that of a process that was killed.
-        worker_lost_wait=1.0,
+        # Nobody asks: what a worker does is seen by its supervisor, and what jobs do by the catalogue.
+        worker_enable_remote_control=False,
         worker_hijack_root_logger=False,
         worker_redirect_stdouts=False,
         broker_connection_retry_on_startup=True,

@@ -1,4 +1,4 @@
-"""Looks after one Celery worker: starts it, renews the leases of its jobs, and recovers lost ones.
+"""Looks after the processes that run jobs: keeps them in their places, and recovers lost jobs.
 
 It is a process of its own, so that native code in a job, which may hold the interpreter for minutes,
 cannot keep it from giving the sign of life. Every supervisor also recovers the jobs of others.
@@ -11,8 +11,6 @@ import os
 import secrets
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
@@ -26,11 +24,14 @@ from sms_jobs.catalogue import upkeep
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import SmsError, StorageFull
 from sms_jobs.jobs import limits, queues, recovery, schedules
-from sms_jobs.jobs.limits import Force, Limits
+from sms_jobs.jobs.limits import Limits, Observed, Watch
+from sms_jobs.jobs.origin import Origin
 from sms_jobs.jobs.runner import require_room
+from sms_jobs.jobs.witness import Witness
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN
 from sms_jobs.settings import Settings
-from sms_jobs.workers.celery_app import ALL_QUEUES, WORKER_ID, WORKER_QUEUES, make_app, message_queue
+from sms_jobs.workers.celery_app import ALL_QUEUES, WORKER_ID, WORKER_QUEUES, make_app
+from sms_jobs.workers.places import Places
 from sms_jobs.workers.publisher import Publisher
 
 logger = logging.getLogger(__name__)
@@ -40,15 +41,13 @@ _RECOVER_EVERY_S = 1.0
 _BEAT_EVERY_S = ALIVE_WITHIN.total_seconds() / 3
 """Or more often, where leases are shorter."""
 _ANALYSE_EVERY_S = 3600.0
-_RESTART_AFTER_S = 2.0
-_ALONE_S = 120.0
-"""How long a worker may be without processes for jobs, as when it starts; after that it hangs."""
+_PATIENCE_WITH_BROKER_S = 5.0
 _PATIENCE_WITH_JOBS_S = 600.0
-"""How long a worker that is told to stop may finish what it runs."""
+"""How long jobs that run may take to end when the service is told to."""
 
 
 class Supervisor:
-    """One worker and all that keeps it and its jobs alive.
+    """Processes for jobs, and all that keeps them and their jobs alive.
 
     Parameters
     ----------
@@ -63,13 +62,18 @@ class Supervisor:
         self._services = services
         self._settings = services.settings
         self._queues = tuple(queues)
-        self._lease = timedelta(seconds=self._settings.lease_s)
         self._limits = limits_of(self._settings)
-        self._host = socket.gethostname()
         self._served = services.stations.served(self._queues)
         self._app = make_app(self._settings, self._served)
-        self._process: subprocess.Popen[bytes] | None = None
-        self._company: Company | None = None
+        self._origin = Origin.own()
+        self._witness = Witness(self.worker_id, self._origin)
+        self._watch = Watch()
+        self._running: list[Observed] | None = None
+        self._places = Places(
+            self._settings.workers,
+            self._environment(),
+            self._settings.log_folder / f"worker-{self.worker_id}.log",
+        )
         self._stop_asked = 0
         self._idle = False
 
@@ -81,21 +85,22 @@ class Supervisor:
             recovery.register_worker(
                 session,
                 self.worker_id,
-                self._host,
+                socket.gethostname(),
                 os.getpid(),
                 self._served,
                 self._settings.workers,
                 datetime.now(UTC),
+                origin=self._origin,
+                lease=timedelta(seconds=self._settings.lease_s),
             )
         publisher = Publisher(self._app, self._services.catalogue, self._settings.workers)
-        self._start_worker()
         publisher.start()
         try:
             self._serve(until_idle)
         finally:
             publisher.stop()
-            publisher.join(timeout=5.0)
-            self._stop_worker()
+            self._stop()
+            publisher.join(timeout=_PATIENCE_WITH_BROKER_S)
 
     def _serve(self, until_idle: bool) -> None:
         beat_at = recover_at = analyse_at = 0.0
@@ -112,14 +117,13 @@ class Supervisor:
                     self._fire_schedules,
                     self._enforce,
                     self._recover,
-                    self._end_if_alone,
                     self._look_whether_idle,
                 )
                 if sum(map(self._done, duties)) == len(duties):
                     recover_at = moment + _RECOVER_EVERY_S
                     if until_idle and self._idle:
                         return
-            self._restart_if_dead()
+            self._done(self._tend)
             time.sleep(_TICK_S)
 
     def _look_for_rigs(self) -> None:
@@ -131,13 +135,9 @@ class Supervisor:
             self._served = served
             logger.info("serving %s from now on", ", ".join(served))
 
-    def _end_if_alone(self) -> None:
-        """End a worker that lives without processes for jobs: an error may leave it so, for ever."""
-        if self._process is None or self._company is None or self._process.poll() is not None:
-            return
-        if self._company.missed_s(time.monotonic()) > _ALONE_S:
-            logger.error("the worker has had no process for jobs for %.0f s; killing it", _ALONE_S)
-            self._process.kill()
+    def _tend(self) -> None:
+        busy = None if self._running is None else {job.pid for job in self._running}
+        self._places.tend(time.monotonic(), busy)
 
     def _done(self, duty: Callable[[], None]) -> bool:
         """Do one duty; False when it could not be done, which keeps the supervisor from no other."""
@@ -155,28 +155,34 @@ class Supervisor:
 
     def _beat(self) -> None:
         with self._services.catalogue.writing() as session:
-            recovery.beat(session, self.worker_id, datetime.now(UTC), self._lease, process_lives)
+            recovery.beat(session, self.worker_id, datetime.now(UTC), len(self._places.living()))
 
     def _recover(self) -> None:
         with self._services.catalogue.writing() as session:
             lost = recovery.recover(
-                session, datetime.now(UTC), self._host, self._settings.crash_budget, process_lives
+                session,
+                datetime.now(UTC),
+                self.worker_id,
+                self._settings.crash_budget,
+                self._places.living,
+                self._witness.silent(session, time.monotonic()),
             )
         for job_id in lost:
             logger.warning("job %s was lost", job_id)
 
     def _enforce(self) -> None:
         """Ask jobs that take too much to stop, end those that do not, let queues go on that have room."""
-        now = datetime.now(UTC)
+        self._running = None
         with self._services.catalogue.writing() as session:
+            running = self._watch.look(session, self.worker_id, time.monotonic())
             for job_id in limits.ask_those_over_limit(
-                session, self.worker_id, now, self._limits, memory_of_process
+                session, running, datetime.now(UTC), self._limits, memory_of_process
             ):
                 logger.warning("job %s is over its limit and asked to stop", job_id)
-            late = limits.overdue(session, self.worker_id, now, self._limits)
-        for job in late:
+        self._running = running
+        for job in limits.overdue(running, self._limits):
             logger.warning("job %s does not stop: %s process %d", job.job_id, job.force.value, job.pid)
-            end_process(job.pid, job.began, job.force)
+            self._places.end(job.pid, job.force)
         self._go_on_when_there_is_room()
 
     def _fire_schedules(self) -> None:
@@ -204,96 +210,43 @@ class Supervisor:
         with self._services.catalogue.reading() as session:
             self._idle = not session.scalar(select(exists().where(JobRow.state.in_(ACTIVE))))
 
-    def _start_worker(self) -> None:
+    def _environment(self) -> dict[str, str]:
         threads = str(self._settings.threads)
-        environment = os.environ | {
+        return os.environ | {
             "SMS_HOME": str(self._settings.home),
             WORKER_ID: self.worker_id,
             WORKER_QUEUES: ",".join(self._queues),
-            # One worker process uses as many threads as it was given, and its libraries no more.
+            # One process uses as many threads as it was given, and its libraries no more.
             "OMP_NUM_THREADS": threads,
             "OPENBLAS_NUM_THREADS": threads,
             "MKL_NUM_THREADS": threads,
         }
-        command = [sys.executable, "-m", "celery", "-A", "sms_jobs.workers.tasks", "worker"]
-        command += ["--pool", "prefork", "--concurrency", str(self._settings.workers)]
-        command += ["--queues", ",".join(message_queue(queue) for queue in self._served)]
-        command += ["--hostname", f"sms-{self.worker_id}@%h", "--loglevel", "INFO"]
-        command += ["--without-gossip", "--without-mingle", "--without-heartbeat"]
-        self._settings.log_folder.mkdir(parents=True, exist_ok=True)
-        with (self._settings.log_folder / f"worker-{self.worker_id}.log").open("ab") as output:
-            # A group of its own: Ctrl-C reaches the supervisor alone, which then ends the worker in order.
-            self._process = subprocess.Popen(
-                command,
-                env=environment,
-                stdout=output,
-                stderr=output,
-                stdin=subprocess.DEVNULL,
-                process_group=0,
-            )
-        self._company = Company(self._process.pid, time.monotonic())
-        logger.info("worker %s started as process %d", self.worker_id, self._process.pid)
 
-    def _restart_if_dead(self) -> None:
-        if self._process is not None and self._process.poll() is not None:
-            logger.error("the worker process ended with code %d; starting another", self._process.returncode)
-            time.sleep(_RESTART_AFTER_S)
-            self._start_worker()
-
-    def _stop_worker(self) -> None:
-        if self._process is None or self._process.poll() is not None:
-            return
-        try:
-            with self._services.catalogue.writing() as session:
-                recovery.drain(session, self.worker_id)
-        except SmsError as error:
-            logger.warning("%s", error)
-        self._process.terminate()
+    def _stop(self) -> None:
+        """Let jobs that run end, and kill what does not end in time or at the second word."""
+        self._places.drain()
+        self._done(self._claim_nothing)
+        enforce_at = 0.0
         deadline = time.monotonic() + _PATIENCE_WITH_JOBS_S
-        while self._process.poll() is None and time.monotonic() < deadline and self._stop_asked < 2:
-            self._beat_quietly()
+        while self._places.living() and time.monotonic() < deadline and self._stop_asked < 2:
+            if time.monotonic() >= enforce_at:
+                enforce_at = time.monotonic() + _RECOVER_EVERY_S
+                self._done(self._beat)
+                self._done(self._enforce)
+            self._done(self._tend)
             time.sleep(_TICK_S)
-        if self._process.poll() is None:
-            logger.warning("the worker does not end; killing it, its jobs will be run again")
-            for child in psutil.Process(self._process.pid).children(recursive=True):
-                child.kill()
-            self._process.kill()
-            self._process.wait()
+        late = self._places.living()
+        self._places.close()
+        if late:
+            logger.warning("%d processes did not end and were killed; their jobs are run again", len(late))
+            self._done(self._recover)
 
-    def _beat_quietly(self) -> None:
-        try:
-            self._beat()
-        except SmsError as error:
-            logger.warning("%s", error)
+    def _claim_nothing(self) -> None:
+        with self._services.catalogue.writing() as session:
+            recovery.drain(session, self.worker_id)
 
     def _ask_to_stop(self, number: int, frame: FrameType | None) -> None:
         self._stop_asked += 1
-
-
-class Company:
-    """Tells how long a process has had no child.
-
-    Parameters
-    ----------
-    pid
-        Of the process.
-    now
-        Seconds of a monotonic clock.
-    """
-
-    def __init__(self, pid: int, now: float) -> None:
-        self._pid = pid
-        self._last = now
-
-    def missed_s(self, now: float) -> float:
-        """Look, and return the seconds since the process was last seen with a child."""
-        try:
-            children = psutil.Process(self._pid).children()
-        except psutil.NoSuchProcess:
-            children = []
-        if any(child.status() != psutil.STATUS_ZOMBIE for child in children):
-            self._last = now
-        return now - self._last
 
 
 def limits_of(settings: Settings) -> Limits:
@@ -312,20 +265,3 @@ def memory_of_process(pid: int) -> float | None:
         return float(psutil.Process(pid).memory_info().rss) / 2**20
     except psutil.NoSuchProcess:
         return None
-
-
-def end_process(pid: int, before: datetime, force: Force) -> None:
-    """End a process that began before a time, if it is still there."""
-    if process_lives(pid, before):
-        os.kill(pid, signal.SIGKILL if force is Force.KILL else signal.SIGTERM)
-
-
-def process_lives(pid: int, before: datetime) -> bool:
-    """Tell whether a process of this host that began before a time is alive."""
-    try:
-        process = psutil.Process(pid)
-        # A process that is younger than its claim has only inherited the number.
-        started = float(process.create_time())
-        return started <= before.timestamp() + 1.0 and process.status() != str(psutil.STATUS_ZOMBIE)
-    except psutil.NoSuchProcess:
-        return False

@@ -241,14 +241,27 @@ class PinRow(Table):
 
 
 class WorkerRow(Table):
-    """A supervisor and the worker that it looks after."""
+    """A supervisor and the processes that it looks after."""
 
     __tablename__ = "worker"
     id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    """Drawn for each run of a supervisor; names of hosts and numbers of processes may be given twice."""
     host: Mapped[str] = mapped_column(String(128))
     pid: Mapped[int]
+    machine: Mapped[str] = mapped_column(String(64), default="")
+    boot: Mapped[str] = mapped_column(String(64), default="")
+    pid_namespace: Mapped[str] = mapped_column(String(64), default="")
+    process_started: Mapped[int] = mapped_column(BigInteger, default=0)
+    """Where the process can be looked for; see `jobs.origin`."""
     queues: Mapped[str] = mapped_column(Text)
     concurrency: Mapped[int]
+    processes: Mapped[int]
+    """How many of them live."""
+    lease_s: Mapped[float]
+    beats: Mapped[int] = mapped_column(BigInteger, default=0)
+    """Others know by its changing that this one lives."""
+    given_up: Mapped[bool] = mapped_column(default=False)
+    """Silent until its next beat."""
     started_at: Mapped[datetime]
     beat_at: Mapped[datetime]
     draining: Mapped[bool] = mapped_column(default=False)
@@ -288,7 +301,6 @@ class JobRow(Table):
     """Grows with every claim; an attempt that holds an older one may write nothing."""
     worker_id: Mapped[str | None] = mapped_column(ForeignKey("worker.id"))
     pid: Mapped[int | None]
-    lease_until: Mapped[datetime | None]
     stop_asked_at: Mapped[datetime | None]
     """Since when it is to stop; `stop_as` says how it then ends, `stop_reason` why."""
     stop_as: Mapped[JobState | None]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import datetime
 from functools import cache
 from typing import Any, cast
 
@@ -40,7 +40,7 @@ _OUTBOX = insert(cast(Table, OutboxRow.__table__)).inline()
 _UNCLAIM = (
     update(_JOB)
     .where(_JOB.c.id == bindparam("job"))
-    .values(state=JobState.QUEUED, attempts=_JOB.c.attempts - 1, lease_until=None)
+    .values(state=JobState.QUEUED, attempts=_JOB.c.attempts - 1)
 )
 
 
@@ -124,14 +124,12 @@ def _changing(
     return statement.values(**values).returning(_JOB.c.attempts, _JOB.c.queue)
 
 
-def claim(
-    session: Session, queues: Sequence[str], worker_id: str, pid: int, now: datetime, lease: timedelta
-) -> Claim | None:
+def claim(session: Session, queues: Sequence[str], worker_id: str, pid: int, now: datetime) -> Claim | None:
     """Take the first queued job of some queues that are not paused, and with it the devices that it needs.
 
-    None when there is none whose devices are free, or the worker is draining.
+    None when there is none whose devices are free, or the worker is draining or given up.
     """
-    attempt = {"queues": tuple(queues), "worker": worker_id, "process": pid, "now": now, "until": now + lease}
+    attempt = {"queues": tuple(queues), "worker": worker_id, "process": pid, "now": now}
     session.flush()
     connection = session.connection()
     while (row := connection.execute(_claiming(), attempt).one_or_none()) is not None:
@@ -164,7 +162,11 @@ def _claiming() -> ReturningUpdate[Any]:
         .where(
             JobRow.state == JobState.QUEUED,
             JobRow.queue.in_(bindparam("queues", expanding=True)),
-            exists().where(WorkerRow.id == bindparam("worker"), WorkerRow.draining.is_(False)),
+            exists().where(
+                WorkerRow.id == bindparam("worker"),
+                WorkerRow.draining.is_(False),
+                WorkerRow.given_up.is_(False),
+            ),
             ~exists().where(QueueRow.name == JobRow.queue, QueueRow.paused_at.is_not(None)),
             ~locks.waits_for_device(now),
         )
@@ -182,7 +184,6 @@ def _claiming() -> ReturningUpdate[Any]:
             worker_id=bindparam("worker"),
             pid=bindparam("process"),
             started_at=now,
-            lease_until=bindparam("until", type_=UtcDateTime()),
             progress=0.0,
             message="",
             error=None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from enum import Enum
@@ -12,7 +12,11 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.jobs import lifecycle
+from sms_jobs.jobs.stillness import Stillness
 from sms_jobs.records.job import JobState
+
+_LONGEST_STEP_S = 5.0
+"""A supervisor looks every second, more rarely where it is held up; what it did not see does not count."""
 
 MemoryOf = Callable[[int], float | None]
 """Returns the resident memory of a process of this host in MB; None when it is gone."""
@@ -46,52 +50,91 @@ class Force(Enum):
 
 
 @dataclass(frozen=True)
+class Observed:
+    """A running job, as its supervisor has watched it by its own clock.
+
+    Attributes
+    ----------
+    job_id, pid
+        Of the job and its process.
+    ran_s
+        For how long it has been seen to run.
+    asked_s
+        For how long it has been asked to stop; None when it is not.
+    """
+
+    job_id: str
+    pid: int
+    ran_s: float
+    asked_s: float | None
+
+
+@dataclass(frozen=True)
 class Overdue:
     """A job that was asked to stop and has not."""
 
     job_id: str
     pid: int
-    began: datetime
     force: Force
 
 
+class Watch:
+    """A supervisor's memory of when its jobs began and were asked to stop.
+
+    The times in the catalogue are other clocks', which may have been set since.
+    """
+
+    def __init__(self) -> None:
+        self._ran: Stillness[str] = Stillness(_LONGEST_STEP_S)
+        self._asked: Stillness[str] = Stillness(_LONGEST_STEP_S)
+
+    def look(self, session: Session, worker_id: str, now: float) -> list[Observed]:
+        """Return the jobs that a worker runs.
+
+        Parameters
+        ----------
+        now
+            Seconds of a monotonic clock.
+        """
+        found = session.execute(
+            select(JobRow.id, JobRow.fence, JobRow.pid, JobRow.stop_as).where(
+                JobRow.worker_id == worker_id, JobRow.state == JobState.RUNNING
+            )
+        ).all()
+        ran_s = self._ran.look({row.id: row.fence for row in found}, now)
+        asked_s = self._asked.look({row.id: row.fence for row in found if row.stop_as is not None}, now)
+        return [Observed(row.id, row.pid, ran_s[row.id], asked_s.get(row.id)) for row in found]
+
+
 def ask_those_over_limit(
-    session: Session, worker_id: str, now: datetime, limits: Limits, memory_of: MemoryOf
+    session: Session, running: Sequence[Observed], now: datetime, limits: Limits, memory_of: MemoryOf
 ) -> list[str]:
-    """Ask the jobs of a worker that take too much to stop; they then fail. Return their ids."""
+    """Ask the jobs that take too much to stop; they then fail. Return their ids."""
     asked = []
-    for job in _running(session, worker_id):
-        reason = _excess(job, now, limits, memory_of) if job.stop_asked_at is None else None
-        if reason and lifecycle.ask_to_stop(session, job.id, JobState.FAILED, now, reason):
-            asked.append(job.id)
+    for job in running:
+        reason = _excess(job, limits, memory_of) if job.asked_s is None else None
+        if reason and lifecycle.ask_to_stop(session, job.job_id, JobState.FAILED, now, reason):
+            asked.append(job.job_id)
     return asked
 
 
-def overdue(session: Session, worker_id: str, now: datetime, limits: Limits) -> list[Overdue]:
-    """Return the jobs of a worker that have not stopped in time, and by what force they are ended."""
-    found = []
-    for job in _running(session, worker_id):
-        if job.stop_asked_at is None or job.pid is None or job.started_at is None:
-            continue
-        late = now - job.stop_asked_at
-        if late >= limits.grace:
-            force = Force.KILL if late >= 2 * limits.grace else Force.TERMINATE
-            found.append(Overdue(job.id, job.pid, job.started_at, force))
-    return found
+def overdue(running: Sequence[Observed], limits: Limits) -> list[Overdue]:
+    """Return the jobs that have not stopped in time, and by what force they are ended."""
+    grace_s = limits.grace.total_seconds()
+    return [
+        Overdue(job.job_id, job.pid, Force.KILL if job.asked_s >= 2 * grace_s else Force.TERMINATE)
+        for job in running
+        if job.asked_s is not None and job.asked_s >= grace_s
+    ]
 
 
-def _running(session: Session, worker_id: str) -> list[JobRow]:
-    query = select(JobRow).where(JobRow.worker_id == worker_id, JobRow.state == JobState.RUNNING)
-    return list(session.scalars(query))
-
-
-def _excess(job: JobRow, now: datetime, limits: Limits, memory_of: MemoryOf) -> str | None:
-    if limits.time is not None and job.started_at is not None and now - job.started_at > limits.time:
+def _excess(job: Observed, limits: Limits, memory_of: MemoryOf) -> str | None:
+    if limits.time is not None and job.ran_s > limits.time.total_seconds():
         return (
             f"took longer than the {limits.time.total_seconds():g} s that a job may take; raise the setting "
             "job_time_limit_s, or split the work"
         )
-    if limits.memory_mb is not None and job.pid is not None:
+    if limits.memory_mb is not None:
         used = memory_of(job.pid)
         if used is not None and used > limits.memory_mb:
             return (

@@ -1,4 +1,4 @@
-"""Finds jobs whose worker vanished, and workers' signs of life; runs inside every supervisor."""
+"""Finds jobs whose process vanished, and gives supervisors' signs of life; runs inside every supervisor."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import JobRow, WorkerRow
 from sms_jobs.jobs import lifecycle, locks
+from sms_jobs.jobs.origin import Origin
 from sms_jobs.records.job import JobState
 
-ProcessLives = Callable[[int, datetime], bool]
-"""Tells whether the process of that id, begun before that time, is alive on this host."""
+Living = Callable[[], Collection[int]]
+"""Returns the processes in which a supervisor has jobs run, as they are at that moment."""
+
+_UNKNOWN = Origin()
+_LEASE = timedelta(seconds=30)
 
 
 def register_worker(
@@ -24,18 +28,34 @@ def register_worker(
     queues: Collection[str],
     concurrency: int,
     now: datetime,
+    *,
+    origin: Origin = _UNKNOWN,
+    lease: timedelta = _LEASE,
 ) -> None:
-    """Add a supervisor to the catalogue; it may then claim jobs."""
+    """Add a supervisor to the catalogue; it may then claim jobs.
+
+    Parameters
+    ----------
+    origin
+        Where its process can be looked for.
+    lease
+        How long it may give no sign of life before its jobs are given up.
+    """
     session.add(
         WorkerRow(
             id=worker_id,
             host=host,
             pid=pid,
+            machine=origin.machine,
+            boot=origin.boot,
+            pid_namespace=origin.pid_namespace,
+            process_started=origin.started,
             queues=",".join(queues),
             concurrency=concurrency,
+            processes=concurrency,
+            lease_s=lease.total_seconds(),
             started_at=now,
             beat_at=now,
-            draining=False,
         )
     )
 
@@ -50,50 +70,65 @@ def drain(session: Session, worker_id: str) -> None:
     session.execute(update(WorkerRow).where(WorkerRow.id == worker_id).values(draining=True))
 
 
-def beat(session: Session, worker_id: str, now: datetime, lease: timedelta, lives: ProcessLives) -> None:
-    """Extend the leases of a worker's jobs whose processes are alive; the others are left to expire."""
-    session.execute(update(WorkerRow).where(WorkerRow.id == worker_id).values(beat_at=now))
-    held = session.execute(
-        select(JobRow.id, JobRow.pid, JobRow.started_at).where(
-            JobRow.worker_id == worker_id, JobRow.state == JobState.RUNNING
-        )
-    ).all()
-    alive = [row.id for row in held if row.pid and row.started_at and lives(row.pid, row.started_at)]
-    session.execute(
-        update(JobRow)
-        .where(JobRow.id.in_(alive), JobRow.worker_id == worker_id, JobRow.state == JobState.RUNNING)
-        .values(lease_until=now + lease)
-    )
+def beat(session: Session, worker_id: str, now: datetime, processes: int | None = None) -> None:
+    """Give a supervisor's sign of life: what counts is that the number of its beats changes.
+
+    Parameters
+    ----------
+    processes
+        How many of its processes live; as before, if not given.
+    """
+    values: dict[str, object] = {"beat_at": now, "beats": WorkerRow.beats + 1, "given_up": False}
+    if processes is not None:
+        values["processes"] = processes
+    session.execute(update(WorkerRow).where(WorkerRow.id == worker_id).values(values))
 
 
-def recover(session: Session, now: datetime, host: str, crash_budget: int, lives: ProcessLives) -> list[str]:
+def recover(
+    session: Session,
+    now: datetime,
+    worker_id: str,
+    crash_budget: int,
+    living: Living,
+    silent: Collection[str] = (),
+) -> list[str]:
     """Declare lost what is lost and decide what becomes of it.
 
-    A job is lost when its lease has run out, or at once when its process was on this host and is gone. It
-    is queued again as long as it has crashed fewer than `crash_budget` times; one that must not be
-    repeated waits for an operator instead. Devices that were held by what is gone are free again.
+    A job is lost when it is the supervisor's own and its process is gone, or when it is that of a supervisor
+    that is silent, which then claims nothing until it is heard again. It is queued again as long as it has
+    crashed fewer than `crash_budget` times; one that must not be repeated waits for an operator instead.
+    Devices that were held by what is gone are free again.
+
+    Parameters
+    ----------
+    worker_id
+        The supervisor that asks.
+    silent
+        Others, as its `Witness` has found them.
 
     Returns
     -------
     Ids of the jobs that were lost.
     """
+    given_up = or_(JobRow.worker_id == worker_id, JobRow.worker_id.in_(silent))
     suspects = session.execute(
         select(JobRow, WorkerRow)
         .join(WorkerRow, WorkerRow.id == JobRow.worker_id)
-        .where(
-            JobRow.state == JobState.RUNNING,
-            or_(JobRow.lease_until < now, WorkerRow.host == host),
-        )
+        .where(JobRow.state == JobState.RUNNING, given_up)
         .with_for_update(skip_locked=True, of=JobRow)
     ).all()
+    if silent:
+        session.execute(update(WorkerRow).where(WorkerRow.id.in_(silent)).values(given_up=True))
+    # Asked after the jobs were read: a process that has begun meanwhile is among them.
+    there = living() if suspects else ()
     lost = []
     for job, worker in suspects:
-        expired = job.lease_until is None or job.lease_until < now
-        gone = worker.host == host and not (job.pid and job.started_at and lives(job.pid, job.started_at))
-        if not (expired or gone):
+        if worker.id == worker_id and job.pid in there:
             continue
         why = (
-            f"process {job.pid} on {worker.host} {'is gone' if gone else 'gives no sign of life'}; "
+            f"process {job.pid} on {worker.host} is gone"
+            if worker.id == worker_id
+            else f"worker {worker.id} on {worker.host}, which ran it, is gone or gives no sign of life; "
             f"last beat {worker.beat_at:%Y-%m-%d %H:%M:%S} UTC"
         )
         if lifecycle.change(

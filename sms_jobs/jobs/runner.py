@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -64,8 +64,6 @@ class Runner:
         Whose jobs it takes; may say that of every rig.
     worker_id, host
         Of the supervisor that looks after this process.
-    lease
-        How long a claim holds without a sign of life; the supervisor renews it.
     threads
         Threads that a job may use.
     log_folder
@@ -83,7 +81,6 @@ class Runner:
     queues: Sequence[str]
     worker_id: str
     host: str
-    lease: timedelta
     threads: int
     log_folder: Path
     stations: Stations
@@ -120,7 +117,7 @@ class Runner:
             self._hold_queues_back(session, error)
             return None
         queues = self.stations.served(self.queues)
-        return lifecycle.claim(session, queues, self.worker_id, os.getpid(), self.now(), self.lease)
+        return lifecycle.claim(session, queues, self.worker_id, os.getpid(), self.now())
 
     def _run_to_end(self, held: Claim) -> Claim | None:
         """Run a job, tell how it ended, and return the next one."""

@@ -120,7 +120,7 @@ def test_a_commit_in_doubt_ends_the_process_and_loses_and_doubles_nothing(
     )
     with catalogue.writing() as session:
         # What its supervisor sees.
-        recovery.recover(session, clock(), "here", 3, lambda pid, before: False)
+        recovery.recover(session, clock(), "w1", 3, set)
     runner(catalogue, archive, clock).run_queued()
     assert states(catalogue) == [JobState.SUCCEEDED, JobState.SUCCEEDED]
     with catalogue.reading() as session:

@@ -16,16 +16,6 @@ from sms_jobs.errors import Cancelled, Conflict, LeaseLost
 from sms_jobs.jobs import doorbell, inquiry, lifecycle, queues, recovery
 from sms_jobs.records.job import ACTIVE, TRANSITIONS, JobState
 
-LEASE = timedelta(seconds=30)
-
-
-def alive(pid: int, before: object) -> bool:
-    return True
-
-
-def dead(pid: int, before: object) -> bool:
-    return False
-
 
 def test_a_submission_is_whole_and_rings_for_what_can_run(catalogue: Catalogue) -> None:
     submitted = submit_pipeline(catalogue)
@@ -107,8 +97,9 @@ def test_a_superseded_attempt_can_write_nothing(catalogue: Catalogue) -> None:
     late = claim(catalogue)
     assert late is not None
     with catalogue.writing() as session:
-        assert recovery.recover(session, NOW + 2 * LEASE, "elsewhere", 3, alive) == [late.job_id]
-    newer = claim(catalogue, now=NOW + 2 * LEASE)
+        assert recovery.recover(session, NOW, "w2", 3, set, silent=["w1"]) == [late.job_id]
+        recovery.beat(session, "w1", NOW)
+    newer = claim(catalogue)
     assert newer is not None
     assert newer.job_id == late.job_id
     assert newer.fence > late.fence
@@ -120,26 +111,28 @@ def test_a_superseded_attempt_can_write_nothing(catalogue: Catalogue) -> None:
         assert lifecycle.succeed(session, newer, NOW, "done", reuse_key="newer")
 
 
-def test_a_job_whose_process_lives_keeps_its_lease(catalogue: Catalogue) -> None:
+def test_a_job_is_judged_by_its_process_only_where_that_was_started(catalogue: Catalogue) -> None:
     submit_pipeline(catalogue)
     held = claim(catalogue)
     assert held is not None
     with catalogue.writing() as session:
-        recovery.beat(session, "w1", NOW + LEASE, LEASE, alive)
-        assert recovery.recover(session, NOW + LEASE + timedelta(seconds=1), "elsewhere", 3, alive) == []
-    assert state(catalogue, held.job_id) is JobState.RUNNING
-
-
-def test_a_job_whose_process_is_gone_is_queued_again_at_once(catalogue: Catalogue) -> None:
-    submit_pipeline(catalogue)
-    held = claim(catalogue)
-    assert held is not None
-    with catalogue.writing() as session:
-        # Elsewhere nobody can tell before the lease is over; on its own host it is seen at once.
-        assert recovery.recover(session, NOW, "elsewhere", 3, dead) == []
-        assert recovery.recover(session, NOW, "here", 3, dead) == [held.job_id]
+        # Another supervisor has a process of that number, or none: neither tells it anything.
+        for there in ({4711}, set[int]()):
+            assert recovery.recover(session, NOW, "w2", 3, lambda there=there: there) == []
+        assert recovery.recover(session, NOW, "w1", 3, lambda: {4711}) == []
+        assert recovery.recover(session, NOW, "w1", 3, lambda: {1}) == [held.job_id]
     assert state(catalogue, held.job_id) is JobState.QUEUED
     assert [e.state for e in events(catalogue, held.job_id)] == ["queued", "running", "lost", "queued"]
+
+
+def test_a_worker_that_was_given_up_claims_nothing_until_it_is_heard_again(catalogue: Catalogue) -> None:
+    submit_pipeline(catalogue)
+    with catalogue.writing() as session:
+        assert recovery.recover(session, NOW, "w2", 3, set, silent=["w1"]) == []
+    assert claim(catalogue) is None
+    with catalogue.writing() as session:
+        recovery.beat(session, "w1", NOW)
+    assert claim(catalogue) is not None
 
 
 def test_a_job_that_brings_its_worker_down_three_times_is_quarantined(catalogue: Catalogue) -> None:
@@ -152,7 +145,7 @@ def test_a_job_that_brings_its_worker_down_three_times_is_quarantined(catalogue:
             assert again is not None
             assert again.job_id == first.job_id
         with catalogue.writing() as session:
-            recovery.recover(session, NOW, "here", 3, dead)
+            recovery.recover(session, NOW, "w1", 3, set)
     assert state(catalogue, first.job_id) is JobState.QUARANTINED
     with catalogue.writing() as session:
         assert lifecycle.retry(session, first.job_id, NOW) > 1
@@ -166,8 +159,8 @@ def test_what_must_not_be_repeated_waits_for_an_operator(catalogue: Catalogue) -
     held = claim(catalogue)
     assert held is not None
     with catalogue.writing() as session:
-        recovery.recover(session, NOW, "here", 3, dead)
-        recovery.recover(session, NOW + 10 * LEASE, "here", 3, dead)
+        recovery.recover(session, NOW, "w1", 3, set)
+        recovery.recover(session, NOW + timedelta(days=1), "w1", 3, set)
     assert state(catalogue, held.job_id) is JobState.NEEDS_OPERATOR
 
 

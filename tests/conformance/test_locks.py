@@ -21,10 +21,6 @@ LEASE = timedelta(seconds=30)
 RIG = ("camera/C1", "projector/P1", "stage/A")
 
 
-def dead(pid: int, before: object) -> bool:
-    return False
-
-
 def claimed(catalogue: Catalogue) -> Claim:
     held = claim(catalogue)
     assert held is not None
@@ -96,7 +92,7 @@ def test_the_reconciler_frees_what_a_lost_job_held(catalogue: Catalogue) -> None
     held = claimed(catalogue)
     take(catalogue, held, *RIG)
     with catalogue.writing() as session:
-        assert recovery.recover(session, NOW, "here", 3, dead) == [held.job_id]
+        assert recovery.recover(session, NOW, "w1", 3, set) == [held.job_id]
         assert locks.held(session, NOW) == []
     # The late attempt, if its process lives on, gets nothing any more.
     with pytest.raises(LeaseLost):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import timedelta
+from itertools import count
 
 import pytest
 from support.jobs import NOW, claim, ids, state, submit_pipeline
@@ -11,15 +12,11 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import Cancelled, Conflict, OverLimit
 from sms_jobs.jobs import inquiry, lifecycle, limits, queues, recovery
-from sms_jobs.jobs.limits import Force, Limits
+from sms_jobs.jobs.limits import Force, Limits, Watch
 from sms_jobs.records.job import JobState
 
 GRACE = timedelta(seconds=15)
 NO_LIMIT = Limits(None, None, GRACE)
-
-
-def dead(pid: int, before: object) -> bool:
-    return False
 
 
 def test_a_paused_queue_lets_nothing_begin_until_it_is_resumed(catalogue: Catalogue) -> None:
@@ -105,38 +102,58 @@ def test_a_job_over_its_limit_is_asked_to_stop_and_fails(
     submit_pipeline(catalogue)
     held = claim(catalogue)
     assert held is not None
-    with catalogue.writing() as session:
-        within = NOW + timedelta(seconds=after - 1.0)
-        assert limits.ask_those_over_limit(session, "w1", within, limit, lambda pid: used_mb - 1.0) == []
-        late = NOW + timedelta(seconds=after)
-        assert limits.ask_those_over_limit(session, "w1", late, limit, lambda pid: used_mb) == [held.job_id]
-        assert limits.ask_those_over_limit(session, "w1", late, limit, lambda pid: used_mb) == []
-        with pytest.raises(OverLimit, match=complaint):
-            lifecycle.report_progress(session, held, 0.5, "half way")
+    watch = Watch()
+
+    def asked(seconds: float, memory_mb: float) -> list[str]:
+        with catalogue.writing() as session:
+            running = watch.look(session, "w1", seconds)
+            return limits.ask_those_over_limit(session, running, NOW, limit, lambda pid: memory_mb)
+
+    for seconds in range(int(after)):
+        assert asked(seconds, used_mb - 1.0) == []
+    assert asked(after, used_mb) == [held.job_id]
+    assert asked(after, used_mb) == []
+    with catalogue.writing() as session, pytest.raises(OverLimit, match=complaint):
+        lifecycle.report_progress(session, held, 0.5, "half way")
+
+
+def test_a_job_is_timed_by_who_watches_it_and_only_while_it_does(catalogue: Catalogue) -> None:
+    submit_pipeline(catalogue)
+    # The clock that wrote when it began was an hour behind.
+    assert claim(catalogue, now=NOW - timedelta(hours=1)) is not None
+    watch = Watch()
+    with catalogue.reading() as session:
+        assert [job.ran_s for job in watch.look(session, "w1", 100.0)] == [0.0]
+        assert [job.ran_s for job in watch.look(session, "w1", 102.0)] == [2.0]
+        # Whoever looks was stopped, or nobody could look: it is not the job that took so long.
+        assert [job.ran_s for job in watch.look(session, "w1", 4000.0)] == [7.0]
 
 
 def test_a_job_that_does_not_stop_is_terminated_then_killed_and_ends_as_asked(catalogue: Catalogue) -> None:
     submit_pipeline(catalogue)
     held = claim(catalogue)
     assert held is not None
+    watch, clock = Watch(), count()
 
-    def force(seconds: float) -> list[Force]:
+    def force(seconds: int) -> list[Force]:
+        """Let so much time pass."""
         with catalogue.reading() as session:
-            found = limits.overdue(session, "w1", NOW + timedelta(seconds=seconds), NO_LIMIT)
+            for _ in range(seconds):
+                found = limits.overdue(watch.look(session, "w1", next(clock)), NO_LIMIT)
         return [job.force for job in found]
 
-    assert force(100.0) == []
+    assert force(100) == []
     with catalogue.writing() as session:
         assert lifecycle.cancel(session, held.job_id, NOW)
         # Who asks later is not heard: neither the time nor the reason changes.
         assert lifecycle.ask_to_stop(session, held.job_id, JobState.FAILED, NOW + GRACE, "too slow")
         with pytest.raises(Cancelled, match="by an operator"):
             lifecycle.report_progress(session, held, 0.5, "half way")
-    assert force(14.0) == []
-    assert force(15.0) == [Force.TERMINATE]
-    assert force(30.0) == [Force.KILL]
+    assert force(15) == []
+    assert force(1) == [Force.TERMINATE]
+    assert force(15) == [Force.KILL]
     with catalogue.writing() as session:
-        recovery.recover(session, NOW, "here", 3, dead)
+        recovery.recover(session, NOW, "w1", 3, set)
     assert state(catalogue, held.job_id) is JobState.CANCELLED
 
 
@@ -146,7 +163,7 @@ def test_a_job_that_was_killed_for_its_limit_has_failed_and_can_be_retried(catal
     assert held is not None
     with catalogue.writing() as session:
         lifecycle.ask_to_stop(session, held.job_id, JobState.FAILED, NOW, "took 9 GB")
-        recovery.recover(session, NOW, "here", 3, dead)
+        recovery.recover(session, NOW, "w1", 3, set)
         row = session.get_one(JobRow, held.job_id)
         assert (row.state, row.error) == (JobState.FAILED, "took 9 GB; its process was ended")
         assert lifecycle.retry(session, held.job_id, NOW) > 1
@@ -154,4 +171,4 @@ def test_a_job_that_was_killed_for_its_limit_has_failed_and_can_be_retried(catal
     assert again is not None
     with catalogue.writing() as session:
         lifecycle.report_progress(session, again, 0.1, "begun")
-        assert limits.overdue(session, "w1", NOW + 10 * GRACE, NO_LIMIT) == []
+        assert [job.asked_s for job in Watch().look(session, "w1", 0.0)] == [None]

@@ -50,7 +50,7 @@ def test_a_worker_is_missed_until_it_ends_in_order_or_is_replaced(catalogue: Cat
     with catalogue.writing() as session:
         at = NOW + timedelta(minutes=5)
         recovery.register_worker(session, "w2", "here", 1, ["cpu"], 2, at)
-        recovery.beat(session, "w2", NOW + timedelta(hours=1), timedelta(seconds=30), lambda pid, began: True)
+        recovery.beat(session, "w2", NOW + timedelta(hours=1))
     assert of_workers(catalogue, timedelta(hours=1)) is None
     with catalogue.writing() as session:
         session.execute(update(WorkerRow).values(draining=True))

@@ -119,7 +119,7 @@ def test_the_numbers_are_those_of_the_catalogue(
 
 def claim_all(catalogue: Catalogue, session: object, now: datetime) -> str:
     """Claim the job that is still queued and return its id."""
-    held = lifecycle.claim(session, ["acquisition"], "w1", 1, now, timedelta(seconds=30))  # type: ignore[arg-type]
+    held = lifecycle.claim(session, ["acquisition"], "w1", 1, now)  # type: ignore[arg-type]
     assert held is not None
     return held.job_id
 

@@ -99,7 +99,7 @@ class ArchiveCare(RuleBasedStateMachine):
         except NotFound:
             return
         with self.catalogue.writing() as session:
-            held = lifecycle.claim(session, QUEUES, "w1", 1, self.clock(), timedelta(hours=1))
+            held = lifecycle.claim(session, QUEUES, "w1", 1, self.clock())
             assert held is not None
             inputs = indexing.resolve_inputs(session, held.job_id)
             campaign = campaigns.definition(campaigns.campaign_row(session, "plate"))

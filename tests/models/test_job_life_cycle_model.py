@@ -42,7 +42,6 @@ from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import ACTIVE, TRANSITIONS, UNSUCCESSFUL, JobState
 
-LEASE = timedelta(seconds=30)
 BUDGET = 2
 """Crashes; fewer than in life, so that few steps exhaust it."""
 WORK = [["simulate"], ["simulate", "reconstruct"], ["reconstruct", "correlate"], ["simulate", "pipeline"]]
@@ -96,10 +95,11 @@ class JobLives(JobModel):
                     JobRow.state == JobState.QUEUED, JobRow.queue.in_(wanted)
                 )
             ).all()
-        may_run = [row for row in line if row.queue not in self.paused and worker not in self.draining]
+        held_back = worker in self.draining | self.given_up
+        may_run = [row for row in line if row.queue not in self.paused and not held_back]
         pid = len(self.by_pid) + 1
         with self.catalogue.writing() as session:
-            held = lifecycle.claim(session, wanted, worker, pid, self.now, LEASE)
+            held = lifecycle.claim(session, wanted, worker, pid, self.now)
         if held is None:
             assert not may_run
             return multiple()
@@ -108,7 +108,6 @@ class JobLives(JobModel):
         job = self.jobs[held.job_id]
         assert held.fence > job.fence
         job.state, job.fence, job.worker = JobState.RUNNING, held.fence, worker
-        job.lease_until = self.now + LEASE
         self.by_pid[pid] = process = Process(held, worker, pid=pid)
         with self.catalogue.writing() as session:
             # Whatever it needs is there, each of its inputs once.
@@ -185,37 +184,30 @@ class JobLives(JobModel):
     def die(self, process: Process) -> None:
         process.lives = False
 
-    @rule(process=processes)
-    def freeze(self, process: Process) -> None:
-        """Let its lease run out while it lives on: it does not know, and may speak up later."""
-        if self.is_live(process):
-            self.now = max(self.now, self.jobs[process.claim.job_id].lease_until) + timedelta(seconds=1)
-
-    @rule(seconds=st.integers(1, 40))
+    @rule(seconds=st.integers(-3600, 3600))
     def wait(self, seconds: int) -> None:
+        """Let time pass, or set the clock."""
         self.now += timedelta(seconds=seconds)
 
     @rule(worker=st.sampled_from(sorted(HOSTS)))
     def beat(self, worker: str) -> None:
         with self.catalogue.writing() as session:
-            recovery.beat(session, worker, self.now, LEASE, self.lives)
-        for process in self.by_pid.values():
-            if process.lives and process.worker == worker and self.is_live(process):
-                self.jobs[process.claim.job_id].lease_until = self.now + LEASE
+            recovery.beat(session, worker, self.now)
+        self.given_up.discard(worker)
 
-    @rule(host=st.sampled_from(["here", "there", "elsewhere"]))
-    def recover(self, host: str) -> None:
+    @rule(by=st.sampled_from(sorted(HOSTS)), others=st.sets(st.sampled_from(sorted(HOSTS))))
+    def recover(self, by: str, others: set[str]) -> None:
+        """Recover jobs; processes of others that are silent may live on, not know, and speak up later."""
+        silent = others - {by}
         gone = [
             process.claim.job_id
             for process in self.by_pid.values()
             if self.is_live(process)
-            and (
-                self.jobs[process.claim.job_id].lease_until < self.now
-                or (HOSTS[process.worker] == host and not process.lives)
-            )
+            and (process.worker in silent or (process.worker == by and not process.lives))
         ]
         with self.catalogue.writing() as session:
-            lost = recovery.recover(session, self.now, host, BUDGET, self.lives)
+            lost = recovery.recover(session, self.now, by, BUDGET, self.living, silent)
+        self.given_up |= silent
         assert sorted(lost) == sorted(gone)
         for job_id in lost:
             job = self.jobs[job_id]

@@ -78,7 +78,6 @@ def runner(catalogue: Catalogue, archive: Archive, clock: Clock) -> Runner:
         ["cpu", "io", "acquisition"],
         "w1",
         "here",
-        timedelta(hours=1),
         1,
         home / "logs",
         Stations(home / "rigs", home / "spool"),

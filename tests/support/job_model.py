@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from typing import ClassVar
 
 from hypothesis import strategies as st
@@ -49,7 +48,6 @@ class Job:
     crashes: int = 0
     stop: JobState | None = None
     worker: str = ""
-    lease_until: datetime = NOW
 
 
 @dataclass
@@ -74,6 +72,7 @@ class JobModel(RuleBasedStateMachine):
         self.by_pid: dict[int, Process] = {}
         self.paused: set[str] = set()
         self.draining: set[str] = set()
+        self.given_up: set[str] = set()
         self.outbox: Counter[str] = Counter()
         self.files: set[str] = set()
         self.told: dict[str, list[tuple[JobState, int]]] = {}
@@ -89,8 +88,8 @@ class JobModel(RuleBasedStateMachine):
             for worker, host in HOSTS.items():
                 recovery.register_worker(session, worker, host, 1, QUEUES, 2, NOW)
 
-    def lives(self, pid: int, before: datetime) -> bool:
-        return self.by_pid[pid].lives
+    def living(self) -> set[int]:
+        return {pid for pid, process in self.by_pid.items() if process.lives}
 
     def is_live(self, process: Process) -> bool:
         job = self.jobs[process.claim.job_id]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -63,7 +63,7 @@ def add_calibration_file(session: Session, name: str) -> None:
 def claim(catalogue: Catalogue, now: datetime = NOW) -> Claim | None:
     """Claim the next job as worker `w1`."""
     with catalogue.writing() as session:
-        return lifecycle.claim(session, ["cpu", "io", "acquisition"], "w1", 4711, now, timedelta(seconds=30))
+        return lifecycle.claim(session, ["cpu", "io", "acquisition"], "w1", 4711, now)
 
 
 def state(catalogue: Catalogue, job_id: str) -> JobState:

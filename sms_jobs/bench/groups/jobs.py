@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 
 from sqlalchemy import func, select
@@ -95,7 +95,7 @@ def _contended(url: str, wanted: int) -> float:
             ready.wait()
             while len(claimed) < wanted:
                 with catalogue.writing() as session:
-                    held = lifecycle.claim(session, queues, name, os.getpid(), now, timedelta(minutes=5))
+                    held = lifecycle.claim(session, queues, name, os.getpid(), now)
                 if held is None:
                     return
                 claimed.append(held.job_id)

@@ -1,0 +1,64 @@
+"""Loads all kinds once and forks places, so that one which takes the place of another is there at once.
+
+Started by the supervisor as `python -m sms_jobs.workers.nursery`, with the board and the lifeline as file
+descriptors. Each byte of its standard input asks for a place, the first being 0; it ends with its input.
+It opens nothing and starts no thread: what is forked begins clean.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import select
+import signal
+import sys
+
+from sms_jobs.kinds import all_kinds
+from sms_jobs.workers import place
+from sms_jobs.workers.board import NURSERY, Board, place_line
+from sms_jobs.workers.tasks import app
+
+_BEAT_EVERY_S = 1.0
+
+
+def main() -> None:
+    """Fork what is asked for, until nobody asks any more."""
+    board_descriptor, lifeline = int(sys.argv[1]), int(sys.argv[2])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    all_kinds()
+    app.finalize()
+    # What is there now is shared by all places for as long as no collection touches it.
+    gc.collect()
+    gc.freeze()
+    board = Board(board_descriptor)
+    board.enter(NURSERY)
+    children: dict[int, int] = {}
+    wishes = sys.stdin.fileno()
+    while board.beat(NURSERY):
+        asked, _, _ = select.select([wishes], [], [], _BEAT_EVERY_S)
+        wanted = os.read(wishes, 256) if asked else b""
+        if asked and not wanted:
+            return
+        _bury(children)
+        for line in {place_line(number) for number in wanted} - set(children.values()):
+            children[_fork(board, line, lifeline, wishes)] = line
+
+
+def _bury(children: dict[int, int]) -> None:
+    while children:
+        pid, _ = os.waitpid(-1, os.WNOHANG)
+        if pid == 0:
+            return
+        children.pop(pid, None)
+
+
+def _fork(board: Board, line: int, lifeline: int, wishes: int) -> int:
+    child = os.fork()
+    if child == 0:
+        os.dup2(os.open(os.devnull, os.O_RDONLY), wishes)
+        place.serve(board, line, lifeline)
+    return child
+
+
+if __name__ == "__main__":
+    main()

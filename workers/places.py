@@ -1,0 +1,246 @@
+"""The processes that run jobs, as their supervisor sees them: one a place, and the nursery that forks them.
+
+A place that has died is filled again; one that was stopped is woken; one that neither listens nor runs a job
+is killed. Whether it is well says its own sign of life, and nothing that a broker or a thread beside it says.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import select
+import signal
+import subprocess
+import sys
+from collections.abc import Collection, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+
+from sms_jobs.jobs.limits import Force
+from sms_jobs.jobs.stillness import Stillness
+from sms_jobs.workers.board import NURSERY, Board, new_board, place_line
+
+logger = logging.getLogger(__name__)
+
+_LONGEST_STEP_S = 1.0
+_WAKE_AFTER_S = 3.0
+"""A stopped process is woken after this; a debugger would have to be quicker."""
+_STOPPED_S = 15.0
+"""And killed after this, when waking does not help."""
+_SILENT_S = 20.0
+_SILENT_AT_THE_END_S = 8.0
+"""A place that runs no job beats every two seconds, and the nursery every second."""
+_BIRTH_S = 120.0
+"""How long the nursery may load kinds, on whatever machine."""
+_ASK_AGAIN_S = 2.0
+_DEATH_S = 2.0
+"""A process that is killed ends at once, unless a disk holds it."""
+
+
+@dataclass(frozen=True)
+class Process:
+    """A process that is held fast: its number may become another's, this never does."""
+
+    pid: int
+    descriptor: int
+
+    @classmethod
+    def of(cls, pid: int) -> Process | None:
+        """Take hold of a process; None when it is gone."""
+        try:
+            return cls(pid, os.pidfd_open(pid))
+        except ProcessLookupError:
+            return None
+
+    @property
+    def lives(self) -> bool:
+        """Whether it has not ended; one that nobody has buried yet has."""
+        return not select.select([self.descriptor], [], [], 0.0)[0]
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it was stopped by a signal."""
+        try:
+            return bool(psutil.Process(self.pid).status() == psutil.STATUS_STOPPED)
+        except psutil.Error:
+            return False
+
+    def send(self, number: signal.Signals) -> None:
+        """Send it a signal, if it is still there."""
+        with suppress(ProcessLookupError):
+            signal.pidfd_send_signal(self.descriptor, number)
+
+    def close(self) -> None:
+        """Let go of it."""
+        os.close(self.descriptor)
+
+
+class Places:
+    """A supervisor's places.
+
+    Parameters
+    ----------
+    number
+        How many.
+    environment
+        Of the nursery, and so of all places.
+    log
+        File to which they write.
+    """
+
+    def __init__(self, number: int, environment: Mapping[str, str], log: Path) -> None:
+        self._lines = [NURSERY, *(place_line(n) for n in range(number))]
+        self._environment = dict(environment)
+        self._log = log
+        self._descriptor = new_board(number)
+        self._board = Board(self._descriptor)
+        self._lifeline, self._lifeline_held = os.pipe()
+        self._nursery: subprocess.Popen[bytes] | None = None
+        self._processes: dict[int, Process] = {}
+        self._asked_at: dict[int, float] = {}
+        self._stopped: Stillness[int] = Stillness(_LONGEST_STEP_S)
+        self._silent: Stillness[int] = Stillness(_LONGEST_STEP_S)
+        self._draining = False
+
+    def tend(self, now: float, busy: Collection[int] | None) -> None:
+        """Fill places that are empty, wake what was stopped, end what hangs.
+
+        Parameters
+        ----------
+        now
+            Seconds of a monotonic clock.
+        busy
+            Processes that run a job; None when that is not known, and then nobody is said to hang.
+        """
+        self._look()
+        self._wake_stopped(now)
+        self._end_silent(now, busy)
+        if not self._draining:
+            self._fill(now)
+
+    def living(self) -> set[int]:
+        """Return the processes that are in the places now."""
+        self._look()
+        return {p.pid for line, p in self._processes.items() if line != NURSERY and p.lives}
+
+    def end(self, pid: int, force: Force) -> None:
+        """End the process of a place; one that is in none any more is left alone."""
+        for line, process in self._processes.items():
+            if line != NURSERY and process.pid == pid:
+                process.send(signal.SIGKILL if force is Force.KILL else signal.SIGTERM)
+
+    def drain(self) -> None:
+        """Let each place end after what it runs, and fill none any more."""
+        self._draining = True
+        self._board.drain()
+
+    def close(self) -> None:
+        """Kill what is left, and let go of everything."""
+        self.drain()
+        self._look()
+        for process in self._processes.values():
+            process.send(signal.SIGKILL)
+            select.select([process.descriptor], [], [], _DEATH_S)
+            process.close()
+        self._processes.clear()
+        self._lines = []
+        if self._nursery is not None:
+            self._end_nursery(self._nursery)
+            self._nursery = None
+        # What was forked a moment ago and is not known yet ends by this.
+        for descriptor in (self._lifeline_held, self._lifeline, self._descriptor):
+            os.close(descriptor)
+
+    def _look(self) -> None:
+        """Take hold of who is in which place, and let go of who is gone."""
+        for line in self._lines:
+            pid, _ = self._board.read(line)
+            known = self._processes.get(line)
+            if known is not None and known.pid == pid and known.lives:
+                continue
+            if known is not None:
+                self._processes.pop(line).close()
+                if not self._draining:
+                    logger.warning("process %d is gone", known.pid)
+            if known is not None and known.pid == pid:
+                self._board.clear(line)
+            elif pid and (process := Process.of(pid)) is not None:
+                self._processes[line] = process  # one that has ended is let go of at the next look
+
+    def _wake_stopped(self, now: float) -> None:
+        stopped = {line: p.pid for line, p in self._processes.items() if p.stopped}
+        for line, for_s in self._stopped.look(stopped, now).items():
+            process = self._processes[line]
+            if for_s > _STOPPED_S:
+                logger.error("process %d was stopped and does not go on; killing it", process.pid)
+                process.send(signal.SIGKILL)
+            elif for_s > _WAKE_AFTER_S:
+                logger.warning("process %d was stopped; letting it go on", process.pid)
+                process.send(signal.SIGCONT)
+
+    def _end_silent(self, now: float, busy: Collection[int] | None) -> None:
+        signs = {
+            line: self._board.read(line)
+            for line, process in self._processes.items()
+            if busy is not None and process.pid not in busy
+        }
+        limit_s = _SILENT_AT_THE_END_S if self._draining else _SILENT_S
+        for line, for_s in self._silent.look(signs, now).items():
+            if for_s > limit_s:
+                process = self._processes[line]
+                logger.error("process %d gives no sign of life; killing it", process.pid)
+                process.send(signal.SIGKILL)
+
+    def _fill(self, now: float) -> None:
+        nursery = self._nursery
+        if nursery is None or nursery.poll() is not None:
+            self._start_nursery(now)
+            return
+        if NURSERY not in self._processes:
+            if now - self._asked_at[NURSERY] > _BIRTH_S:
+                logger.error("the kinds were not loaded within %.0f s; starting again", _BIRTH_S)
+                nursery.kill()
+            return
+        for number, line in enumerate(self._lines[1:]):
+            if line not in self._processes and now - self._asked_at.get(line, -_ASK_AGAIN_S) >= _ASK_AGAIN_S:
+                self._asked_at[line] = now
+                self._ask(nursery, number)
+
+    def _start_nursery(self, now: float) -> None:
+        if self._nursery is not None:
+            if now - self._asked_at[NURSERY] < _ASK_AGAIN_S:
+                return
+            logger.error("the nursery ended with code %d; starting another", self._nursery.returncode)
+            self._end_nursery(self._nursery)
+        self._board.clear(NURSERY)
+        self._log.parent.mkdir(parents=True, exist_ok=True)
+        command = [sys.executable, "-m", "sms_jobs.workers.nursery"]
+        command += [str(self._descriptor), str(self._lifeline)]
+        with self._log.open("ab") as output:
+            # A group of its own: Ctrl-C reaches the supervisor alone, which then ends the places in order.
+            self._nursery = subprocess.Popen(
+                command,
+                env=self._environment,
+                stdin=subprocess.PIPE,
+                stdout=output,
+                stderr=output,
+                pass_fds=(self._descriptor, self._lifeline),
+                process_group=0,
+            )
+        self._asked_at = {NURSERY: now}
+
+    @staticmethod
+    def _ask(nursery: subprocess.Popen[bytes], number: int) -> None:
+        assert nursery.stdin is not None
+        with suppress(BrokenPipeError):
+            os.write(nursery.stdin.fileno(), bytes([number]))
+
+    @staticmethod
+    def _end_nursery(nursery: subprocess.Popen[bytes]) -> None:
+        assert nursery.stdin is not None
+        nursery.stdin.close()
+        nursery.kill()
+        nursery.wait()
