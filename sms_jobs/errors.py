@@ -87,6 +87,12 @@ class StorageFull(SmsError):
     retryable = True
 
 
+class StorageUnusable(SmsError):
+    """The disk or share that holds the archive is read-only, gone, failing, or forbidden to this account."""
+
+    retryable = True
+
+
 class WaitTimedOut(SmsError):
     """What was waited for did not happen in time; the work goes on."""
 

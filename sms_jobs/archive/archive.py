@@ -18,6 +18,7 @@ from sms_jobs.archive import hdf5, layout
 from sms_jobs.archive.checking import Checker
 from sms_jobs.archive.dataset import ArchivedDataset, check_dataset, open_dataset
 from sms_jobs.archive.limits import LARGEST_TEXT_BYTES
+from sms_jobs.archive.place import probe
 from sms_jobs.archive.provenance import (
     Found,
     InputReference,
@@ -61,6 +62,19 @@ class Archive:
         """Use the archive in the folder `root`, which is created if it is not there."""
         root.mkdir(parents=True, exist_ok=True)
         self.root = root.resolve()
+
+    def probe(self, subject: Subject | None = None) -> None:
+        """Find out whether files can be kept, and where those of a subject lie.
+
+        Raises
+        ------
+        StorageFull, StorageUnusable
+            They cannot.
+        """
+        probe(self.root)
+        if subject is not None:
+            lies = self.root / layout.folder(subject)
+            probe(next(f for f in (lies, *lies.parents) if f == self.root or os.path.lexists(f)))
 
     def path(self, relative: str) -> Path:
         """Return the file at a relative path; raise `InvalidInput` when it is outside the archive."""

@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import os
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from sms_jobs.archive.layout import temporary_name
-from sms_jobs.errors import Conflict, StorageFull
+from sms_jobs.archive.place import says_full, says_unusable
+from sms_jobs.errors import Conflict, SmsError, StorageFull, StorageUnusable
 
-_FULL = {errno.ENOSPC, errno.EDQUOT}
-_HDF5_ERRNO = re.compile(r"errno = (\d+)")
 _READ_ONLY = 0o444
-
-
-def says_full(error: BaseException) -> bool:
-    """Say whether an error means that the disk, or the quota, is full; HDF5 only says so in words."""
-    if not isinstance(error, OSError | RuntimeError):
-        return False
-    if isinstance(error, OSError) and error.errno in _FULL:
-        return True
-    found = _HDF5_ERRNO.search(str(error))
-    return found is not None and int(found[1]) in _FULL
 
 
 class SafeFile(io.RawIOBase):
@@ -112,6 +99,8 @@ def sealing(root: Path, path: Path, job_id: str) -> Iterator[Path]:
         When there is a file at `path` already.
     StorageFull
         When the disk is full; the temporary file is removed, as on every other error.
+    StorageUnusable
+        When the disk or share cannot be written to.
     """
     temporary = path.with_name(temporary_name(path.name, job_id))
     if os.path.lexists(path):
@@ -126,8 +115,15 @@ def sealing(root: Path, path: Path, job_id: str) -> Iterator[Path]:
     except BaseException as error:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+        if isinstance(error, SmsError):
+            raise
         if says_full(error):
             raise StorageFull(
                 f"the disk of {root} has no room for {path.name}; free some space and run the job again"
+            ) from error
+        if says_unusable(error):
+            raise StorageUnusable(
+                f"{path.name} cannot be kept in {path.parent} ({error}); look whether its disk or share is "
+                "mounted, whole, and this account's to write to"
             ) from error
         raise

@@ -24,8 +24,9 @@ from sqlalchemy.orm import Session
 
 import sms_jobs
 from sms_jobs.archive import Archive, Checker, layout
+from sms_jobs.archive.place import says_full
 from sms_jobs.archive.repacking import repack
-from sms_jobs.archive.sealing import make_folders, says_full, sync
+from sms_jobs.archive.sealing import make_folders, sync
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CampaignRow, FileRow, ProvenanceRow
