@@ -24,8 +24,26 @@ from sms_jobs.errors import CommitInDoubt, ConfigurationError, ServerUnreachable
 
 _WRITING = "sms_writing"
 _RETURNED = "sms_returned_at"
+_READ_ONLY = "25006"
+"""PostgreSQL's code for a change that a server which stands by refuses."""
 _TRUSTED_S = 1.0
 """A connection that was in use so lately is taken without asking whether the server is still there."""
+
+_NOTICED = {
+    "connect_timeout": 10,
+    "keepalives": 1,
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 3,
+    "tcp_user_timeout": 20_000,
+}
+"""A server that cannot be reached any more is noticed within 30 s: by what was sent and not acknowledged for
+20 s (in ms above), or, where an answer is awaited, by asking its machine after 10 s, and then every 5 s."""
+_SERVERS_NOTICE = (
+    "SET tcp_keepalives_idle = 10; SET tcp_keepalives_interval = 5; SET tcp_keepalives_count = 3; "
+    "SET tcp_user_timeout = 20000"
+)
+"""The same the other way round: a host that was cut off must not keep rows locked for hours."""
 
 
 class Catalogue:
@@ -105,6 +123,11 @@ class Catalogue:
                 f"the catalogue {self.describe()} does not answer ({reason}); run 'sms doctor'"
             ) from error
         except DBAPIError as error:
+            if getattr(error.orig, "sqlstate", None) == _READ_ONLY:
+                raise ServerUnreachable(
+                    f"the catalogue {self.describe()} takes no changes for now: its server stands by for "
+                    "another, or was made read-only; run 'sms doctor'"
+                ) from error
             if not error.connection_invalidated:
                 raise
             raise ServerUnreachable(
@@ -123,7 +146,10 @@ def _engine(url: str, create: bool) -> Engine:
             event.listen(engine, "begin", _begin_sqlite)
             return engine
         if backend == "postgresql":
-            engine = create_engine(parsed, connect_args={"connect_timeout": 10})
+            # What the URL says wins.
+            noticed = {name: value for name, value in _NOTICED.items() if name not in parsed.query}
+            engine = create_engine(parsed, connect_args=noticed)
+            event.listen(engine, "connect", _prepare_postgresql)
             event.listen(engine, "checkin", _note_return)
             event.listen(engine, "checkout", partial(_refuse_broken, engine.dialect))
             return engine
@@ -160,6 +186,12 @@ def _prepare_sqlite(connection: Any, _record: Any) -> None:
     cursor.execute("PRAGMA synchronous = FULL")
     cursor.execute("PRAGMA foreign_keys = ON")
     cursor.close()
+
+
+def _prepare_postgresql(connection: Any, _record: Any) -> None:
+    with connection.cursor() as cursor:
+        cursor.execute(_SERVERS_NOTICE)
+    connection.commit()
 
 
 def _note_return(_connection: Any, record: ConnectionPoolEntry) -> None:
