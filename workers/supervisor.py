@@ -22,14 +22,14 @@ from sqlalchemy import exists, select
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import upkeep
 from sms_jobs.catalogue.models import JobRow
-from sms_jobs.errors import SmsError, StorageFull
-from sms_jobs.jobs import limits, queues, recovery, schedules
+from sms_jobs.errors import SmsError
+from sms_jobs.jobs import limits, recovery, schedules
 from sms_jobs.jobs.limits import Limits, Observed, Watch
 from sms_jobs.jobs.origin import Origin
-from sms_jobs.jobs.runner import require_room
 from sms_jobs.jobs.witness import Witness
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN
 from sms_jobs.settings import Settings
+from sms_jobs.workers.archive_watch import ArchiveWatch
 from sms_jobs.workers.celery_app import ALL_QUEUES, WORKER_ID, WORKER_QUEUES, make_app
 from sms_jobs.workers.places import Places
 from sms_jobs.workers.publisher import Publisher
@@ -94,10 +94,13 @@ class Supervisor:
                 lease=timedelta(seconds=self._settings.lease_s),
             )
         publisher = Publisher(self._app, self._services.catalogue, self._settings.workers)
+        watch = ArchiveWatch(self._services, self.worker_id)
         publisher.start()
+        watch.start()
         try:
             self._serve(until_idle)
         finally:
+            watch.stop()
             publisher.stop()
             self._stop()
             publisher.join(timeout=_PATIENCE_WITH_BROKER_S)
@@ -171,7 +174,7 @@ class Supervisor:
             logger.warning("job %s was lost", job_id)
 
     def _enforce(self) -> None:
-        """Ask jobs that take too much to stop, end those that do not, let queues go on that have room."""
+        """Ask jobs that take too much to stop, and end those that do not."""
         self._running = None
         with self._services.catalogue.writing() as session:
             running = self._watch.look(session, self.worker_id, time.monotonic())
@@ -183,25 +186,12 @@ class Supervisor:
         for job in limits.overdue(running, self._limits):
             logger.warning("job %s does not stop: %s process %d", job.job_id, job.force.value, job.pid)
             self._places.end(job.pid, job.force)
-        self._go_on_when_there_is_room()
 
     def _fire_schedules(self) -> None:
         with self._services.catalogue.writing() as session:
             fired = schedules.fire_due(session, datetime.now(UTC))
         for one in fired:
             logger.info("schedule %s, %s: %s", one.schedule, one.fire_time, one.outcome)
-
-    def _go_on_when_there_is_room(self) -> None:
-        with self._services.catalogue.reading() as session:
-            if not any(queue.for_room for queue in queues.queues(session)):
-                return
-        try:
-            require_room(self._services.archive.root, self._settings.least_room_mb)
-        except StorageFull:
-            return
-        with self._services.catalogue.writing() as session:
-            resumed = queues.resume_for_room(session)
-        logger.info("there is room again: %s go on", ", ".join(resumed))
 
     def _analyse(self) -> None:
         upkeep.analyse(self._services.catalogue)

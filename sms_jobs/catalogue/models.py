@@ -265,6 +265,10 @@ class WorkerRow(Table):
     started_at: Mapped[datetime]
     beat_at: Mapped[datetime]
     draining: Mapped[bool] = mapped_column(default=False)
+    held_for: Mapped[str | None] = mapped_column(Text)
+    """Why it claims nothing for now: from its host the archive cannot be used. It goes on by itself."""
+    held_at: Mapped[str | None] = mapped_column(String(200))
+    """The subject whose folder of the archive was at fault."""
 
 
 class JobRow(Table):
@@ -297,6 +301,8 @@ class JobRow(Table):
     finished_at: Mapped[datetime | None]
     attempts: Mapped[int] = mapped_column(default=0)
     crashes: Mapped[int] = mapped_column(default=0)
+    tries: Mapped[int] = mapped_column(default=0)
+    """How often it failed by what may pass by itself, and was queued again for it."""
     fence: Mapped[int] = mapped_column(default=0)
     """Grows with every claim; an attempt that holds an older one may write nothing."""
     worker_id: Mapped[str | None] = mapped_column(ForeignKey("worker.id"))

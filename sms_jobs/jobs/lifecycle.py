@@ -52,6 +52,8 @@ class Claim:
     ----------
     job_id, kind, subject, parameters, repeatable, use_cache
         As they were submitted.
+    tries
+        How often it was queued again since it was last given a chance, for what may pass by itself.
     fence, attempt
         Of this claim; others of the same job have others.
     campaign_id, definition_hash
@@ -68,6 +70,7 @@ class Claim:
     parameters: dict[str, Any]
     repeatable: bool
     use_cache: bool
+    tries: int
 
 
 def change(
@@ -127,7 +130,7 @@ def _changing(
 def claim(session: Session, queues: Sequence[str], worker_id: str, pid: int, now: datetime) -> Claim | None:
     """Take the first queued job of some queues that are not paused, and with it the devices that it needs.
 
-    None when there is none whose devices are free, or the worker is draining or given up.
+    None when there is none whose devices are free, or the worker is draining, held or given up.
     """
     attempt = {"queues": tuple(queues), "worker": worker_id, "process": pid, "now": now}
     session.flush()
@@ -150,6 +153,7 @@ def claim(session: Session, queues: Sequence[str], worker_id: str, pid: int, now
             row.parameters,
             row.repeatable,
             row.use_cache,
+            row.tries,
         )
     return None
 
@@ -166,6 +170,7 @@ def _claiming() -> ReturningUpdate[Any]:
                 WorkerRow.id == bindparam("worker"),
                 WorkerRow.draining.is_(False),
                 WorkerRow.given_up.is_(False),
+                WorkerRow.held_for.is_(None),
             ),
             ~exists().where(QueueRow.name == JobRow.queue, QueueRow.paused_at.is_not(None)),
             ~locks.waits_for_device(now),
@@ -202,6 +207,7 @@ def _claiming() -> ReturningUpdate[Any]:
             _JOB.c.parameters,
             _JOB.c.repeatable,
             _JOB.c.use_cache,
+            _JOB.c.tries,
             exists().where(JobDeviceRow.job_id == _JOB.c.id).label("needs_devices"),
         )
     )
@@ -256,6 +262,32 @@ def succeed(
     return done
 
 
+def has_succeeded(session: Session, held: Claim) -> bool:
+    """Tell whether an attempt has ended its job well: it may not have heard so."""
+    ended = select(JobRow.id).where(
+        JobRow.id == held.job_id, JobRow.fence == held.fence, JobRow.state == JobState.SUCCEEDED
+    )
+    return session.scalar(ended) is not None
+
+
+def give_back(session: Session, worker_id: str, pid: int, held: Claim | None, now: datetime) -> list[str]:
+    """Queue again what a process has claimed without hearing of it; return the ids of these jobs.
+
+    Parameters
+    ----------
+    held
+        What it knows that it holds.
+    """
+    unheard = select(JobRow.id, JobRow.fence).where(
+        JobRow.worker_id == worker_id, JobRow.state == JobState.RUNNING, JobRow.pid == pid
+    )
+    found = [row for row in session.execute(unheard) if held is None or row.id != held.job_id]
+    message = "it had not begun: the database went away while it was claimed"
+    for job_id, fence in found:
+        change(session, job_id, JobState.QUEUED, now, message, fence=fence)
+    return [job_id for job_id, _ in found]
+
+
 def queue_ready_dependents(session: Session, producer_id: str, now: datetime) -> None:
     """Queue every waiting job that needs `producer_id` and whose producers have all succeeded."""
     # Locking the dependents first makes two producers that end at the same moment see each other.
@@ -292,20 +324,6 @@ def _ready(*, some: bool) -> Select[str]:
     )
     query = select(JobRow.id).where(JobRow.state == JobState.WAITING, ~unfinished).order_by(JobRow.position)
     return query.where(JobRow.id.in_(bindparam("jobs", expanding=True))) if some else query
-
-
-def tries(session: Session, job_id: str) -> int:
-    """Return how often a job has begun since it was last given a chance, without its vanished workers.
-
-    Those are counted by themselves, against the crash budget.
-    """
-    told = select(EventRow.state).where(EventRow.job_id == job_id).order_by(EventRow.id.desc())
-    count = 0
-    for state in session.scalars(told):
-        if state in UNSUCCESSFUL:
-            break
-        count += (state is JobState.RUNNING) - (state is JobState.LOST)
-    return count
 
 
 def cancel(session: Session, job_id: str, now: datetime) -> bool:
@@ -363,6 +381,7 @@ def retry(session: Session, job_id: str, now: datetime) -> int:
         "retried by an operator",
         finished_at=None,
         crashes=0,
+        tries=0,
         stop_asked_at=None,
         stop_as=None,
         stop_reason=None,

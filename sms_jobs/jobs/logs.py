@@ -17,10 +17,18 @@ def job_log(log_folder: Path, job_id: str) -> Path:
 
 @contextmanager
 def logged(log_folder: Path, job_id: str) -> Iterator[None]:
-    """Copy what `sms_jobs` logs meanwhile into the job's own file; every attempt appends."""
+    """Copy what `sms_jobs` logs meanwhile into the job's own file; every attempt appends.
+
+    A job whose log cannot be written is run all the same: the worker's own log has it too.
+    """
     path = job_log(log_folder, job_id)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handler = logging.FileHandler(path, encoding="utf-8", delay=True)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handler = logging.FileHandler(path, encoding="utf-8")
+    except OSError as error:
+        logging.getLogger(__name__).warning("job %s has no log of its own: %s", job_id, error)
+        yield
+        return
     handler.setFormatter(_FORMAT)
     logger = logging.getLogger("sms_jobs")
     logger.addHandler(handler)

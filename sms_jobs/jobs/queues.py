@@ -46,6 +46,12 @@ def pause(session: Session, name: str, reason: str, now: datetime, *, for_room: 
         row.paused_at, row.reason, row.for_room = now, reason, for_room
 
 
+def wait_for_room(session: Session) -> bool:
+    """Tell whether a queue is paused because a disk was full."""
+    full = select(QueueRow.name).where(QueueRow.paused_at.is_not(None), QueueRow.for_room)
+    return session.scalar(full.limit(1)) is not None
+
+
 def resume_for_room(session: Session) -> list[str]:
     """Let the queues go on that were paused because a disk was full; return their names."""
     full = select(QueueRow).where(QueueRow.paused_at.is_not(None), QueueRow.for_room)

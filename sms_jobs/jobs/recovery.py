@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue.models import JobRow, WorkerRow
 from sms_jobs.jobs import lifecycle, locks
 from sms_jobs.jobs.origin import Origin
+from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import JobState
 
 Living = Callable[[], Collection[int]]
@@ -70,6 +71,18 @@ def drain(session: Session, worker_id: str) -> None:
     session.execute(update(WorkerRow).where(WorkerRow.id == worker_id).values(draining=True))
 
 
+def hold(session: Session, worker_id: str, reason: str, at: Subject | None) -> None:
+    """Let a worker claim nothing more until `release`, because from its host the archive cannot be used."""
+    held = {"held_for": reason, "held_at": None if at is None else str(at)}
+    session.execute(update(WorkerRow).where(WorkerRow.id == worker_id).values(**held))
+
+
+def release(session: Session, worker_id: str) -> None:
+    """Let a worker that was held claim jobs again."""
+    free = {"held_for": None, "held_at": None}
+    session.execute(update(WorkerRow).where(WorkerRow.id == worker_id).values(**free))
+
+
 def beat(session: Session, worker_id: str, now: datetime, processes: int | None = None) -> None:
     """Give a supervisor's sign of life: what counts is that the number of its beats changes.
 
@@ -105,6 +118,11 @@ def recover(
         The supervisor that asks.
     silent
         Others, as its `Witness` has found them.
+
+    Parameters
+    ----------
+    leases_count
+        False just after the database was away: nobody could renew a lease meanwhile.
 
     Returns
     -------

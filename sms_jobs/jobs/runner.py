@@ -1,32 +1,34 @@
 """Runs one job: loads what it needs, calls its kind, seals and indexes what comes out.
 
 The only place where kinds, archive and catalogue meet. Whatever happens, the job's row tells it: done,
-failed with a reason, queued again after a passing fault, or lost because a newer attempt has begun.
+failed with a reason, queued again after a passing fault, or lost because a newer attempt has begun. A
+catalogue that is away is waited for, and an archive that cannot be used is no fault of the job.
 """
 
 from __future__ import annotations
 
-import errno
 import getpass
 import logging
 import os
-import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import partial
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from sqlalchemy.orm import Session
 
 import sms_jobs
 from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
+from sms_jobs.archive.place import require_usable, says_full, says_unusable
 from sms_jobs.catalogue.campaigns import Definitions
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import (
+    ArchiveCorrupt,
     Cancelled,
     CommitInDoubt,
     InstrumentError,
@@ -35,15 +37,19 @@ from sms_jobs.errors import (
     ServerUnreachable,
     SmsError,
     StorageFull,
+    StorageUnusable,
 )
-from sms_jobs.jobs import indexing, lifecycle, queues, reuse
+from sms_jobs.jobs import indexing, lifecycle, outages, queues, recovery, reuse
 from sms_jobs.jobs.indexing import SealedOutput
 from sms_jobs.jobs.lifecycle import Claim
 from sms_jobs.jobs.logs import logged
 from sms_jobs.jobs.stations import Stations
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Output, Station
+from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import JobState
+
+T = TypeVar("T")
 
 _PROGRESS_EVERY_S = 0.5
 _ATTEMPTS = 3
@@ -92,13 +98,8 @@ class Runner:
         """Run queued jobs, the first of them first, until there are none.
 
         The transaction that ends a job claims the next: a commit is a good part of what a job costs. With
-        too little room for a job, none is begun and all queues are held back.
-
-        Raises
-        ------
-        CommitInDoubt
-            A job may or may not have ended, and the next have been claimed: the process must end, so that
-            its supervisor sees what became of them.
+        too little room for a job, none is begun and all queues are held back; where the archive cannot be
+        used, this worker is.
         """
         held = self._claimed()
         while held is not None:
@@ -107,45 +108,69 @@ class Runner:
                 held = self._run_to_end(held)
 
     def _claimed(self) -> Claim | None:
-        with self.catalogue.writing() as session:
-            return self._claim(session)
-
-    def _claim(self, session: Session) -> Claim | None:
+        """Claim a job; None when there is none, or nobody can be asked: this process is woken again."""
+        fault = self._fault_beforehand()
         try:
-            require_room(self.archive.root, self.least_room_mb)
-        except StorageFull as error:
-            self._hold_queues_back(session, error)
+            with self.catalogue.writing() as session:
+                return self._claim(session, fault)
+        except CommitInDoubt:
+            return outages.outlast(
+                self.catalogue, partial(self._claim, fault=fault), partial(self._settle, None), in_doubt=True
+            )
+        except (ServerUnreachable, StorageFull) as error:
+            logger.warning("no job can be claimed: %s", error)
+            return None
+
+    def _fault_beforehand(self) -> SmsError | None:
+        """Return why no job should be begun; asked outside of transactions, since a share may not answer."""
+        try:
+            require_usable(self.archive.root, self.least_room_mb)
+        except (StorageFull, StorageUnusable) as fault:
+            return fault
+        return None
+
+    def _claim(self, session: Session, fault: SmsError | None) -> Claim | None:
+        if fault is not None:
+            self._hold_back(session, fault, None)
             return None
         queues = self.stations.served(self.queues)
         return lifecycle.claim(session, queues, self.worker_id, os.getpid(), self.now())
+
+    def _told(self, held: Claim, step: Callable[[Session], T]) -> T:
+        """Tell the catalogue of a job, however long it is away."""
+        return outages.outlast(self.catalogue, step, partial(self._settle, held))
+
+    def _settle(self, held: Claim | None, session: Session) -> None:
+        for job_id in lifecycle.give_back(session, self.worker_id, os.getpid(), held, self.now()):
+            logger.warning("job %s: was claimed without being heard of, and is given back", job_id)
 
     def _run_to_end(self, held: Claim) -> Claim | None:
         """Run a job, tell how it ended, and return the next one."""
         try:
             return self._run(held)
-        except CommitInDoubt:
-            raise
         except LeaseLost as error:
             logger.warning("job %s: %s", held.job_id, error)
         except OverLimit as error:
             self._end(held, JobState.FAILED, str(error), error=str(error))
         except Cancelled as error:
             self._end(held, JobState.CANCELLED, f"{error} while it ran")
-        except (SmsError, OSError, MemoryError) as error:
-            self._fail(held, _as_ours(error))
         except Exception as error:  # noqa: BLE001 - a kind may raise anything; the job's row must tell it
-            self._fail(held, error)
+            self._fail(held, _as_ours(error))
         return self._claimed()
 
     def _run(self, held: Claim) -> Claim | None:
         kind = kind_named(held.kind)
-        # Looked up and, if there is one, reused in one transaction: with most of what such a job costs.
-        with self.catalogue.writing() as session:
+        fault = self._fault_beforehand()
+
+        def begin(session: Session) -> tuple[_Task, str, str | None, Claim | None]:
+            # Looked up and, if there is one, reused in one transaction: with most of what such a job costs.
             task = self._load(session, kind, held)
             hashes = {i.role: i.content_hash for i in task.inputs}
             key = reuse.reuse_key(kind, held.subject, held.parameters, task.context, hashes)
             earlier = self._reuse(session, held, key) if held.use_cache and held.repeatable else None
-            following = None if earlier is None else self._claim(session)
+            return task, key, earlier, None if earlier is None else self._claim(session, fault)
+
+        task, key, earlier, following = self._told(held, begin)
         if earlier is not None:
             logger.info("job %s: reused from %s", held.job_id, earlier)
             return following
@@ -165,13 +190,18 @@ class Runner:
         self, held: Claim, kind: Kind[Any], sealed: Sequence[SealedOutput], key: str, message: str
     ) -> Claim | None:
         """End a job well, enter what it made into the catalogue, and return the next job."""
-        # Where this fails, the files stay: nobody may know whether it was committed. The next attempt clears
-        # away those that were not indexed.
-        with self.catalogue.writing() as session:
+        fault = self._fault_beforehand()
+
+        def end(session: Session) -> tuple[bool, Claim | None]:
             done = lifecycle.succeed(session, held, self.now(), message, reuse_key=key)
             if done:
                 indexing.add_outputs(session, held, kind, sealed, self.now())
-            following = self._claim(session) if done else None
+            else:
+                done = lifecycle.has_succeeded(session, held)  # it was told before, and this not heard
+            return done, self._claim(session, fault) if done else None
+
+        # Where the process ends before this is told, the next attempt clears away the files.
+        done, following = self._told(held, end)
         if not done:
             self._discard(held, kind, sealed)
             raise LeaseLost("a newer attempt has begun; what this one made is discarded")
@@ -186,7 +216,11 @@ class Runner:
         # frames themselves are.
         if held.repeatable or kind.with_instruments:
             for output in sealed:
-                self.archive.discard(output.file.path)
+                try:
+                    self.archive.discard(output.file.path)
+                except OSError as error:
+                    # The next attempt clears it away.
+                    logger.warning("job %s: %s stays: %s", held.job_id, output.file.path, error)
 
     def _load(self, session: Session, kind: Kind[Any], held: Claim) -> _Task:
         definition = self._definitions.get(session, held.campaign_id, held.definition_hash)
@@ -201,7 +235,8 @@ class Runner:
         if earlier is None or not all(self.archive.path(p).is_file() for p in earlier[1]):
             return None
         message = f"reused from job {earlier[0][:8]}"
-        if not lifecycle.succeed(session, held, self.now(), message, reuse_key=key, reused_from=earlier[0]):
+        done = lifecycle.succeed(session, held, self.now(), message, reuse_key=key, reused_from=earlier[0])
+        if not done and not lifecycle.has_succeeded(session, held):
             raise LeaseLost("a newer attempt has begun")
         return earlier[0]
 
@@ -242,11 +277,18 @@ class Runner:
         return self.archive.seal_document(output.filename, output.media_type, output.write, provenance)
 
     def _fail(self, held: Claim, error: BaseException) -> None:
-        retryable = isinstance(error, SmsError) and error.retryable and held.repeatable
-        if retryable and self._tries(held) < _ATTEMPTS:
-            self._try_again(held, error)
+        fault = self._fault_of_place(held) if held.repeatable else None
+        if fault is not None:
+            # Whatever it says it failed of: it is tried again when the archive can be used, at no cost.
+            self._try_again(held, fault, "waits")
             return
-        if not held.repeatable and isinstance(error, InstrumentError | StorageFull | OSError):
+        retryable = isinstance(error, SmsError) and error.retryable and held.repeatable
+        if retryable and held.tries + 1 < _ATTEMPTS:
+            self._try_again(held, error, "tried again", tries=held.tries + 1)
+            return
+        if not held.repeatable and isinstance(
+            error, InstrumentError | StorageFull | StorageUnusable | OSError
+        ):
             logger.error("job %s: %s; an operator is needed", held.job_id, error)
             self._end(held, JobState.NEEDS_OPERATOR, str(error), error=str(error))
             return
@@ -258,32 +300,53 @@ class Runner:
             logger.error("job %s: unexpected error", held.job_id, exc_info=error)
         self._end(held, JobState.FAILED, message, error=message)
 
-    def _tries(self, held: Claim) -> int:
-        with self.catalogue.reading() as session:
-            return lifecycle.tries(session, held.job_id)
+    def _fault_of_place(self, held: Claim) -> SmsError | None:
+        """Return what is wrong with the archive where a job's files lie, now that it has left none there."""
+        fault = self._fault_beforehand()
+        if fault is not None:
+            return fault
+        try:
+            self.archive.probe(held.subject)
+        except (StorageFull, StorageUnusable) as found:
+            return found
+        return None
 
-    def _try_again(self, held: Claim, error: BaseException) -> None:
-        """Queue the job again; when the disk is full, with all queues held back until there is room."""
-        full = isinstance(error, StorageFull)
-        logger.warning("job %s: %s; tried again%s", held.job_id, error, " when there is room" if full else "")
-        with self.catalogue.writing() as session:
-            if full:
-                self._hold_queues_back(session, error)
-            message = f"{'waits for room' if full else 'tried again'}: {error}"
-            lifecycle.change(session, held.job_id, JobState.QUEUED, self.now(), message, fence=held.fence)
+    def _try_again(self, held: Claim, error: BaseException, how: str, **columns: Any) -> None:
+        """Queue the job again; when it is the archive's fault, with others held back until that is mended."""
+        if isinstance(error, StorageFull):
+            how = "waits for room"
+        logger.warning("job %s: %s: %s", held.job_id, how, error)
 
-    def _hold_queues_back(self, session: Session, error: BaseException) -> None:
-        # A supervisor lets them go on when there is room.
-        for name in queues.known(session):
-            queues.pause(session, name, str(error), self.now(), for_room=True)
+        def queue_again(session: Session) -> None:
+            if isinstance(error, StorageFull) or (isinstance(error, StorageUnusable) and not columns):
+                self._hold_back(session, error, held.subject)
+            message = f"{how}: {error}"
+            lifecycle.change(
+                session, held.job_id, JobState.QUEUED, self.now(), message, fence=held.fence, **columns
+            )
+
+        self._told(held, queue_again)
+
+    def _hold_back(self, session: Session, fault: SmsError, at: Subject | None) -> None:
+        """Begin no job until a supervisor finds the archive in order.
+
+        A full disk is full for everybody. What else is wrong may be wrong with this host alone: others go on.
+        """
+        if isinstance(fault, StorageFull):
+            for name in queues.known(session):
+                queues.pause(session, name, str(fault), self.now(), for_room=True)
+        else:
+            recovery.hold(session, self.worker_id, str(fault), at)
 
     def _end(self, held: Claim, state: JobState, message: str, **columns: Any) -> None:
         goes_on = state in (JobState.QUEUED, JobState.NEEDS_OPERATOR)
         ended: dict[str, Any] = {} if goes_on else {"finished_at": self.now()}
-        with self.catalogue.writing() as session:
-            lifecycle.change(
+        self._told(
+            held,
+            lambda session: lifecycle.change(
                 session, held.job_id, state, self.now(), message, fence=held.fence, **ended, **columns
-            )
+            ),
+        )
 
 
 @dataclass(frozen=True)
@@ -314,19 +377,14 @@ class _ThrottledProgress:
             logger.warning("job %s: %s", self._held.job_id, error)
 
 
-def require_room(folder: Path, least_mb: float) -> None:
-    """Raise `StorageFull` when the disk of a folder has less room than a job needs to be begun."""
-    free_mb = shutil.disk_usage(folder).free / 1e6
-    if free_mb < least_mb:
-        raise StorageFull(
-            f"the archive's disk has {free_mb:.0f} MB left and no job begins with less than {least_mb:g} MB "
-            "(setting least_room_mb); free some space"
-        )
-
-
 def _as_ours(error: Exception) -> Exception:
-    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+    """Return what is the fault of a disk or share as such, and everything else as it is."""
+    if isinstance(error, SmsError) and not isinstance(error, ArchiveCorrupt):
+        return error
+    if isinstance(error, OSError) and says_full(error):
         return StorageFull(f"the disk is full: {error.filename or 'writing an output'}; free some space")
+    if says_unusable(error):
+        return StorageUnusable(f"the archive could not be used ({error}); look at its disk or share")
     return error
 
 
