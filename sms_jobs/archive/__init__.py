@@ -3,7 +3,7 @@
 from sms_jobs.archive.archive import DATASET_MEDIA_TYPE, Archive
 from sms_jobs.archive.checking import Checker
 from sms_jobs.archive.dataset import ArchivedDataset
-from sms_jobs.archive.provenance import Found, InputReference, Provenance, Sealed
+from sms_jobs.archive.provenance import Found, InputReference, Provenance, Recorded, Sealed
 
 __all__ = [
     "DATASET_MEDIA_TYPE",
@@ -13,5 +13,6 @@ __all__ = [
     "Found",
     "InputReference",
     "Provenance",
+    "Recorded",
     "Sealed",
 ]

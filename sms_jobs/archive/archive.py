@@ -23,6 +23,7 @@ from sms_jobs.archive.provenance import (
     Found,
     InputReference,
     Provenance,
+    Recorded,
     Sealed,
     digest,
     provenance_from_json,
@@ -198,15 +199,23 @@ class Archive:
             provenance = replace(provenance, attempt=provenance.attempt + 1)
         return self.seal_dataset(records, provenance)
 
-    def open(self, path: str) -> AbstractContextManager[ArchivedDataset]:
-        """Open a dataset file for reading.
+    def open(self, file: Recorded) -> AbstractContextManager[ArchivedDataset]:
+        """Open a dataset file that the catalogue knows, for reading.
 
         Raises
         ------
         ArchiveCorrupt
-            When it is missing, truncated, or not a file of the archive.
+            When it is missing, or another one than is on record: at once where its size, its texts or the
+            digests of its arrays differ, and when an array is read that differs from its digest.
         FormatTooNew
             When it was written by a newer version.
+        """
+        return open_dataset(self.path(file.path), file.path, file.content_hash, file.size_bytes)
+
+    def open_unrecorded(self, path: str) -> AbstractContextManager[ArchivedDataset]:
+        """Open a dataset file of which nothing is on record; it must be what it says of itself.
+
+        Raises as `open` does.
         """
         return open_dataset(self.path(path), path)
 
@@ -257,7 +266,7 @@ class Archive:
         """
         if layout.is_dataset(path):
             self.verify(path, "", checker)
-            with self.open(path) as dataset:
+            with self.open_unrecorded(path) as dataset:
                 provenance, content_hash = dataset.provenance, dataset.content_hash
             media_type = DATASET_MEDIA_TYPE
         else:
@@ -317,7 +326,7 @@ class Archive:
         """Return how a file came about; None when it does not tell."""
         try:
             if layout.is_dataset(path):
-                with self.open(path) as dataset:
+                with self.open_unrecorded(path) as dataset:
                     return dataset.provenance
             return self.document_provenance(layout.without_sidecar(path))
         except (ArchiveCorrupt, FormatTooNew):

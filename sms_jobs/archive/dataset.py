@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.archive import hdf5
 from sms_jobs.archive.codec import class_named, layout_of, record_from_parts
+from sms_jobs.archive.hashing import RecordDigest, SlabHash, block_checks, content_hash_of
 from sms_jobs.archive.limits import refuse_excess
 from sms_jobs.archive.provenance import Provenance, provenance_from_json
 from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput, NotFound
@@ -36,12 +37,26 @@ def readable(where: str) -> Iterator[None]:
         raise ArchiveCorrupt(f"{where} cannot be read ({reason}); restore it from a backup") from error
 
 
+def altered(where: str, what: str, found: str, wanted: str) -> ArchiveCorrupt:
+    """Say that something of a file is not what was sealed, and what to do about it."""
+    return ArchiveCorrupt(
+        f"{where} is not what was sealed: {what} {found}, but {wanted} is on record; 'sms archive repair' "
+        "says whether a job makes it again, otherwise restore it from a backup"
+    )
+
+
 @dataclass(frozen=True)
 class StoredFrames:
-    """Frames in a sealed file, read when they are asked for, as long as the file is open."""
+    """Frames in a sealed file, read when they are asked for, as long as the file is open.
+
+    They are read in whole blocks, each of which is compared with its check in the file: `_block` are its
+    frames and rows, `_checks` the CRC-32 of all.
+    """
 
     _dataset: Any
     _where: str
+    _block: tuple[int, int]
+    _checks: NDArray[np.uint32]
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -57,14 +72,38 @@ class StoredFrames:
 
     def frame(self, index: int) -> NDArray[Any]:
         """Return one frame, (rows, columns)."""
-        with readable(self._where):
-            frame: NDArray[Any] = self._dataset[index]
+        index = range(self.shape[0])[index]
+        first = index - index % self._block[0]
+        frame: NDArray[Any] = self._blocks(first, first + self._block[0], 0, self.shape[1])[index - first]
         return frame
 
     def rows(self, start: int, stop: int) -> NDArray[Any]:
         """Return a slab of every frame, (frames, stop - start, columns)."""
+        count, rows, columns = self.shape
+        start, stop, _ = slice(start, stop).indices(rows)
+        depth, height = self._block
+        top, bottom = start - start % height, min(-(-stop // height) * height, rows)
+        if (top, bottom) == (start, stop):
+            return self._blocks(0, count, top, bottom)
+        slab = np.empty((count, max(stop - start, 0), columns), self.dtype)
+        for first in range(0, count, depth):
+            some = self._blocks(first, first + depth, top, bottom)
+            slab[first : first + depth] = some[:, start - top : stop - top]
+        return slab
+
+    def _blocks(self, first: int, last: int, top: int, bottom: int) -> NDArray[Any]:
+        """Return whole blocks."""
         with readable(self._where):
-            slab: NDArray[Any] = self._dataset[:, start:stop]
+            slab: NDArray[Any] = self._dataset[first:last, top:bottom]
+        depth, height = self._block
+        wanted = self._checks[first // depth : -(-last // depth), top // height : -(-bottom // height)]
+        differ = np.argwhere(block_checks(slab, self._block) != wanted)
+        if differ.size:
+            group, band = differ[0]
+            frame, row = first + group * depth, top + band * height
+            raise altered(
+                self._where, f"the block from frame {frame}, row {row} on has", "other values", "their check"
+            )
         return slab
 
 
@@ -103,7 +142,7 @@ class ArchivedDataset:
     provenance
         How it came about.
     content_hash
-        As recorded in the file.
+        Of its contents.
     names
         Of the records it holds, in order.
     """
@@ -113,6 +152,7 @@ class ArchivedDataset:
     content_hash: str
     names: tuple[str, ...]
     _file: Path
+    _manifest: Mapping[str, RecordDigest]
     _streams: ExitStack
 
     @property
@@ -120,19 +160,28 @@ class ArchivedDataset:
         """What the file is about."""
         return self.provenance.subject
 
+    def _no_record(self, name: str) -> NotFound:
+        return NotFound(f"{self.path} has no record '{name}'; it has {', '.join(self.names)}")
+
     def _group(self, name: str, until: ExitStack) -> Any:
         """Open the file and return the group of a record, valid until the stack is closed."""
         if name not in self.names:
-            raise NotFound(f"{self.path} has no record '{name}'; it has {', '.join(self.names)}")
+            raise self._no_record(name)
         opened = until.enter_context(_opened(self._file, self.path))
         with readable(self.path):
-            return opened["entry"][name]
+            group = opened["entry"][name]
+            told = hdf5.record_digest(name, group)
+        if told != self._manifest[name]:
+            raise ArchiveCorrupt(
+                f"{self.path}:{name} was changed while it was read; see 'sms archive verify'"
+            )
+        return group
 
     def record_class(self, name: str) -> type:
         """Return the class of a record."""
-        with ExitStack() as briefly, readable(self.path):
-            stored = str(self._group(name, briefly).attrs["record"])
-        return class_named(stored, self.path)
+        if name not in self.names:
+            raise self._no_record(name)
+        return class_named(self._manifest[name]["record"], self.path)
 
     def describe(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Return shape, unit and meaning of every array, by record and field, without reading any."""
@@ -168,6 +217,7 @@ class ArchivedDataset:
         declared = layout_of(record).arrays
         streamed = any(field.streamed for field in declared.values())
         arrays: dict[str, Any] = {}
+        hashes: dict[str, SlabHash] = {}
         with ExitStack() as briefly, readable(where):
             group = self._group(name, self._streams if streamed else briefly)
             stored = group.attrs["record"]
@@ -183,41 +233,87 @@ class ArchivedDataset:
                 dataset = group[field_name]
                 if field.dtype is not None and dataset.dtype != field.dtype:
                     raise ArchiveCorrupt(f"{where}.{field_name} is {dataset.dtype}, not {field.dtype}")
-                arrays[field_name] = StoredFrames(dataset, where) if field.streamed else dataset[...]
+                arrays[field_name] = _frames(dataset, where) if field.streamed else dataset[...]
+                if not field.streamed:
+                    # Taken while the next array is read.
+                    hashes[field_name] = SlabHash()
+                    hashes[field_name].update(arrays[field_name])
+        for told in self._manifest[name]["arrays"]:
+            found = hashes[told["name"]].hexdigest() if told["name"] in hashes else told["sha256"]
+            if found != told["sha256"]:
+                raise altered(
+                    f"{where}.{told['name']}",
+                    "its values hash to",
+                    f"{found[:12]}...",
+                    f"{told['sha256'][:12]}...",
+                )
         return record_from_parts(record, plain, arrays, where)
 
 
+def _frames(dataset: Any, where: str) -> StoredFrames:
+    block = hdf5.frames_in_blocks(dataset)
+    if block is None:
+        raise ArchiveCorrupt(f"the frames of {where} have no checks; was it written by another version?")
+    return StoredFrames(dataset, where, block, dataset.attrs[hdf5.BLOCK_CHECKS])
+
+
 @contextmanager
-def open_dataset(file: Path, where: str) -> Iterator[ArchivedDataset]:
-    """Open a sealed dataset file; `where` is its path in the archive, for messages.
+def open_dataset(
+    file: Path, where: str, content_hash: str = "", size_bytes: int | None = None
+) -> Iterator[ArchivedDataset]:
+    """Open a sealed dataset file and see that it is the one that was sealed, as far as it is read.
+
+    Texts and digests, some kilobytes, are compared with the content hash at once, and every array with its
+    digest when it is read.
+
+    Parameters
+    ----------
+    file, where
+        Where it lies; its path in the archive, for messages.
+    content_hash, size_bytes
+        As they are on record; what the file says of itself if they are not.
 
     Raises
     ------
     ArchiveCorrupt
-        When it is missing, truncated, or not a file of the archive.
+        When it is missing, truncated, not a file of the archive, or another one than was sealed.
     FormatTooNew
         When it was written by a newer version.
     """
+    if size_bytes is not None and file.is_file() and file.stat().st_size != size_bytes:
+        raise altered(where, "it has", f"{file.stat().st_size} bytes", str(size_bytes))
     with _opened(file, where) as opened, readable(where):
         entry = opened["entry"]
         text = hdf5.read_text(entry[hdf5.PROCESS]["provenance"])
-        names = tuple(str(name) for name in entry.attrs["records"])
+        whole = hdf5.provenance_is_whole(opened)
+        manifest = hdf5.manifest_of(opened)
+        found = content_hash_of(manifest)
         recorded = str(opened.attrs["content_hash"])
+    _compare(where, found, recorded, content_hash)
+    if not whole:
+        raise ArchiveCorrupt(f"the provenance in {where} was altered; restore the file from a backup")
+    told = {one["name"]: one for one in manifest}
     with ExitStack() as streams:
-        yield ArchivedDataset(where, provenance_from_json(text, where), recorded, names, file, streams)
+        yield ArchivedDataset(
+            where, provenance_from_json(text, where), recorded, tuple(told), file, told, streams
+        )
 
 
 def check_dataset(file: Path, where: str, content_hash: str) -> None:
     """Read everything in a dataset file; raise `ArchiveCorrupt` unless it has that content hash."""
     with _opened(file, where) as opened, readable(where):
         refuse_excess(opened)
+        stored = content_hash_of(hdf5.manifest_of(opened))
         found = hdf5.content_hash(opened)
         whole = hdf5.provenance_is_whole(opened)
         recorded = str(opened.attrs["content_hash"])
-    if content_hash not in (found, "") or recorded != found:
-        raise ArchiveCorrupt(
-            f"the contents of {where} hash to {found[:12]}..., but {(content_hash or recorded)[:12]}... "
-            "is on record; restore it from a backup"
-        )
+    _compare(where, found, recorded, stored)
+    _compare(where, found, recorded, content_hash)
     if not whole:
         raise ArchiveCorrupt(f"the provenance in {where} was altered; restore the file from a backup")
+
+
+def _compare(where: str, found: str, recorded: str, wanted: str) -> None:
+    """Raise `ArchiveCorrupt` unless a hash is what the file says, and what is wanted, if anything is."""
+    if wanted not in (found, "") or recorded != found:
+        raise altered(where, "its contents hash to", f"{found[:12]}...", f"{(wanted or recorded)[:12]}...")

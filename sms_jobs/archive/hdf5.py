@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC
 from math import prod
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.archive.codec import ArrayField, checked_array, layout_of, plain_to_json
-from sms_jobs.archive.hashing import ArrayDigest, Manifest, SlabHash
+from sms_jobs.archive.hashing import ArrayDigest, FramesHash, RecordDigest, SlabHash, content_hash_of
 from sms_jobs.archive.limits import LARGEST_TEXT_BYTES
 from sms_jobs.archive.provenance import Provenance, digest, provenance_to_json
 from sms_jobs.errors import InvalidInput
@@ -34,6 +34,8 @@ SLAB_BYTES = 4 << 20
 FRAMES_IN_CHUNK = 4
 ROWS_IN_CHUNK = 64
 FIELDS = "record_fields"
+BLOCK_CHECKS = "block_crc32"
+BLOCK = "block"
 PROCESS = "process"
 _RESERVED = {PROCESS, "title", "start_time", "definition"}
 
@@ -78,17 +80,20 @@ def _create(group: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any, st
 
 
 def _write_stack(dataset: Any, stack: Any) -> str:
-    """Write a frame stack, a few frames in memory at a time; return the SHA-256 of its bytes."""
+    """Write frames, a few in memory at a time, and the checks of their blocks; return their SHA-256."""
     count, rows, columns = stack.shape
-    sha = SlabHash()
+    block = dataset.chunks[:2] if dataset.chunks else (FRAMES_IN_CHUNK, ROWS_IN_CHUNK)
+    hashed = FramesHash(stack.shape, block)
     for start in range(0, count, FRAMES_IN_CHUNK):
         stop = min(start + FRAMES_IN_CHUNK, count)
         slab = np.empty((stop - start, rows, columns), dataset.dtype)
         for index in range(start, stop):
             slab[index - start] = stack.frame(index)
-        sha.update(slab)
+        hashed.update(slab)
         dataset[start:stop] = slab
-    return sha.hexdigest()
+    dataset.attrs[BLOCK] = np.array(block, np.int32)
+    dataset.attrs[BLOCK_CHECKS] = hashed.table()
+    return hashed.hexdigest()
 
 
 def _name(node: Any, attribute: str, names: Sequence[str]) -> None:
@@ -141,14 +146,13 @@ def _plot_as_nxdata(group: h5py.Group, arrays: Mapping[str, ArrayField]) -> None
     _name(group, "axes", axes)
 
 
-def _write_record(entry: h5py.Group, name: str, record: Any, manifest: Manifest) -> None:
-    """Write one record as a group of the entry and add it to the manifest."""
+def _write_record(entry: h5py.Group, name: str, record: Any) -> RecordDigest:
+    """Write one record as a group of the entry; return what the manifest says of it."""
     layout = layout_of(type(record))
     if not name.isidentifier() or name in _RESERVED:
         raise InvalidInput(f"'{name}' cannot be the name of a record in a file")
     group = entry.create_group(name)
-    plain = plain_to_json(record)
-    digests = []
+    written = []
     for field_name, field in layout.arrays.items():
         value = getattr(record, field_name)
         if value is None and field.optional:
@@ -164,12 +168,12 @@ def _write_record(entry: h5py.Group, name: str, record: Any, manifest: Manifest)
             dataset[...] = array
             sha = hashed.hexdigest()
         dataset.attrs["sha256"] = sha
-        digests.append(ArrayDigest(field_name, dataset.dtype.str, dataset.shape, field.quantity.unit, sha))
+        written.append(field_name)
     group.attrs["record"] = type(record).__name__
-    _name(group, "arrays", [d.name for d in digests])
-    _text(group, FIELDS, plain)
+    _name(group, "arrays", written)
+    _text(group, FIELDS, plain_to_json(record))
     _plot_as_nxdata(group, layout.arrays)
-    manifest.add(name, type(record).__name__, plain, digests)
+    return record_digest(name, group)
 
 
 def _write_process(entry: h5py.Group, provenance: Provenance) -> None:
@@ -215,14 +219,12 @@ def write(file: h5py.File, records: Mapping[str, Any], provenance: Provenance) -
     _name(entry, "records", list(records))
     _text(entry, "title", f"{provenance.kind} of {provenance.subject}")
     _text(entry, "start_time", provenance.created_at.astimezone(UTC).isoformat())
-    manifest = Manifest()
-    for name, record in records.items():
-        _write_record(entry, name, record, manifest)
+    content_hash = content_hash_of([_write_record(entry, name, one) for name, one in records.items()])
     plotted = [name for name in records if entry[name].attrs["NX_class"] == "NXdata"]
     entry.attrs["default"] = next(iter(plotted or records))
     _write_process(entry, provenance)
-    file.attrs["content_hash"] = manifest.content_hash()
-    return manifest.content_hash()
+    file.attrs["content_hash"] = content_hash
+    return content_hash
 
 
 def _slabs(dataset: Any) -> Iterator[NDArray[Any]]:
@@ -237,12 +239,53 @@ def _slabs(dataset: Any) -> Iterator[NDArray[Any]]:
         yield np.ascontiguousarray(dataset[start : start + step])
 
 
-def array_digest(name: str, dataset: Any) -> ArrayDigest:
-    """Read a whole dataset and return what the manifest says of it."""
-    sha = SlabHash()
+def _stored_digest(name: str, dataset: Any) -> ArrayDigest:
+    """Return what the manifest says of an array, as it is stored beside it."""
+    told: ArrayDigest = {
+        "name": name,
+        "dtype": dataset.dtype.str,
+        "shape": list(dataset.shape),
+        "unit": dataset.attrs["units"],
+        "sha256": dataset.attrs["sha256"],
+    }
+    if BLOCK_CHECKS in dataset.attrs:
+        told["blocks"] = _table_digest(dataset.attrs[BLOCK], dataset.attrs[BLOCK_CHECKS])
+    return told
+
+
+def _table_digest(block: Any, checks: Any) -> str:
+    return digest(np.asarray(block, "<i4").tobytes() + np.asarray(checks, "<u4").tobytes())
+
+
+def _found_digest(name: str, dataset: Any) -> ArrayDigest:
+    """Read a whole array and return what the manifest has to say of it."""
+    told = _stored_digest(name, dataset)
+    block = frames_in_blocks(dataset)
+    hashed = SlabHash() if block is None else FramesHash(dataset.shape, block)
     for slab in _slabs(dataset):
-        sha.update(slab)
-    return ArrayDigest(name, dataset.dtype.str, dataset.shape, dataset.attrs["units"], sha.hexdigest())
+        hashed.update(slab)
+    found = told | {"sha256": hashed.hexdigest()}
+    if isinstance(hashed, FramesHash):
+        found["blocks"] = _table_digest(block, hashed.table())
+    return found
+
+
+def frames_in_blocks(dataset: Any) -> tuple[int, int] | None:
+    """Return the frames and rows of a block whose check is stored; None for what is read as a whole.
+
+    Raises `ValueError` where they cannot be those of this array.
+    """
+    if BLOCK_CHECKS not in dataset.attrs:
+        return None
+    depth, height = (int(length) for length in dataset.attrs[BLOCK])
+    if (
+        dataset.ndim != 3
+        or depth < 1
+        or height < 1
+        or dataset.chunks not in (None, (depth, height, dataset.shape[2]))
+    ):
+        raise ValueError(f"its blocks of {depth} frames and {height} rows are not as it is stored")
+    return depth, height
 
 
 def read_text(dataset: Any) -> str:
@@ -253,15 +296,28 @@ def read_text(dataset: Any) -> str:
     return value.decode()
 
 
+def record_digest(
+    name: str, group: Any, of_array: Callable[[str, Any], ArrayDigest] = _stored_digest
+) -> RecordDigest:
+    """Return what the manifest says of a record, from what is stored beside its arrays."""
+    return {
+        "name": name,
+        "record": group.attrs["record"],
+        "fields": read_text(group[FIELDS]),
+        "arrays": [of_array(array, group[array]) for array in group.attrs["arrays"]],
+    }
+
+
+def manifest_of(file: h5py.File) -> list[RecordDigest]:
+    """Return the manifest as it stands in a file; no array is read."""
+    entry = file["entry"]
+    return [record_digest(name, entry[name]) for name in entry.attrs["records"]]
+
+
 def content_hash(file: h5py.File) -> str:
     """Read everything in a file and return its content hash."""
     entry = file["entry"]
-    manifest = Manifest()
-    for name in entry.attrs["records"]:
-        group = entry[name]
-        digests = [array_digest(array, group[array]) for array in group.attrs["arrays"]]
-        manifest.add(name, group.attrs["record"], read_text(group[FIELDS]), digests)
-    return manifest.content_hash()
+    return content_hash_of([record_digest(n, entry[n], _found_digest) for n in entry.attrs["records"]])
 
 
 def provenance_is_whole(file: h5py.File) -> bool:

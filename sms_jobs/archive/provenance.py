@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from math import isfinite
-from typing import Any
+from typing import Any, Protocol
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -94,6 +94,19 @@ class Sealed:
     content_hash: str
     size_bytes: int
     media_type: str
+
+
+class Recorded(Protocol):
+    """What is on record of a sealed file, as in the catalogue: path, content hash, and size in bytes."""
+
+    @property
+    def path(self) -> str: ...  # noqa: D102
+
+    @property
+    def content_hash(self) -> str: ...  # noqa: D102
+
+    @property
+    def size_bytes(self) -> int: ...  # noqa: D102
 
 
 @dataclass(frozen=True)

@@ -193,7 +193,7 @@ def reconstruct(folder: Path, name: str, threads: int) -> DatasetOutput:
     archive = Archive(folder / "archive")
     paths = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     subject = Subject(name, "S00", "C1P1")
-    with archive.open(paths[0]) as measurement, archive.open(paths[1]) as calibration:
+    with archive.open_unrecorded(paths[0]) as measurement, archive.open_unrecorded(paths[1]) as calibration:
         inputs = Inputs(subject, None, {"measurement": measurement, "calibration": calibration}, threads)
         parameters = ReconstructParameters(**PARAMETERS)
         (output,) = KIND.run(inputs, parameters, lambda fraction, message="": None)

@@ -148,12 +148,14 @@ class CalibrationView:
     origin: str
     sensors: tuple[str, ...]
     path: str
+    content_hash: str
+    size_bytes: int
 
 
 def list_calibrations(session: Session, rig: str | None = None) -> list[CalibrationView]:
     """Return calibrations, the one that became valid last first."""
     query = (
-        select(CalibrationRow, RigRow.name, FileRow.path)
+        select(CalibrationRow, RigRow.name, FileRow.path, FileRow.content_hash, FileRow.size_bytes)
         .join(RigRow, RigRow.id == CalibrationRow.rig_id)
         .join(FileRow, FileRow.id == CalibrationRow.file_id)
         .order_by(CalibrationRow.valid_from.desc(), CalibrationRow.id.desc())
@@ -161,11 +163,15 @@ def list_calibrations(session: Session, rig: str | None = None) -> list[Calibrat
     if rig is not None:
         query = query.where(RigRow.name == rig)
     views = []
-    for row, name, path in session.execute(query):
+    for row, name, path, content_hash, size_bytes in session.execute(query):
         sensors = session.scalars(
             select(SensorRow.name).where(SensorRow.rig_id == row.rig_id).order_by(SensorRow.id)
         )
-        views.append(CalibrationView(row.id, name, row.valid_from, row.origin, tuple(sensors), path))
+        views.append(
+            CalibrationView(
+                row.id, name, row.valid_from, row.origin, tuple(sensors), path, content_hash, size_bytes
+            )
+        )
     return views
 
 

@@ -174,7 +174,7 @@ def _texture(which: str, home: Path | None) -> tuple[NDArray[np.generic], float,
             view = search.file_view(session, which)
         if view.source != "measurement":
             raise InvalidInput(f"file {which} is a {view.source}, which has no texture; choose a measurement")
-        with services.archive.open(view.path) as dataset:
+        with services.archive.open(view) as dataset:
             measurement = dataset.read("measurement", Measurement)
     mean = float(_middle(measurement.texture).astype(np.float64).mean())
     noise = float(np.sqrt(measurement.read_noise**2 + measurement.gain * mean))

@@ -62,7 +62,7 @@ def export(
     with bootstrap.services(home) as services:
         with services.catalogue.reading() as session:
             view = search.calibration_view(session, number)
-        with services.archive.open(view.path) as dataset:
+        with services.archive.open(view) as dataset:
             calibration = dataset.read("calibration", Calibration)
     text, remarks = calibration_text(calibration, chosen, pixel_pitch_um / 1000.0)
     try:

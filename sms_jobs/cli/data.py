@@ -107,7 +107,7 @@ def show(file: File, home: Home = None, as_json: Json = False) -> None:
             numbers = search.statistics(session, view.id)
         records: dict[str, Any] = {}
         if view.media_type == DATASET_MEDIA_TYPE:
-            with services.archive.open(view.path) as dataset:
+            with services.archive.open(view) as dataset:
                 records = dataset.describe()
         path = services.archive.path(view.path)
     if as_json:
@@ -187,7 +187,7 @@ def plot(
             inputs = search.ancestry(session, view)
         if view.media_type != DATASET_MEDIA_TYPE:
             raise InvalidInput(f"file {file} is a {view.media_type} document, which cannot be plotted")
-        with services.archive.open(view.path) as dataset:
+        with services.archive.open(view) as dataset:
             name = record or dataset.names[0]
             read: Any = dataset.read(name, dataset.record_class(name))
         behind = None
@@ -202,7 +202,7 @@ def _reference_image(services: bootstrap.Services, inputs: Iterable[Ancestor]) -
     """Return the texture that a result in an image started from; None where it is not in the archive."""
     for one in inputs:
         if one.role == "reference" and one.file.source == MEASUREMENT:
-            with services.archive.open(one.file.path) as dataset:
+            with services.archive.open(one.file) as dataset:
                 return dataset.read("measurement", Measurement).texture
         found = _reference_image(services, one.inputs)
         if found is not None:

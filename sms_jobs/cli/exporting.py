@@ -176,7 +176,7 @@ def _export(services: bootstrap.Services, view: FileView, out: Path | None, want
         shutil.copyfile(services.archive.path(view.path), target)
         return [target]
     written = []
-    with services.archive.open(view.path) as dataset:
+    with services.archive.open(view) as dataset:
         names = [wanted.record] if wanted.record else _records(dataset, exporter)
         if len(names) > 1 and out is not None and not out.is_dir():
             raise InvalidInput(

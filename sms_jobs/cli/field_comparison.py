@@ -186,7 +186,7 @@ def _merged(services: Services, key: str) -> tuple[PointField, Floats]:
             f"file {key} is a {view.source}; choose a merged or combined result of a state, or displacement "
             "in the image of a camera alone"
         )
-    with services.archive.open(view.path) as dataset:
+    with services.archive.open(view) as dataset:
         mesh = dataset.read("mesh", Mesh)
     values = dict(zip(mesh.value_names, mesh.values, strict=True))
     displacement = np.stack([values[f"displacement {axis}"] for axis in _AXES], axis=1)
@@ -195,7 +195,7 @@ def _merged(services: Services, key: str) -> tuple[PointField, Floats]:
 
 def _in_image(services: Services, view: search.FileView) -> tuple[PointField, np.ndarray[Any, Any]]:
     """Return displacement in an image as that of a flat surface in mm, X to the right and Y up."""
-    with services.archive.open(view.path) as dataset:
+    with services.archive.open(view) as dataset:
         moved = dataset.read("displacement", PlanarDisplacement)
     if moved.mm_per_px is None:
         raise InvalidInput(

@@ -319,7 +319,7 @@ class _Import:
             views = search.list_calibrations(session, rig)
         if not views:
             return []
-        with self.services.archive.open(views[0].path) as dataset:
+        with self.services.archive.open(views[0]) as dataset:
             known = {s.name: s for s in dataset.read("calibration", Calibration).rig.sensors}
         told: dict[str, None] = {}
         for one in good:

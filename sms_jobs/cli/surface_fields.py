@@ -108,7 +108,7 @@ def _virtual(services: Services, campaign: str, pair: str | None) -> list[GaugeR
         )
     rows = []
     for subject, file in sorted(newest.items()):
-        with services.archive.open(file.path) as dataset:
+        with services.archive.open(file) as dataset:
             found = dataset.read("gauges", GaugeReadings)
         _, state, seen_by = subject.split("/")
         for name, strain, sigma, pixels in zip(
@@ -186,7 +186,7 @@ def section(
         with services.catalogue.reading() as session:
             view = search.file_view(session, file)
             parents = search.ancestry(session, view)
-        with services.archive.open(view.path) as dataset:
+        with services.archive.open(view) as dataset:
             name = record or dataset.names[0]
             read: Any = dataset.read(name, dataset.record_class(name))
             values = named_field(read, field)
@@ -230,7 +230,7 @@ def _shape_of(services: Services, parents: Sequence[Ancestor], file: str) -> np.
     shape = next((p.file for p in parents if p.role == "reference"), None)
     if shape is None:
         raise InvalidInput(f"file {file} does not say where its pixels are; choose a result of a pair")
-    with services.archive.open(shape.path) as dataset:
+    with services.archive.open(shape) as dataset:
         return dataset.read("cloud", PointCloud).xyz
 
 

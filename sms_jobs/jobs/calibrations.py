@@ -61,7 +61,7 @@ def known_calibration(catalogue: Catalogue, archive: Archive, number: int) -> Kn
     """Read a calibration of the catalogue; raise `NotFound` where there is none of that number."""
     with catalogue.reading() as session:
         view = search.calibration_view(session, number)
-    with archive.open(view.path) as dataset:
+    with archive.open(view) as dataset:
         return _known(number, view.path, dataset)
 
 
@@ -97,7 +97,7 @@ def session_result(
             f"session {campaign} has given no calibration yet; run 'sms job submit pipeline -c {campaign}' "
             "when its poses have been recorded"
         )
-    with archive.open(datasets[0].path) as dataset:
+    with archive.open(datasets[0]) as dataset:
         return datasets[0], _known(None, datasets[0].path, dataset)
 
 
@@ -273,10 +273,10 @@ def check(
         if shape is None or file_id is None:
             what = "shape" if shape is None else "valid calibration"
             raise NotFound(f"{subject} has no {what} yet; 'sms job submit reconstruct' makes shapes")
-        path = search.file_view(session, str(shape)).path
+        view = search.file_view(session, str(shape))
         number = search.calibration_of_file(session, file_id)
     known = known_calibration(catalogue, archive, number)
-    with archive.open(path) as dataset:
+    with archive.open(view) as dataset:
         phase, cloud = dataset.read("phase", PhaseMaps), dataset.read("cloud", PointCloud)
     return CalibrationCheck(
         str(subject),

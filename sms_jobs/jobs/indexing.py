@@ -42,6 +42,7 @@ class ResolvedInput:
     source: str
     path: str
     content_hash: str
+    size_bytes: int
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def resolve_inputs(session: Session, job_id: str) -> tuple[ResolvedInput, ...]:
                 .where(DependencyRow.job_id == job_id, DependencyRow.role == edge.role)
                 .values(file_id=file.id)
             )
-        found.append(ResolvedInput(edge.role, edge.source, file.path, file.content_hash))
+        found.append(ResolvedInput(edge.role, edge.source, file.path, file.content_hash, file.size_bytes))
     return tuple(found)
 
 

@@ -72,7 +72,7 @@ class PastDefinitions:
     def enter(self, session: Session, one: Found) -> None:
         """Make the campaign of the catalogue what a definition says, unless a later one is known."""
         name, since = one.provenance.subject.campaign, one.provenance.created_at
-        with self._archive.open(one.sealed.path) as dataset:
+        with self._archive.open(one.sealed) as dataset:
             definition = dataset.read("campaign", CampaignDefinition)
         row = _row(session, name)
         if row is None:
@@ -111,7 +111,7 @@ class PastDefinitions:
             return None
 
     def _read(self, path: str, since: datetime) -> Definition:
-        with self._archive.open(path) as dataset:
+        with self._archive.open_unrecorded(path) as dataset:
             return Definition(path, since, dataset.read("campaign", CampaignDefinition).campaign)
 
     def _entered_of(self, session: Session, name: str) -> list[Definition]:

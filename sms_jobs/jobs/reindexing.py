@@ -324,7 +324,7 @@ def _enter(session: Session, archived: _Archived, one: Found) -> None:
         _file_row(session, one, CAMPAIGN)
     elif provenance.kind == CALIBRATION:
         file = _file_row(session, one, CALIBRATION)
-        with archived.archive.open(one.sealed.path) as dataset:
+        with archived.archive.open(one.sealed) as dataset:
             campaigns.add_calibration(session, dataset.read("calibration", Calibration), file.id)
         _add_edges(session, one, file.id)
     else:
@@ -373,7 +373,7 @@ def _place(session: Session, subject: Subject) -> tuple[int, int | None, str | N
 def _describe_output(session: Session, archive: Archive, one: Found, file: FileRow) -> None:
     recorded_at = None
     if file.source == MEASUREMENT and file.state_id is not None and file.pair is not None:
-        with archive.open(one.sealed.path) as dataset:
+        with archive.open(one.sealed) as dataset:
             recorded_at = dataset.read(MEASUREMENT, Measurement).recorded_at
         session.add(
             MeasurementRow(file_id=file.id, state_id=file.state_id, pair=file.pair, recorded_at=recorded_at)

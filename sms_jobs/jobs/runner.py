@@ -252,7 +252,7 @@ class Runner:
     def _sealed_outputs(self, kind: Kind[Any], held: Claim, task: _Task) -> Iterator[SealedOutput]:
         progress = _ThrottledProgress(self, held)
         with ExitStack() as stack:
-            datasets = {i.role: stack.enter_context(self.archive.open(i.path)) for i in task.inputs}
+            datasets = {i.role: stack.enter_context(self.archive.open(i)) for i in task.inputs}
             inputs = Inputs(held.subject, task.context, datasets, self.threads, task.station)
             for output in kind.run(inputs, task.parameters, progress):
                 yield indexing.sealed_output(output, self._seal(output, held, task))

@@ -66,7 +66,7 @@ def written(folder: Path) -> Path:
                 need.source, 1, need.subject, f"{place:032x}", 1, WHEN, {}, (), "0.1", "here", "me"
             )
             sealed = archive.seal_dataset(records_for(need), made)
-            datasets[need.role] = stack.enter_context(archive.open(sealed.path))
+            datasets[need.role] = stack.enter_context(archive.open(sealed))
         inputs = Inputs(subject, report.KIND.context(campaign, subject), datasets)
         (output,) = report.KIND.run(inputs, ReportParameters(), lambda fraction, message="": None)
         assert isinstance(output, DocumentOutput)

@@ -89,7 +89,7 @@ def choose(page: Browser, field: str) -> None:
 def merged(folder: Path, state: str) -> MergedField:
     archive = Archive(folder / "archive")
     (path,) = (folder / "archive" / "plate" / state).glob("merge-*.h5")
-    with archive.open(str(path.relative_to(folder / "archive"))) as dataset:
+    with archive.open_unrecorded(str(path.relative_to(folder / "archive"))) as dataset:
         return dataset.read("C1", MergedField)
 
 

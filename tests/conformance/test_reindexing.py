@@ -88,7 +88,7 @@ def test_a_campaign_is_read_as_it_was_sealed(tmp_path: Path, campaign: Campaign)
     sealed = archive.seal_campaign(
         definition, Clock()(), program_version="0.1.0", host="here", operator="somebody"
     )
-    with archive.open(sealed.path) as dataset:
+    with archive.open(sealed) as dataset:
         assert dataset.read("campaign", CampaignDefinition) == definition
 
 

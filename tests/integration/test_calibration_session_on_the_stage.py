@@ -165,7 +165,7 @@ def _as_was_said(home: Path, said: dict[str, Any]) -> None:
     with bootstrap.services(home) as services, services.catalogue.reading() as session:
         paths = list(session.scalars(select(FileRow.path).where(FileRow.source == "measurement")))
     for path in paths:
-        with archive.open(path) as dataset:
+        with archive.open_unrecorded(path) as dataset:
             measurement, recording = (
                 dataset.read("measurement", Measurement),
                 dataset.read("recording", Recording),

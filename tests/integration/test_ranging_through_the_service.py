@@ -145,7 +145,7 @@ def test_a_bracket_that_acquire_chose_is_archived_and_merged(done: tuple[Path, s
     (measured,) = run(home, "data", "find", "-c", "glossy", "--kind", "measurement")
     (found,) = run(home, "data", "find", "-c", "glossy", "--kind", "reconstruct")
     archive = Archive(home / "archive")
-    with archive.open(measured["path"]) as dataset:
+    with archive.open_unrecorded(measured["path"]) as dataset:
         measurement = dataset.read("measurement", Measurement)
         sequence = measurement.sequence
         assert len(sequence.exposures) > 1
@@ -155,7 +155,7 @@ def test_a_bracket_that_acquire_chose_is_archived_and_merged(done: tuple[Path, s
     statistics = run(home, "data", "show", str(found["id"]))["statistics"]
     # Some 700 pixels, with noise of 1e-3 where ten thousand are asked; a linear projector.
     assert statistics["gamma"] == pytest.approx(1.0, abs=0.02)
-    with archive.open(found["path"]) as dataset:
+    with archive.open_unrecorded(found["path"]) as dataset:
         assert dataset.provenance.parameters["response"] == "measured"
         cloud, phase = dataset.read("cloud", PointCloud), dataset.read("phase", PhaseMaps)
     assert phase.exposure is not None

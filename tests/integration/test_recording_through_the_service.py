@@ -92,7 +92,7 @@ def measurements(home: Path) -> dict[str, Measurement]:
     """Return everything that was measured, by tuple; each tuple once."""
     archive, found = Archive(home / "archive"), {}
     for path in recorded_files(home):
-        with archive.open(path) as dataset:
+        with archive.open_unrecorded(path) as dataset:
             assert str(dataset.subject) not in found
             measurement = dataset.read("measurement", Measurement)
             frames = np.stack([measurement.frames.frame(k) for k in range(measurement.frames.shape[0])])
@@ -192,7 +192,7 @@ def interrupted(home: Path) -> list[np.ndarray]:
     """Return the frames of the sets that broke off."""
     archive, found = Archive(home / "archive"), []
     for path in recorded_files(home):
-        with archive.open(path) as dataset:
+        with archive.open_unrecorded(path) as dataset:
             for name in dataset.names:
                 if name.startswith("interrupted"):
                     broken = dataset.read(name, InterruptedRecording)

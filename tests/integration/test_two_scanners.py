@@ -148,7 +148,7 @@ def test_states_are_recorded_while_a_scanner_breaks_down(
     files = run(home, "data", "find", "--kind", "measurement")
     assert len(files) == 8
     for row in files:
-        with archive.open(row["path"]) as dataset:
+        with archive.open_unrecorded(row["path"]) as dataset:
             state = campaign.state(dataset.subject.state or "")
             found = dataset.read("measurement", Measurement)
             assert campaign.scene is not None

@@ -131,7 +131,7 @@ def run_on_results(
             )
             changed = instead if instead and need.source == "merge" else {}
             sealed = archive.seal_dataset({**records_for(need, size), **changed}, made)
-            datasets[need.role] = stack.enter_context(archive.open(sealed.path))
+            datasets[need.role] = stack.enter_context(archive.open(sealed))
         inputs = Inputs(subject, kind.context(campaign, subject), datasets)
         told: list[float] = []
         documents = []

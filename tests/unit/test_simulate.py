@@ -128,7 +128,7 @@ def test_a_recording_comes_back_from_the_archive_with_what_was_simulated(tmp_pat
     archive = Archive(tmp_path)
     sealed = archive.seal_dataset(output.records, provenance)
     made = measurement_of(output)
-    with archive.open(sealed.path) as dataset:
+    with archive.open(sealed) as dataset:
         read = dataset.read("measurement", Measurement)
         # Equal in value: the truth of two states is looked for in equal scenes.
         assert read.simulation == made.simulation

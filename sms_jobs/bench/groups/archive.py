@@ -77,17 +77,17 @@ def measure(run: Run) -> Iterator[Found]:
         archive.discard(sealed.path)
 
     def read_slabs() -> None:
-        with archive.open(first.path) as dataset:
+        with archive.open(first) as dataset:
             stack = dataset.read("record", Measurement).frames
             for start in range(0, ROWS, _SLAB):
                 stack.rows(start, start + _SLAB)
 
     def read_frame() -> None:
-        with archive.open(first.path) as dataset:
+        with archive.open(first) as dataset:
             dataset.read("record", Measurement).frames.frame(frames // 2)
 
     def read_fields() -> None:
-        with archive.open(fields.path) as dataset:
+        with archive.open(fields) as dataset:
             dataset.read("record", PointCloud)
 
     yield Figure("write_frames_mb_s", size / _seconds(lambda: seal(record)), "MB / s", 500.0)

@@ -43,7 +43,7 @@ def test_a_sealed_file_says_where_it_comes_from(archive: Archive, sealed: Sealed
     assert sealed.path == "test/S00/C1P1/example-20260102T030405Z-01234567-1.h5"
     assert sealed.size_bytes == archive.path(sealed.path).stat().st_size
     archive.verify(sealed.path, sealed.content_hash)
-    with archive.open(sealed.path) as dataset:
+    with archive.open(sealed) as dataset:
         assert dataset.provenance == provenance()
         assert dataset.subject == Subject("test", "S00", "C1P1")
         assert dataset.names == ("measurement",)
@@ -52,7 +52,7 @@ def test_a_sealed_file_says_where_it_comes_from(archive: Archive, sealed: Sealed
 
 def test_frames_are_read_from_the_open_file(archive: Archive, sealed: Sealed) -> None:
     expected = measurement(np.random.default_rng(7)).frames
-    with archive.open(sealed.path) as dataset:
+    with archive.open(sealed) as dataset:
         frames = dataset.read("measurement", Measurement).frames
         assert frames.shape == expected.shape
         assert frames.dtype == expected.dtype
@@ -68,13 +68,13 @@ def test_more_datasets_than_open_files_can_be_used_at_once(
     sealed = archive.seal_dataset({"cloud": point_cloud(rng)}, provenance())
     before = len(list(Path("/proc/self/fd").iterdir()))
     with ExitStack() as stack:
-        datasets = [stack.enter_context(archive.open(sealed.path)) for _ in range(20)]
+        datasets = [stack.enter_context(archive.open(sealed)) for _ in range(20)]
         assert [dataset.read("cloud", PointCloud).camera for dataset in datasets] == ["C1"] * 20
         assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
 def test_what_is_asked_for_must_be_there(archive: Archive, sealed: Sealed) -> None:
-    with archive.open(sealed.path) as dataset:
+    with archive.open(sealed) as dataset:
         with pytest.raises(NotFound, match="it has measurement"):
             dataset.read("strain", PointCloud)
         with pytest.raises(InvalidInput, match="is a Measurement, not a PointCloud"):
@@ -82,7 +82,7 @@ def test_what_is_asked_for_must_be_there(archive: Archive, sealed: Sealed) -> No
 
 
 def test_a_file_describes_its_arrays_without_reading_them(archive: Archive, sealed: Sealed) -> None:
-    with archive.open(sealed.path) as dataset:
+    with archive.open(sealed) as dataset:
         about = dataset.describe()
     assert about["measurement"]["frames"] == {
         "shape": [6, 150, 90],
@@ -261,7 +261,7 @@ def test_a_truncated_file_is_found_out(archive: Archive, sealed: Sealed) -> None
     damaged(archive, sealed, lambda data: data[: len(data) // 2])
     with pytest.raises(ArchiveCorrupt, match=r"example-.* cannot be read .*restore"):
         archive.verify(sealed.path, sealed.content_hash)
-    with pytest.raises(ArchiveCorrupt), archive.open(sealed.path):
+    with pytest.raises(ArchiveCorrupt), archive.open(sealed):
         pass
 
 
@@ -280,7 +280,7 @@ def test_a_flipped_bit_anywhere_in_the_frames_is_found_out(
     damaged(archive, sealed, flip)
     with pytest.raises(ArchiveCorrupt):
         archive.verify(sealed.path, sealed.content_hash)
-    with archive.open(sealed.path) as dataset:
+    with archive.open(sealed) as dataset:
         stack = dataset.read("measurement", Measurement).frames
         with pytest.raises(ArchiveCorrupt):
             stack.rows(0, 150)
@@ -310,14 +310,20 @@ def test_another_hash_than_recorded_is_an_error(archive: Archive, sealed: Sealed
 
 
 def test_a_missing_file_and_a_foreign_file_are_named(archive: Archive, sealed: Sealed) -> None:
-    with pytest.raises(ArchiveCorrupt, match=r"test/none-1\.h5 is missing"), archive.open("test/none-1.h5"):
+    with (
+        pytest.raises(ArchiveCorrupt, match=r"test/none-1\.h5 is missing"),
+        archive.open_unrecorded("test/none-1.h5"),
+    ):
         pass
     archive.path("test/foreign.h5").write_bytes(b"not HDF5 at all")
-    with pytest.raises(ArchiveCorrupt, match="cannot be read"), archive.open("test/foreign.h5"):
+    with pytest.raises(ArchiveCorrupt, match="cannot be read"), archive.open_unrecorded("test/foreign.h5"):
         pass
     with h5py.File(archive.path("test/other.h5"), "w") as file:
         file["x"] = 1
-    with pytest.raises(ArchiveCorrupt, match="not one of this archive"), archive.open("test/other.h5"):
+    with (
+        pytest.raises(ArchiveCorrupt, match="not one of this archive"),
+        archive.open_unrecorded("test/other.h5"),
+    ):
         pass
 
 
@@ -328,7 +334,7 @@ def test_a_file_of_a_newer_version_is_refused_with_both_versions(archive: Archiv
         file.attrs["format_version"] = 7
     with (
         pytest.raises(FormatTooNew, match=r"version 7, this program reads up to 1"),
-        archive.open(sealed.path),
+        archive.open_unrecorded(sealed.path),
     ):
         pass
     with pytest.raises(FormatTooNew, match="version 7"):
@@ -369,7 +375,7 @@ def test_viewers_pass_over_what_cannot_be_plotted(archive: Archive, rng: np.rand
     records = {"calibration": calibration(), "cloud": point_cloud(rng)}
     result = archive.seal_dataset(records, provenance())
     assert default_plot(archive.path(result.path))[1] == "xyz"
-    with archive.open(result.path) as dataset:
+    with archive.open(result) as dataset:
         assert dataset.names == ("calibration", "cloud")
 
 

@@ -126,7 +126,7 @@ def test_calibrations_have_a_place_of_their_own(archive: Archive) -> None:
     sealed = archive.seal_calibration(calibration(), when, program_version="0.1", host="h", operator="me")
     assert sealed.path == "calibrations/rig/calibration-20260102T030405Z-nojob-1.h5"
     archive.verify(sealed.path, sealed.content_hash)
-    with archive.open(sealed.path) as dataset:
+    with archive.open(sealed) as dataset:
         assert dataset.read("calibration", Calibration) == calibration()
 
 

@@ -121,7 +121,7 @@ def test_every_record_class_comes_back_as_it_was(record_class: type, tmp_path: P
     for seed in range(3):
         record = example(record_class, np.random.default_rng(seed))
         sealed = archive.seal_dataset({"it": record}, provenance(attempt=seed))
-        with archive.open(sealed.path) as dataset:
+        with archive.open(sealed) as dataset:
             assert dataset.record_class("it") is record_class
             assert_same(dataset.read("it", record_class), record)
 
@@ -132,7 +132,7 @@ def test_empty_lists_of_points_are_stored_too(tmp_path: Path, monkeypatch: pytes
     archive = Archive(tmp_path)
     sealed = archive.seal_dataset({"matches": matches}, provenance())
     archive.verify(sealed.path, sealed.content_hash)
-    with archive.open(sealed.path) as dataset:
+    with archive.open(sealed) as dataset:
         assert_same(dataset.read("matches", type(matches)), matches)
 
 

@@ -69,7 +69,7 @@ def test_points_stand_where_a_job_would_have_put_them(file: Path, tmp_path: Path
             campaign = campaigns.definition(campaigns.campaign_row(session, "june"))
         assert campaign.states[0].artefact == "board"
         (path,) = (p for p in services.archive.files() if "/A/" in p)
-        with services.archive.open(path) as dataset:
+        with services.archive.open_unrecorded(path) as dataset:
             assert len(dataset.read(OBSERVATION, BoardObservation).point) == 12
         # The archive alone tells all of it again.
         Table.metadata.drop_all(services.catalogue.engine)

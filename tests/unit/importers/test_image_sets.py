@@ -50,7 +50,7 @@ def test_images_arrive_as_they_are_and_once(home: Path, tmp_path: Path, levels: 
     assert outcomes(told) == [(s, "C1", "imported") for s in ("9", "8", "10", "11")]
     with bootstrap.services(home) as services:
         for one, shown in zip(told["tuples"], levels[[1, 0, 2, 3]], strict=True):
-            with services.archive.open(one["detail"]) as dataset:
+            with services.archive.open_unrecorded(one["detail"]) as dataset:
                 measurement = dataset.read("measurement", Measurement)
                 np.testing.assert_array_equal(measurement.texture, shown)
                 assert measurement.full_scale == 255

@@ -72,7 +72,7 @@ def test_frames_arrive_as_they_are_and_once(run: Import, tmp_path: Path) -> None
     assert outcomes(first) == [("S00", "imported"), ("S01", "imported")]
     with bootstrap.services(tmp_path / "home") as services:
         for one, shown in zip(first["tuples"], levels, strict=True):
-            with services.archive.open(one["detail"]) as dataset:
+            with services.archive.open_unrecorded(one["detail"]) as dataset:
                 measurement = dataset.read("measurement", Measurement)
                 np.testing.assert_array_equal(measurement.frames.rows(0, ROWS), shown)
                 assert measurement.recorded_at == AT

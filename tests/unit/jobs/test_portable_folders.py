@@ -295,10 +295,10 @@ def test_a_file_cannot_pass_for_the_output_of_another_job(full: Home, empty: Hom
     brought = Archive(folder / "data")
     (strain,) = (path for path in brought.files() if "/strain-" in path)
     (correlated,) = (path for path in brought.files() if "/correlate-" in path)
-    with brought.open(strain) as dataset:
+    with brought.open_unrecorded(strain) as dataset:
         names = {name: dataset.read(name, dataset.record_class(name)) for name in dataset.names}
         told = dataset.provenance
-    with brought.open(correlated) as dataset:
+    with brought.open_unrecorded(correlated) as dataset:
         forged = replace(told, job_id=dataset.provenance.job_id)
     made = brought.seal_dataset(names, forged)
     manifest = {f"data/{path}": sha256 for path, sha256 in contents(folder / "data").items()}

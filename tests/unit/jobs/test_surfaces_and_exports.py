@@ -76,7 +76,7 @@ def test_the_newest_surface_of_a_campaign_counts_and_is_entered_once(services: S
         files = search.find_files(session, source=SURFACE, campaign="plate")
         assert [f.id for f in files] == [third, second, first]
         assert search.statistics(session, third) == {"vertices": 3.0, "faces": 1.0}
-    with services.archive.open(files[0].path) as dataset:
+    with services.archive.open(files[0]) as dataset:
         np.testing.assert_array_equal(dataset.read("surface", ReferenceSurface).vertices, CORNERS)
         assert dataset.provenance.parameters["file_sha256"] == "0" * 64
     with pytest.raises(NotFound, match="no campaign 'other'"):
@@ -113,7 +113,7 @@ def test_surfaces_are_told_by_files_alone(services: Services, tmp_path: Path) ->
             newest = found[0]
             assert newest.job_id is None
             assert search.statistics(session, newest.id) == {"vertices": 3.0, "faces": 1.0}
-        with services.archive.open(newest.path) as dataset:
+        with services.archive.open(newest) as dataset:
             np.testing.assert_array_equal(dataset.read("surface", ReferenceSurface).vertices, 3.0 * CORNERS)
 
 

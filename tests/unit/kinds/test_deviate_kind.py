@@ -89,7 +89,7 @@ def run(tmp_path: Path) -> Run:
                     need.source, 1, need.subject, job, 1, WHEN, {}, (), "0.1", "host", "operator"
                 )
                 datasets[need.role] = stack.enter_context(
-                    archive.open(archive.seal_dataset(records_for(need), made).path)
+                    archive.open(archive.seal_dataset(records_for(need), made))
                 )
             inputs = Inputs(STATE, kind.context(CAMPAIGN, STATE), datasets)
             told: list[float] = []
@@ -98,7 +98,7 @@ def run(tmp_path: Path) -> Run:
         made = Provenance(kind.name, 1, STATE, "f" * 32, 1, WHEN, {}, (), "0.1", "host", "operator")
         # What it makes can be sealed and read again.
         sealed = archive.seal_dataset(outputs[0].records, made)
-        with archive.open(sealed.path) as dataset:
+        with archive.open(sealed) as dataset:
             for name in dataset.names:
                 dataset.read(name, dataset.record_class(name))
         return outputs
