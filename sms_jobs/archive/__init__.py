@@ -3,7 +3,7 @@
 from sms_jobs.archive.archive import DATASET_MEDIA_TYPE, Archive
 from sms_jobs.archive.checking import Checker
 from sms_jobs.archive.dataset import ArchivedDataset
-from sms_jobs.archive.provenance import Found, InputReference, Provenance, Recorded, Sealed
+from sms_jobs.archive.provenance import Found, InputReference, Provenance, Recorded, Sealed, WhollyRecorded
 
 __all__ = [
     "DATASET_MEDIA_TYPE",
@@ -15,4 +15,5 @@ __all__ = [
     "Provenance",
     "Recorded",
     "Sealed",
+    "WhollyRecorded",
 ]

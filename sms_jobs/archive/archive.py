@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from datetime import datetime
@@ -16,7 +17,7 @@ import h5py
 
 from sms_jobs.archive import hdf5, layout
 from sms_jobs.archive.checking import Checker
-from sms_jobs.archive.dataset import ArchivedDataset, check_dataset, open_dataset
+from sms_jobs.archive.dataset import ArchivedDataset, altered, check_dataset, open_dataset
 from sms_jobs.archive.limits import LARGEST_TEXT_BYTES
 from sms_jobs.archive.place import probe
 from sms_jobs.archive.provenance import (
@@ -25,6 +26,7 @@ from sms_jobs.archive.provenance import (
     Provenance,
     Recorded,
     Sealed,
+    WhollyRecorded,
     digest,
     provenance_from_json,
     provenance_to_json,
@@ -46,7 +48,7 @@ def _digest_of(about: Mapping[str, Any]) -> str:
     return digest(json.dumps(about, sort_keys=True, separators=(",", ":"), ensure_ascii=False))
 
 
-def _sha256_of(file: Path) -> str:
+def sha256_of(file: Path) -> str:
     """Return the SHA-256 of a file's bytes."""
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -102,9 +104,11 @@ class Archive:
             with safe_file(temporary) as raw, h5py.File(raw, "w", libver=hdf5.LIBRARY_VERSIONS) as file:
                 content_hash = hdf5.write(file, records, provenance)
             sync(temporary)
-            check_dataset(temporary, relative, content_hash)
+            with ThreadPoolExecutor(1) as meanwhile:
+                sha256 = meanwhile.submit(sha256_of, temporary)
+                check_dataset(temporary, relative, content_hash)
             size = temporary.stat().st_size
-        return Sealed(relative, content_hash, size, DATASET_MEDIA_TYPE)
+        return Sealed(relative, content_hash, size, DATASET_MEDIA_TYPE, sha256.result())
 
     def seal_document(
         self, filename: str, media_type: str, write: Callable[[Path], None], provenance: Provenance
@@ -120,7 +124,8 @@ class Archive:
             write(temporary)
             if not temporary.is_file():
                 raise InvalidInput(f"nothing was written for {filename} of {provenance.subject}")
-            sealed = Sealed(relative, _sha256_of(temporary), temporary.stat().st_size, media_type)
+            sha256, size = sha256_of(temporary), temporary.stat().st_size
+            sealed = Sealed(relative, sha256, size, media_type, sha256)
             about = {
                 "format": f"{hdf5.FORMAT}-document",
                 "format_version": hdf5.FORMAT_VERSION,
@@ -272,8 +277,9 @@ class Archive:
         else:
             provenance, content_hash, media_type = self._beside(path)
             self.verify(path, content_hash)
-        size = self.path(path).stat().st_size
-        return Found(Sealed(path, content_hash, size, media_type), provenance)
+        file = self.path(path)
+        sealed = Sealed(path, content_hash, file.stat().st_size, media_type, sha256_of(file))
+        return Found(sealed, provenance)
 
     def verify(self, path: str, content_hash: str, checker: Checker | None = None) -> None:
         """Read a whole file; raise `ArchiveCorrupt` unless its contents have that hash.
@@ -288,12 +294,27 @@ class Archive:
             return
         if not file.is_file():
             raise ArchiveCorrupt(f"{path} is missing from the archive; restore it from a backup")
-        found = _sha256_of(file)
+        found = sha256_of(file)
         if found != content_hash:
-            raise ArchiveCorrupt(
-                f"{path} hashes to {found[:12]}..., but {content_hash[:12]}... is on record; "
-                "restore it from a backup"
-            )
+            raise altered(path, "it hashes to", f"{found[:12]}...", f"{content_hash[:12]}...")
+
+    def verify_bytes(self, file: WhollyRecorded) -> None:
+        """Read a whole file, but not as HDF5; raise `ArchiveCorrupt` unless its bytes are those on record.
+
+        Where they are not on record, its contents are compared, as `verify` does.
+        """
+        lying = self.path(file.path)
+        if not lying.is_file():
+            raise ArchiveCorrupt(f"{file.path} is missing from the archive; restore it from a backup")
+        size = lying.stat().st_size
+        if size != file.size_bytes:
+            raise altered(file.path, "it has", f"{size} bytes", str(file.size_bytes))
+        if not file.sha256:
+            self.verify(file.path, file.content_hash)
+            return
+        found = sha256_of(lying)
+        if found != file.sha256:
+            raise altered(file.path, "its bytes hash to", f"{found[:12]}...", f"{file.sha256[:12]}...")
 
     def files(self) -> Iterator[str]:
         """Yield the path of every sealed dataset and document, in no order; none that is being written."""

@@ -88,12 +88,15 @@ class Sealed:
         Of the file.
     media_type
         E.g. application/x-hdf5.
+    sha256
+        Of the file's bytes; empty where it is not known.
     """
 
     path: str
     content_hash: str
     size_bytes: int
     media_type: str
+    sha256: str = ""
 
 
 class Recorded(Protocol):
@@ -107,6 +110,13 @@ class Recorded(Protocol):
 
     @property
     def size_bytes(self) -> int: ...  # noqa: D102
+
+
+class WhollyRecorded(Recorded, Protocol):
+    """What is on record of a sealed file, and the SHA-256 of its bytes; empty where that is not known."""
+
+    @property
+    def sha256(self) -> str: ...  # noqa: D102
 
 
 @dataclass(frozen=True)

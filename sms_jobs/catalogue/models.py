@@ -163,6 +163,8 @@ class FileRow(Table):
     path: Mapped[str] = mapped_column(Text, unique=True)
     content_hash: Mapped[str] = mapped_column(String(64))
     size_bytes: Mapped[int] = mapped_column(BigInteger)
+    sha256: Mapped[str] = mapped_column(String(64), default="")
+    """Of the file's bytes; empty where it was not known when the file was entered."""
     media_type: Mapped[str] = mapped_column(String(64))
     created_at: Mapped[datetime] = mapped_column(index=True)
     campaign_id: Mapped[int | None] = mapped_column(ForeignKey("campaign.id"))

@@ -222,6 +222,7 @@ def _file(session: Session, subject: Subject, sealed: Sealed, now: datetime, sou
         path=sealed.path,
         content_hash=sealed.content_hash,
         size_bytes=sealed.size_bytes,
+        sha256=sealed.sha256,
         media_type=sealed.media_type,
         created_at=now,
         campaign_id=campaign_id,

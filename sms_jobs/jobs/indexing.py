@@ -124,6 +124,7 @@ def add_outputs(
             path=output.file.path,
             content_hash=output.file.content_hash,
             size_bytes=output.file.size_bytes,
+            sha256=output.file.sha256,
             media_type=output.file.media_type,
             created_at=now,
             campaign_id=held.campaign_id,

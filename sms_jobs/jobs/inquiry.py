@@ -235,7 +235,9 @@ def _changes(session: Session, earlier: JobRow, job: JobRow) -> list[str]:
         for role in sorted(then_hashes.keys() | now_hashes.keys())
         if then_hashes.get(role) != now_hashes.get(role)
     ]
-    return changes or ["what the campaign's definition says of it is another, or its file was gone"]
+    return changes or [
+        "what the campaign's definition says of it is another, or its files were gone or damaged"
+    ]
 
 
 def _input_hashes(session: Session, job_id: str) -> dict[str, str]:

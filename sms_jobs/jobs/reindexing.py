@@ -346,6 +346,7 @@ def _file_row(session: Session, one: Found, source: str) -> FileRow:
         path=one.sealed.path,
         content_hash=one.sealed.content_hash,
         size_bytes=one.sealed.size_bytes,
+        sha256=one.sealed.sha256,
         media_type=one.sealed.media_type,
         created_at=one.provenance.created_at,
         campaign_id=campaign_id,

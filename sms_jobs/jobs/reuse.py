@@ -5,13 +5,16 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, cast
 
 from pydantic import TypeAdapter
 from sqlalchemy import Table, bindparam, func, select
 from sqlalchemy.orm import Session
 
+from sms_jobs.archive import Archive
 from sms_jobs.catalogue.models import FileRow, JobRow
+from sms_jobs.errors import ArchiveCorrupt, FormatTooNew
 from sms_jobs.kinds.kind import Kind
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import JobState
@@ -37,6 +40,9 @@ _FILES = (
     select(
         _FILE.c.job_id,
         _FILE.c.path,
+        _FILE.c.content_hash,
+        _FILE.c.size_bytes,
+        _FILE.c.sha256,
         select(func.count()).where(_SEEN.c.job_id == _FILE.c.job_id).scalar_subquery().label("seen"),
     )
     .where(_FILE.c.job_id == _NEWEST.scalar_subquery())
@@ -79,11 +85,45 @@ def reuse_key(
     return hashlib.sha256(canonical.encode()).hexdigest()
 
 
-def earlier_success(session: Session, key: str) -> tuple[str, tuple[str, ...]] | None:
-    """Return (job id, paths of its files) of the newest job that computed the same, if there is one."""
+@dataclass(frozen=True)
+class EarlierFile:
+    """A file of an earlier result, as it is on record."""
+
+    path: str
+    content_hash: str
+    size_bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """The job that computed the same before, and its files."""
+
+    job_id: str
+    files: tuple[EarlierFile, ...]
+
+    @property
+    def size_bytes(self) -> int:
+        """Of all files."""
+        return sum(file.size_bytes for file in self.files)
+
+
+def earlier_success(session: Session, key: str) -> Earlier | None:
+    """Return the newest job that computed the same, and its files, if there is one."""
     # Locked, so that no policy lets them go before this is committed. Those that one lets go just now are
     # waited for, and counted, but do not come any more.
     files = session.execute(_FILES, {"key": key}).all()
     if not files or len(files) < files[0].seen:
         return None
-    return files[0].job_id, tuple(file.path for file in files)
+    told = (EarlierFile(file.path, file.content_hash, file.size_bytes, file.sha256) for file in files)
+    return Earlier(files[0].job_id, tuple(told))
+
+
+def damage(archive: Archive, earlier: Earlier) -> str:
+    """Say what of an earlier result is not as it was sealed; empty when all is. Every byte of it is read."""
+    for file in earlier.files:
+        try:
+            archive.verify_bytes(file)
+        except (ArchiveCorrupt, FormatTooNew) as error:
+            return str(error)
+    return ""

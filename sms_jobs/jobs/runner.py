@@ -43,6 +43,7 @@ from sms_jobs.jobs import indexing, lifecycle, outages, queues, recovery, reuse
 from sms_jobs.jobs.indexing import SealedOutput
 from sms_jobs.jobs.lifecycle import Claim
 from sms_jobs.jobs.logs import logged
+from sms_jobs.jobs.reuse import Earlier
 from sms_jobs.jobs.stations import Stations
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Output, Station
@@ -54,6 +55,8 @@ T = TypeVar("T")
 _PROGRESS_EVERY_S = 0.5
 _ATTEMPTS = 3
 """How often a job is tried when what fails may pass by itself."""
+_READ_AT_ONCE_BYTES = 1 << 20
+"""An earlier result of so much is read while the catalogue waits: that takes less than a commit."""
 
 logger = logging.getLogger(__name__)
 
@@ -162,18 +165,27 @@ class Runner:
         kind = kind_named(held.kind)
         fault = self._fault_beforehand()
 
-        def begin(session: Session) -> tuple[_Task, str, str | None, Claim | None]:
+        def begin(session: Session) -> _Begun:
             # Looked up and, if there is one, reused in one transaction: with most of what such a job costs.
             task = self._load(session, kind, held)
             hashes = {i.role: i.content_hash for i in task.inputs}
             key = reuse.reuse_key(kind, held.subject, held.parameters, task.context, hashes)
-            earlier = self._reuse(session, held, key) if held.use_cache and held.repeatable else None
-            return task, key, earlier, None if earlier is None else self._claim(session, fault)
+            earlier = reuse.earlier_success(session, key) if held.use_cache and held.repeatable else None
+            if earlier is None or earlier.size_bytes > _READ_AT_ONCE_BYTES:
+                return _Begun(task, key, earlier)
+            if damage := reuse.damage(self.archive, earlier):
+                return _Begun(task, key, earlier, damage)
+            return _Begun(task, key, earlier, "", (self._reuse(session, held, key, earlier, fault),))
 
-        task, key, earlier, following = self._told(held, begin)
-        if earlier is not None:
-            logger.info("job %s: reused from %s", held.job_id, earlier)
-            return following
+        begun = self._told(held, begin)
+        if begun.earlier is not None and begun.damage is None:
+            begun = self._read_earlier(held, begun, begun.earlier, fault)
+        if begun.reused:
+            return begun.reused[0]
+        task, because = begun.task, ""
+        if begun.earlier is not None:
+            because = f"; not reused from job {begun.earlier.job_id[:8]}: {begun.damage}"
+            logger.warning("job %s is computed again%s", held.job_id, because)
         if held.attempt > 1 and (held.repeatable or kind.with_instruments):
             self._clear_leftovers(held)
         started = time.monotonic()
@@ -183,8 +195,20 @@ class Runner:
         except BaseException:
             self._discard(held, kind, sealed)
             raise
-        took = f"took {time.monotonic() - started:.1f} s"
-        return self._succeed(held, kind, sealed, key, took)
+        took = f"took {time.monotonic() - started:.1f} s{because}"
+        return self._succeed(held, kind, sealed, begun.key, took)
+
+    def _read_earlier(self, held: Claim, begun: _Begun, earlier: Earlier, fault: SmsError | None) -> _Begun:
+        """Read a large result while others use the catalogue, and reuse it if it is whole."""
+        if damage := reuse.damage(self.archive, earlier):
+            return replace(begun, damage=damage)
+
+        def end(session: Session) -> _Begun:
+            if reuse.earlier_success(session, begun.key) != earlier:
+                return replace(begun, damage="it was let go meanwhile")
+            return replace(begun, reused=(self._reuse(session, held, begun.key, earlier, fault),))
+
+        return self._told(held, end)
 
     def _succeed(
         self, held: Claim, kind: Kind[Any], sealed: Sequence[SealedOutput], key: str, message: str
@@ -229,16 +253,18 @@ class Runner:
         context = kind.context(definition, held.subject)
         return _Task(inputs, context, kind.parameters(**held.parameters), station)
 
-    def _reuse(self, session: Session, held: Claim, key: str) -> str | None:
-        """End a job with the result of an earlier one, whose id is returned; None where there is none."""
-        earlier = reuse.earlier_success(session, key)
-        if earlier is None or not all(self.archive.path(p).is_file() for p in earlier[1]):
-            return None
-        message = f"reused from job {earlier[0][:8]}"
-        done = lifecycle.succeed(session, held, self.now(), message, reuse_key=key, reused_from=earlier[0])
+    def _reuse(
+        self, session: Session, held: Claim, key: str, earlier: Earlier, fault: SmsError | None
+    ) -> Claim | None:
+        """End a job with the result of an earlier one, and return the next job."""
+        message = f"reused from job {earlier.job_id[:8]}"
+        done = lifecycle.succeed(
+            session, held, self.now(), message, reuse_key=key, reused_from=earlier.job_id
+        )
         if not done and not lifecycle.has_succeeded(session, held):
             raise LeaseLost("a newer attempt has begun")
-        return earlier[0]
+        logger.info("job %s: %s", held.job_id, message)
+        return self._claim(session, fault)
 
     def _clear_leftovers(self, held: Claim) -> None:
         with self.catalogue.reading() as session:
@@ -355,6 +381,25 @@ class _Task:
     context: object
     parameters: Any
     station: Station | None
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """A job whose inputs are known, and what is known of an earlier result.
+
+    Attributes
+    ----------
+    damage
+        What of the earlier result is not as it was sealed; empty when all is, None when it was not read.
+    reused
+        The next job or None, when this one has ended with the earlier result; else nothing.
+    """
+
+    task: _Task
+    key: str
+    earlier: Earlier | None
+    damage: str | None = None
+    reused: tuple[Claim | None, ...] = ()
 
 
 class _ThrottledProgress:

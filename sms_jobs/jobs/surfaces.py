@@ -94,6 +94,7 @@ def _index(
         path=sealed.path,
         content_hash=sealed.content_hash,
         size_bytes=sealed.size_bytes,
+        sha256=sealed.sha256,
         media_type=sealed.media_type,
         created_at=now,
         campaign_id=campaigns.campaign_id(session, campaign),

@@ -177,6 +177,11 @@ def test_what_a_waiting_job_will_get_from_a_reused_one_is_kept(
     assert archive.path(path).exists()
 
 
+def told(earlier: reuse.Earlier | None) -> tuple[str, tuple[str, ...]] | None:
+    """Return the job of an earlier result and the paths of its files."""
+    return earlier and (earlier.job_id, tuple(file.path for file in earlier.files))
+
+
 def test_a_result_that_is_being_reused_is_kept_and_one_that_went_is_not_reused(
     catalogue: Catalogue, deployment: Deployment
 ) -> None:
@@ -190,10 +195,10 @@ def test_a_result_that_is_being_reused_is_kept_and_one_that_went_is_not_reused(
         session.execute(delete(DependencyRow))
     if catalogue.dialect == "postgresql":
         with closing(deployment.catalogue()) as other, catalogue.writing() as session:
-            assert reuse.earlier_success(session, "same") == (held.job_id, (path,))
+            assert told(reuse.earlier_success(session, "same")) == (held.job_id, (path,))
             assert retention.remove(other, archive, LATER, DAY) == []
     with catalogue.writing() as session:
-        assert reuse.earlier_success(session, "same") == (held.job_id, (path,))
+        assert told(reuse.earlier_success(session, "same")) == (held.job_id, (path,))
     assert [one.path for one in retention.remove(catalogue, archive, LATER, DAY)] == [path]
     with catalogue.writing() as session:
         assert reuse.earlier_success(session, "same") is None
@@ -213,7 +218,7 @@ def test_a_result_of_which_one_file_goes_meanwhile_is_not_reused(
 
     def ask(of: Catalogue) -> tuple[str, tuple[str, ...]] | None:
         with of.writing() as session:
-            return reuse.earlier_success(session, "same")
+            return told(reuse.earlier_success(session, "same"))
 
     def somebody_waits() -> bool:
         with catalogue.reading() as session:

@@ -122,7 +122,7 @@ class JobLives(JobModel):
         outputs = self.outputs(held)
         with self.catalogue.writing() as session:
             earlier = reuse.earlier_success(session, key) if held.use_cache and held.repeatable else None
-            reused = None if earlier is None else earlier[0]
+            reused = None if earlier is None else earlier.job_id
             done = lifecycle.succeed(session, held, self.now, "done", reuse_key=key, reused_from=reused)
             if done and earlier is None:
                 indexing.add_outputs(session, held, kind, outputs, self.now)
@@ -132,7 +132,7 @@ class JobLives(JobModel):
             if earlier is None:
                 self.files.update(one.file.path for one in outputs)
             else:
-                assert self.jobs[earlier[0]].state is JobState.SUCCEEDED
+                assert self.jobs[earlier.job_id].state is JobState.SUCCEEDED
                 assert (job.use_cache, job.repeatable) == (True, True)
 
     def outputs(self, held: Claim) -> list[SealedOutput]:

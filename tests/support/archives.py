@@ -103,6 +103,7 @@ def everything(catalogue: Catalogue) -> dict[str, list[Any]]:
             FileRow.source,
             FileRow.content_hash,
             FileRow.size_bytes,
+            FileRow.sha256,
             FileRow.media_type,
             CampaignRow.name,
             LoadStateRow.label,

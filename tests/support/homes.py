@@ -55,6 +55,7 @@ def stored(
             path=sealed.path,
             content_hash=sealed.content_hash,
             size_bytes=sealed.size_bytes,
+            sha256=sealed.sha256,
             media_type=sealed.media_type,
             created_at=made.created_at,
             campaign_id=campaign.id,
