@@ -37,6 +37,7 @@ class FileView:
     path: str
     content_hash: str
     size_bytes: int
+    sha256: str
     media_type: str
     created_at: datetime
     job_id: str | None
@@ -216,6 +217,7 @@ def _view(row: FileRow, campaign: str | None, state: str | None) -> FileView:
         path=row.path,
         content_hash=row.content_hash,
         size_bytes=row.size_bytes,
+        sha256=row.sha256,
         media_type=row.media_type,
         created_at=row.created_at,
         job_id=row.job_id,

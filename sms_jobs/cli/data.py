@@ -109,6 +109,8 @@ def show(file: File, home: Home = None, as_json: Json = False) -> None:
         if view.media_type == DATASET_MEDIA_TYPE:
             with services.archive.open(view) as dataset:
                 records = dataset.describe()
+        else:
+            services.archive.verify_bytes(view)
         path = services.archive.path(view.path)
     if as_json:
         output.print_json({"file": view, "path": path, "statistics": numbers, "records": records})

@@ -172,7 +172,7 @@ def _export(services: bootstrap.Services, view: FileView, out: Path | None, want
     exporter = _exporter(view, out, wanted)
     if exporter is None:
         target = _target(out, PurePosixPath(view.path).name, wanted.force)
-        services.archive.verify(view.path, view.content_hash)
+        services.archive.verify_bytes(view)
         shutil.copyfile(services.archive.path(view.path), target)
         return [target]
     written = []
@@ -202,6 +202,7 @@ def _repacked(services: bootstrap.Services, view: FileView, out: Path | None, wa
     if view.media_type != DATASET_MEDIA_TYPE:
         raise InvalidInput(_NO_DATASET.format(number=view.id, media_type=view.media_type))
     target = _target(out, f"{view.subject.replace('/', '-')}-{view.source}.h5", wanted.force)
+    services.archive.verify_bytes(view)
     target.unlink(missing_ok=True)
     repack(services.archive.path(view.path), target, view.path)
     return target

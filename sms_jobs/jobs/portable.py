@@ -227,6 +227,8 @@ def bring(
     """
     root = (folder / crate.PAYLOAD).resolve()
     document = not layout.is_dataset(part.path)
+    if document:
+        archive.verify_provenance(part.path, part.content_hash)
     for relative in (layout.sidecar(part.path), part.path) if document else (part.path,):
         beside = relative != part.path
         target = layout.inside(root, str(Path(relative).parent)) / Path(relative).name
