@@ -1,7 +1,8 @@
 """A catalogue with as many files as are wanted, made by the database itself, and the questions asked of it.
 
 Tuples of four files each (measurement, reconstruct, correlate, strain) with a job and statistics, 4 pairs a
-state, 100 states a campaign, 5 campaigns a calibration. Values scatter by multiplication modulo a prime.
+state, 100 states a campaign, 5 campaigns a calibration. At odd states load and temperature were recorded with
+the measurement. Values scatter by multiplication modulo a prime.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from sms_jobs.catalogue.models import (
     LoadStateRow,
     MeasurementRow,
     ProvenanceRow,
+    ReadingRow,
     ResultRow,
     RigRow,
     SpecimenRow,
@@ -76,6 +78,8 @@ DOCUMENTED = (
     "strain where param.gauge_length_mm = 30 and not valid_fraction < 0.5",
     "where created >= 2020-01-02 and version = 2",
     "correlate where campaign = c00003 and maximum_displacement_mm > 19",
+    "reconstruct where time >= 2020-07-01 and load_n > 1999000",
+    "strain where load_kN > 1400 and planned_load_kN < 1400.0005 and temp_c > 39",
 )
 """The questions of `docs/query.md`, with names of this catalogue."""
 
@@ -129,6 +133,7 @@ def fill(catalogue: Catalogue, files: int, say: Callable[[str], None] = lambda t
             part = _Filling(session, first, min(files, first + at_once) - 1)
             _jobs(part)
             _files(part)
+            _readings(part)
             _facts(part)
         say(f"filled {min(files, first + at_once)} files")
     with catalogue.writing() as session:
@@ -182,6 +187,7 @@ def _states(states: _Filling) -> None:
             "label": _joined("S", _padded(n % STATES)),
             "position": n % STATES,
             "load_n": _scatter(n, 1, 2e6),
+            "planned_load_n": _scatter(n, 1, 2e6),
             "time": _at(n, 25_000 // _STATE),
         },
     )
@@ -247,6 +253,7 @@ def _files(files: _Filling) -> None:
             "size_bytes": n % 100_000_000,
             "media_type": "application/x-hdf5",
             "created_at": _at(n, 25_000),
+            "recorded_at": _at(n - n % len(KINDS), 25_000),
             "campaign_id": n // _CAMPAIGN + 1,
             "state_id": n // _STATE + 1,
             "pair": _chosen(n // len(KINDS), PAIRS),
@@ -268,6 +275,20 @@ def _files(files: _Filling) -> None:
         lambda n: {"file_id": n + _CALIBRATIONS, "kind": _chosen(n, KINDS), "kind_version": 2},
         _computed,
     )
+
+
+def _readings(files: _Filling) -> None:
+    """Enter what was read at odd states, a little off what is planned for them."""
+    for salt, name, greatest in ((1, "load_n", 2e6), (2, "temp_c", 40.0)):
+        files.rows(
+            ReadingRow,
+            lambda n, name=name, salt=salt, greatest=greatest: {  # type: ignore[misc]
+                "file_id": n + _CALIBRATIONS,
+                "name": name,
+                "value": _scatter(n // _STATE, salt, greatest) + literal(1.0, Double),
+            },
+            lambda n: (n // _STATE) % 2 == 1,
+        )
 
 
 def _facts(files: _Filling) -> None:

@@ -23,7 +23,7 @@ from sms_jobs.catalogue.models import (
     SpecimenRow,
 )
 from sms_jobs.errors import Conflict, NotFound
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.sensors import Calibration
 
 _DEFINITION = TypeAdapter(Campaign)
@@ -54,20 +54,21 @@ def add_campaign(session: Session, campaign: Campaign, now: datetime, plan: str 
     session.add(row)
     session.flush()
     for position, state in enumerate(campaign.states):
-        state_row = LoadStateRow(
-            campaign_id=row.id,
-            label=state.label,
-            position=position,
-            load_n=state.load_n,
-            displacement_mm=state.displacement_mm,
-            time=state.time,
-        )
+        state_row = LoadStateRow(campaign_id=row.id, label=state.label, position=position)
+        describe_state(state_row, state)
         session.add(state_row)
         session.flush()
         session.add_all(
             ChannelRow(state_id=state_row.id, name=name, value=value)
             for name, value in state.channels.items()
         )
+
+
+def describe_state(row: LoadStateRow, state: LoadState) -> None:
+    """Tell the row of a state what is planned and what is known of it."""
+    row.planned_load_n, row.planned_displacement_mm = state.load_n, state.displacement_mm
+    row.load_n, row.displacement_mm = state.known_load_n, state.known_displacement_mm
+    row.time = state.time
 
 
 def refuse_taken_name(session: Session, name: str) -> None:

@@ -65,7 +65,6 @@ _COMPARED: dict[Operator, Callable[[Any, Any], ColumnElement[bool]]] = {
     Operator.GREATER: operator.gt,
     Operator.AT_LEAST: operator.ge,
 }
-_MEASUREMENT = "measurement"
 _ROUNDING = 1e-12
 """Relative; a value that was converted from another unit may be off by so much."""
 
@@ -245,21 +244,22 @@ class _Conditions:
             field = self._field(part)
             if field.type == "calibration":
                 yield from self._calibrated(part)
-            elif not _uses_index(part) or field.indexed is None:
+            elif not _uses_index(part):
                 continue
-            elif field.of_state:
-                of_state.append(self._test(part, field, field.indexed))
-            elif field.source is not None and (field.name != "time" or self._only_measurements()):
-                yield field.source.where(self._test(part, field, field.indexed))
+            elif field.of_state is not None:
+                of_state.append(self._test(part, field, field.of_state))
+            elif field.sources:
+                found = [s.files.where(self._test(part, field, s.indexed)) for s in field.sources]
+                yield found[0] if len(found) == 1 else _together(found)
         if of_state:
             held = select(FileRow.id).join(LoadStateRow, LoadStateRow.id == FileRow.state_id)
             yield held.where(*of_state)
 
     def _union(self, part: AnyOf) -> Iterator[Select[int]]:
         branches = [next(self._sources(one), None) for one in part.conditions]
-        known = [b.subquery() for b in branches if b is not None]
+        known = [branch for branch in branches if branch is not None]
         if len(known) == len(branches):
-            yield select(union_all(*(select(k.c[0]) for k in known)).subquery().c[0])
+            yield _together(known)
 
     def of_one_calibration(self) -> tuple[Condition, int] | None:
         """Return what asks for the files of one calibration, and its number, if the query does."""
@@ -274,9 +274,6 @@ class _Conditions:
         if isinstance(part, Comparison) and part.operator is Operator.EQUAL:
             (number,) = self._calibrations(part)
             yield select(CalibrationUseRow.file_id).where(CalibrationUseRow.calibration_id == number)
-
-    def _only_measurements(self) -> bool:
-        return self._query.kind is not None and self._query.kind.text == _MEASUREMENT
 
     def _field(self, part: Test) -> Field:
         return self._fields.field(part.name, self._query.text)
@@ -413,6 +410,12 @@ class _Conditions:
 
     def _refuse(self, value: Value, why: str) -> NoReturn:
         refuse(self._query.text, value.at, why)
+
+
+def _together(selections: Sequence[Select[int]]) -> Select[int]:
+    """Select what any of some selections selects; what several do comes several times."""
+    known = [one.subquery() for one in selections]
+    return select(union_all(*(select(k.c[0]) for k in known)).subquery().c[0])
 
 
 def _uses_index(part: Test) -> bool:

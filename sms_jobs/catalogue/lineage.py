@@ -1,11 +1,25 @@
-"""Which calibrations a file was computed with: read off the provenance once, when the file is entered."""
+"""What a file has from where it comes from: read off the provenance once, when the file is entered.
+
+The calibrations that it was computed with, when it was recorded, and what scalar channels read meanwhile.
+"""
 
 from __future__ import annotations
 
-from sqlalchemy import delete, insert, literal, select, union
+from collections.abc import Mapping
+from datetime import datetime
+
+from sqlalchemy import delete, func, insert, literal, select, union
 from sqlalchemy.orm import Session, aliased
 
-from sms_jobs.catalogue.models import BigId, CalibrationRow, CalibrationUseRow, ProvenanceRow
+from sms_jobs.catalogue.models import (
+    BigId,
+    CalibrationRow,
+    CalibrationUseRow,
+    FileRow,
+    ProvenanceRow,
+    ReadingRow,
+)
+from sms_jobs.records.recording import mean_readings
 
 _COLUMNS = ["calibration_id", "file_id"]
 
@@ -48,3 +62,40 @@ def note_all_calibrations(session: Session) -> None:
     session.execute(
         insert(CalibrationUseRow).from_select(_COLUMNS, select(used.c.calibration_id, used.c.file_id))
     )
+
+
+def note_recording(session: Session, file: FileRow, at: datetime, readings: Mapping[str, float]) -> None:
+    """Enter when a measurement was recorded, and what was read meanwhile."""
+    file.recorded_at = at
+    session.add_all(ReadingRow(file_id=file.id, name=name, value=value) for name, value in readings.items())
+
+
+def note_recordings(session: Session, file: FileRow) -> None:
+    """Enter when the inputs of a result were recorded, the last of them counts, and what was read meanwhile.
+
+    Of a result about a state those recordings count that are of this state, and readings are their mean. What
+    tells of several states has no readings of its own. To be called when the file's provenance is complete
+    and that of its inputs is too.
+    """
+    session.flush()
+    given = ProvenanceRow.input_id == FileRow.id, ProvenanceRow.output_id == file.id
+    if file.state_id is None:
+        file.recorded_at = session.scalar(select(func.max(FileRow.recorded_at)).where(*given))
+        return
+    inputs = (
+        select(FileRow.pair, FileRow.recorded_at, ReadingRow.name, ReadingRow.value)
+        .join(ProvenanceRow, ProvenanceRow.input_id == FileRow.id)
+        .outerjoin(ReadingRow, ReadingRow.file_id == FileRow.id)
+        .where(*given, FileRow.state_id == file.state_id, FileRow.recorded_at.is_not(None))
+        .order_by(ProvenanceRow.role)
+    )
+    times: set[datetime | None] = set()
+    of_pairs: dict[str | None, dict[str, float]] = {}
+    # Several results of one pair tell of one recording.
+    for pair, at, name, value in session.execute(inputs):
+        times.add(at)
+        if name is not None:
+            of_pairs.setdefault(pair, {})[name] = value
+    file.recorded_at = max((at for at in times if at is not None), default=None)
+    readings = mean_readings(list(of_pairs.values()))
+    session.add_all(ReadingRow(file_id=file.id, name=name, value=value) for name, value in readings.items())

@@ -133,7 +133,10 @@ class LoadStateRow(Table):
     label: Mapped[str] = mapped_column(String(64), index=True)
     position: Mapped[int]
     load_n: Mapped[float | None] = mapped_column(index=True)
+    """As it was entered from readings, else as it is planned; what was recorded is in `ReadingRow`."""
     displacement_mm: Mapped[float | None]
+    planned_load_n: Mapped[float | None] = mapped_column(index=True)
+    planned_displacement_mm: Mapped[float | None]
     time: Mapped[datetime | None] = mapped_column(index=True)
 
 
@@ -167,6 +170,8 @@ class FileRow(Table):
     """Of the file's bytes; empty where it was not known when the file was entered."""
     media_type: Mapped[str] = mapped_column(String(64))
     created_at: Mapped[datetime] = mapped_column(index=True)
+    recorded_at: Mapped[datetime | None] = mapped_column(index=True)
+    """When the last of the recordings that it shows was begun; see `catalogue.lineage`."""
     campaign_id: Mapped[int | None] = mapped_column(ForeignKey("campaign.id"))
     state_id: Mapped[int | None] = mapped_column(ForeignKey("load_state.id"), index=True)
     pair: Mapped[str | None] = mapped_column(String(16))
@@ -218,6 +223,16 @@ class StatisticRow(Table):
     """A number that a file can be found by."""
 
     __tablename__ = "statistic"
+    __table_args__ = (Index(None, "name", "value", "file_id"),)
+    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
+    name: Mapped[str] = mapped_column(String(64), primary_key=True)
+    value: Mapped[float]
+
+
+class ReadingRow(Table):
+    """What a scalar channel read while the frames of a file, or those behind it, were recorded."""
+
+    __tablename__ = "reading"
     __table_args__ = (Index(None, "name", "value", "file_id"),)
     file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
     name: Mapped[str] = mapped_column(String(64), primary_key=True)

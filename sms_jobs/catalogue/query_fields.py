@@ -23,7 +23,7 @@ from sms_jobs.catalogue.models import (
     FileRow,
     JobRow,
     LoadStateRow,
-    MeasurementRow,
+    ReadingRow,
     ResultRow,
     RigRow,
     SpecimenRow,
@@ -64,6 +64,14 @@ class Vocabulary:
 
 
 @dataclass(frozen=True)
+class Source:
+    """A selection of the numbers of files, and the column of it that an index is on."""
+
+    files: Select[int]
+    indexed: ColumnElement[Any]
+
+
+@dataclass(frozen=True)
 class Field:
     """Something that can be asked about a file.
 
@@ -77,12 +85,10 @@ class Field:
         Its value for a row of `file`.
     factor
         A value in the unit of `name` times this is one in the unit of the column.
-    source
-        Selects the numbers of files by an index on `indexed`; None where there is none.
-    indexed
-        The column that `source` has an index on.
+    sources
+        Select the numbers of files by indexes, which together find every file; empty where there is none.
     of_state
-        `indexed` is a column of `load_state`.
+        A column of `load_state` that has an index and is the value of every file of its state.
     parameter
         The name of a parameter of jobs.
     """
@@ -91,9 +97,8 @@ class Field:
     type: Type
     column: ColumnElement[Any]
     factor: float = 1.0
-    source: Select[int] | None = None
-    indexed: ColumnElement[Any] | None = None
-    of_state: bool = False
+    sources: tuple[Source, ...] = ()
+    of_state: ColumnElement[Any] | None = None
     parameter: str = ""
 
 
@@ -101,15 +106,39 @@ def _of(key: ColumnElement[bool], wanted: InstrumentedAttribute[Any]) -> ColumnE
     return select(wanted).where(key).correlate(FileRow).scalar_subquery()
 
 
+def _of_state(column: InstrumentedAttribute[Any]) -> ColumnElement[Any]:
+    return _of(LoadStateRow.id == FileRow.state_id, column)
+
+
 def _state(name: str, column: InstrumentedAttribute[Any], type_: Type) -> Field:
-    value = _of(LoadStateRow.id == FileRow.state_id, column)
-    return Field(name, type_, value, indexed=column.expression, of_state=True)
+    return Field(name, type_, _of_state(column), of_state=column.expression)
 
 
-def _time() -> ColumnElement[Any]:
-    """When a measurement was recorded; of any other file, when its state was held."""
-    recorded = _of(MeasurementRow.file_id == FileRow.id, MeasurementRow.recorded_at)
-    return func.coalesce(recorded, _of(LoadStateRow.id == FileRow.state_id, LoadStateRow.time))
+def _held(column: InstrumentedAttribute[Any]) -> Source:
+    """Return the files of states, by a column of these."""
+    files = select(FileRow.id).join(LoadStateRow, LoadStateRow.id == FileRow.state_id)
+    return Source(files, column.expression)
+
+
+def _reading(name: str) -> tuple[ColumnElement[Any], Source]:
+    """Return what a channel read while a file was recorded, and the files that have such a reading."""
+    value = _of((ReadingRow.file_id == FileRow.id) & (ReadingRow.name == name), ReadingRow.value)
+    files = select(ReadingRow.file_id).where(ReadingRow.name == name)
+    return value, Source(files, ReadingRow.value.expression)
+
+
+def _read(name: str, entered: InstrumentedAttribute[Any]) -> Field:
+    """Return what was read while a file was recorded, else what is known of its state."""
+    value, source = _reading(name)
+    value = func.coalesce(value, _of_state(entered))
+    return Field(name, "number", value, sources=(source, _held(entered)))
+
+
+def _time() -> Field:
+    """Return when a file was recorded, else when its state was held."""
+    value = func.coalesce(FileRow.recorded_at, _of_state(LoadStateRow.time))
+    recorded = Source(select(FileRow.id), FileRow.recorded_at.expression)
+    return Field("time", "time", value, sources=(recorded, _held(LoadStateRow.time)))
 
 
 def _rig() -> ColumnElement[Any]:
@@ -132,8 +161,7 @@ def _built_in(dialect: str) -> dict[str, Field]:
     at = (func.instr if dialect == "sqlite" else func.strpos)(FileRow.pair, literal("P"))
     campaign = _of(CampaignRow.id == FileRow.campaign_id, CampaignRow.name)
     version = _of(ResultRow.file_id == FileRow.id, ResultRow.kind_version)
-    files = select(FileRow.id)
-    recorded = select(MeasurementRow.file_id)
+    created = Source(select(FileRow.id), FileRow.created_at.expression)
     fields = (
         Field("file", "number", FileRow.id.expression),
         Field("kind", "text", FileRow.source.expression),
@@ -142,16 +170,12 @@ def _built_in(dialect: str) -> dict[str, Field]:
         Field("pair", "text", FileRow.pair.expression),
         Field("camera", "text", func.substr(FileRow.pair, 1, at - 1)),
         Field("projector", "text", func.substr(FileRow.pair, at)),
-        _state("load_n", LoadStateRow.load_n, "number"),
-        _state("displacement_mm", LoadStateRow.displacement_mm, "number"),
-        Field("time", "time", _time(), source=recorded, indexed=MeasurementRow.recorded_at.expression),
-        Field(
-            "created",
-            "time",
-            FileRow.created_at.expression,
-            source=files,
-            indexed=FileRow.created_at.expression,
-        ),
+        _read("load_n", LoadStateRow.load_n),
+        _read("displacement_mm", LoadStateRow.displacement_mm),
+        _state("planned_load_n", LoadStateRow.planned_load_n, "number"),
+        _state("planned_displacement_mm", LoadStateRow.planned_displacement_mm, "number"),
+        _time(),
+        Field("created", "time", FileRow.created_at.expression, sources=(created,)),
         Field("calibration", "calibration", FileRow.id.expression),
         Field("version", "number", version),
         Field("rig", "text", _rig()),
@@ -229,7 +253,7 @@ class Fields:
         if space in ("", "statistic"):
             names += [f"{space}.{n}".lstrip(".") for n in self._distinct(StatisticRow.name)]
         if space in ("", "channel"):
-            names += [f"channel.{n}" for n in self._distinct(ChannelRow.name)]
+            names += [f"channel.{n}" for n in self._channels()]
         if space in ("", "param"):
             names += [f"param.{n}" for n in sorted(self._vocabulary.parameters)]
         return names
@@ -241,31 +265,39 @@ class Fields:
         for other, factor in in_other_units(name.lower()):
             if other in known:
                 return replace(known[other], name=name, factor=factor)
-        found = self._statistic(name, name)
-        return found or self._channel(name, name)
+        # A name in full comes before the beginning of another: temp_c is not temp_c_before.
+        for whole in (True, False):
+            found = self._statistic(name, name, whole) or self._channel(name, name, whole)
+            if found:
+                return found
+        return []
 
-    def _statistic(self, name: str, written: str) -> Field | list[str]:
+    def _statistic(self, name: str, written: str, whole: bool = False) -> Field | list[str]:
         def made(stored: str, factor: float) -> Field:
             value = _of(
                 (StatisticRow.file_id == FileRow.id) & (StatisticRow.name == stored), StatisticRow.value
             )
             rows = select(StatisticRow.file_id).where(StatisticRow.name == stored)
-            indexed = StatisticRow.value.expression
-            return Field(written, "number", value, factor, source=rows, indexed=indexed)
+            source = Source(rows, StatisticRow.value.expression)
+            return Field(written, "number", value, factor, (source,))
 
-        return self._stored(name, self._distinct(StatisticRow.name), made)
+        return self._stored(name, self._distinct(StatisticRow.name), made, whole)
 
-    def _channel(self, name: str, written: str) -> Field | list[str]:
+    def _channel(self, name: str, written: str, whole: bool = False) -> Field | list[str]:
         def made(stored: str, factor: float) -> Field:
+            read, recorded = _reading(stored)
             value = _of(
                 (ChannelRow.state_id == FileRow.state_id) & (ChannelRow.name == stored), ChannelRow.value
             )
             rows = select(FileRow.id).join(ChannelRow, ChannelRow.state_id == FileRow.state_id)
-            rows = rows.where(ChannelRow.name == stored)
-            indexed = ChannelRow.value.expression
-            return Field(written, "number", value, factor, source=rows, indexed=indexed)
+            entered = Source(rows.where(ChannelRow.name == stored), ChannelRow.value.expression)
+            return Field(written, "number", func.coalesce(read, value), factor, (recorded, entered))
 
-        return self._stored(name, self._distinct(ChannelRow.name), made)
+        return self._stored(name, self._channels(), made, whole)
+
+    def _channels(self) -> tuple[str, ...]:
+        """Return the names of what was recorded with measurements or entered for states."""
+        return tuple(sorted({*self._distinct(ReadingRow.name), *self._distinct(ChannelRow.name)}))
 
     def _parameter(self, name: str, written: str) -> Field | list[str]:
         def made(stored: str, factor: float) -> Field:
@@ -275,9 +307,12 @@ class Fields:
         return self._stored(name, tuple(sorted(self._vocabulary.parameters)), made)
 
     def _stored(
-        self, name: str, stored: tuple[str, ...], made: Callable[[str, float], Field]
+        self, name: str, stored: tuple[str, ...], made: Callable[[str, float], Field], whole: bool = False
     ) -> Field | list[str]:
-        """Return the one that is meant: exactly, in another unit, or the only one that begins so."""
+        """Return the one that is meant: exactly, in another unit, or the only one that begins so.
+
+        With `whole` a beginning is not enough.
+        """
         if name in stored:
             return made(name, 1.0)
         lower = {s.lower(): s for s in stored}
@@ -289,6 +324,8 @@ class Fields:
             for other, factor in in_other_units(written):
                 if other in lower:
                     return made(lower[other], factor)
+        if whole:
+            return []
         begun = [s for s in stored if s.lower().startswith(f"{long}_")]
         return made(begun[0], 1.0) if len(begun) == 1 else begun
 

@@ -18,6 +18,7 @@ from sms_jobs.catalogue.models import (
     FileRow,
     LoadStateRow,
     ProvenanceRow,
+    ReadingRow,
     RigRow,
     SensorRow,
     StatisticRow,
@@ -40,6 +41,7 @@ class FileView:
     sha256: str
     media_type: str
     created_at: datetime
+    recorded_at: datetime | None
     job_id: str | None
 
 
@@ -101,6 +103,16 @@ def statistics(session: Session, file_id: int) -> dict[str, float]:
         select(StatisticRow.name, StatisticRow.value)
         .where(StatisticRow.file_id == file_id)
         .order_by(StatisticRow.name)
+    )
+    return dict(rows.all())
+
+
+def readings(session: Session, file_id: int) -> dict[str, float]:
+    """Return what scalar channels read while a file, or what it shows, was recorded."""
+    rows = session.execute(
+        select(ReadingRow.name, ReadingRow.value)
+        .where(ReadingRow.file_id == file_id)
+        .order_by(ReadingRow.name)
     )
     return dict(rows.all())
 
@@ -220,5 +232,6 @@ def _view(row: FileRow, campaign: str | None, state: str | None) -> FileView:
         sha256=row.sha256,
         media_type=row.media_type,
         created_at=row.created_at,
+        recorded_at=row.recorded_at,
         job_id=row.job_id,
     )

@@ -97,7 +97,7 @@ def find(
 
 @app.command()
 def show(file: File, home: Home = None, as_json: Json = False) -> None:
-    """Show a file: what it is about, its statistics, and the records in it.
+    """Show a file: what it is about, its statistics, what was read while it was recorded, and its records.
 
     Example: sms data show 17
     """
@@ -105,6 +105,7 @@ def show(file: File, home: Home = None, as_json: Json = False) -> None:
         with services.catalogue.reading() as session:
             view = search.file_view(session, file)
             numbers = search.statistics(session, view.id)
+            readings = search.readings(session, view.id)
         records: dict[str, Any] = {}
         if view.media_type == DATASET_MEDIA_TYPE:
             with services.archive.open(view) as dataset:
@@ -113,7 +114,9 @@ def show(file: File, home: Home = None, as_json: Json = False) -> None:
             services.archive.verify_bytes(view)
         path = services.archive.path(view.path)
     if as_json:
-        output.print_json({"file": view, "path": path, "statistics": numbers, "records": records})
+        output.print_json(
+            {"file": view, "path": path, "statistics": numbers, "readings": readings, "records": records}
+        )
         return
     output.print_facts(
         {
@@ -122,11 +125,13 @@ def show(file: File, home: Home = None, as_json: Json = False) -> None:
             "subject": view.subject,
             "path": path,
             "size": output.size(view.size_bytes),
+            "recorded": view.recorded_at,
             "created": view.created_at,
             "content": f"sha256 {view.content_hash}",
             "job": view.job_id,
         }
         | numbers
+        | {f"channel.{name}": value for name, value in readings.items()}
     )
     output.print_table(
         ["record", "field", "shape", "unit", "meaning"],

@@ -11,13 +11,14 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import campaigns, search
 from sms_jobs.cli import output
 from sms_jobs.cli.field_comparison import How, difference_of
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats.state_differences import StateDifference, draw_states, written_table
 from sms_jobs.records.campaign import LoadState, Subject
+from sms_jobs.records.recording import as_recorded
 
 _STATE = "{state}"
 
@@ -78,7 +79,7 @@ def compare_states(
     columns = [
         "state",
         "load [N]",
-        "prescribed [mm]",
+        "applied [mm]",
         "points",
         "rms [mm]",
         "of the best 95 %",
@@ -105,7 +106,8 @@ def _pairs(services: Services, campaign: str, other: str, kind: str) -> list[tup
                 number = campaigns.newest_file(session, kind, Subject(other, state.label), DATASET_MEDIA_TYPE)
                 theirs = None if number is None else str(number)
             if mine is not None and theirs is not None:
-                pairs.append((state, str(mine), theirs))
+                held = as_recorded(state, search.readings(session, mine))
+                pairs.append((held, str(mine), theirs))
     if not pairs:
         raise NotFound(
             f"no state of {campaign} has both a {kind} and a displacement in {other}; submit the pipeline of "
@@ -118,8 +120,8 @@ def _of_state(services: Services, state: LoadState, mine: str, theirs: str, how:
     found = difference_of(services, mine, theirs, how)
     return StateDifference(
         state.label,
-        state.load_n,
-        state.displacement_mm,
+        state.known_load_n,
+        state.known_displacement_mm,
         found.points[found.known],
         np.linalg.norm(found.difference[found.known], axis=1),
         float(found.facts()["stated_sigma_mm"]),

@@ -17,7 +17,7 @@ Floats: TypeAlias = NDArray[np.float64]
 
 _GOOD_PART = 0.95
 _COLUMNS = (
-    "state", "load_n", "prescribed_mm", "points", "rms_mm", "rms_of_best_95_percent_mm", "largest_mm",
+    "state", "load_n", "applied_mm", "points", "rms_mm", "rms_of_best_95_percent_mm", "largest_mm",
     "stated_mm",
 )  # fmt: skip
 
@@ -28,8 +28,8 @@ class StateDifference:
 
     Attributes
     ----------
-    state, load_n, prescribed_mm
-        As the campaign has them; None where they are not known.
+    state, load_n, applied_mm
+        As they were measured, else as the campaign has them; None where they are not known.
     points, length
         (n, 3) and (n,) in mm: where, and the length of the difference there; known ones alone.
     stated_mm
@@ -38,7 +38,7 @@ class StateDifference:
 
     state: str
     load_n: float | None
-    prescribed_mm: float | None
+    applied_mm: float | None
     points: Floats
     length: Floats
     stated_mm: float
@@ -57,7 +57,7 @@ class StateDifference:
     def row(self) -> tuple[str | float | None, ...]:
         """Return the values of a row of the table."""
         rms = (self.rms_mm, self.good_rms_mm, float(self.length.max()), self.stated_mm)
-        return (self.state, self.load_n, self.prescribed_mm, float(len(self.length)), *rms)
+        return (self.state, self.load_n, self.applied_mm, float(len(self.length)), *rms)
 
     def named(self) -> dict[str, str | float | None]:
         """Return the values of a row by name, with units in the names."""

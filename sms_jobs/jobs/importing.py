@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session
 
 import sms_jobs
 from sms_jobs.archive import Archive, Provenance, Sealed, layout
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import campaigns, lineage
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
     CampaignRow,
@@ -212,6 +212,7 @@ def _index(session: Session, subject: Subject, sealed: Sealed, recorded_at: date
             file_id=file.id, state_id=file.state_id, pair=subject.pair or "", recorded_at=recorded_at
         )
     )
+    lineage.note_recording(session, file, recorded_at, {})
 
 
 def _file(session: Session, subject: Subject, sealed: Sealed, now: datetime, source: str) -> FileRow:
@@ -277,8 +278,8 @@ def with_readings(
 
 def _read(state: LoadState, reading: Reading, changes: list[str], replace_others: bool) -> LoadState:
     given: dict[str, Any] = {
-        "load_n": reading.load_n,
-        "displacement_mm": reading.displacement_mm,
+        "measured_load_n": reading.load_n,
+        "measured_displacement_mm": reading.displacement_mm,
         "time": reading.time,
     }
     given = {name: value for name, value in given.items() if value is not None}
@@ -343,9 +344,7 @@ def bring_up_to_date(session: Session, row: CampaignRow, after: Campaign) -> Non
         if state_row is None:
             state_row = LoadStateRow(campaign_id=row.id, label=state.label, position=position)
             session.add(state_row)
-        state_row.load_n = state.load_n
-        state_row.displacement_mm = state.displacement_mm
-        state_row.time = state.time
+        campaigns.describe_state(state_row, state)
         session.flush()
         for name, value in state.channels.items():
             session.merge(ChannelRow(state_id=state_row.id, name=name, value=value))

@@ -25,9 +25,10 @@ from sms_jobs.catalogue.models import (
 )
 from sms_jobs.errors import ArchiveCorrupt
 from sms_jobs.jobs.lifecycle import Claim
-from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Kind, Output
+from sms_jobs.kinds.kind import MEASUREMENT, RECORDING, DatasetOutput, Kind, Output
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.recording import Recording
 
 # Every job asks this: making the statement takes longer than running it, and so does loading rows as objects.
 _EDGE = cast(Table, DependencyRow.__table__)
@@ -53,15 +54,17 @@ class SealedOutput:
     file: Sealed
     statistics: Mapping[str, float]
     recorded_at: datetime | None
+    readings: Mapping[str, float]
 
 
 def sealed_output(output: Output, file: Sealed) -> SealedOutput:
     """Keep of an output what is indexed, and let its arrays go."""
     if not isinstance(output, DatasetOutput):
-        return SealedOutput(output.subject, file, {}, None)
-    measurement = output.records.get(MEASUREMENT)
+        return SealedOutput(output.subject, file, {}, None, {})
+    measurement, recording = output.records.get(MEASUREMENT), output.records.get(RECORDING)
     recorded_at = measurement.recorded_at if isinstance(measurement, Measurement) else None
-    return SealedOutput(output.subject, file, output.statistics, recorded_at)
+    readings = recording.readings() if isinstance(recording, Recording) else {}
+    return SealedOutput(output.subject, file, output.statistics, recorded_at, readings)
 
 
 def resolve_inputs(session: Session, job_id: str) -> tuple[ResolvedInput, ...]:
@@ -145,6 +148,7 @@ def add_outputs(
                     recorded_at=output.recorded_at,
                 )
             )
+            lineage.note_recording(session, file, output.recorded_at, output.readings)
         session.add_all(
             StatisticRow(file_id=file.id, name=name, value=float(value))
             for name, value in output.statistics.items()
@@ -152,6 +156,8 @@ def add_outputs(
         )
         _add_provenance(session, held.job_id, file.id)
         lineage.note_calibrations(session, file.id)
+        if output.recorded_at is None:
+            lineage.note_recordings(session, file)
 
 
 def _add_provenance(session: Session, job_id: str, file_id: int) -> None:

@@ -178,7 +178,7 @@ def state_value(state: LoadState, channel: str) -> float:
 
     Raises `InvalidInput` when the plan does not say it.
     """
-    told = state.channels if state.load_n is None else {"load_n": state.load_n} | state.channels
+    told = state.planned()
     if channel not in told:
         known = ", ".join(told) or "none"
         raise InvalidInput(

@@ -186,4 +186,5 @@ def _index(
         source = session.scalars(select(FileRow.id).where(FileRow.path == given.path)).one()
         session.add(ProvenanceRow(output_id=file.id, role=given.role, input_id=source))
     lineage.note_calibrations(session, file.id)
+    lineage.note_recordings(session, file)
     return campaigns.add_calibration(session, calibration, file.id)

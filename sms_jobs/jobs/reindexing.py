@@ -42,9 +42,10 @@ from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput, SmsError
 from sms_jobs.jobs import past_jobs
 from sms_jobs.jobs.past_definitions import PastDefinitions
 from sms_jobs.jobs.registration import CAMPAIGN
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, RECORDING
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.recording import Recording
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.surfaces import SURFACE
 
@@ -326,14 +327,14 @@ def _enter(session: Session, archived: _Archived, one: Found) -> None:
         file = _file_row(session, one, CALIBRATION)
         with archived.archive.open(one.sealed) as dataset:
             campaigns.add_calibration(session, dataset.read("calibration", Calibration), file.id)
-        _add_edges(session, one, file.id)
+        _add_edges(session, one, file)
     else:
         campaign = archived.definitions.at(session, provenance)
         assert campaign is not None
         past_jobs.tell_again(session, campaign, provenance)
         file = _file_row(session, one, past_jobs.source_of(provenance))
         _describe_output(session, archived.archive, one, file)
-        _add_edges(session, one, file.id)
+        _add_edges(session, one, file)
         past_jobs.make_reusable(session, campaign, provenance)
 
 
@@ -372,13 +373,13 @@ def _place(session: Session, subject: Subject) -> tuple[int, int | None, str | N
 
 
 def _describe_output(session: Session, archive: Archive, one: Found, file: FileRow) -> None:
-    recorded_at = None
     if file.source == MEASUREMENT and file.state_id is not None and file.pair is not None:
         with archive.open(one.sealed) as dataset:
-            recorded_at = dataset.read(MEASUREMENT, Measurement).recorded_at
-        session.add(
-            MeasurementRow(file_id=file.id, state_id=file.state_id, pair=file.pair, recorded_at=recorded_at)
-        )
+            at = dataset.read(MEASUREMENT, Measurement).recorded_at
+            recorded = RECORDING in dataset.names
+            readings = dataset.read(RECORDING, Recording).readings() if recorded else {}
+        session.add(MeasurementRow(file_id=file.id, state_id=file.state_id, pair=file.pair, recorded_at=at))
+        lineage.note_recording(session, file, at, readings)
     else:
         session.add(
             ResultRow(file_id=file.id, kind=one.provenance.kind, kind_version=one.provenance.kind_version)
@@ -398,9 +399,11 @@ def _input(session: Session, given: InputReference) -> int | None:
     return number
 
 
-def _add_edges(session: Session, one: Found, file_id: int) -> None:
+def _add_edges(session: Session, one: Found, file: FileRow) -> None:
     for given in one.provenance.inputs:
         source = _input(session, given)
         if source is not None:
-            session.add(ProvenanceRow(output_id=file_id, role=given.role, input_id=source))
-    lineage.note_calibrations(session, file_id)
+            session.add(ProvenanceRow(output_id=file.id, role=given.role, input_id=source))
+    lineage.note_calibrations(session, file.id)
+    if file.source != MEASUREMENT:
+        lineage.note_recordings(session, file)

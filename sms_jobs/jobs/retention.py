@@ -23,6 +23,7 @@ from sms_jobs.catalogue.models import (
     JobRow,
     PinRow,
     ProvenanceRow,
+    ReadingRow,
     ResultRow,
     StatisticRow,
 )
@@ -198,7 +199,7 @@ def forget(session: Session, files: Collection[int]) -> None:
     for start in range(0, len(numbers), _AT_ONCE):
         some = numbers[start : start + _AT_ONCE]
         session.execute(delete(ProvenanceRow).where(ProvenanceRow.input_id.in_(some)))
-        for table in (StatisticRow, ResultRow, PinRow, CalibrationUseRow):
+        for table in (StatisticRow, ReadingRow, ResultRow, PinRow, CalibrationUseRow):
             session.execute(delete(table).where(table.file_id.in_(some)))
         session.execute(delete(FileRow).where(FileRow.id.in_(some)))
 

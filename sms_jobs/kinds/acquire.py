@@ -144,9 +144,8 @@ def order(campaign: Campaign, subject: Subject) -> Order:
     state = campaign.state(subject.state or "")
     setting = None
     if campaign.scene is not None:
-        load = {} if state.load_n is None else {"load_n": state.load_n}
         scene = scene_at(campaign.scene, campaign, state)
-        setting = Setting(scene, state.label, state.deformation, load | state.channels)
+        setting = Setting(scene, state.label, state.deformation, state.planned())
     shown = None if campaign.session is None else campaign.session.artefacts.get(state.artefact or "")
     fills = _SPHERES_FILL if isinstance(shown, BallBar) else 1.0
     return Order(campaign.shape_pairs, campaign.sequence, stage_angles(state), setting, fills)

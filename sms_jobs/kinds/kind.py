@@ -47,6 +47,8 @@ class Queue(Enum):
 
 
 MEASUREMENT = "measurement"
+RECORDING = "recording"
+"""The record that lies beside a measurement which instruments made."""
 CALIBRATION = "calibration"
 
 
@@ -335,6 +337,7 @@ def whole_test(campaign: Campaign) -> tuple[Subject, ...]:
 __all__ = [
     "CALIBRATION",
     "MEASUREMENT",
+    "RECORDING",
     "Calibration",
     "Dataset",
     "DatasetOutput",

@@ -132,7 +132,7 @@ def run(inputs: Inputs, parameters: ReportParameters, progress: Progress) -> Ite
 KIND = Kind(
     name="report",
     summary="write pages about a campaign: maps to zoom and turn, charts, uncertainties, errors and origins",
-    version=2,
+    version=3,
     scope=Scope.CAMPAIGN,
     parameters=ReportParameters,
     needs=needs,

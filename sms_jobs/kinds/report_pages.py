@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from functools import cached_property
 from html import escape
@@ -22,13 +23,13 @@ from sms_jobs.formats.report.origins import origin_sections
 from sms_jobs.formats.report.page import Page, Part, Section
 from sms_jobs.formats.report.tables import accuracy, campaign_facts, load_states
 from sms_jobs.formats.report.view import View
-from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Progress, tested_states, tuples
+from sms_jobs.kinds.kind import MEASUREMENT, RECORDING, Inputs, Progress, tested_states, tuples
 from sms_jobs.kinds.report_chapter import ASSESS, Chapter, Sampling, defaults_of_kinds, present, role
 from sms_jobs.records.assessment import Assessment
 from sms_jobs.records.calibration import CalibrationQuality
-from sms_jobs.records.campaign import Campaign, LoadState
+from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.measurement import Measurement
-from sms_jobs.records.recording import Recording
+from sms_jobs.records.recording import Recording, as_recorded, mean_readings
 from sms_jobs.records.sensors import Calibration
 
 _INTRODUCTION = (
@@ -64,12 +65,12 @@ class ReportPages:
         progress: Progress,
     ) -> None:
         self._inputs = inputs
-        self._campaign = campaign
+        self._campaign = replace(campaign, states=_as_recorded(inputs, campaign))
         self._sampling = sampling
         self._shown = {state.label for state in shown}
         self._progress = progress
-        self._chapters = present(campaign)
-        self._deformed = tested_states(campaign)[1:]
+        self._chapters = present(self._campaign)
+        self._deformed = tested_states(self._campaign)[1:]
         self._drawn = 0
 
     def write_page(self, path: Path) -> None:
@@ -211,11 +212,7 @@ class ReportPages:
     @cached_property
     def _recordings(self) -> Mapping[str, Recording]:
         """Return what instruments said of the recordings that they made, by tuple."""
-        return {
-            str(dataset.subject): dataset.read("recording", Recording)
-            for role, dataset in self._inputs.datasets.items()
-            if role.startswith(f"{MEASUREMENT}/") and "recording" in dataset.names
-        }
+        return {str(subject): recording for subject, recording in _recordings(self._inputs)}
 
     def _recorded_at(self) -> Mapping[str, datetime]:
         """Return when the reference state was recorded; the others say so themselves."""
@@ -272,8 +269,23 @@ class ReportPages:
 
 
 def _heading(state: LoadState) -> str:
-    load = "" if state.load_n is None else f", {html.number(html.Given(state.load_n))} N"
+    load = "" if state.known_load_n is None else f", {html.number(html.Given(state.known_load_n))} N"
     return f"State {state.label}{load}"
+
+
+def _recordings(inputs: Inputs) -> Iterator[tuple[Subject, Recording]]:
+    """Yield what instruments said of the recordings that they made, with the tuple of each."""
+    for name, dataset in inputs.datasets.items():
+        if name.startswith(f"{MEASUREMENT}/") and RECORDING in dataset.names:
+            yield dataset.subject, dataset.read(RECORDING, Recording)
+
+
+def _as_recorded(inputs: Inputs, campaign: Campaign) -> tuple[LoadState, ...]:
+    """Return the states of a campaign with what was read while they were recorded."""
+    read: dict[str | None, list[dict[str, float]]] = {}
+    for subject, recording in _recordings(inputs):
+        read.setdefault(subject.state, []).append(recording.readings())
+    return tuple(as_recorded(s, mean_readings(read.get(s.label, []))) for s in campaign.states)
 
 
 def _text_file(folder: zipfile.ZipFile, name: str) -> TextIO:

@@ -55,7 +55,7 @@ def run(inputs: Inputs, parameters: report.PageParameters, progress: Progress) -
 KIND = Kind(
     name="report-state",
     summary="write a page about one state: maps to zoom and turn, uncertainties and origins",
-    version=1,
+    version=2,
     scope=Scope.STATE,
     parameters=report.PageParameters,
     needs=_needs,

@@ -60,10 +60,8 @@ class LoadState:
     ----------
     label
         S00, S01, ...
-    load_n
-        Applied load in N, if known.
-    displacement_mm
-        Prescribed displacement in mm, if known.
+    load_n, displacement_mm
+        Load in N and displacement in mm as they are planned; None where nothing is.
     time
         When the state was held; None before it is measured.
     channels
@@ -72,6 +70,8 @@ class LoadState:
         For a virtual rig: the exact displacement fields that are applied, one after the other.
     artefact
         In a calibration session: the name of the artefact that stands there in place of a specimen.
+    measured_load_n, measured_displacement_mm
+        As they were read, where readings were entered or recorded.
     """
 
     label: str
@@ -81,9 +81,26 @@ class LoadState:
     channels: dict[str, float] = field(default_factory=dict)
     deformation: tuple[Deformation, ...] = ()
     artefact: str | None = None
+    measured_load_n: float | None = None
+    measured_displacement_mm: float | None = None
 
     def __post_init__(self) -> None:
         checked_name(self.label, "state")
+
+    def planned(self) -> dict[str, float]:
+        """Return what channels are to read, by name."""
+        return self.channels if self.load_n is None else {"load_n": self.load_n} | self.channels
+
+    @property
+    def known_load_n(self) -> float | None:
+        """The load as it was read, else as it is planned."""
+        return self.load_n if self.measured_load_n is None else self.measured_load_n
+
+    @property
+    def known_displacement_mm(self) -> float | None:
+        """The displacement as it was read, else as it is planned."""
+        measured = self.measured_displacement_mm
+        return self.displacement_mm if measured is None else measured
 
 
 @dataclass(frozen=True)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
+from math import fsum, isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.measurement import FrameStack, FringeSequence
 from sms_jobs.records.quantity import array
 
 PER_FRAME = ("frame",)
+STAGE_CHANNELS = ("pan_rad", "tilt_rad")
+"""What the angles of a stage are called among the readings of a state."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +78,16 @@ class Recording:
         "s", "time since the start of the recording", PER_FRAME, kw_only=True
     )
 
+    def readings(self) -> dict[str, float]:
+        """Return what held while it was recorded, by name: the mean of what was read before and after it."""
+        found = {
+            name: 0.5 * (value + self.channels_after.get(name, value))
+            for name, value in self.channels_before.items()
+        }
+        if self.stage_rad is not None:
+            found |= zip(STAGE_CHANNELS, self.stage_rad, strict=True)
+        return {name: value for name, value in found.items() if isfinite(value)}
+
 
 @dataclass(frozen=True)
 class InterruptedRecording:
@@ -98,3 +113,22 @@ class InterruptedRecording:
     numbers: NDArray[np.int64] = array("1", "number that the camera gave the frame", PER_FRAME)
     times_s: NDArray[np.float64] = array("s", "time since the start of the recording", PER_FRAME)
     frames: FrameStack = array("count", "fringe frames", ("frame", "row", "column"))
+
+
+def mean_readings(several: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Return the means of what several recordings of one state read, over those that read it."""
+    names = dict.fromkeys(name for one in several for name in one)
+    of = {name: [one[name] for one in several if name in one] for name in names}
+    # Summed exactly, so that the order of the recordings does not matter.
+    return {name: fsum(values) / len(values) for name, values in of.items()}
+
+
+def as_recorded(state: LoadState, readings: Mapping[str, float]) -> LoadState:
+    """Return a state with what was read while it was recorded, in place of what is known from elsewhere."""
+    channels = dict(readings)
+    return replace(
+        state,
+        measured_load_n=channels.pop("load_n", state.measured_load_n),
+        measured_displacement_mm=channels.pop("displacement_mm", state.measured_displacement_mm),
+        channels=state.channels | channels,
+    )

@@ -24,7 +24,14 @@ from sms_jobs.bench import large_catalogue
 from sms_jobs.catalogue import finding, saved_queries
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.finding import Page, find_page, restricted
-from sms_jobs.catalogue.models import CampaignRow, ChannelRow, FileRow, LoadStateRow, StatisticRow
+from sms_jobs.catalogue.models import (
+    CampaignRow,
+    ChannelRow,
+    FileRow,
+    LoadStateRow,
+    ReadingRow,
+    StatisticRow,
+)
 from sms_jobs.catalogue.query_fields import Vocabulary
 from sms_jobs.catalogue.query_language import parse
 from sms_jobs.cli.main import app
@@ -33,7 +40,7 @@ from sms_jobs.formats.row_tables import write_parquet
 
 KINDS = frozenset({*large_catalogue.KINDS, "calibration", "report"})
 KNOWN = Vocabulary(lambda: (KINDS, large_catalogue.PARAMETERS))
-LARGE = {"file", "statistic", "job", "measurement", "result", "calibration_use", "provenance"}
+LARGE = {"file", "statistic", "reading", "job", "measurement", "result", "calibration_use", "provenance"}
 
 
 def ask(catalogue: Catalogue, text: str, **more: Any) -> Page:
@@ -51,8 +58,10 @@ class Plain:
     campaign: str
     state: str
     load_n: float
+    planned_load_n: float
     temp_c: float
     created: datetime
+    recorded: datetime | None
     statistics: dict[str, float]
 
 
@@ -68,7 +77,12 @@ def everything(catalogue: Catalogue) -> list[Plain]:
             .join(CampaignRow, CampaignRow.id == FileRow.campaign_id)
             .join(LoadStateRow, LoadStateRow.id == FileRow.state_id)
             .join(ChannelRow, ChannelRow.state_id == FileRow.state_id)
-        )
+        ).all()
+        read: dict[int, dict[str, float]] = {}
+        for key, name, value in session.execute(
+            select(ReadingRow.file_id, ReadingRow.name, ReadingRow.value)
+        ):
+            read.setdefault(key, {})[name] = value
         return [
             Plain(
                 file.id,
@@ -76,9 +90,11 @@ def everything(catalogue: Catalogue) -> list[Plain]:
                 file.pair or "",
                 campaign,
                 state,
+                read.get(file.id, {}).get("load_n", load or 0.0),
                 load or 0.0,
-                temp,
+                read.get(file.id, {}).get("temp_c", temp),
                 file.created_at,
+                file.recorded_at,
                 numbers.get(file.id, {}),
             )
             for file, campaign, state, load, temp in rows
@@ -88,6 +104,14 @@ def everything(catalogue: Catalogue) -> list[Plain]:
 def number(file: Plain, name: str) -> float:
     """Return a statistic; NaN, of which no comparison is true, where there is none."""
     return file.statistics.get(name, float("nan"))
+
+
+def loaded(file: Plain) -> bool:
+    return 1e6 <= file.load_n <= 1.2e6 or file.planned_load_n > 1.999e6
+
+
+def since(file: Plain, text: str) -> bool:
+    return file.recorded is not None and file.recorded >= datetime.fromisoformat(text)
 
 
 QUESTIONS: list[tuple[str, Callable[[Plain], bool]]] = [
@@ -131,6 +155,17 @@ QUESTIONS: list[tuple[str, Callable[[Plain], bool]]] = [
     ("rig = rig and specimen ~ PECI and state = S00", lambda f: f.state == "S00"),
     ("job = j10 and size_kb < 1", lambda f: str(f.id - 10000).startswith("10") and f.id - 10000 < 1000),
     ("created < 2020-01-01 or path = nowhere", lambda f: False),
+    ("load_n < 5e4 and planned_load_n < 5e4", lambda f: max(f.load_n, f.planned_load_n) < 5e4),
+    ("load_n between 1e6 and 1.2e6 or planned_load_kN > 1999", lambda f: loaded(f)),
+    (
+        "reconstruct where time >= 2020-01-06T00:00Z and load_MN > 1.5",
+        lambda f: f.kind == "reconstruct" and f.load_n > 1.5e6 and since(f, "2020-01-06T00:00Z"),
+    ),
+    (
+        "time < 2020-01-06T00:00Z and temp_c < 3",
+        lambda f: f.temp_c < 3.0 and not since(f, "2020-01-06T00:00Z"),
+    ),
+    ("channel.load_kN > 1900 and state = S41", lambda f: f.load_n > 1.9e6 and f.state == "S41"),
 ]
 
 

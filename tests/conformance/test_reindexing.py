@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from support.archives import PLAN, Clock, emptied, everything, registered, run_jobs
+from support.archives import PLAN, Clock, emptied, everything, registered, run_jobs, work_again
 from support.command import sms
 from support.deployments import Deployment
 from support.sealing import calibration, provenance
@@ -17,7 +17,7 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.formats.importers.readings import Reading
-from sms_jobs.jobs import recovery, reindexing
+from sms_jobs.jobs import reindexing
 from sms_jobs.jobs.importing import amend_campaign, with_readings, with_states
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.registration import register_calibration
@@ -51,11 +51,6 @@ def reindexed(catalogue: Catalogue, archive: Archive, *, dry_run: bool = False) 
     return list(reindexing.reindex(catalogue, archive, paths, dry_run=dry_run))
 
 
-def work_again(catalogue: Catalogue, clock: Clock) -> None:
-    with catalogue.writing() as session:
-        recovery.register_worker(session, "w1", "here", 1, ["cpu", "io", "acquisition"], 2, clock())
-
-
 def test_an_empty_catalogue_is_rebuilt_equal_to_the_old_one(
     catalogue: Catalogue, filled: Archive, clock: Clock
 ) -> None:
@@ -63,7 +58,7 @@ def test_an_empty_catalogue_is_rebuilt_equal_to_the_old_one(
     assert {"campaign", "calibration", "measurement", "reconstruct", "export"} < {
         f[1] for f in before["files"]
     }
-    assert all(before.values())
+    assert all(told for name, told in before.items() if name != "readings")  # nothing was read with it
     emptied(catalogue)
     rehearsed = reindexed(catalogue, filled, dry_run=True)
     assert not any(everything(catalogue).values())

@@ -24,6 +24,7 @@ from sms_jobs.catalogue.models import (
     LoadStateRow,
     MeasurementRow,
     ProvenanceRow,
+    ReadingRow,
     ResultRow,
     RigRow,
     SensorRow,
@@ -31,6 +32,7 @@ from sms_jobs.catalogue.models import (
     StatisticRow,
     Table,
 )
+from sms_jobs.jobs import recovery
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.jobs.runner import Runner
@@ -70,12 +72,12 @@ def run_jobs(
 
 
 def runner(catalogue: Catalogue, archive: Archive, clock: Clock) -> Runner:
-    """Return what runs jobs in this process, as worker `w1`."""
+    """Return what runs jobs in this process, those of the home's rigs too, as worker `w1`."""
     home = archive.root.parent
     return Runner(
         catalogue,
         archive,
-        ["cpu", "io", "acquisition"],
+        ["cpu", "io", "acquisition", *Stations(home / "rigs", home / "spool").queues()],
         "w1",
         "here",
         1,
@@ -92,6 +94,12 @@ def emptied(catalogue: Catalogue) -> None:
     with catalogue.writing() as session:
         session.execute(text("DROP TABLE alembic_version"))
     schema.upgrade(catalogue)
+
+
+def work_again(catalogue: Catalogue, clock: Clock) -> None:
+    """Register worker `w1` in a catalogue that has forgotten it."""
+    with catalogue.writing() as session:
+        recovery.register_worker(session, "w1", "here", 1, ["cpu", "io", "acquisition"], 2, clock())
 
 
 def everything(catalogue: Catalogue) -> dict[str, list[Any]]:
@@ -112,6 +120,7 @@ def everything(catalogue: Catalogue) -> dict[str, list[Any]]:
             ResultRow.kind,
             ResultRow.kind_version,
             MeasurementRow.recorded_at,
+            FileRow.recorded_at,
         )
         .outerjoin(CampaignRow, CampaignRow.id == FileRow.campaign_id)
         .outerjoin(LoadStateRow, LoadStateRow.id == FileRow.state_id)
@@ -139,6 +148,8 @@ def everything(catalogue: Catalogue) -> dict[str, list[Any]]:
             LoadStateRow.position,
             LoadStateRow.load_n,
             LoadStateRow.displacement_mm,
+            LoadStateRow.planned_load_n,
+            LoadStateRow.planned_displacement_mm,
             LoadStateRow.time,
         )
         .join(CampaignRow, CampaignRow.id == LoadStateRow.campaign_id)
@@ -158,6 +169,9 @@ def everything(catalogue: Catalogue) -> dict[str, list[Any]]:
         "statistics": select(FileRow.path, StatisticRow.name, StatisticRow.value)
         .join(FileRow, FileRow.id == StatisticRow.file_id)
         .order_by(FileRow.path, StatisticRow.name),
+        "readings": select(FileRow.path, ReadingRow.name, ReadingRow.value)
+        .join(FileRow, FileRow.id == ReadingRow.file_id)
+        .order_by(FileRow.path, ReadingRow.name),
         "provenance": select(output.path, ProvenanceRow.role, given.path)
         .join(output, output.id == ProvenanceRow.output_id)
         .join(given, given.id == ProvenanceRow.input_id)

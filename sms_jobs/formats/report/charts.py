@@ -64,13 +64,16 @@ class Chart:
 
 
 def axes(states: Sequence[LoadState]) -> tuple[Axis, ...]:
-    """Return what a campaign can be charted along: load, displacement, channels that vary, the states."""
-    readings: dict[str, dict[str, float]] = {"load [N]": {}, "prescribed displacement [mm]": {}}
+    """Return what a campaign can be charted along: load, displacement, channels that vary, the states.
+
+    Loads and displacements are those that were read, where they were.
+    """
+    readings: dict[str, dict[str, float]] = {"load [N]": {}, "applied displacement [mm]": {}}
     for state in states:
-        if state.load_n is not None:
-            readings["load [N]"][state.label] = state.load_n
-        if state.displacement_mm is not None:
-            readings["prescribed displacement [mm]"][state.label] = state.displacement_mm
+        if state.known_load_n is not None:
+            readings["load [N]"][state.label] = state.known_load_n
+        if state.known_displacement_mm is not None:
+            readings["applied displacement [mm]"][state.label] = state.known_displacement_mm
         for name, value in sorted(state.channels.items()):
             readings.setdefault(name, {})[state.label] = value
     known = {n: {s: v for s, v in values.items() if isfinite(v)} for n, values in readings.items()}

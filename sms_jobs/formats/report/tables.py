@@ -51,8 +51,10 @@ def load_states(states: Sequence[LoadState], recorded: Mapping[str, datetime]) -
     """
     channels = sorted({name for state in states for name in state.channels})
     columns: list[tuple[str, list[Cell]]] = [
-        ("load [N]", [_given(state.load_n) for state in states]),
-        ("displacement [mm]", [_given(state.displacement_mm) for state in states]),
+        ("load [N]", [_given(state.known_load_n) for state in states]),
+        *_planned("load [N]", [(s.measured_load_n, s.load_n) for s in states]),
+        ("displacement [mm]", [_given(state.known_displacement_mm) for state in states]),
+        *_planned("displacement [mm]", [(s.measured_displacement_mm, s.displacement_mm) for s in states]),
         ("time", [local_time(state.time or recorded.get(state.label)) for state in states]),
         *(_channel(states, name) for name in channels),
     ]
@@ -60,6 +62,13 @@ def load_states(states: Sequence[LoadState], recorded: Mapping[str, datetime]) -
     known = [(name, cells) for name, cells in columns if any(cell is not None for cell in cells)]
     rows = zip(labels, *(cells for _, cells in known), strict=True)
     return table(["state", *(name for name, _ in known)], [list(row) for row in rows])
+
+
+def _planned(name: str, states: Sequence[tuple[float | None, float | None]]) -> list[tuple[str, list[Cell]]]:
+    """Return a column of what was planned, where something else was measured."""
+    if all(measured is None or planned is None for measured, planned in states):
+        return []
+    return [(f"planned {name}", [_given(planned) for _, planned in states])]
 
 
 def _channel(states: Sequence[LoadState], name: str) -> tuple[str, list[Cell]]:

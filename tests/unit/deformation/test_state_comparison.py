@@ -64,7 +64,7 @@ def test_the_written_mesh_is_the_exact_displacement(home: Path) -> None:
 def test_what_a_measurement_is_off_by_is_told_at_every_state(home: Path) -> None:
     files = str(model_of(home) / "{state}.vtu")
     (found,) = run(home, "data", "compare-states", "plate", "--with", files)
-    assert (found["state"], found["load_n"], found["prescribed_mm"]) == ("S01", 1200.0, 0.75)
+    assert (found["state"], found["load_n"], found["applied_mm"]) == ("S01", 1200.0, 0.75)
     # Both are double precision on the same nodes, the coordinates some hundred mm.
     for name in ("rms_mm", "rms_of_best_95_percent_mm", "largest_mm"):
         assert found[name] == pytest.approx(np.linalg.norm(OFF_BY), abs=1e-10)

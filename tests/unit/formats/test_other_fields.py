@@ -69,6 +69,6 @@ def test_the_rms_is_told_over_all_states(rng: np.random.Generator) -> None:
     named = second.named()
     assert (named["state"], named["load_n"], named["points"]) == ("S02", None, 100.0)
     header, *rows = written_table(states).decode().splitlines()
-    assert header.startswith("state,load_n,prescribed_mm,points,rms_mm")
+    assert header.startswith("state,load_n,applied_mm,points,rms_mm")
     assert [row.split(",")[:2] for row in rows] == [["S01", "1000.0"], ["S02", ""]]
     assert draw_states(states, "measured minus calculated").startswith(b"\x89PNG")

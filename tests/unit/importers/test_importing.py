@@ -148,9 +148,9 @@ def test_readings_become_load_and_channels(run: Import, tmp_path: Path) -> None:
     told = run("channels", str(table), *maps)
     assert len(told["left_out"]) == 2  # a state that is unknown, a temperature that is not there
     first, second, third = campaign_of(tmp_path / "home").states
-    assert (first.load_n, first.channels) == (0.0, {"temperature_C": 20.5, "gauge_1": 0.0})
-    assert (second.load_n, second.channels) == (12_500.0, {"gauge_1": 571.4e-6})
-    assert (third.load_n, third.channels) == (None, {})
+    assert (first.measured_load_n, first.channels) == (0.0, {"temperature_C": 20.5, "gauge_1": 0.0})
+    assert (second.measured_load_n, second.channels) == (12_500.0, {"gauge_1": 571.4e-6})
+    assert (third.measured_load_n, third.channels) == (None, {})
     assert run("channels", str(table), *maps)["changes"] == []
     table.write_text("State;SG 1\nS01;600\n")
     with pytest.raises(Conflict, match=r"gauge_1 = 0\.0005714 already"):
@@ -172,7 +172,7 @@ def test_readings_find_their_state_by_time(run: Import, tmp_path: Path) -> None:
     # Two states were held at one time: the row is that of the first.
     told = run("channels", str(table), "--map", "force [N]=load[N]", "--time-zone", "Europe/Berlin")
     assert told["states"] == ["S00"]
-    assert campaign_of(tmp_path / "home").states[0].load_n == 2.0
+    assert campaign_of(tmp_path / "home").states[0].measured_load_n == 2.0
 
 
 def test_imports_are_told_again_by_the_archive(run: Import, tmp_path: Path) -> None:
