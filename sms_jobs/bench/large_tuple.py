@@ -243,7 +243,7 @@ def main(folder: Path, threads: int) -> None:
         time.monotonic() - started,
         time.process_time() - used,
         peak_rss_mb(),
-        output.statistics["valid_fraction"],
+        output.statistics["valid_fraction_of_image"],
     )
     sys.stdout.write(json.dumps(vars(taken)) + "\n")
 

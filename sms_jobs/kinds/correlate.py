@@ -32,6 +32,7 @@ from sms_jobs.kinds.point_matches import (
     trusted_points,
 )
 from sms_jobs.kinds.textured_state import TexturedState, interior_of, matched_labels, read_state
+from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation import correlation, displacement
 from sms_jobs.metrology.deformation.correlation import PreparedImages, prepare_images
 from sms_jobs.metrology.deformation.displacement import DenseDisplacement, displacement_field
@@ -225,10 +226,8 @@ def _regions_record(regions: ContinuousRegions) -> Regions:
 def _statistics(field: DisplacementField, matches: ImageMatches, before: TexturedState) -> dict[str, float]:
     """Return what people search by; where nothing is valid, only the fractions."""
     valid = field.reason == Reason.VALID
-    measured = before.cloud.reason == Reason.VALID
     statistics = {
-        "valid_fraction": float(valid.mean()),
-        "valid_fraction_of_shape": float(valid.sum() / max(measured.sum(), 1)),
+        **fractions(valid, (before.cloud.reason == Reason.VALID) & before.of_interest),
         "regions": float(len(before.regions.areas)),
         **match_statistics(matches),
     }
@@ -246,7 +245,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both shapes",
-    version=6,
+    version=7,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     needs=_needs,

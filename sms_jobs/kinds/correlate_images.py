@@ -34,6 +34,7 @@ from sms_jobs.kinds.point_matches import (
     summary,
     trusted_points,
 )
+from sms_jobs.kinds.valid_parts import fractions, textured
 from sms_jobs.metrology.deformation.correlation import Noise, prepare_images
 from sms_jobs.metrology.deformation.displacement import BLEND_RADII, blend_matches
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, match_grid
@@ -192,7 +193,7 @@ def _reasons(
 def _statistics(field: PlanarDisplacement, matches: ImageMatches) -> dict[str, float]:
     """Return what people search by; where nothing is valid, only the fractions."""
     valid = field.reason == Reason.VALID
-    statistics = {"valid_fraction": float(valid.mean()), **match_statistics(matches)}
+    statistics = {**fractions(valid, textured(field.reason)), **match_statistics(matches)}
     if valid.any():
         length = np.hypot(*field.displacement[:, valid])
         statistics |= {
@@ -209,7 +210,7 @@ def _statistics(field: PlanarDisplacement, matches: ImageMatches) -> dict[str, f
 KIND = Kind(
     name="correlate-images",
     summary="displacement in the image from textures alone: one camera, a flat specimen, no fringes",
-    version=2,
+    version=3,
     scope=Scope.TUPLE,
     parameters=CorrelateImagesParameters,
     needs=_needs,

@@ -20,6 +20,7 @@ from sms_jobs.kinds.kind import (
     Scope,
     deformed_states,
 )
+from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.merging import (
     Merged,
     combine_labels,
@@ -35,6 +36,7 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import split_pair
 
 Floats: TypeAlias = NDArray[np.float64]
+Mask: TypeAlias = NDArray[np.bool_]
 
 _DIAGONAL = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
 _VALUES = (
@@ -76,14 +78,16 @@ def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iter
     records: dict[str, Any] = {}
     surfaces: list[tuple[Floats, NDArray[np.int32]]] = []
     values: list[Floats] = []
+    parts: dict[str, float] = {}
     for number, (camera, pairs) in enumerate(inputs.context.items()):
-        field = _merged_camera(inputs, camera, pairs)
+        field, measurable = _merged_camera(inputs, camera, pairs)
         strain = _merged_strain(inputs, pairs)
         labels = combine_labels([inputs.read(f"displacement {p}", "regions", Regions).labels for p in pairs])
         labels[field.reason != Reason.VALID] = 0
         pixels, faces = triangulate_image(labels, parameters.mesh_step_px)
         row, column = pixels.T
         records[camera] = field
+        parts |= _parts(field, measurable)
         surfaces.append((field.xyz[:, row, column].T, faces))
         values.append(_vertex_values(field, strain)[:, row, column])
         progress(0.8 * (number + 1) / len(inputs.context), f"merged {', '.join(pairs)}")
@@ -92,11 +96,14 @@ def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iter
     names, units = zip(*_VALUES, strict=True)
     mesh = Mesh(names, units, vertices, faces, np.concatenate(at_vertices, axis=1))
     progress(1.0, f"joined {len(records)} views")
-    yield DatasetOutput(inputs.subject, {**records, "mesh": mesh}, _statistics(records, mesh))
+    yield DatasetOutput(inputs.subject, {**records, "mesh": mesh}, _statistics(records, mesh) | parts)
 
 
-def _merged_camera(inputs: Inputs, camera: str, pairs: tuple[str, ...]) -> MergedField:
-    """Merge displacement, and the shape where there is displacement, over the pairs of one camera."""
+def _merged_camera(inputs: Inputs, camera: str, pairs: tuple[str, ...]) -> tuple[MergedField, Mask]:
+    """Merge displacement, and the shape where there is displacement, over the pairs of one camera.
+
+    Beside them stands where any of the pairs has a shape.
+    """
     moved = [inputs.read(f"displacement {p}", "displacement", DisplacementField) for p in pairs]
     clouds = [inputs.read(f"reference {p}", "cloud", PointCloud) for p in pairs]
     displacement = _merged([d.displacement for d in moved], [d.covariance for d in moved])
@@ -107,7 +114,7 @@ def _merged_camera(inputs: Inputs, camera: str, pairs: tuple[str, ...]) -> Merge
     missing = displacement.contributors == 0
     reason = np.zeros(missing.shape, dtype=np.uint32)
     reason[missing] = np.bitwise_or.reduce([d.reason for d in moved])[missing]
-    return MergedField(
+    field = MergedField(
         camera,
         pairs,
         displacement.discrepancy_rms,
@@ -118,6 +125,7 @@ def _merged_camera(inputs: Inputs, camera: str, pairs: tuple[str, ...]) -> Merge
         reason,
         displacement.discrepancy.astype(np.float32),
     )
+    return field, np.logical_or.reduce([c.reason == Reason.VALID for c in clouds])
 
 
 def _merged_strain(inputs: Inputs, pairs: tuple[str, ...]) -> Merged:
@@ -149,11 +157,16 @@ def _vertex_values(field: MergedField, strain: Merged) -> Floats:
     )
 
 
+def _parts(field: MergedField, measurable: Mask) -> dict[str, float]:
+    """Return which part of what a camera could measure is valid, and of its image."""
+    found = fractions(field.reason == Reason.VALID, measurable)
+    return {f"{name}_{field.camera}": value for name, value in found.items()}
+
+
 def _statistics(fields: dict[str, MergedField], mesh: Mesh) -> dict[str, float]:
     """Return what people search by; a discrepancy only where pairs overlap."""
     statistics = {"vertices": float(len(mesh.vertices)), "faces": float(len(mesh.faces))}
     for camera, field in fields.items():
-        statistics[f"valid_fraction_{camera}"] = float(np.mean(field.reason == Reason.VALID))
         if np.isfinite(field.discrepancy_rms_mm):
             statistics[f"discrepancy_rms_mm_{camera}"] = field.discrepancy_rms_mm
     if len(mesh.vertices):
@@ -164,7 +177,7 @@ def _statistics(fields: dict[str, MergedField], mesh: Mesh) -> dict[str, float]:
 KIND = Kind(
     name="merge",
     summary="pairs of a camera merged by inverse variance, and all cameras joined into one surface",
-    version=3,
+    version=4,
     scope=Scope.STATE,
     parameters=MergeParameters,
     needs=_needs,

@@ -39,6 +39,7 @@ from sms_jobs.kinds.kind import (
 )
 from sms_jobs.kinds.phase_task import Geometry, PhaseParameters, PhaseTask, mark
 from sms_jobs.kinds.phases import find_phases, sensor_pair
+from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge, large_ray_gap, outside_box
 from sms_jobs.metrology.phase.response import corrected_gradient
@@ -154,10 +155,9 @@ def _as_cloud(camera: str, projector: str, points: Triangulation, reason: Reason
 def _statistics(cloud: PointCloud, phase: PhaseMaps, blur: Blur) -> dict[str, float]:
     """Return what people search by; where nothing is valid, only the fractions."""
     valid = cloud.reason == Reason.VALID
-    bright = (cloud.reason & (Reason.LOW_MODULATION | Reason.OUT_OF_VOLUME)) == 0
+    lit = (cloud.reason & (Reason.LOW_MODULATION | Reason.OUT_OF_VOLUME)) == 0
     statistics = {
-        "valid_fraction": float(valid.mean()),
-        "valid_fraction_of_lit": float(valid.sum() / max(bright.sum(), 1)),
+        **fractions(valid, lit),
         "blur_px": float(np.sqrt(blur.variance)),
     }
     if valid.any():
@@ -204,7 +204,7 @@ def _pair_statistics(cloud: PointCloud, returns: ReturnMaps) -> dict[str, float]
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=5,
+    version=6,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     needs=_needs,

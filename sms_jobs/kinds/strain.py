@@ -18,6 +18,7 @@ from sms_jobs.kinds.kind import (
     Scope,
     deformed_tuples,
 )
+from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.strain import independent_equivalent, surface_strain
 from sms_jobs.records.campaign import Campaign, Subject
@@ -92,13 +93,13 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
         reason,
     )
     progress(1.0, "fitted the strain")
-    yield DatasetOutput(inputs.subject, {"strain": field}, _statistics(field))
+    yield DatasetOutput(inputs.subject, {"strain": field}, _statistics(field, cloud))
 
 
-def _statistics(field: StrainField) -> dict[str, float]:
-    """Return what people search by; where nothing is valid, only the fraction."""
+def _statistics(field: StrainField, cloud: PointCloud) -> dict[str, float]:
+    """Return what people search by; where nothing is valid, only the fractions."""
     valid = field.reason == Reason.VALID
-    statistics = {"valid_fraction": float(valid.mean())}
+    statistics = fractions(valid, cloud.reason == Reason.VALID)
     if valid.any():
         statistics |= {
             "maximum_principal_strain": float(field.principal[0][valid].max()),
@@ -112,7 +113,7 @@ def _statistics(field: StrainField) -> dict[str, float]:
 KIND = Kind(
     name="strain",
     summary="strain in the tangent plane, with principal and equivalent strain, over a stated gauge length",
-    version=2,
+    version=3,
     scope=Scope.TUPLE,
     parameters=StrainParameters,
     needs=_needs,

@@ -21,6 +21,7 @@ from sms_jobs.kinds.kind import (
     deformed_images_alone,
 )
 from sms_jobs.kinds.planes import as_surface
+from sms_jobs.kinds.valid_parts import fractions, textured
 from sms_jobs.metrology.deformation.strain import independent_equivalent, surface_strain
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import StrainMeasure
@@ -87,7 +88,7 @@ def run(inputs: Inputs, parameters: StrainImagesParameters, progress: Progress) 
         reason,
     )
     valid = reason == Reason.VALID
-    statistics = {"valid_fraction": float(valid.mean())}
+    statistics = fractions(valid, textured(reason))
     if valid.any():
         statistics |= {
             "maximum_principal_strain": float(field.principal[0][valid].max()),
@@ -101,7 +102,7 @@ def run(inputs: Inputs, parameters: StrainImagesParameters, progress: Progress) 
 KIND = Kind(
     name="strain-images",
     summary="strain in the plane of the image, from displacement that correlate-images stored",
-    version=1,
+    version=2,
     scope=Scope.TUPLE,
     parameters=StrainImagesParameters,
     needs=_needs,

@@ -157,6 +157,9 @@ def test_only_the_region_of_interest_is_matched(plate: Any) -> None:
     good = inner & (field.reason == Reason.VALID)
     # Subsets end at its edge, as they do at a region's: noisier there, and said so.
     assert 0.7 < np.sqrt(np.mean((length[good] / sigma[good]) ** 2)) < 1.3
+    # What nobody wanted is no loss.
+    assert output.statistics["valid_fraction"] > 0.85
+    assert output.statistics["valid_fraction_of_image"] == pytest.approx(np.mean(field.reason == 0))
     elsewhere = CorrelateParameters(region_of_interest="rectangle 0 0 3 3")
     output = plate.run(correlate.KIND, subject, elsewhere)
     assert len(output.records["matches"].x) == 0

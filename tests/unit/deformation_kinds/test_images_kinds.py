@@ -168,7 +168,7 @@ def test_images_without_texture_give_reasons_and_no_exception() -> None:
     output = ran(correlate_images.KIND, CorrelateImagesParameters(), **given)
     assert (output.records["displacement"].reason == Reason.NO_TEXTURE).all()
     strained = ran(strain_images.KIND, StrainImagesParameters(), displacement=output.records)
-    assert strained.statistics == {"valid_fraction": 0.0}
+    assert strained.statistics == {"valid_fraction": 0.0, "valid_fraction_of_image": 0.0}
 
 
 def test_a_region_of_interest_beside_the_image_is_refused(images: dict[str, dict[str, Any]]) -> None:

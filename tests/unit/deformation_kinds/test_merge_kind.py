@@ -96,4 +96,4 @@ def test_nothing_measured_gives_an_empty_mesh_and_no_error(plate: Any) -> None:
     output = replace(plate, results=results).run(merge.KIND, plate.subject("S01"))
     assert len(output.records["mesh"].faces) == 0
     assert (output.records["C1"].reason == Reason.NO_MATCH).all()
-    assert output.statistics["valid_fraction_C1"] == 0.0
+    assert output.statistics["valid_fraction_C1"] == output.statistics["valid_fraction_of_image_C1"] == 0.0

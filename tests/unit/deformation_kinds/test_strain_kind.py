@@ -53,7 +53,7 @@ def test_a_gauge_shorter_than_a_pixel_finds_no_neighbours(plate: Any) -> None:
     field = output.records["strain"]
     moved = plate.results["correlate", plate.subject("S01", PAIR)]["displacement"]
     assert (field.reason[moved.reason == Reason.VALID] == Reason.TOO_FEW_NEIGHBOURS).all()
-    assert output.statistics == {"valid_fraction": 0.0}
+    assert output.statistics == {"valid_fraction": 0.0, "valid_fraction_of_image": 0.0}
 
 
 def test_the_axis_is_the_specimens(plate: Any) -> None:
