@@ -139,7 +139,7 @@ def show(
     if plan and not as_json:
         if row.plan is None:
             raise NotFound(f"campaign {name} was made by a program, not from a test plan")
-        sys.stdout.write(row.plan)
+        output.print_text(row.plan)
         return
     campaign = campaigns.definition(row)
     if as_json:

@@ -50,7 +50,7 @@ def check(home: Home = None, as_json: Json = False) -> None:
         output.print_json({"revision": revision, "differences": differences})
     else:
         for difference in differences or [f"revision {revision}, no difference"]:
-            output.answer.print(difference, markup=False)
+            output.print_sentence(difference)
     if differences:
         raise typer.Exit(_FINDINGS)
 

@@ -169,7 +169,7 @@ def frames(
         table = with_options({} if layout is None else load_layout(layout), given)
         guess = guess_layout(listing, table, None if existing is None else existing.sequence)
         if print_layout:
-            typer.echo(guess.as_toml(), nl=False)
+            output.print_text(guess.as_toml())
             return
         named = "the layout" if layout is None else str(layout)
         run = _Import(services, task, listing, layout_of(guess.table, named), existing, _planned(task))

@@ -236,7 +236,7 @@ def _tell(table: Table, entered: _Entered, wanted: _Wanted, as_json: bool) -> No
         if len(entered.left_out) > _TOLD:
             output.say(f"left out: {len(entered.left_out) - _TOLD} more; --json lists all")
         for change in entered.changes:
-            output.answer.print(change, markup=False)
+            output.print_sentence(change)
         end = f"campaign {wanted.campaign} is brought up to date"
         if wanted.dry_run or not entered.changes:
             end = "nothing was changed"

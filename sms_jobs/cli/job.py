@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any
@@ -247,7 +246,7 @@ def logs(job: JobId, home: Home = None) -> None:
             row = inquiry.find_job(session, job)
         path = job_log(services.settings.job_log_folder, row.id)
     if path.exists():
-        sys.stdout.write(path.read_text(encoding="utf-8"))
+        output.print_text(path.read_text(encoding="utf-8", errors="backslashreplace"))
     else:
         output.say(
             f"job {row.id[: inquiry.SHORT]} is {row.state.value} and has written no log: there is no {path}"
@@ -276,7 +275,7 @@ def watch(
 
         counted = wait_for(services.catalogue, ids, None, tell, workers=services.settings.workers)
     if not as_json:
-        output.answer.print(", ".join(f"{n} {s}" for s, n in counted.items()) or "no job is active")
+        output.print_sentence(", ".join(f"{n} {s}" for s, n in counted.items()) or "no job is active")
 
 
 @app.command()
@@ -352,7 +351,7 @@ def explain(job: JobId, home: Home = None, as_json: Json = False) -> None:
         output.print_json({"job": row.id, "explanation": sentences})
         return
     for sentence in sentences:
-        output.answer.print(sentence, markup=False, soft_wrap=True)
+        output.print_sentence(sentence)
 
 
 def _items(mapping: Any) -> list[tuple[str, Any]]:

@@ -70,5 +70,5 @@ class KindCommand(TyperCommand):
         for word in ctx.meta.get(_WORDS, ()):
             kind = all_kinds().get(word)
             if kind is not None and kind.parameters.model_fields:
-                output.answer.print(f"Parameters of {kind.name}: {kind.summary}", markup=False)
+                output.print_sentence(f"Parameters of {kind.name}: {kind.summary}")
                 output.print_table(["option", "default", "meaning"], parameter_rows(kind), empty="")

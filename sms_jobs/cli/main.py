@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from typing import Annotated
@@ -10,8 +11,8 @@ import typer
 from typer.exceptions import TyperException
 
 import sms_jobs
+from sms_jobs.cli import output
 from sms_jobs.cli.commands import Commands
-from sms_jobs.cli.output import remarks
 from sms_jobs.errors import SmsError
 
 _INTERRUPTED = 130
@@ -47,6 +48,10 @@ def _options(
 
 def main() -> None:
     """Run the command line; exit codes are those of `sms_jobs.errors`."""
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that lacks a letter is shown its number.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         code = app(standalone_mode=False)
     except SmsError as error:
@@ -59,7 +64,7 @@ def main() -> None:
         hint = f"; see '{context.command_path} --help'" if context is not None else ""
         _refuse(error, f"{error.format_message().rstrip('.')}{hint}", error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
-        remarks.print("interrupted")
+        output.say("interrupted")
         sys.exit(_INTERRUPTED)
     except BrokenPipeError:
         # Whoever read our output has enough of it.
@@ -73,7 +78,7 @@ def main() -> None:
 def _refuse(error: Exception, text: str, code: int) -> None:
     if os.environ.get("SMS_DEBUG"):
         raise error
-    remarks.print(f"[red]error:[/red] {text.replace('[', chr(92) + '[')}", soft_wrap=True)
+    output.say_error(text)
     sys.exit(code)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ipaddress
 import socket
-import sys
 from datetime import UTC, datetime
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -37,7 +36,7 @@ def metrics(
     """
     with bootstrap.services(home) as services:
         if once:
-            sys.stdout.write(served(services))
+            output.print_text(served(services))
             return
         server = _Server(services, address, port)
         host, listening = server.server_address[:2]

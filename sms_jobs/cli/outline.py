@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from sms_jobs.cli import output
+
 
 def outline(
     mask: Annotated[
@@ -29,4 +31,4 @@ def outline(
     # OpenCV reads the image; no other command of data needs it.
     from sms_jobs.formats.masks import region_of_mask
 
-    typer.echo(region_of_mask(mask, above, least_px))
+    output.print_text(region_of_mask(mask, above, least_px) + "\n")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, is_dataclass
@@ -25,8 +26,9 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 from rich.table import Table
+from rich.text import Text
 
-from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.records.texts import harmless
 
 SCHEMA = 1
 """Version of every JSON object that is printed."""
@@ -42,8 +44,12 @@ Home = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
 
-answer = Console(soft_wrap=False, highlight=False)
-remarks = Console(stderr=True, highlight=False)
+answer = Console(soft_wrap=False, highlight=False, markup=False, emoji=False)
+remarks = Console(stderr=True, highlight=False, markup=False, emoji=False)
+"""Neither takes anything in a text for an instruction: names are given by people, and files by strangers."""
+
+_LONGEST_REFUSAL = 2_000
+_ESCAPED = re.compile("[\x7f-\x9f\ud800-\udfff\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 
 def print_json(value: dict[str, Any]) -> None:
@@ -58,8 +64,19 @@ def print_json_list(values: Iterable[Any]) -> None:
 
 def print_line(value: Any) -> None:
     """Print one JSON value on one line, at once."""
-    sys.stdout.write(json.dumps(_plain(value), ensure_ascii=False) + "\n")
+    line = json.dumps(_plain(value), ensure_ascii=False)
+    sys.stdout.write(_ESCAPED.sub(lambda found: f"\\u{ord(found[0]):04x}", line) + "\n")
     sys.stdout.flush()
+
+
+def print_text(text: str) -> None:
+    """Print a text as it is, line by line: a plan, a log, a table for another program."""
+    sys.stdout.write(harmless(text))
+
+
+def print_sentence(text: str) -> None:
+    """Print one line of an answer that is no table."""
+    answer.print(harmless(text), soft_wrap=True)
 
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, empty: str) -> None:
@@ -73,31 +90,41 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, empty:
         say(empty)
 
 
-def check_written(out: Path, endings: tuple[str, str], force: bool) -> None:
-    """Refuse a file to write that ends otherwise, or is there and may not be replaced."""
-    if out.suffix not in endings:
-        raise InvalidInput(f"'{out}' must end in {' or '.join(endings)}")
-    if out.exists() and not force:
-        raise Conflict(f"{out} exists; choose another name or add --force")
-
-
 def print_facts(facts: dict[str, Any]) -> None:
     """Print names and values, one a line."""
     width = max(map(len, facts))
     for name, value in facts.items():
         # Not folded: paths and hashes are copied from here.
-        answer.print(f"[bold]{shown(f'{name:<{width}}')}[/bold]  {shown(value)}", soft_wrap=True)
+        answer.print(Text.assemble((harmless(f"{name:<{width}}"), "bold"), "  ", shown(value)), soft_wrap=True)
 
 
 def say(text: str) -> None:
     """Tell the person something that is not the answer."""
-    remarks.print(text, markup=False, soft_wrap=True)
+    remarks.print(harmless(text), soft_wrap=True)
+
+
+def say_error(text: str) -> None:
+    """Tell the person what is refused; what they gave stands in it, and is cut where it is endless."""
+    if len(text) > _LONGEST_REFUSAL:
+        half = _LONGEST_REFUSAL // 2
+        text = f"{text[:half]} ... ({len(text)} letters) ... {text[-half:]}"
+    remarks.print(Text.assemble(("error:", "red"), " ", harmless(text)), soft_wrap=True)
 
 
 def log_to_stderr() -> None:
     """Let a service tell on stderr what it does; libraries speak up only when something is wrong."""
-    logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(levelname)s %(message)s")
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Formatter("%(asctime)s %(levelname)s %(message)s"))
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
     logging.getLogger("sms_jobs").setLevel(logging.INFO)
+
+
+class _Formatter(logging.Formatter):
+    """Formats what a service tells so that it cannot steer a terminal."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
+        return harmless(super().format(record))
 
 
 def shown(value: Any) -> str:
@@ -110,7 +137,7 @@ def shown(value: Any) -> str:
         return value.astimezone().strftime("%Y-%m-%d %H:%M:%S")
     if isinstance(value, float):
         return f"{value:.4g}"
-    return str(value).replace("[", "\\[")
+    return harmless(str(value))
 
 
 def size(count: int) -> str:
@@ -149,7 +176,7 @@ def clock(at: datetime, now: datetime) -> str:
 def progress_bar() -> Progress:
     """Return a progress bar on stderr, with counts and time left; silent when nobody watches."""
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
@@ -162,11 +189,11 @@ def progress_bar() -> Progress:
 def job_bar() -> Progress:
     """Return a progress bar on stderr whose rate and time left are told by its task's field `pace`."""
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
-        TextColumn("{task.fields[pace]}"),
+        TextColumn("{task.fields[pace]}", markup=False),
         console=remarks,
         disable=not remarks.is_terminal,
     )
@@ -175,7 +202,7 @@ def job_bar() -> Progress:
 def byte_bar() -> Progress:
     """Return a progress bar on stderr, with bytes, rate and time left; silent when nobody watches."""
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         DownloadColumn(),
         TransferSpeedColumn(),

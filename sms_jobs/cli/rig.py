@@ -93,7 +93,7 @@ def show(rig: Rig, home: Home = None) -> None:
     with bootstrap.services(home) as services:
         services.stations.rig(rig)
         path = services.settings.rig_folder / f"{rig}.toml"
-    sys.stdout.write(path.read_text("utf-8"))
+    output.print_text(path.read_text("utf-8"))
 
 
 @app.command()

@@ -145,7 +145,7 @@ def next_(
         output.print_json({"schedule": name, "times": times})
         return
     for moment in times:
-        output.answer.print(output.shown(moment))
+        output.print_sentence(output.shown(moment))
 
 
 @app.command()
