@@ -42,6 +42,7 @@ _BEAT_EVERY_S = ALIVE_WITHIN.total_seconds() / 3
 """Or more often, where leases are shorter."""
 _ANALYSE_EVERY_S = 3600.0
 _PATIENCE_WITH_BROKER_S = 5.0
+_QUEUE_READY_EVERY_S = 30.0
 _PATIENCE_WITH_JOBS_S = 600.0
 """How long jobs that run may take to end when the service is told to."""
 
@@ -81,18 +82,10 @@ class Supervisor:
         """Serve until a signal asks to stop, or, if wished, until no job is left that can run."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._ask_to_stop)
-        with self._services.catalogue.writing() as session:
-            recovery.register_worker(
-                session,
-                self.worker_id,
-                socket.gethostname(),
-                os.getpid(),
-                self._served,
-                self._settings.workers,
-                datetime.now(UTC),
-                origin=self._origin,
-                lease=timedelta(seconds=self._settings.lease_s),
-            )
+        while not self._done(self._register):
+            time.sleep(_TICK_S)
+            if self._stop_asked:
+                return
         publisher = Publisher(self._app, self._services.catalogue, self._settings.workers)
         watch = ArchiveWatch(self._services, self.worker_id)
         publisher.start()
@@ -105,8 +98,22 @@ class Supervisor:
             self._stop()
             publisher.join(timeout=_PATIENCE_WITH_BROKER_S)
 
+    def _register(self) -> None:
+        with self._services.catalogue.writing() as session:
+            recovery.register_worker(
+                session,
+                self.worker_id,
+                socket.gethostname(),
+                os.getpid(),
+                self._served,
+                self._settings.workers,
+                datetime.now(UTC),
+                origin=self._origin,
+                lease=timedelta(seconds=self._settings.lease_s),
+            )
+
     def _serve(self, until_idle: bool) -> None:
-        beat_at = recover_at = analyse_at = 0.0
+        beat_at = recover_at = analyse_at = queue_ready_at = 0.0
         while not self._stop_asked:
             moment = time.monotonic()
             if moment >= beat_at and self._done(self._beat):
@@ -114,6 +121,9 @@ class Supervisor:
             if moment >= analyse_at:
                 analyse_at = moment + _ANALYSE_EVERY_S
                 self._done(self._analyse)
+            if moment >= queue_ready_at:
+                queue_ready_at = moment + _QUEUE_READY_EVERY_S
+                self._done(self._queue_ready)
             if moment >= recover_at:
                 duties = (
                     self._look_for_rigs,
@@ -173,6 +183,10 @@ class Supervisor:
         for job_id in lost:
             logger.warning("job %s was lost", job_id)
 
+    def _queue_ready(self) -> None:
+        for job_id in recovery.queue_ready(self._services.catalogue, datetime.now(UTC)):
+            logger.warning("job %s had all that it needs and was not queued", job_id)
+
     def _enforce(self) -> None:
         """Ask jobs that take too much to stop, and end those that do not."""
         self._running = None
@@ -188,9 +202,7 @@ class Supervisor:
             self._places.end(job.pid, job.force)
 
     def _fire_schedules(self) -> None:
-        with self._services.catalogue.writing() as session:
-            fired = schedules.fire_due(session, datetime.now(UTC))
-        for one in fired:
+        for one in schedules.fire_due(self._services.catalogue, datetime.now(UTC)):
             logger.info("schedule %s, %s: %s", one.schedule, one.fire_time, one.outcome)
 
     def _analyse(self) -> None:

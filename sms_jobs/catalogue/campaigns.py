@@ -71,6 +71,11 @@ def describe_state(row: LoadStateRow, state: LoadState) -> None:
     row.time = state.time
 
 
+def number_of_campaigns(session: Session) -> int:
+    """Return how many campaigns there are."""
+    return session.scalar(select(func.count()).select_from(CampaignRow)) or 0
+
+
 def refuse_taken_name(session: Session, name: str) -> None:
     """Raise `Conflict` where there is a campaign of that name."""
     if session.scalar(select(CampaignRow.id).where(CampaignRow.name == name)) is not None:

@@ -297,6 +297,8 @@ class JobRow(Table):
         Index("ix_job_next", "state", desc("priority"), "position", "queue"),
         Index(None, "kind", "finished_at"),
         Index(None, "campaign_id", "position"),
+        # All that counting the jobs of a campaign or submission asks for.
+        Index(None, "campaign_id", "state", "submitted_at"),
         Index(None, "reuse_key", "state"),
         Index(None, "worker_id", "state"),
     )

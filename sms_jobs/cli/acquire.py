@@ -20,9 +20,10 @@ from sms_jobs.cli.waiting import unsuccessful, wait_for
 from sms_jobs.errors import Conflict, InvalidInput, JobFailed
 from sms_jobs.instruments.holding import Hold, HoldDetector
 from sms_jobs.jobs import inquiry, lifecycle, recordings
+from sms_jobs.jobs.chosen import Chosen, named, submitted
 from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.recordings import state_value
-from sms_jobs.jobs.submission import Submission, submit
+from sms_jobs.jobs.submission import Submission, submit_to
 from sms_jobs.kinds.acquire import KIND
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.job import JobState
@@ -110,13 +111,13 @@ def run(
             requests = _requests(turn.labels, ask, at_once)
             done = _submitted(services, campaign, requests)
             if not as_json:
-                count = len(_recordings_of(done))
+                count = done.kinds.count(KIND.name)
                 output.say(f"submitted {count} recordings" + (", each to be processed" if at_once else ""))
             if no_wait:
                 if as_json:
                     output.print_json({"campaign": campaign, "jobs": done.job_ids})
                 return
-            if not followed.succeeded(_recordings_of(done)):
+            if not followed.succeeded(submitted(done, KIND.name)):
                 break
         followed.end()
         if at_the_end:
@@ -139,8 +140,7 @@ def _rehearse(services: Services, plan: Campaign, states: list[LoadState], as_js
 
 
 def _submitted(services: Services, campaign: str, requests: list[Request]) -> Submission:
-    with services.catalogue.writing() as session:
-        return submit(session, campaign, requests, datetime.now(UTC))
+    return submit_to(services.catalogue, campaign, requests, datetime.now(UTC))
 
 
 @app.command()
@@ -203,7 +203,7 @@ def follow(
             else:
                 typer.prompt(f"{state.label}: Enter records it", default="", show_default=False, err=True)
             done = _submitted(services, campaign, _requests((state.label,), ask, process))
-            _follow(services, _recordings_of(done), as_json=False)
+            _follow(services, submitted(done, KIND.name), as_json=False)
 
 
 def _wait_for_hold(services: Services, rig: str, channel: str, hold: Hold) -> None:
@@ -256,7 +256,7 @@ def resume(
                 raise Conflict(f"job {row.id[:8]} has no doubtful set to record again; leave out --retake")
             lifecycle.retry(session, row.id, datetime.now(UTC))
             job_id = row.id
-        _follow(services, [job_id], as_json)
+        _follow(services, named([job_id]), as_json)
 
 
 @app.command()
@@ -285,10 +285,6 @@ def _requests(states: tuple[str, ...], ask: bool, process: bool) -> list[Request
     return [recording, Request(PIPELINE, {}, states)] if process else [recording]
 
 
-def _recordings_of(done: Submission) -> list[str]:
-    return [i for i, kind in zip(done.job_ids, done.kinds, strict=True) if kind == KIND.name]
-
-
 def _recording(session: Session, prefix: str) -> JobRow:
     row = inquiry.find_job(session, prefix)
     if row.kind != KIND.name:
@@ -296,10 +292,10 @@ def _recording(session: Session, prefix: str) -> JobRow:
     return row
 
 
-def _follow(services: Services, ids: list[str], as_json: bool) -> None:
+def _follow(services: Services, some: Chosen, as_json: bool) -> None:
     """Wait for recordings and say what became of them; raise `JobFailed` when one did not succeed."""
     followed = _Followed(services, as_json)
-    followed.succeeded(ids)
+    followed.succeeded(some)
     followed.end()
 
 
@@ -309,18 +305,18 @@ class _Followed:
     def __init__(self, services: Services, as_json: bool) -> None:
         self._services = services
         self._as_json = as_json
-        self._ids: list[str] = []
+        self._turns: list[Chosen] = []
         self._counted: Counter[str] = Counter()
 
-    def succeeded(self, ids: list[str]) -> bool:
+    def succeeded(self, some: Chosen) -> bool:
         """Wait for some recordings, and return whether all of them succeeded."""
-        counted = wait_for(self._services.catalogue, ids, None, workers=self._services.settings.workers)
-        self._ids += ids
+        counted = wait_for(self._services.catalogue, some, None, workers=self._services.settings.workers)
+        self._turns.append(some)
         self._counted += Counter(counted)
         if not self._as_json:
             output.print_table(
                 ["recorded", "lit", "saturated", "modulation", "verdict"],
-                [(v.subject, *_words(v.statistics)) for v in self._verdicts(ids)],
+                [(v.subject, *_words(v.statistics)) for v in self._verdicts(some)],
                 empty="nothing was recorded",
             )
         return not unsuccessful(counted)
@@ -328,16 +324,17 @@ class _Followed:
     def end(self) -> None:
         """Tell programs what became of all; raise `JobFailed` when one did not succeed."""
         if self._as_json:
-            output.print_json({"jobs": dict(self._counted), "recorded": self._verdicts(self._ids)})
+            recorded = [verdict for turn in self._turns for verdict in self._verdicts(turn)]
+            output.print_json({"jobs": dict(self._counted), "recorded": recorded})
         failed = unsuccessful(self._counted)
         if failed:
             with self._services.catalogue.reading() as session:
-                why = inquiry.first_failure(session, self._ids)
-            raise JobFailed(f"{failed} of {len(self._ids)} recordings did not succeed; {why}")
+                why = inquiry.failure(session, self._turns[-1])
+            raise JobFailed(f"{failed} of {self._counted.total()} recordings did not succeed; {why}")
 
-    def _verdicts(self, ids: list[str]) -> list[recordings.PairVerdict]:
+    def _verdicts(self, some: Chosen) -> list[recordings.PairVerdict]:
         with self._services.catalogue.reading() as session:
-            return recordings.verdicts(session, ids)
+            return recordings.verdicts(session, some)
 
 
 def _words(statistics: dict[str, float]) -> tuple[str, str, str, str]:

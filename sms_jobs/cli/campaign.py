@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -16,6 +16,7 @@ from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats import configuration
 from sms_jobs.jobs import inquiry
+from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.registration import register_campaign
 
 app = typer.Typer(
@@ -77,28 +78,18 @@ def create(
 
 
 @app.command("list")
-def list_(home: Home = None, as_json: Json = False) -> None:
-    """Show all campaigns.
+def list_(
+    limit: Annotated[int, typer.Option(help="At most so many, the newest.", min=1, max=100_000)] = 50,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Show campaigns, the newest first.
 
-    Example: sms campaign list --json
+    Example: sms campaign list --limit 200
     """
-    rows: list[dict[str, Any]] = []
     with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        for name in inquiry.campaign_names(session):
-            row = campaigns.campaign_row(session, name)
-            record = campaigns.definition(row)
-            jobs = inquiry.counts(session, campaign=name)
-            rows.append(
-                {
-                    "campaign": name,
-                    "specimen": record.specimen.name,
-                    "rig": record.rig,
-                    "states": len(record.states),
-                    "pairs": len(record.pairs),
-                    "created_at": row.created_at,
-                    "jobs": jobs,
-                }
-            )
+        rows = inquiry.list_campaigns(session, limit)
+        total = campaigns.number_of_campaigns(session)
     if as_json:
         output.print_json_list(rows)
         return
@@ -106,18 +97,20 @@ def list_(home: Home = None, as_json: Json = False) -> None:
         ["campaign", "specimen", "rig", "states", "pairs", "created", "jobs"],
         [
             (
-                r["campaign"],
-                r["specimen"],
-                r["rig"],
-                r["states"],
-                r["pairs"],
-                r["created_at"],
-                ", ".join(f"{n} {s}" for s, n in r["jobs"].items()),
+                r.campaign,
+                r.specimen,
+                r.rig,
+                r.states,
+                r.pairs,
+                r.created_at,
+                ", ".join(f"{n} {s}" for s, n in r.jobs.items()),
             )
             for r in rows
         ],
         empty="there is no campaign yet; see 'sms campaign create --help'",
     )
+    if total > len(rows):
+        output.say(f"the newest {len(rows)} of {total} campaigns; --limit shows more")
 
 
 @app.command()
@@ -135,7 +128,7 @@ def show(
     """
     with bootstrap.services(home) as services, services.catalogue.reading() as session:
         row = campaigns.campaign_row(session, name)
-        jobs = inquiry.counts(session, campaign=name)
+        jobs = inquiry.counts(session, Chosen(campaign_id=row.id))
     if plan and not as_json:
         if row.plan is None:
             raise NotFound(f"campaign {name} was made by a program, not from a test plan")

@@ -25,10 +25,10 @@ from sms_jobs.cli import output
 from sms_jobs.cli.output import Json
 from sms_jobs.cli.waiting import succeeded, unsuccessful, wait_for
 from sms_jobs.errors import JobFailed, SmsError
-from sms_jobs.jobs import inquiry
+from sms_jobs.jobs import chosen, inquiry
 from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.submission import submit_to
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
@@ -83,17 +83,17 @@ def demo(
             if not as_json:
                 output.say(f"calibration {number} is in use; measuring with it: {len(measuring)} jobs")
             _succeed(services, measuring, still_there, home)
-        ids = [*calibrating, *recording, *measuring]
+        all_jobs = chosen.named([*calibrating, *recording, *measuring])
         known = calibrations.known_calibration(services.catalogue, services.archive, number)
         with services.catalogue.reading() as reading:
-            counted = inquiry.counts(reading, ids)
+            counted = inquiry.counts(reading, all_jobs)
             summary = {
                 "campaign": test.name,
                 "home": str(home),
                 "jobs": {
                     "succeeded": succeeded(counted),
                     "failed": unsuccessful(counted),
-                    "reused": inquiry.reused(reading, ids),
+                    "reused": inquiry.reused(reading, all_jobs),
                 },
                 "seconds": round(time.monotonic() - started, 1),
                 "calibration": _calibration(session, known),
@@ -120,17 +120,17 @@ def _register(services: Services, campaign: Campaign) -> None:
 
 
 def _submit(services: Services, campaign: str, requests: list[Request]) -> tuple[str, ...]:
-    with services.catalogue.writing() as session:
-        return submit(session, campaign, requests, datetime.now(UTC)).job_ids
+    return submit_to(services.catalogue, campaign, requests, datetime.now(UTC)).job_ids
 
 
 def _succeed(services: Services, ids: Sequence[str], still_there: Callable[[], None], home: Path) -> None:
     """Wait for jobs; raise `JobFailed` unless all succeed."""
-    failures = unsuccessful(wait_for(services.catalogue, ids, None, still_there=still_there))
+    some = chosen.named(ids)
+    failures = unsuccessful(wait_for(services.catalogue, some, None, still_there=still_there))
     if failures:
         with services.catalogue.reading() as session:
-            first = inquiry.first_failure(session, ids)
-        raise JobFailed(f"{failures} jobs of the demo did not succeed; {first} --home {home}")
+            last = inquiry.failure(session, some)
+        raise JobFailed(f"{failures} jobs of the demo did not succeed; {last} --home {home}")
 
 
 def _calibration(session: Campaign, known: KnownCalibration) -> dict[str, Any]:

@@ -16,11 +16,12 @@ from sms_jobs.cli.kind_options import CONTEXT, KindCommand, split_words
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import Outlook, outlook, told, unsuccessful, wait_for
 from sms_jobs.errors import Conflict, InvalidInput, JobFailed
-from sms_jobs.jobs import inquiry, lifecycle
-from sms_jobs.jobs.estimates import estimate
+from sms_jobs.jobs import chosen, crowds, inquiry, lifecycle
+from sms_jobs.jobs.chosen import Chosen
+from sms_jobs.jobs.estimates import Estimate, estimate_planned
 from sms_jobs.jobs.logs import job_log
 from sms_jobs.jobs.planning import PIPELINE, Request
-from sms_jobs.jobs.submission import submit as submit_requests
+from sms_jobs.jobs.submission import Submission, draft, enter, while_outdated
 from sms_jobs.kinds import all_kinds
 from sms_jobs.records.job import JobState
 
@@ -97,19 +98,7 @@ def submit(
     parameters = given_parameters([*settings, *(parameter or [])])
     requests = requested(kind, parameters, tuple(state or ()), tuple(pair or ()))
     with bootstrap.services(home) as services:
-        with services.catalogue.writing() as session:
-            now = datetime.now(UTC)
-            done = submit_requests(
-                session, campaign, requests, now, priority=priority, use_cache=not no_cache
-            )
-            if dry_run:
-                ahead = estimate(session, done.job_ids, now, services.settings.workers)
-                session.rollback()
-        if not dry_run:
-            if len(done.job_ids) >= upkeep.MANY:
-                upkeep.analyse(services.catalogue)
-            with services.catalogue.reading() as session:
-                ahead = estimate(session, done.job_ids, now, services.settings.workers)
+        done, ahead = _planned(services, campaign, requests, priority, not no_cache, dry_run)
         counted = {name: done.kinds.count(name) for name in dict.fromkeys(done.kinds)}
         if as_json and dry_run:
             output.print_json({"campaign": campaign, "jobs": counted, "estimate": ahead})
@@ -122,7 +111,33 @@ def submit(
             if counted:
                 output.say(told(ahead))
         if wait:
-            _wait(services, done.job_ids, None, as_json)
+            _wait(services, chosen.submitted(done), None, as_json)
+
+
+def _planned(
+    services: Services,
+    campaign: str,
+    requests: Sequence[Request],
+    priority: int,
+    use_cache: bool,
+    dry_run: bool,
+) -> tuple[Submission, Estimate]:
+    """Plan jobs and tell how long they take; enter them, unless that is all that is asked for."""
+    now = datetime.now(UTC)
+
+    def attempt() -> tuple[Submission, Estimate]:
+        with services.catalogue.reading() as session:
+            planned = draft(session, campaign, requests, now, priority=priority, use_cache=use_cache)
+            ahead = estimate_planned(session, planned, now, services.settings.workers)
+        if dry_run:
+            return planned.submission, ahead
+        with services.catalogue.writing() as session:
+            return enter(session, planned), ahead
+
+    done, ahead = while_outdated(attempt)
+    if not dry_run and len(done.job_ids) >= upkeep.MANY:
+        upkeep.analyse(services.catalogue)
+    return done, ahead
 
 
 @app.command()
@@ -172,8 +187,11 @@ def list_(
     """
     with bootstrap.services(home) as services, services.catalogue.reading() as session:
         jobs = inquiry.list_jobs(session, campaign=campaign, states=state or (), kind=kind, limit=limit)
-        active = inquiry.active(session, campaign) if campaign is not None and not as_json else []
-        ahead = outlook(session, active, services.settings.workers) if active else None
+        active, ahead = 0, None
+        if campaign is not None and not as_json:
+            scope = chosen.of_campaign(session, campaign)
+            active = inquiry.still_active(inquiry.counts(session, scope))
+            ahead = outlook(session, scope, services.settings.workers) if active else None
     if as_json:
         output.print_json_list(jobs)
         return
@@ -194,7 +212,7 @@ def list_(
         empty="there is no such job",
     )
     if ahead is not None:
-        output.say(f"{len(active)} jobs of {campaign} have not ended: {ahead}")
+        output.say(f"{active} jobs of {campaign} have not ended: {ahead}")
 
 
 @app.command()
@@ -267,13 +285,13 @@ def watch(
     Example: sms job watch -c wing-fatigue
     """
     with bootstrap.services(home) as services:
-        ids = named_jobs(services, jobs or [], campaign)
+        followed = named_jobs(services, jobs or [], campaign)
 
         def tell(counted: dict[str, int], ahead: Outlook | None) -> None:
             if as_json:
                 output.print_json({"jobs": counted} | ({} if ahead is None else ahead.as_json()))
 
-        counted = wait_for(services.catalogue, ids, None, tell, workers=services.settings.workers)
+        counted = wait_for(services.catalogue, followed, None, tell, workers=services.settings.workers)
     if not as_json:
         output.print_sentence(", ".join(f"{n} {s}" for s, n in counted.items()) or "no job is active")
 
@@ -309,12 +327,11 @@ def cancel(
     if not jobs and campaign is None:
         raise InvalidInput("name the jobs to cancel, or a campaign with --campaign")
     with bootstrap.services(home) as services:
-        ids = named_jobs(services, jobs or [], campaign)
-        with services.catalogue.writing() as session:
-            cancelled = [i for i in ids if lifecycle.cancel(session, i, datetime.now(UTC))]
+        some = named_jobs(services, jobs or [], campaign)
+        cancelled = crowds.cancel(services.catalogue, some, datetime.now(UTC))
     if jobs and not cancelled:
         raise Conflict("these jobs have ended already; nothing was cancelled")
-    output.say(f"cancelled {len(cancelled)} jobs")
+    output.say(f"cancelled {cancelled} jobs")
 
 
 @app.command()
@@ -329,12 +346,14 @@ def retry(
     """
     if not jobs and campaign is None:
         raise InvalidInput("name the jobs to retry, or a campaign with --campaign")
-    with bootstrap.services(home) as services, services.catalogue.writing() as session:
-        if jobs:
-            ids = [inquiry.find_job(session, prefix).id for prefix in jobs]
+    with bootstrap.services(home) as services:
+        now = datetime.now(UTC)
+        if campaign is not None and not jobs:
+            count = crowds.retry(services.catalogue, campaign, now)
         else:
-            ids = inquiry.retryable(session, campaign or "")
-        count = sum(lifecycle.retry(session, job_id, datetime.now(UTC)) for job_id in ids)
+            with services.catalogue.writing() as session:
+                ids = inquiry.find_jobs(session, jobs or [])
+                count = sum(lifecycle.retry(session, job_id, now) for job_id in ids)
     output.say(f"{count} jobs run again")
 
 
@@ -390,16 +409,16 @@ def given_parameters(settings: Sequence[str]) -> dict[str, Any]:
     return parameters
 
 
-def named_jobs(services: Services, prefixes: Sequence[str], campaign: str | None) -> list[str]:
-    """Return the ids of the named jobs; if none is named, of all active ones, or of a campaign's."""
+def named_jobs(services: Services, prefixes: Sequence[str], campaign: str | None) -> Chosen:
+    """Choose the named jobs; if none is named, all active ones, or a campaign's."""
     with services.catalogue.reading() as session:
         if prefixes:
-            return [inquiry.find_job(session, prefix).id for prefix in prefixes]
-        return inquiry.active(session, campaign)
+            return chosen.named(inquiry.find_jobs(session, prefixes))
+        return chosen.active_now(session, campaign)
 
 
-def _wait(services: Services, ids: Sequence[str], timeout: float | None, as_json: bool) -> None:
-    counted = wait_for(services.catalogue, ids, timeout, workers=services.settings.workers)
+def _wait(services: Services, waited_for: Chosen, timeout: float | None, as_json: bool) -> None:
+    counted = wait_for(services.catalogue, waited_for, timeout, workers=services.settings.workers)
     if as_json:
         output.print_json({"jobs": counted})
     else:
@@ -409,5 +428,5 @@ def _wait(services: Services, ids: Sequence[str], timeout: float | None, as_json
     failures = unsuccessful(counted)
     if failures:
         with services.catalogue.reading() as session:
-            first = inquiry.first_failure(session, ids)
-        raise JobFailed(f"{failures} of {len(ids)} jobs did not succeed; {first}")
+            last = inquiry.failure(session, waited_for)
+        raise JobFailed(f"{failures} of {sum(counted.values())} jobs did not succeed; {last}")

@@ -95,7 +95,9 @@ def print_facts(facts: dict[str, Any]) -> None:
     width = max(map(len, facts))
     for name, value in facts.items():
         # Not folded: paths and hashes are copied from here.
-        answer.print(Text.assemble((harmless(f"{name:<{width}}"), "bold"), "  ", shown(value)), soft_wrap=True)
+        answer.print(
+            Text.assemble((harmless(f"{name:<{width}}"), "bold"), "  ", shown(value)), soft_wrap=True
+        )
 
 
 def say(text: str) -> None:

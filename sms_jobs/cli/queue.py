@@ -15,6 +15,7 @@ from sms_jobs.cli.job import Campaign, JobIds, named_jobs
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs import queues
+from sms_jobs.jobs.chosen import Chosen
 
 app = typer.Typer(help="Queues: what may begin, and in which order.", no_args_is_help=True)
 
@@ -84,9 +85,9 @@ def move(
     Example: sms queue move front 3f2a
     """
     with bootstrap.services(home) as services:
-        ids = _jobs(services, jobs, campaign)
+        some = _jobs(services, jobs, campaign)
         with services.catalogue.writing() as session:
-            count = queues.move(session, ids, to)
+            count = queues.move(session, some, to)
     output.say(f"moved {count} jobs to the {to}")
 
 
@@ -108,9 +109,9 @@ def priority(
             f"a priority of {value} is beyond +-{queues.HIGHEST_PRIORITY}; give one between these"
         )
     with bootstrap.services(home) as services:
-        ids = _jobs(services, jobs, campaign)
+        some = _jobs(services, jobs, campaign)
         with services.catalogue.writing() as session:
-            count = queues.set_priority(session, ids, value)
+            count = queues.set_priority(session, some, value)
     if not count:
         raise Conflict("these jobs have begun or ended already; nothing was changed")
     output.say(f"gave {count} jobs the priority {value}")
@@ -124,7 +125,7 @@ def _checked(session: Session, names: list[str] | None) -> list[str]:
     return names or known
 
 
-def _jobs(services: Services, jobs: list[str] | None, campaign: str | None) -> list[str]:
+def _jobs(services: Services, jobs: list[str] | None, campaign: str | None) -> Chosen:
     if not jobs and campaign is None:
         raise InvalidInput("name the jobs, or a campaign with --campaign")
     return named_jobs(services, jobs or [], campaign)

@@ -80,9 +80,9 @@ def add(
     requests = requested(kinds, given_parameters(parameter or []), tuple(state or ()), tuple(pair or ()))
     order = Order(campaign, tuple(requests), priority, not no_cache)
     now = datetime.now(UTC)
-    with bootstrap.services(home) as services, services.catalogue.writing() as session:
+    with bootstrap.services(home) as services:
         schedules.add(
-            session,
+            services.catalogue,
             name,
             expression,
             order,
@@ -90,7 +90,8 @@ def add(
             missed_fire=missed,
             grace=timedelta(seconds=grace),
         )
-        first = schedules.coming(session, name, now, 1)
+        with services.catalogue.reading() as session:
+            first = schedules.coming(session, name, now, 1)
     if as_json:
         output.print_json({"schedule": name, "next_fire": first[0] if first else None})
     else:

@@ -15,12 +15,13 @@ import typer
 import sms_jobs
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import schema
+from sms_jobs.catalogue import campaigns, schema
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import Outlook, outlook
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs import health, inquiry
+from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.records.job import ALIVE_WITHIN
 
 _FINDINGS = 6
@@ -87,8 +88,8 @@ def status(home: Home = None, as_json: Json = False) -> None:
 
 def _ahead(services: Services) -> Outlook | None:
     with services.catalogue.reading() as session:
-        active = inquiry.active(session)
-        return outlook(session, active, services.settings.workers) if active else None
+        active = inquiry.still_active(inquiry.counts(session))
+        return outlook(session, Chosen(), services.settings.workers) if active else None
 
 
 def _facts(services: Services) -> dict[str, Any]:
@@ -98,7 +99,7 @@ def _facts(services: Services) -> dict[str, Any]:
             "catalogue": services.catalogue.describe(),
             "archive": str(services.archive.root),
             "archive_free_bytes": shutil.disk_usage(services.archive.root).free,
-            "campaigns": len(inquiry.campaign_names(session)),
+            "campaigns": campaigns.number_of_campaigns(session),
             "jobs": inquiry.counts(session),
             "workers": [
                 {"id": w.id, "host": w.host, "pid": w.pid, "running": w.running, "beat_at": w.beat_at}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -14,6 +14,7 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.cli.output import clock, duration, job_bar
 from sms_jobs.errors import WaitTimedOut
 from sms_jobs.jobs import estimates, inquiry
+from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.estimates import Estimate
 from sms_jobs.records.job import UNSUCCESSFUL, JobState
 
@@ -39,10 +40,10 @@ class Outlook:
         return rate + told(self.estimate)
 
 
-def outlook(session: Session, job_ids: Sequence[str], workers: int) -> Outlook:
+def outlook(session: Session, chosen: Chosen, workers: int) -> Outlook:
     """Return how some jobs come along; `workers` are counted on where none is alive."""
     now = datetime.now(UTC)
-    return Outlook(estimates.pace(session, job_ids, now), estimates.estimate(session, job_ids, now, workers))
+    return Outlook(estimates.pace(session, chosen, now), estimates.estimate(session, chosen, now, workers))
 
 
 def told(estimate: Estimate) -> str:
@@ -65,6 +66,8 @@ def told(estimate: Estimate) -> str:
             say = f"about {span} {where}" + (f"; ready {ready}" if estimate.alive else "")
     if estimate.reused:
         say += f"; {estimate.reused} of {estimate.jobs} are reused"
+    if estimate.looked_at is not None:
+        say += f"; roughly, told by {estimate.looked_at} of the jobs, whatever may be reused"
     if estimate.paused:
         say += f"; paused: {', '.join(estimate.paused)}"
     return say
@@ -72,7 +75,7 @@ def told(estimate: Estimate) -> str:
 
 def wait_for(
     catalogue: Catalogue,
-    job_ids: Sequence[str],
+    chosen: Chosen,
     timeout_s: float | None,
     tell: Callable[[dict[str, int], Outlook | None], None] = lambda counted, outlook: None,
     still_there: Callable[[], None] = lambda: None,
@@ -99,19 +102,24 @@ def wait_for(
     outlook_at = soonest = 0.0
     ahead: Outlook | None = None
     with job_bar() as bar:
-        task = bar.add_task("jobs", total=len(job_ids), pace="")
+        task = bar.add_task("jobs", total=None, pace="")
         while True:
             looked = time.monotonic()
             with catalogue.reading() as session:
-                counted = inquiry.counts(session, job_ids=job_ids)
-                running = inquiry.running(session, job_ids)
+                counted = inquiry.counts(session, chosen)
+                running = inquiry.running(session, chosen)
                 active = inquiry.still_active(counted)
                 if active and looked >= (soonest if counted != before else outlook_at):
-                    ahead = outlook(session, job_ids, workers)
+                    ahead = outlook(session, chosen, workers)
                     soonest = looked + _SHARE * (time.monotonic() - looked)
                     outlook_at = max(soonest, looked + _OUTLOOK_EVERY_S)
+            total = sum(counted.values())
             bar.update(
-                task, completed=len(job_ids) - active, description=running or "jobs", pace=str(ahead or "")
+                task,
+                total=total,
+                completed=total - active,
+                description=running or "jobs",
+                pace=str(ahead or ""),
             )
             if counted != before:
                 tell(counted, ahead if active else None)
@@ -120,7 +128,7 @@ def wait_for(
                 return counted
             if deadline is not None and time.monotonic() > deadline:
                 raise WaitTimedOut(
-                    f"{active} of {len(job_ids)} jobs have not ended after {timeout_s:g} s; they go on; "
+                    f"{active} of {total} jobs have not ended after {timeout_s:g} s; they go on; "
                     "see 'sms job list'"
                 )
             still_there()

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import delete, exists, func, select
+from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import JobRow, OutboxRow, QueueRow, WorkerRow
@@ -46,13 +46,17 @@ def sent(session: Session, messages: Sequence[tuple[int, str, str]]) -> None:
 
 def unheard(session: Session) -> list[Call]:
     """Return the jobs that are queued, whatever became of their messages; those of paused queues are not."""
-    paused = exists().where(QueueRow.name == JobRow.queue, QueueRow.paused_at.is_not(None))
-    rows = session.execute(
-        select(JobRow.queue, func.min(JobRow.id), func.count())
-        .where(JobRow.state == JobState.QUEUED, ~paused)
-        .group_by(JobRow.queue)
-    )
-    return [Call(queue, job_id, number) for queue, job_id, number in rows]
+    paused = set(session.scalars(select(QueueRow.name).where(QueueRow.paused_at.is_not(None))))
+    queued = session.execute(
+        select(JobRow.queue, func.count()).where(JobRow.state == JobState.QUEUED).group_by(JobRow.queue)
+    ).all()
+    found = []
+    for queue, number in queued:
+        first = select(JobRow.id).where(JobRow.state == JobState.QUEUED, JobRow.queue == queue).limit(1)
+        # The counting alone is answered by the index, and that every other second.
+        if queue not in paused and (job_id := session.scalar(first)) is not None:
+            found.append(Call(queue, job_id, number))
+    return found
 
 
 def listeners(session: Session, now: datetime) -> Counter[str]:

@@ -12,13 +12,12 @@ from sqlalchemy.orm import Session, aliased
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.models import CampaignRow, DependencyRow, FileRow, JobRow, LoadStateRow
+from sms_jobs.catalogue.parts import parts
 from sms_jobs.jobs.reuse import reuse_key
+from sms_jobs.jobs.submission import Draft
 from sms_jobs.kinds import all_kinds
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.job import JobState
-
-_AT_ONCE = 500
-"""Values in one `IN`: a statement may have a limited number of them."""
 
 
 @dataclass(frozen=True)
@@ -56,14 +55,22 @@ class _Candidate:
     campaign_id: int
 
 
-def foreseen_reuse(session: Session, job_ids: Sequence[str]) -> set[str]:
+def foreseen_reuse(session: Session, job_ids: Sequence[str], planned: Draft | None = None) -> set[str]:
     """Return those of some waiting or queued jobs that will be reused if nothing changes until they run.
 
     That is known where the contents of all inputs are: they are files of the archive, or outputs of jobs that
     are known to be reused.
+
+    Parameters
+    ----------
+    planned
+        Further jobs, which are not entered yet.
     """
     pending = list(_candidates(session, job_ids))
-    inputs = _inputs(session, [job.id for job in pending])
+    inputs = dict(_inputs(session, [job.id for job in pending]))
+    if planned is not None:
+        pending += _planned_candidates(planned)
+        inputs |= _planned_inputs(session, planned)
     made = _made(session, _done_producers(session, inputs))
     definitions: dict[int, Campaign] = {}
     foreseen: set[str] = set()
@@ -71,7 +78,7 @@ def foreseen_reuse(session: Session, job_ids: Sequence[str]) -> set[str]:
         # All whose inputs are known now, so that the catalogue is asked once for all of them.
         keys = {}
         for job in pending:
-            hashes = _hashes(inputs[job.id], made)
+            hashes = _hashes(inputs.get(job.id, ()), made)
             if hashes is not None:
                 keys[job.id] = _key(session, job, hashes, definitions)
         earlier = _earlier(session, set(keys.values()))
@@ -88,7 +95,7 @@ def foreseen_reuse(session: Session, job_ids: Sequence[str]) -> set[str]:
 def _candidates(session: Session, job_ids: Sequence[str]) -> Iterator[_Candidate]:
     """Return the jobs that a job of the same kind and subject went before with success."""
     earlier = aliased(JobRow)
-    for some in _parts(job_ids):
+    for some in parts(job_ids):
         done = (
             select(earlier.id)
             .where(
@@ -111,9 +118,35 @@ def _candidates(session: Session, job_ids: Sequence[str]) -> Iterator[_Candidate
         yield from (_Candidate(*row) for row in rows if row.kind in all_kinds())
 
 
+def _planned_candidates(planned: Draft) -> Iterator[_Candidate]:
+    for row in planned.of(JobRow):
+        if row["use_cache"] and row["repeatable"]:
+            yield _Candidate(row["id"], row["kind"], row["subject"], row["parameters"], planned.campaign_id)
+
+
+def _planned_inputs(session: Session, planned: Draft) -> Mapping[str, list[_Input]]:
+    edges = planned.of(DependencyRow)
+    contents: dict[int, str] = {}
+    for some in parts(sorted({edge["file_id"] for edge in edges if edge["file_id"] is not None})):
+        rows = session.execute(select(FileRow.id, FileRow.content_hash).where(FileRow.id.in_(some)))
+        contents |= dict(rows.all())
+    found: dict[str, list[_Input]] = defaultdict(list)
+    for edge in edges:
+        found[edge["job_id"]].append(
+            _Input(
+                edge["role"],
+                edge["source"],
+                Subject.parse(edge["subject"]),
+                edge["producer_id"],
+                contents.get(edge["file_id"]),
+            )
+        )
+    return found
+
+
 def _inputs(session: Session, job_ids: Sequence[str]) -> Mapping[str, list[_Input]]:
     found: dict[str, list[_Input]] = defaultdict(list)
-    for some in _parts(job_ids):
+    for some in parts(job_ids):
         rows = session.execute(
             select(
                 DependencyRow.job_id,
@@ -135,7 +168,7 @@ def _done_producers(session: Session, inputs: Mapping[str, Iterable[_Input]]) ->
     """Return the producers that have succeeded, and the jobs that made their files."""
     named = {i.producer for some in inputs.values() for i in some if i.producer and i.content_hash is None}
     found: dict[str, str] = {}
-    for some in _parts(sorted(named)):
+    for some in parts(sorted(named)):
         rows = session.execute(
             select(JobRow.id, JobRow.reused_from).where(
                 JobRow.id.in_(some), JobRow.state == JobState.SUCCEEDED
@@ -148,7 +181,7 @@ def _done_producers(session: Session, inputs: Mapping[str, Iterable[_Input]]) ->
 def _made(session: Session, makers: Mapping[str, str]) -> dict[str, tuple[_Content, ...]]:
     """Return the datasets of some jobs, each under the name of whoever counts as having made them."""
     files: dict[str, list[_Content]] = defaultdict(list)
-    for some in _parts(sorted(set(makers.values()))):
+    for some in parts(sorted(set(makers.values()))):
         rows = session.execute(
             select(FileRow.job_id, FileRow.source, LoadStateRow.label, FileRow.pair, FileRow.content_hash)
             .outerjoin(LoadStateRow, LoadStateRow.id == FileRow.state_id)
@@ -187,7 +220,7 @@ def _key(
 def _earlier(session: Session, keys: Collection[str]) -> dict[str, str]:
     """Return the newest success of each reuse key that has one."""
     found: dict[str, str] = {}
-    for some in _parts(sorted(keys)):
+    for some in parts(sorted(keys)):
         rows = session.execute(
             select(JobRow.reuse_key, JobRow.id)
             .where(
@@ -200,8 +233,3 @@ def _earlier(session: Session, keys: Collection[str]) -> dict[str, str]:
         )
         found |= {key or "": job_id for key, job_id in rows}
     return found
-
-
-def _parts(values: Sequence[str]) -> Iterator[Sequence[str]]:
-    for first in range(0, len(values), _AT_ONCE):
-        yield values[first : first + _AT_ONCE]

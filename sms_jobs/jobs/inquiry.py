@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -18,11 +19,16 @@ from sms_jobs.catalogue.models import (
     EventRow,
     FileRow,
     JobRow,
+    LoadStateRow,
     QueueRow,
+    RigRow,
+    SpecimenRow,
     WorkerRow,
 )
+from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import Conflict, NotFound
-from sms_jobs.jobs import locks
+from sms_jobs.jobs import chosen, locks
+from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.campaign import Subject
@@ -93,6 +99,11 @@ def find_job(session: Session, prefix: str) -> JobRow:
     return matching[0]
 
 
+def find_jobs(session: Session, prefixes: Collection[str]) -> list[str]:
+    """Return the ids of the jobs whose ids begin so; raises as `find_job` does."""
+    return [find_job(session, prefix).id for prefix in prefixes]
+
+
 def list_jobs(
     session: Session,
     *,
@@ -112,16 +123,12 @@ def list_jobs(
     return [job_view(row) for row in session.scalars(query)]
 
 
-def counts(
-    session: Session, job_ids: Sequence[str] | None = None, campaign: str | None = None
-) -> dict[str, int]:
-    """Return how many jobs are in each state; among some jobs, a campaign's, or all."""
-    query = select(JobRow.state, func.count()).group_by(JobRow.state)
-    if job_ids is not None:
-        query = query.where(JobRow.id.in_(job_ids))
-    if campaign is not None:
-        query = query.where(JobRow.campaign_id == campaigns.campaign_id(session, campaign))
-    return {state.value: count for state, count in session.execute(query)}
+def counts(session: Session, some: Chosen | None = None) -> dict[str, int]:
+    """Return how many jobs are in each state; among some jobs, or all."""
+    if some is None:
+        return chosen.by_state(session, Chosen())
+    # One that had ended before and was tried again since counts as active.
+    return dict(Counter(chosen.by_state(session, some)) - Counter(some.ended_before))
 
 
 def still_active(counted: dict[str, int]) -> int:
@@ -304,56 +311,82 @@ def campaign_names(session: Session) -> list[str]:
     return list(session.scalars(select(CampaignRow.name).order_by(CampaignRow.id.desc())))
 
 
-def running(session: Session, job_ids: Sequence[str]) -> str:
+@dataclass(frozen=True)
+class CampaignView:
+    """One campaign as it is listed."""
+
+    campaign: str
+    specimen: str
+    rig: str
+    states: int
+    pairs: int
+    created_at: datetime
+    jobs: dict[str, int]
+
+
+def list_campaigns(session: Session, limit: int) -> list[CampaignView]:
+    """Return campaigns with how many jobs of each are in which state, the newest first."""
+    rows = session.execute(
+        select(
+            CampaignRow.id,
+            CampaignRow.name,
+            SpecimenRow.name,
+            RigRow.name,
+            CampaignRow.definition["pairs"],
+            CampaignRow.created_at,
+        )
+        .join(SpecimenRow, SpecimenRow.id == CampaignRow.specimen_id)
+        .join(RigRow, RigRow.id == CampaignRow.rig_id)
+        .order_by(CampaignRow.id.desc())
+        .limit(limit)
+    ).all()
+    jobs: dict[int, dict[str, int]] = {row[0]: {} for row in rows}
+    states: dict[int, int] = {}
+    for some in parts(list(jobs)):
+        counted = (
+            select(JobRow.campaign_id, JobRow.state, func.count())
+            .where(JobRow.campaign_id.in_(some))
+            .group_by(JobRow.campaign_id, JobRow.state)
+        )
+        for number, state, count in session.execute(counted):
+            jobs[number][state.value] = count
+        of_each = (
+            select(LoadStateRow.campaign_id, func.count())
+            .where(LoadStateRow.campaign_id.in_(some))
+            .group_by(LoadStateRow.campaign_id)
+        )
+        states |= dict(session.execute(of_each).all())
+    return [
+        CampaignView(name, specimen, rig, states.get(number, 0), len(pairs), created, jobs[number])
+        for number, name, specimen, rig, pairs, created in rows
+    ]
+
+
+def running(session: Session, some: Chosen) -> str:
     """Name the jobs that run among some jobs, and how far they have come."""
     rows = session.scalars(
-        select(JobRow)
-        .where(JobRow.id.in_(job_ids), JobRow.state == JobState.RUNNING)
-        .order_by(JobRow.position)
-        .limit(4)
+        select(JobRow).where(*some.where, JobRow.state == JobState.RUNNING).order_by(JobRow.position).limit(4)
     )
     return ", ".join(f"{row.kind} {row.subject.partition('/')[2] or row.subject}" for row in rows)
 
 
-def reused(session: Session, job_ids: Sequence[str]) -> int:
+def reused(session: Session, some: Chosen) -> int:
     """Return how many of some jobs were reused."""
-    query = select(func.count()).where(JobRow.id.in_(job_ids), JobRow.reused_from.is_not(None))
+    query = select(func.count()).where(*some.where, JobRow.reused_from.is_not(None))
     return session.scalar(query) or 0
 
 
-def active(session: Session, campaign: str | None = None) -> list[str]:
-    """Return the ids of jobs that have not ended, of a campaign or all, in order of submission."""
-    query = select(JobRow.id).where(JobRow.state.in_(ACTIVE)).order_by(JobRow.position)
-    if campaign is not None:
-        query = query.where(JobRow.campaign_id == campaigns.campaign_id(session, campaign))
-    return list(session.scalars(query))
-
-
-def retryable(session: Session, campaign: str) -> list[str]:
-    """Return the ids of a campaign's jobs that can be retried; skipped ones come along with them."""
-    states = UNSUCCESSFUL - {JobState.SKIPPED}
-    query = (
-        select(JobRow.id)
-        .where(
-            JobRow.state.in_(states),
-            JobRow.campaign_id == campaigns.campaign_id(session, campaign),
-        )
-        .order_by(JobRow.position)
-    )
-    return list(session.scalars(query))
-
-
-def first_failure(session: Session, job_ids: Sequence[str]) -> str:
-    """Name the first of some jobs that failed, and say why and what to do."""
+def failure(session: Session, some: Chosen) -> str:
+    """Name the latest of some jobs that failed, and say why and what to do."""
     row = session.scalar(
         select(JobRow)
-        .where(JobRow.id.in_(job_ids), JobRow.state.in_(UNSUCCESSFUL - {JobState.SKIPPED}))
-        .order_by(JobRow.finished_at)
+        .where(*some.where, JobRow.state.in_(UNSUCCESSFUL - {JobState.SKIPPED}))
+        .order_by(func.coalesce(JobRow.finished_at, JobRow.started_at).desc())
         .limit(1)
     )
     if row is None:
         return "they were skipped; see 'sms job list'"
     return (
-        f"the first was {row.kind} {row.subject}, {row.state.value}: {row.message}; "
+        f"the last was {row.kind} {row.subject}, {row.state.value}: {row.message}; "
         f"see 'sms job logs {row.id[:SHORT]}', then 'sms job retry {row.id[:SHORT]}'"
     )

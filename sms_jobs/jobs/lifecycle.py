@@ -6,13 +6,13 @@ has been superseded, changes nothing and returns False.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
 from typing import Any, cast
 
-from sqlalchemy import ColumnElement, Select, Table, bindparam, exists, insert, select, update
+from sqlalchemy import ColumnElement, Row, Select, Table, bindparam, exists, insert, select, update
 from sqlalchemy.orm import Session, aliased
 from sqlalchemy.orm.util import identity_key
 from sqlalchemy.sql.dml import ReturningUpdate
@@ -28,6 +28,7 @@ from sms_jobs.catalogue.models import (
     UtcDateTime,
     WorkerRow,
 )
+from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import Cancelled, Conflict, LeaseLost, OverLimit
 from sms_jobs.jobs import locks
 from sms_jobs.records.campaign import Subject
@@ -37,6 +38,7 @@ from sms_jobs.records.job import UNSUCCESSFUL, JobState, origins
 _JOB = cast(Table, JobRow.__table__)
 _EVENT = insert(cast(Table, EventRow.__table__)).inline()
 _OUTBOX = insert(cast(Table, OutboxRow.__table__)).inline()
+READY = "all it needs is there"
 _UNCLAIM = (
     update(_JOB)
     .where(_JOB.c.id == bindparam("job"))
@@ -110,8 +112,42 @@ def change(
     if target is JobState.QUEUED:
         session.execute(_OUTBOX, {"job_id": job_id, "queue": changed.queue})
     if target in UNSUCCESSFUL:
-        _skip_dependents(session, job_id, target, now)
+        skip_dependents(session, [job_id], f"job {job_id[:8]}, which it needs, is {target.value}", now)
     return True
+
+
+def change_some(
+    session: Session,
+    job_ids: Sequence[str],
+    target: JobState,
+    now: datetime,
+    message: str,
+    *,
+    leaving: Collection[JobState] = (),
+    **columns: Any,
+) -> list[str]:
+    """Bring those of some jobs to `target` that are in a state that allows it, as `change` does; return them.
+
+    What depends on them is left as it is.
+    """
+    allowed = [state for state in origins(target) if not leaving or state in leaving]
+    session.flush()
+    changed: list[Row[Any]] = []
+    for some in parts(job_ids):
+        statement = update(_JOB).where(_JOB.c.id.in_(some), _JOB.c.state.in_(allowed))
+        values = {"state": target, "message": message, **columns}
+        returned = statement.values(**values).returning(_JOB.c.id, _JOB.c.attempts, _JOB.c.queue)
+        changed += session.execute(returned).all()
+    if not changed:
+        return []
+    for row in changed:
+        if (loaded := session.identity_map.get(identity_key(JobRow, row.id))) is not None:
+            session.expire(loaded)
+    told = {"at": now, "state": target, "message": message}
+    session.execute(_EVENT, [{"job_id": row.id, "attempt": row.attempts, **told} for row in changed])
+    if target is JobState.QUEUED:
+        session.execute(_OUTBOX, [{"job_id": row.id, "queue": row.queue} for row in changed])
+    return [row.id for row in changed]
 
 
 @cache
@@ -294,8 +330,13 @@ def queue_ready_dependents(session: Session, producer_id: str, now: datetime) ->
     waiting = session.scalars(_waiting_for(), {"producer": producer_id}).all()
     if not waiting:
         return
-    for job_id in session.scalars(_ready(some=True), {"jobs": waiting}).all():
-        change(session, job_id, JobState.QUEUED, now, "all it needs is there", leaving=[JobState.WAITING])
+    ready = [i for some in parts(waiting) for i in session.scalars(_ready(some=True), {"jobs": some})]
+    change_some(session, ready, JobState.QUEUED, now, READY, leaving=[JobState.WAITING])
+
+
+def ready() -> Select[str]:
+    """Select waiting jobs whose producers have all succeeded."""
+    return _ready(some=False)
 
 
 @cache
@@ -307,11 +348,6 @@ def _waiting_for() -> Select[str]:
         .order_by(_JOB.c.id)
         .with_for_update()
     )
-
-
-def ready() -> Select[str]:
-    """Select waiting jobs whose producers have all succeeded."""
-    return _ready(some=False)
 
 
 @cache
@@ -386,63 +422,52 @@ def retry(session: Session, job_id: str, now: datetime) -> int:
         stop_as=None,
         stop_reason=None,
     )
-    count = 1
-    level = [job_id]
+    return 1 + revive_dependents(session, [job_id], now)
+
+
+def revive_dependents(session: Session, job_ids: Sequence[str], now: datetime) -> int:
+    """Let jobs wait again that were skipped for some jobs and need no other that did not succeed.
+
+    Returns
+    -------
+    Their number.
+    """
+    producer = aliased(JobRow)
+    hopeless = exists().where(
+        DependencyRow.job_id == JobRow.id,
+        producer.id == DependencyRow.producer_id,
+        producer.state.in_(UNSUCCESSFUL),
+    )
+    count = 0
+    level = list(job_ids)
     while level:
-        hopeless = exists().where(
-            DependencyRow.job_id == JobRow.id,
-            producer.id == DependencyRow.producer_id,
-            producer.state.in_(UNSUCCESSFUL),
-        )
-        skipped = session.scalars(
-            select(JobRow.id)
-            .where(
-                JobRow.id.in_(select(DependencyRow.job_id).where(DependencyRow.producer_id.in_(level))),
-                JobRow.state == JobState.SKIPPED,
-                ~hopeless,
-            )
-            .order_by(JobRow.id)
-        ).all()
-        for dependent in skipped:
-            change(
-                session, dependent, JobState.WAITING, now, "what it needs is tried again", finished_at=None
-            )
-        count += len(skipped)
-        level = list(skipped)
+        skipped = _dependents(session, level, JobState.SKIPPED, ~hopeless)
+        told = "what it needs is tried again"
+        level = change_some(session, skipped, JobState.WAITING, now, told, finished_at=None)
+        count += len(level)
     return count
 
 
-def _skip_dependents(session: Session, job_id: str, why: JobState, now: datetime) -> None:
-    level = [job_id]
+def skip_dependents(session: Session, job_ids: Sequence[str], why: str, now: datetime) -> None:
+    """Skip the waiting jobs that need some jobs which did not succeed, and those that need these."""
+    level = list(job_ids)
     while level:
-        waiting = session.scalars(
-            select(JobRow.id)
-            .where(
-                JobRow.id.in_(select(DependencyRow.job_id).where(DependencyRow.producer_id.in_(level))),
-                JobRow.state == JobState.WAITING,
-            )
-            .order_by(JobRow.id)
-        ).all()
-        session.execute(
-            update(JobRow)
-            .where(JobRow.id.in_(waiting), JobRow.state == JobState.WAITING)
-            .values(
-                state=JobState.SKIPPED,
-                message=f"job {job_id[:8]}, which it needs, is {why.value}",
-                finished_at=now,
-            )
-        )
-        _tell_all(session, waiting, JobState.SKIPPED, now, f"job {job_id} is {why.value}")
-        level = list(waiting)
+        waiting = _dependents(session, level, JobState.WAITING)
+        level = change_some(session, waiting, JobState.SKIPPED, now, why, finished_at=now)
+
+
+def _dependents(
+    session: Session, producers: Sequence[str], state: JobState, *further: ColumnElement[bool]
+) -> list[str]:
+    found: dict[str, None] = {}
+    for some in parts(producers):
+        needing = select(DependencyRow.job_id).where(DependencyRow.producer_id.in_(some))
+        of_these = select(JobRow.id).where(JobRow.id.in_(needing), JobRow.state == state, *further)
+        found |= dict.fromkeys(session.scalars(of_these.order_by(JobRow.id)))
+    return sorted(found)
 
 
 def _tell(session: Session, job_id: str, state: JobState, now: datetime, attempt: int, message: str) -> None:
     session.execute(
         _EVENT, {"job_id": job_id, "at": now, "state": state, "attempt": attempt, "message": message}
     )
-
-
-def _tell_all(session: Session, job_ids: Iterable[str], state: JobState, now: datetime, message: str) -> None:
-    rows = [{"job_id": i, "at": now, "state": state, "attempt": 0, "message": message} for i in job_ids]
-    if rows:
-        session.execute(_EVENT, rows)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 
@@ -67,6 +67,25 @@ def makespan(tasks: Sequence[Task], places: Sequence[Places]) -> float:
         latest = max(latest, _shared(tails[chosen], seconds[chosen], count))
         latest = max(latest, _shared(heads[chosen & leads], seconds[chosen & leads], count))
     return latest
+
+
+def shared(seconds: Mapping[str, float], wanted: Collection[str], places: Sequence[Places]) -> float:
+    """Return the seconds until the work of some queues is done, shared by all who can do it.
+
+    That is `makespan` of very many jobs, among which those that wait for others hold nobody up.
+
+    Parameters
+    ----------
+    seconds
+        The work in each queue.
+    wanted
+        Queues whose end is waited for.
+    """
+    groups = [(frozenset(seconds), sum(p.count for p in places))]
+    groups += [(frozenset((queue,)), sum(p.count for p in places if queue in p.queues)) for queue in wanted]
+    if any(count == 0 for _, count in groups):
+        return inf
+    return max(sum(seconds.get(queue, 0.0) for queue in queues) / count for queues, count in groups)
 
 
 def _around(

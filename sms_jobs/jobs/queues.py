@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Literal
+from typing import Any, Literal, cast
 
-from sqlalchemy import func, select, update
+from sqlalchemy import CursorResult, func, select, update
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import JobRow, QueueRow, WorkerRow
 from sms_jobs.errors import Conflict
+from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds.kind import Queue
 from sms_jobs.records.job import JobState
 
@@ -104,18 +104,14 @@ def known(session: Session) -> list[str]:
     return [*QUEUES, *sorted(others - set(QUEUES))]
 
 
-def set_priority(session: Session, job_ids: Sequence[str], priority: int) -> int:
+def set_priority(session: Session, some: Chosen, priority: int) -> int:
     """Give jobs that have not begun a priority; higher runs earlier. Return how many there were."""
-    changed = session.scalars(
-        update(JobRow)
-        .where(JobRow.id.in_(job_ids), JobRow.state.in_(_PENDING))
-        .values(priority=priority)
-        .returning(JobRow.id)
-    ).all()
-    return len(changed)
+    pending = update(JobRow).where(*some.where, JobRow.state.in_(_PENDING))
+    changed = session.execute(pending.values(priority=priority).execution_options(synchronize_session=False))
+    return cast(CursorResult[Any], changed).rowcount
 
 
-def move(session: Session, job_ids: Sequence[str], to: Literal["front", "back"]) -> int:
+def move(session: Session, some: Chosen, to: Literal["front", "back"]) -> int:
     """Bring jobs that have not begun before or behind all others, in the order they have among themselves.
 
     At the front they also get the highest priority that any such job has, at the back the lowest.
@@ -125,20 +121,23 @@ def move(session: Session, job_ids: Sequence[str], to: Literal["front", "back"])
     Conflict
         None of them has yet to begin.
     """
-    mine = session.scalars(
-        select(JobRow)
-        .where(JobRow.id.in_(job_ids), JobRow.state.in_(_PENDING))
-        .order_by(JobRow.priority.desc(), JobRow.position, JobRow.id)
-        .with_for_update()
-    ).all()
-    if not mine:
+    pending = (*some.where, JobRow.state.in_(_PENDING))
+    count = session.scalar(select(func.count()).where(*pending)) or 0
+    if not count:
         raise Conflict("these jobs have begun or ended already, so their place in the queue is gone")
     best = func.max if to == "front" else func.min
     edge = func.min if to == "front" else func.max
     priority, position = session.execute(
         select(best(JobRow.priority), edge(JobRow.position)).where(JobRow.state.in_(_PENDING))
     ).one()
-    first = position - len(mine) if to == "front" else position + 1
-    for place, job in enumerate(mine):
-        job.priority, job.position = priority, first + place
-    return len(mine)
+    before_first = position - count - 1 if to == "front" else position
+    order = (JobRow.priority.desc(), JobRow.position, JobRow.id)
+    place = func.row_number().over(order_by=order).label("place")
+    mine = select(JobRow.id, place).where(*pending).subquery()
+    moved = session.execute(
+        update(JobRow)
+        .where(JobRow.id == mine.c.id, JobRow.state.in_(_PENDING))
+        .values(priority=priority, position=before_first + mine.c.place)
+        .execution_options(synchronize_session=False)
+    )
+    return cast(CursorResult[Any], moved).rowcount

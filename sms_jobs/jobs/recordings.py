@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow, StatisticRow
 from sms_jobs.errors import InvalidInput
+from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds.acquire import KIND, stage_angles
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.campaign import LoadState, Subject
@@ -37,7 +38,7 @@ class PairVerdict:
     statistics: dict[str, float]
 
 
-def verdicts(session: Session, job_ids: Sequence[str]) -> list[PairVerdict]:
+def verdicts(session: Session, chosen: Chosen) -> list[PairVerdict]:
     """Return what is known of the pairs that some jobs have recorded, in order."""
     rows = session.execute(
         select(
@@ -51,7 +52,8 @@ def verdicts(session: Session, job_ids: Sequence[str]) -> list[PairVerdict]:
         .join(CampaignRow, CampaignRow.id == FileRow.campaign_id)
         .join(LoadStateRow, LoadStateRow.id == FileRow.state_id)
         .join(StatisticRow, StatisticRow.file_id == FileRow.id)
-        .where(FileRow.job_id.in_(job_ids), FileRow.source == MEASUREMENT)
+        .join(JobRow, JobRow.id == FileRow.job_id)
+        .where(*chosen.where, FileRow.source == MEASUREMENT)
         .order_by(FileRow.id)
     )
     found: dict[int, PairVerdict] = {}

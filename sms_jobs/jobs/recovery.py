@@ -8,7 +8,9 @@ from datetime import datetime, timedelta
 from sqlalchemy import or_, select, update
 from sqlalchemy.orm import Session
 
+from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow, WorkerRow
+from sms_jobs.catalogue.parts import AT_ONCE
 from sms_jobs.jobs import lifecycle, locks
 from sms_jobs.jobs.origin import Origin
 from sms_jobs.records.campaign import Subject
@@ -155,12 +157,23 @@ def recover(
             lost.append(job.id)
     for job in session.scalars(select(JobRow).where(JobRow.state == JobState.LOST)).all():
         _decide(session, job, now, crash_budget)
-    for job_id in session.scalars(lifecycle.ready()).all():
-        lifecycle.change(
-            session, job_id, JobState.QUEUED, now, "all it needs is there", leaving=[JobState.WAITING]
-        )
     locks.release_dead(session, now)
     return lost
+
+
+def queue_ready(catalogue: Catalogue, now: datetime) -> list[str]:
+    """Queue waiting jobs whose producers have all succeeded, whatever kept them from being queued then.
+
+    That is looked for seldom, and nobody waits meanwhile: it takes as long as many jobs wait.
+    """
+    with catalogue.reading() as session:
+        found = session.scalars(lifecycle.ready().limit(AT_ONCE)).all()
+    if not found:
+        return []
+    with catalogue.writing() as session:
+        return lifecycle.change_some(
+            session, found, JobState.QUEUED, now, lifecycle.READY, leaving=[JobState.WAITING]
+        )
 
 
 def _decide(session: Session, job: JobRow, now: datetime, crash_budget: int) -> None:

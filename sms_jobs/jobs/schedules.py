@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
-from sqlalchemy import delete, func, select
+from sqlalchemy import and_, delete, exists, func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow, ScheduleFireRow, ScheduleRow
-from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
+from sms_jobs.errors import Conflict, InvalidInput, NotFound, ServerUnreachable, SmsError
 from sms_jobs.jobs.fire_times import Expression, next_times, parse_expression, times_until
 from sms_jobs.jobs.planning import Existing, Request, plan
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.submission import Draft, draft, enter, while_outdated
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.job import ACTIVE
 
@@ -77,7 +79,7 @@ class Fired:
 
 
 def add(
-    session: Session,
+    catalogue: Catalogue,
     name: str,
     expression: Expression,
     order: Order,
@@ -103,27 +105,34 @@ def add(
         There is no such campaign.
     """
     checked_name(name, "schedule")
-    if _row(session, name) is not None:
-        raise Conflict(f"there is a schedule '{name}' already; remove it, or choose another name")
-    campaign = campaigns.definition(campaigns.campaign_row(session, order.campaign))
+    with catalogue.reading() as session:
+        _refuse_taken(session, name)
+        campaign = campaigns.definition(campaigns.campaign_row(session, order.campaign))
+        if expression.form == "after":
+            campaigns.campaign_id(session, expression.what)
     # What it needs may come into being later: that it could run is enough.
     plan(campaign, order.requests, lambda need: Existing(file_id=0))
-    if expression.form == "after":
-        campaigns.campaign_id(session, expression.what)
     if expression.form == "at" and not next_times(expression, now, now - grace, 1):
         raise InvalidInput(f"{expression.what} is past; give a time to come")
-    session.add(
-        ScheduleRow(
-            name=name,
-            expression=str(expression),
-            time_zone=expression.zone.key,
-            request=order.as_json(),
-            missed_fire=missed_fire,
-            grace_s=grace.total_seconds(),
-            paused=False,
-            created_at=now,
+    with catalogue.writing() as session:
+        _refuse_taken(session, name)
+        session.add(
+            ScheduleRow(
+                name=name,
+                expression=str(expression),
+                time_zone=expression.zone.key,
+                request=order.as_json(),
+                missed_fire=missed_fire,
+                grace_s=grace.total_seconds(),
+                paused=False,
+                created_at=now,
+            )
         )
-    )
+
+
+def _refuse_taken(session: Session, name: str) -> None:
+    if _row(session, name) is not None:
+        raise Conflict(f"there is a schedule '{name}' already; remove it, or choose another name")
 
 
 def set_paused(session: Session, name: str, paused: bool) -> None:
@@ -174,18 +183,40 @@ def coming(session: Session, name: str, now: datetime, count: int) -> list[datet
     return next_times(_expression(row), row.created_at, now, count)
 
 
-def fire_due(session: Session, now: datetime) -> list[Fired]:
+def fire_due(catalogue: Catalogue, now: datetime) -> list[Fired]:
     """Submit what is due, and say what became of every time that has passed.
 
-    Several supervisors may call it at once: a time belongs to whoever enters it first.
+    Several supervisors may call it at once: a time belongs to whoever enters it first. Nothing is written
+    while nothing is due, and what is due is planned before it is.
     """
     fired = []
-    for row in session.scalars(select(ScheduleRow).where(ScheduleRow.paused.is_(False))).all():
-        for moment, outcome in _decided(row, _passed(session, row, now), now):
-            done = _fire(session, row, moment, outcome, now)
-            if done is not None:
-                fired.append(Fired(row.name, moment, done))
+    with catalogue.reading() as session:
+        due = _due(session, now)
+    for one in due:
+        outcome = while_outdated(partial(_fire, catalogue, one, now))
+        if outcome is not None:
+            fired.append(Fired(one.schedule, one.moment, outcome))
     return fired
+
+
+@dataclass(frozen=True)
+class _Due:
+    """A time that has passed, and what is to become of it."""
+
+    schedule_id: int
+    schedule: str
+    order: Order
+    moment: datetime
+    outcome: Literal["submit", "missed"]
+
+
+def _due(session: Session, now: datetime) -> list[_Due]:
+    rows = session.scalars(select(ScheduleRow).where(ScheduleRow.paused.is_(False))).all()
+    return [
+        _Due(row.id, row.name, Order.from_json(row.request), moment, outcome)
+        for row in rows
+        for moment, outcome in _decided(row, _passed(session, row, now), now)
+    ]
 
 
 def _passed(session: Session, row: ScheduleRow, now: datetime) -> list[datetime]:
@@ -203,9 +234,9 @@ def _passed(session: Session, row: ScheduleRow, now: datetime) -> list[datetime]
 
 def _has_ended(session: Session, campaign: str) -> bool:
     """Tell whether a campaign has had jobs and all of them have ended."""
-    campaign_id = campaigns.campaign_id(session, campaign)
-    states = set(session.scalars(select(JobRow.state).where(JobRow.campaign_id == campaign_id).distinct()))
-    return bool(states) and not states & ACTIVE
+    of_campaign = JobRow.campaign_id == campaigns.campaign_id(session, campaign)
+    active = exists().where(of_campaign, JobRow.state.in_(ACTIVE))
+    return bool(session.scalar(select(and_(exists().where(of_campaign), ~active))))
 
 
 def _decided(
@@ -222,22 +253,29 @@ def _decided(
     return [(t, "missed" if t in late and t not in rescued else "submit") for t in times]
 
 
-def _fire(
-    session: Session, row: ScheduleRow, moment: datetime, outcome: Literal["submit", "missed"], now: datetime
-) -> str | None:
-    """Enter a time and submit its jobs; None when another supervisor was faster."""
-    entry = ScheduleFireRow(schedule_id=row.id, fire_time=moment, outcome=outcome)
+def _fire(catalogue: Catalogue, due: _Due, now: datetime) -> str | None:
+    """Enter a time and its jobs; None when another supervisor was faster, or the schedule is gone."""
+    planned: Draft | None = None
+    outcome: str = due.outcome
+    if due.outcome == "submit":
+        planned, outcome = _planned(catalogue, due.order, now)
+    with catalogue.writing() as session:
+        try:
+            with session.begin_nested():
+                session.add(
+                    ScheduleFireRow(schedule_id=due.schedule_id, fire_time=due.moment, outcome=outcome)
+                )
+        except IntegrityError:
+            return None
+        if planned is not None:
+            enter(session, planned)
+    return outcome
+
+
+def _planned(catalogue: Catalogue, order: Order, now: datetime) -> tuple[Draft | None, str]:
     try:
-        with session.begin_nested():
-            session.add(entry)
-    except IntegrityError:
-        return None
-    if outcome == "missed":
-        return outcome
-    order = Order.from_json(row.request)
-    try:
-        with session.begin_nested():
-            done = submit(
+        with catalogue.reading() as session:
+            planned = draft(
                 session,
                 order.campaign,
                 order.requests,
@@ -245,10 +283,11 @@ def _fire(
                 priority=order.priority,
                 use_cache=order.use_cache,
             )
-        entry.outcome = f"submitted {len(done.job_ids)} jobs"
+    except ServerUnreachable:
+        raise
     except SmsError as error:
-        entry.outcome = f"failed: {error}"
-    return entry.outcome
+        return None, f"failed: {error}"
+    return planned, f"submitted {len(planned.jobs)} jobs"
 
 
 def _expression(row: ScheduleRow) -> Expression:

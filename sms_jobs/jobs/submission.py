@@ -1,24 +1,40 @@
-"""Writes a plan into the catalogue: jobs, their inputs and the messages about them, in one transaction."""
+"""Writes plans into the catalogue: planned from a reading session, entered in one short transaction.
+
+Planning loads every kind and may take seconds, and SQLite lets one process write at a time: what is written
+is made ready before, and whoever enters it only looks whether the jobs that it builds on are still coming.
+"""
 
 from __future__ import annotations
 
+import random
 import secrets
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import Any, TypeVar
 
 from sqlalchemy import insert, select
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import DependencyRow, EventRow, JobDeviceRow, JobRow, OutboxRow
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import CampaignRow, DependencyRow, EventRow, JobDeviceRow, JobRow, OutboxRow
+from sms_jobs.catalogue.parts import parts
+from sms_jobs.errors import PlanOutdated
 from sms_jobs.jobs.planning import Existing, PlannedInput, PlannedJob, Request, covering, plan
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, Kind, Need
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import ACTIVE, JobState
+
+T = TypeVar("T")
+
+_TRIES = 20
+"""So often a plan is made anew because what it builds on has changed before it was entered."""
+_PAUSE_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -27,6 +43,45 @@ class Submission:
 
     job_ids: tuple[str, ...]
     kinds: tuple[str, ...]
+    campaign_id: int
+    submitted_at: datetime
+
+
+@dataclass(frozen=True)
+class Draft:
+    """Jobs that are planned and not yet entered.
+
+    Attributes
+    ----------
+    campaign_id, definition_hash
+        Of the campaign as it was planned for.
+    submitted_at
+        When that was.
+    job_ids, jobs
+        The planned jobs and the ids that they will have.
+    producers
+        Jobs of earlier submissions that these wait for.
+    rows
+        What is to be entered, by table; each table after those that it refers to.
+    """
+
+    campaign_id: int
+    definition_hash: str
+    submitted_at: datetime
+    job_ids: tuple[str, ...]
+    jobs: tuple[PlannedJob, ...]
+    producers: tuple[str, ...]
+    rows: tuple[tuple[type[Any], list[dict[str, Any]]], ...]
+
+    @property
+    def submission(self) -> Submission:
+        """What it comes to once it is entered."""
+        kinds = tuple(job.kind.name for job in self.jobs)
+        return Submission(self.job_ids, kinds, self.campaign_id, self.submitted_at)
+
+    def of(self, table: type[Any]) -> list[dict[str, Any]]:
+        """Return what is to be entered into one table."""
+        return dict(self.rows).get(table, [])
 
 
 def submit(
@@ -38,12 +93,25 @@ def submit(
     priority: int = 0,
     use_cache: bool = True,
 ) -> Submission:
-    """Plan requests and add their jobs.
+    """Plan requests and enter their jobs in one writing session, as `submit_to` does in two."""
+    return enter(
+        session, draft(session, campaign_name, requests, now, priority=priority, use_cache=use_cache)
+    )
+
+
+def submit_to(
+    catalogue: Catalogue,
+    campaign_name: str,
+    requests: Sequence[Request],
+    now: datetime,
+    *,
+    priority: int = 0,
+    use_cache: bool = True,
+) -> Submission:
+    """Plan requests and enter their jobs; where something changes in between, plan again.
 
     Parameters
     ----------
-    session
-        A writing session; nothing is visible to anybody before it is committed.
     campaign_name, requests
         See `planning.plan`.
     now
@@ -57,7 +125,41 @@ def submit(
     ------
     InvalidInput, NotFound
         See `planning.plan`.
+    PlanOutdated
+        What it builds on changes faster than it can be planned.
     """
+
+    def drafted() -> Draft:
+        with catalogue.reading() as session:
+            return draft(session, campaign_name, requests, now, priority=priority, use_cache=use_cache)
+
+    def entered(planned: Draft) -> Submission:
+        with catalogue.writing() as session:
+            return enter(session, planned)
+
+    return while_outdated(lambda: entered(drafted()))
+
+
+def while_outdated(attempt: Callable[[], T]) -> T:
+    """Return what an attempt to plan and enter returns; try again where its plan had become outdated."""
+    for _ in range(_TRIES - 1):
+        try:
+            return attempt()
+        except PlanOutdated:
+            time.sleep(random.uniform(0.0, _PAUSE_S))  # noqa: S311 - chance that keeps no secret
+    return attempt()
+
+
+def draft(
+    session: Session,
+    campaign_name: str,
+    requests: Sequence[Request],
+    now: datetime,
+    *,
+    priority: int = 0,
+    use_cache: bool = True,
+) -> Draft:
+    """Plan requests, as `submit_to` does, and write nothing."""
     row = campaigns.campaign_row(session, campaign_name)
     campaign = campaigns.definition(row)
 
@@ -75,11 +177,53 @@ def submit(
 
     jobs = plan(campaign, requests, find)
     ids = tuple(secrets.token_hex(8) for _ in jobs)
-    if not jobs:
-        return Submission((), ())
-    _insert(session, row.id, campaign, jobs, ids, now, priority, use_cache)
-    _note_devices(session, campaign, jobs, ids)
-    return Submission(ids, tuple(job.kind.name for job in jobs))
+    producers = {i.existing.job_id for job in jobs for i in job.inputs if i.existing is not None}
+    return Draft(
+        row.id,
+        row.definition_hash,
+        now,
+        ids,
+        jobs,
+        tuple(sorted(job_id for job_id in producers if job_id is not None)),
+        tuple(_rows(row.id, campaign, jobs, ids, now, priority, use_cache)),
+    )
+
+
+def enter(session: Session, planned: Draft) -> Submission:
+    """Enter planned jobs in a writing session; nothing is visible to anybody before it is committed.
+
+    That a newer file or job has come meanwhile changes nothing: it is as if they had been submitted before.
+
+    Raises
+    ------
+    PlanOutdated
+        The campaign is another, a file is gone, or a job that these would wait for has ended or just ends.
+    """
+    if planned.jobs:
+        _require_current(session, planned)
+        try:
+            for table, rows in planned.rows:
+                session.execute(insert(table), rows)
+        except IntegrityError as error:
+            # A policy has let a file go that one of them needs.
+            raise PlanOutdated("what these jobs need is gone meanwhile; submit them again") from error
+    return planned.submission
+
+
+def _require_current(session: Session, planned: Draft) -> None:
+    known_by = select(CampaignRow.definition_hash).where(CampaignRow.id == planned.campaign_id)
+    if session.scalar(known_by) != planned.definition_hash:
+        raise PlanOutdated("the campaign was changed by somebody else meanwhile; submit the jobs again")
+    for some in parts(planned.producers):
+        # Locked, so that none ends without seeing who waits for it; waiting here for one that is about to
+        # could be in a circle.
+        still = session.scalars(
+            select(JobRow.id)
+            .where(JobRow.id.in_(some), JobRow.state.in_(ACTIVE))
+            .with_for_update(read=True, skip_locked=True)
+        ).all()
+        if len(still) < len(some):
+            raise PlanOutdated("a job that these would wait for ends just now; submit them again")
 
 
 def _coming(session: Session, campaign_id: int) -> Callable[[Need], str | None]:
@@ -102,8 +246,7 @@ def _coming(session: Session, campaign_id: int) -> Callable[[Need], str | None]:
     return find
 
 
-def _insert(
-    session: Session,
+def _rows(
     campaign_id: int,
     campaign: Campaign,
     jobs: Sequence[PlannedJob],
@@ -111,73 +254,77 @@ def _insert(
     now: datetime,
     priority: int,
     use_cache: bool,
-) -> None:
+) -> Iterator[tuple[type[Any], list[dict[str, Any]]]]:
+    """Yield what is to be entered, table by table, where there is anything."""
     first = int(now.timestamp() * 1e6)
+    queues = [job.kind.queue_for(campaign) for job in jobs]
     states = [
         JobState.WAITING if any(_producer(i, ids) for i in job.inputs) else JobState.QUEUED for job in jobs
     ]
-    session.execute(
-        insert(JobRow),
-        [
-            {
-                "id": job_id,
-                "kind": job.kind.name,
-                "kind_version": job.kind.version,
-                "campaign_id": campaign_id,
-                "subject": str(job.subject),
-                "parameters": job.parameters.model_dump(mode="json"),
-                "queue": job.kind.queue_for(campaign),
-                "priority": priority,
-                "position": first + place,
-                "repeatable": job.kind.repeatable(job.parameters),
-                "use_cache": use_cache,
-                "state": state,
-                "submitted_at": now,
-            }
-            for place, (job_id, job, state) in enumerate(zip(ids, jobs, states, strict=True))
-        ],
-    )
-    edges = [
-        {
-            "job_id": job_id,
-            "role": given.need.role,
-            "source": given.need.source,
-            "subject": str(given.need.subject),
-            "producer_id": _producer(given, ids),
-            "file_id": None if given.existing is None else given.existing.file_id,
-        }
-        for job_id, job in zip(ids, jobs, strict=True)
-        for given in job.inputs
+    tables: list[tuple[type[Any], list[dict[str, Any]]]] = [
+        (
+            JobRow,
+            [
+                {
+                    "id": job_id,
+                    "kind": job.kind.name,
+                    "kind_version": job.kind.version,
+                    "campaign_id": campaign_id,
+                    "subject": str(job.subject),
+                    "parameters": job.parameters.model_dump(mode="json"),
+                    "queue": queue,
+                    "priority": priority,
+                    "position": first + place,
+                    "repeatable": job.kind.repeatable(job.parameters),
+                    "use_cache": use_cache,
+                    "state": state,
+                    "submitted_at": now,
+                }
+                for place, (job_id, job, queue, state) in enumerate(
+                    zip(ids, jobs, queues, states, strict=True)
+                )
+            ],
+        ),
+        (
+            DependencyRow,
+            [
+                {
+                    "job_id": job_id,
+                    "role": given.need.role,
+                    "source": given.need.source,
+                    "subject": str(given.need.subject),
+                    "producer_id": _producer(given, ids),
+                    "file_id": None if given.existing is None else given.existing.file_id,
+                }
+                for job_id, job in zip(ids, jobs, strict=True)
+                for given in job.inputs
+            ],
+        ),
+        (
+            EventRow,
+            [
+                {"job_id": i, "at": now, "state": s, "attempt": 0, "message": "submitted"}
+                for i, s in zip(ids, states, strict=True)
+            ],
+        ),
+        (
+            OutboxRow,
+            [
+                {"job_id": i, "queue": queue}
+                for i, queue, s in zip(ids, queues, states, strict=True)
+                if s is JobState.QUEUED
+            ],
+        ),
+        (
+            JobDeviceRow,
+            [
+                {"job_id": job_id, "device": device}
+                for job_id, job in zip(ids, jobs, strict=True)
+                for device in set(job.kind.devices(campaign, job.subject))
+            ],
+        ),
     ]
-    if edges:
-        session.execute(insert(DependencyRow), edges)
-    session.execute(
-        insert(EventRow),
-        [
-            {"job_id": i, "at": now, "state": s, "attempt": 0, "message": "submitted"}
-            for i, s in zip(ids, states, strict=True)
-        ],
-    )
-    ready = [
-        {"job_id": i, "queue": job.kind.queue_for(campaign)}
-        for i, job, s in zip(ids, jobs, states, strict=True)
-        if s is JobState.QUEUED
-    ]
-    if ready:
-        session.execute(insert(OutboxRow), ready)
-
-
-def _note_devices(
-    session: Session, campaign: Campaign, jobs: Sequence[PlannedJob], ids: Sequence[str]
-) -> None:
-    """Enter which devices the jobs have to hold while they run."""
-    rows = [
-        {"job_id": job_id, "device": device}
-        for job_id, job in zip(ids, jobs, strict=True)
-        for device in set(job.kind.devices(campaign, job.subject))
-    ]
-    if rows:
-        session.execute(insert(JobDeviceRow), rows)
+    yield from ((table, rows) for table, rows in tables if rows)
 
 
 def _producer(given: PlannedInput, ids: Sequence[str]) -> str | None:

@@ -68,10 +68,10 @@ def lived_in(catalogue: Catalogue) -> Catalogue:
         session.execute(update(JobRow).where(JobRow.id == last).values(reused_from=first))
         queues.pause(session, "io", "the disk is full", NOW, for_room=True)
         session.add(LockRow(device="camera/C1", job_id=done.job_id, fence=1, taken_at=NOW))
-        every = parse_expression("every 60s", "Europe/Berlin")
-        schedules.add(session, "hourly", every, Order("plate", (Request("simulate"),)), NOW)
-        schedules.fire_due(session, NOW + timedelta(seconds=61))
         session.execute(update(WorkerRow).values(draining=True))
+    every = parse_expression("every 60s", "Europe/Berlin")
+    schedules.add(catalogue, "hourly", every, Order("plate", (Request("simulate"),)), NOW)
+    schedules.fire_due(catalogue, NOW + timedelta(seconds=61))
     return catalogue
 
 

@@ -14,6 +14,7 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow, WorkerRow
 from sms_jobs.jobs import queues, recovery
+from sms_jobs.jobs.chosen import named
 from sms_jobs.jobs.estimates import Estimate, estimate, pace
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.submission import submit
@@ -70,7 +71,7 @@ def let_all_succeed(
 
 def told(catalogue: Catalogue, job_ids: Sequence[str], at: datetime = NOW, workers: int = 2) -> Estimate:
     with catalogue.reading() as session:
-        return estimate(session, job_ids, at, workers)
+        return estimate(session, named(job_ids), at, workers)
 
 
 def test_without_history_nothing_is_told_but_what_is_missing(catalogue: Catalogue) -> None:
@@ -185,14 +186,14 @@ def test_the_pace_is_that_of_the_last_minutes_without_what_was_reused(catalogue:
     let_all_succeed(catalogue, at=NOW - timedelta(hours=1))
     new = submitted(catalogue, "plate", "simulate")
     with catalogue.reading() as session:
-        assert pace(session, new, NOW) is None
+        assert pace(session, named(new), NOW) is None
     let_all_succeed(catalogue)
     both = [*old, *new]
     with catalogue.reading() as session:
         # Two jobs in the last ten minutes; since its first start, less than a minute ago, of the new ones.
-        assert pace(session, both, NOW + timedelta(seconds=30)) == pytest.approx(2 / 10)
-        assert pace(session, new, NOW + timedelta(seconds=30)) == pytest.approx(2 / 0.5)
-        assert pace(session, new, NOW + timedelta(hours=1)) is None
+        assert pace(session, named(both), NOW + timedelta(seconds=30)) == pytest.approx(2 / 10)
+        assert pace(session, named(new), NOW + timedelta(seconds=30)) == pytest.approx(2 / 0.5)
+        assert pace(session, named(new), NOW + timedelta(hours=1)) is None
     with catalogue.writing() as session:
         session.execute(update(JobRow).where(JobRow.id == new[0]).values(reused_from=old[0]))
-        assert pace(session, new, NOW + timedelta(seconds=30)) == pytest.approx(1 / 0.5)
+        assert pace(session, named(new), NOW + timedelta(seconds=30)) == pytest.approx(1 / 0.5)

@@ -24,13 +24,11 @@ SUBMITTED = f"submitted {JOBS} jobs"
 
 
 def add(catalogue: Catalogue, text: str, order: Order = ORDER, missed_fire: MissedFire = "once") -> None:
-    with catalogue.writing() as session:
-        schedules.add(session, "nightly", parse_expression(text, "UTC"), order, NOW, missed_fire=missed_fire)
+    schedules.add(catalogue, "nightly", parse_expression(text, "UTC"), order, NOW, missed_fire=missed_fire)
 
 
 def fire(catalogue: Catalogue, hours: float) -> list[Fired]:
-    with catalogue.writing() as session:
-        return schedules.fire_due(session, NOW + hours * HOUR)
+    return schedules.fire_due(catalogue, NOW + hours * HOUR)
 
 
 def outcomes(catalogue: Catalogue, hours: float) -> list[str]:

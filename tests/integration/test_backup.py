@@ -22,6 +22,7 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.jobs import backups, inquiry, recovery, verification
+from sms_jobs.jobs.chosen import named
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.submission import submit
 from sms_jobs.records.job import JobState
@@ -71,7 +72,7 @@ def test_every_snapshot_fits_its_files_whatever_jobs_seal_meanwhile(home: Path, 
             jobs = submit_recording(services)
             while not stood or inquiry.still_active(stood[-1]):
                 with services.catalogue.reading() as session:
-                    stood.append(inquiry.counts(session, jobs))
+                    stood.append(inquiry.counts(session, named(jobs)))
                 back_up(services, kept, NOW + timedelta(seconds=len(stood)))
         assert stood[-1] == {"succeeded": len(jobs)}
     taken = backups.snapshots(kept)

@@ -71,8 +71,8 @@ def make(deployment: Deployment) -> Deployment:
     claim(catalogue, NOW + timedelta(seconds=10))
     with catalogue.writing() as session:
         queues.pause(session, "io", "the disk is full", NOW, for_room=True)
-        order = Order("plate", (Request("simulate"),))
-        schedules.add(session, "nightly", parse_expression("every 60s", "UTC"), order, NOW)
+    order = Order("plate", (Request("simulate"),))
+    schedules.add(catalogue, "nightly", parse_expression("every 60s", "UTC"), order, NOW)
     catalogue.close()
     return deployment
 

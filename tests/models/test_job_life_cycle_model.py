@@ -33,6 +33,7 @@ from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.models import DependencyRow, JobRow
 from sms_jobs.errors import Cancelled, Conflict, LeaseLost, NotFound, OverLimit
 from sms_jobs.jobs import doorbell, indexing, lifecycle, queues, recovery, reuse
+from sms_jobs.jobs.chosen import named
 from sms_jobs.jobs.indexing import SealedOutput
 from sms_jobs.jobs.lifecycle import Claim
 from sms_jobs.jobs.planning import Request
@@ -281,14 +282,14 @@ class JobLives(JobModel):
         mine = [job for job in before if job in some]
         if isinstance(to, int):
             with self.catalogue.writing() as session:
-                assert queues.set_priority(session, sorted(some), to) == len(mine)
+                assert queues.set_priority(session, named(sorted(some)), to) == len(mine)
             return
         with self.catalogue.writing() as session:
             if not mine:
                 with pytest.raises(Conflict):
-                    queues.move(session, sorted(some), to)
+                    queues.move(session, named(sorted(some)), to)
                 return
-            assert queues.move(session, sorted(some), to) == len(mine)
+            assert queues.move(session, named(sorted(some)), to) == len(mine)
         rest = [job for job in before if job not in some]
         assert self.line() == (mine + rest if to == "front" else rest + mine)
 

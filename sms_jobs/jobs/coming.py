@@ -1,0 +1,211 @@
+"""Which jobs are still to be done before some have ended, and what each of them needs."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from graphlib import TopologicalSorter
+from typing import Any
+
+from sqlalchemy import ColumnElement, Row, Select, and_, false, func, or_, select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.models import DependencyRow, JobRow
+from sms_jobs.catalogue.parts import parts
+from sms_jobs.jobs.chosen import Chosen
+from sms_jobs.jobs.submission import Draft
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+from sms_jobs.records.job import ACTIVE, JobState
+
+MOST = 2000
+"""Jobs of the catalogue that are looked at one by one; of more a sample is."""
+_SAMPLE = 200
+_PLANNED = ("id", "kind", "kind_version", "campaign_id", "subject", "parameters", "queue", "state")
+_Edge = tuple[str, str | None, str]
+_IDS = 16**16
+"""Ids of jobs are that many random numbers, in hexadecimal digits."""
+
+
+@dataclass(frozen=True)
+class Coming:
+    """A job that has not ended, or is about to be submitted."""
+
+    id: str
+    kind: str
+    kind_version: int
+    campaign_id: int
+    subject: str
+    parameters: dict[str, Any]
+    queue: str
+    state: JobState
+    started_at: datetime | None
+    progress: float
+    wanted: bool
+
+
+@dataclass(frozen=True)
+class Graph:
+    """Jobs, each after those that it needs.
+
+    Attributes
+    ----------
+    jobs, needs
+        The jobs, and by id the jobs among them that it needs.
+    by_frames
+        Kinds that work on measurements alone, and so on frames: what takes results of others has one image
+        of each pair to go through.
+    """
+
+    jobs: tuple[Coming, ...]
+    needs: Mapping[str, Sequence[str]]
+    by_frames: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Some of many jobs, taken by chance, and how many there are of each queue.
+
+    Attributes
+    ----------
+    jobs
+        The sample.
+    total, wanted
+        Number of all jobs, and of those that are wanted, by queue.
+    by_frames
+        As of a graph.
+    """
+
+    jobs: tuple[Coming, ...]
+    total: Mapping[str, int]
+    wanted: Mapping[str, int]
+    by_frames: frozenset[str]
+
+
+def coming(session: Session, chosen: Chosen) -> Graph | Sample:
+    """Return the active jobs that are wanted or come before those; of very many, a sample."""
+    wanted = and_(JobRow.state.in_(ACTIVE), *chosen.where)
+    before = _before(session, wanted) if chosen.where else wanted
+    if before is None:
+        return Graph((), {}, frozenset())
+    if not _are_few(session, before):
+        total = _by_queue(session, before)
+        return _sample(session, before, wanted, total, _by_queue(session, wanted) if chosen.where else total)
+    jobs = [_coming(row) for row in session.execute(_query(wanted).where(before))]
+    return _closed(session, jobs, _edges(session, before), wanted)
+
+
+def coming_with(session: Session, planned: Draft) -> Graph | Sample:
+    """Return jobs that are about to be submitted, and the active ones that come before them."""
+    rows = planned.of(JobRow)
+    if not rows:
+        return Graph((), {}, frozenset())
+    mine = [
+        Coming(**{name: row[name] for name in _PLANNED}, started_at=None, progress=0.0, wanted=True)
+        for row in rows
+    ]
+    nobody = false()
+    before = _not_after(rows[-1]["priority"], rows[-1]["position"])
+    if not _are_few(session, before):
+        added = Counter(job.queue for job in mine)
+        total = Counter(_by_queue(session, before)) + added
+        return _sample(session, before, nobody, total, added, mine)
+    edges = [(e["job_id"], e["producer_id"], e["source"]) for e in planned.of(DependencyRow)]
+    jobs = [_coming(row) for row in session.execute(_query(nobody).where(before))]
+    return _closed(session, [*jobs, *mine], [*_edges(session, before), *edges], nobody)
+
+
+def _before(session: Session, wanted: ColumnElement[bool]) -> ColumnElement[bool] | None:
+    """Tell the active jobs that are wanted, or are claimed before the last of them; None without any."""
+    priority = session.scalar(select(func.min(JobRow.priority)).where(wanted))
+    if priority is None:
+        return None
+    last = select(func.max(JobRow.position)).where(wanted, JobRow.priority == priority)
+    return _not_after(priority, session.scalars(last).one())
+
+
+def _not_after(priority: int, position: int) -> ColumnElement[bool]:
+    return and_(
+        JobRow.state.in_(ACTIVE),
+        or_(JobRow.priority > priority, and_(JobRow.priority == priority, JobRow.position <= position)),
+    )
+
+
+def _are_few(session: Session, which: ColumnElement[bool]) -> bool:
+    some = select(JobRow.id).where(which).limit(MOST + 1).subquery()
+    return (session.scalar(select(func.count()).select_from(some)) or 0) <= MOST
+
+
+def _query(wanted: ColumnElement[bool]) -> Select[Any]:
+    columns = [getattr(JobRow, name) for name in (*_PLANNED, "started_at", "progress")]
+    return select(*columns, wanted.label("wanted"))
+
+
+def _coming(row: Row[Any]) -> Coming:
+    return Coming(**{**row._mapping, "wanted": bool(row.wanted)})
+
+
+def _edges(session: Session, which: ColumnElement[bool]) -> list[_Edge]:
+    """Return what some jobs need: job, producer, source."""
+    edge = DependencyRow
+    rows = session.execute(
+        select(edge.job_id, edge.producer_id, edge.source).join(JobRow, JobRow.id == edge.job_id).where(which)
+    )
+    return [(job_id, producer, source) for job_id, producer, source in rows]
+
+
+def _closed(
+    session: Session, jobs: Sequence[Coming], edges: Sequence[_Edge], wanted: ColumnElement[bool]
+) -> Graph:
+    """Put jobs in order, with the active ones that they need and that would be claimed after them."""
+    by_id = {job.id: job for job in jobs}
+    known, found = list(edges), set(by_id)
+    while missing := sorted({p for _, p, _ in known if p is not None} - found):
+        found.update(missing)
+        for names in parts(missing):
+            some = and_(JobRow.id.in_(names), JobRow.state.in_(ACTIVE))
+            by_id |= {row.id: _coming(row) for row in session.execute(_query(wanted).where(some))}
+            known += _edges(session, some)
+    needs: dict[str, list[str]] = {job_id: [] for job_id in by_id}
+    sources: dict[str, set[str]] = defaultdict(set)
+    for job_id, producer, source in known:
+        if producer in by_id:
+            needs[job_id].append(producer)
+        sources[by_id[job_id].kind].add(source)
+    order = TopologicalSorter(needs).static_order()
+    return Graph(tuple(by_id[job_id] for job_id in order), needs, _by_frames(sources))
+
+
+def _by_frames(sources: Mapping[str, set[str]]) -> frozenset[str]:
+    return frozenset(kind for kind, some in sources.items() if some <= {MEASUREMENT, CALIBRATION})
+
+
+def _by_queue(session: Session, which: ColumnElement[bool]) -> dict[str, int]:
+    query = select(JobRow.queue, func.count()).where(which).group_by(JobRow.queue)
+    return dict(session.execute(query).all())
+
+
+def _sample(
+    session: Session,
+    which: ColumnElement[bool],
+    wanted: ColumnElement[bool],
+    total: Mapping[str, int],
+    of_wanted: Mapping[str, int],
+    further: Sequence[Coming] = (),
+) -> Sample:
+    """Take a sample of each queue, since one may hold few jobs that take long."""
+    jobs: dict[str, Coming] = {}
+    edges: list[_Edge] = []
+    for queue, count in total.items():
+        of_queue = and_(which, JobRow.queue == queue)
+        # Ids are random: those below a bound are a random sample, and the index of ids leads to them.
+        bound = f"{int(min(1.0, _SAMPLE / count) * (_IDS - 1)):016x}"
+        some = [_coming(row) for row in session.execute(_query(wanted).where(of_queue, JobRow.id <= bound))]
+        edges += _edges(session, and_(of_queue, JobRow.id <= bound)) if some else []
+        jobs |= {job.id: job for job in some}
+    sources: dict[str, set[str]] = defaultdict(set)
+    for job_id, _, source in edges:
+        sources[jobs[job_id].kind].add(source)
+    every = max(1, len(further) // _SAMPLE)
+    return Sample((*jobs.values(), *further[::every]), total, of_wanted, _by_frames(sources))

@@ -1,0 +1,156 @@
+"""How long jobs of a kind have taken here before."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from statistics import median
+from typing import Any
+
+from pydantic import TypeAdapter
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, SensorRow, WorkerRow
+from sms_jobs.jobs.coming import Coming
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.job import JobState
+from sms_jobs.records.measurement import FringeSequence
+
+_REMEMBERED = 200
+"""Jobs of a kind, the latest, that an estimate looks back on."""
+_SEQUENCE = TypeAdapter(FringeSequence)
+
+
+@dataclass(frozen=True)
+class _Size:
+    """What the work of a job grows with: pixels of all its pairs and states, and frames of each."""
+
+    pixels: int
+    frames: int
+
+
+@dataclass(frozen=True)
+class _Past:
+    """A job that has succeeded, and what it took."""
+
+    version: int
+    parameters: dict[str, Any]
+    size: _Size | None
+    host: str
+    seconds: float
+
+
+class History:
+    """What jobs of a kind have taken before."""
+
+    def __init__(self, session: Session, hosts: Collection[str], by_frames: Collection[str]) -> None:
+        self._session = session
+        self._hosts = hosts
+        self._by_frames = by_frames
+        self._past: dict[str, list[_Past]] = {}
+        self._campaigns: dict[int, _Images | None] = {}
+        self._told: dict[tuple[Any, ...], float | None] = {}
+
+    def seconds(self, job: Coming) -> float | None:
+        """Return the median of the jobs that are most like this one; None where its kind has never run."""
+        size = self._size(job.kind, job.campaign_id, job.subject)
+        key = (job.kind, job.kind_version, str(job.parameters), size)
+        if key not in self._told:
+            self._told[key] = self._median(job, size)
+        return self._told[key]
+
+    def _median(self, job: Coming, size: _Size | None) -> float | None:
+        by_likeness: dict[tuple[bool, ...], list[float]] = defaultdict(list)
+        for past in self._of_kind(job.kind):
+            alike = (
+                past.parameters == job.parameters,
+                past.size == size,
+                past.host in self._hosts,
+                past.version == job.kind_version,
+            )
+            by_likeness[alike].append(past.seconds * self._ratio(job.kind, size, past.size))
+        return median(by_likeness[max(by_likeness)]) if by_likeness else None
+
+    def _ratio(self, kind: str, size: _Size | None, past: _Size | None) -> float:
+        if size is None or past is None:
+            return 1.0
+        frames = size.frames / past.frames if kind in self._by_frames else 1.0
+        return size.pixels / past.pixels * frames
+
+    def _of_kind(self, kind: str) -> list[_Past]:
+        if kind not in self._past:
+            rows = self._session.execute(
+                select(
+                    JobRow.kind_version,
+                    JobRow.parameters,
+                    JobRow.campaign_id,
+                    JobRow.subject,
+                    WorkerRow.host,
+                    JobRow.started_at,
+                    JobRow.finished_at,
+                )
+                .join(WorkerRow, WorkerRow.id == JobRow.worker_id)
+                .where(
+                    JobRow.kind == kind,
+                    JobRow.state == JobState.SUCCEEDED,
+                    JobRow.reused_from.is_(None),
+                    JobRow.started_at.is_not(None),
+                )
+                .order_by(JobRow.finished_at.desc())
+                .limit(_REMEMBERED)
+            )
+            self._past[kind] = [
+                _Past(version, parameters, self._size(kind, campaign, subject), host, _between(begun, ended))
+                for version, parameters, campaign, subject, host, begun, ended in rows
+            ]
+        return self._past[kind]
+
+    def _size(self, kind: str, campaign_id: int, subject: str) -> _Size | None:
+        if campaign_id not in self._campaigns:
+            self._campaigns[campaign_id] = _images(self._session, campaign_id)
+        images = self._campaigns[campaign_id]
+        return None if images is None else images.size(Subject.parse(subject))
+
+
+@dataclass(frozen=True)
+class _Images:
+    """The images of a campaign: pixels of a pair's camera, frames of a measurement, number of states."""
+
+    pixels: Mapping[str, int]
+    frames: int
+    states: int
+
+    def size(self, subject: Subject) -> _Size | None:
+        if subject.pair is not None:
+            pixels = self.pixels.get(subject.pair, 0)
+        else:
+            pixels = sum(self.pixels.values()) * (self.states if subject.state is None else 1)
+        return _Size(pixels, self.frames) if pixels and self.frames else None
+
+
+def _images(session: Session, campaign_id: int) -> _Images | None:
+    definition = CampaignRow.definition
+    row = session.execute(
+        select(CampaignRow.rig_id, definition["pairs"], definition["sequence"]).where(
+            CampaignRow.id == campaign_id
+        )
+    ).one_or_none()
+    if row is None:
+        return None
+    rig_id, pairs, sequence = row
+    cameras = session.execute(
+        select(SensorRow.name, SensorRow.columns * SensorRow.rows).where(SensorRow.rig_id == rig_id)
+    )
+    pixels = dict(cameras.all())
+    states = session.scalar(select(func.count()).where(LoadStateRow.campaign_id == campaign_id)) or 0
+    frames = _SEQUENCE.validate_python(sequence).frames
+    # A campaign of images alone has cameras in place of pairs.
+    return _Images({pair: pixels.get(pair.partition("P")[0], 0) for pair in pairs}, frames, states)
+
+
+def _between(begun: datetime | None, ended: datetime | None) -> float:
+    # A clock that was set back makes no job end before it began.
+    return max((ended - begun).total_seconds(), 0.0) if begun and ended else 0.0
