@@ -52,6 +52,12 @@ class DevicesBusy(Conflict):
     retryable = True
 
 
+class PlanOutdated(Conflict):
+    """What a plan builds on was changed by somebody else before it was entered."""
+
+    retryable = True
+
+
 class JobFailed(SmsError):
     """A job that was waited for did not succeed."""
 
@@ -75,6 +81,10 @@ class ServerUnreachable(SmsError):
 
     exit_code = 7
     retryable = True
+
+
+class CatalogueBusy(ServerUnreachable):
+    """Others have been writing to the catalogue for longer than is waited for; it may be free later."""
 
 
 class CommitInDoubt(ServerUnreachable):

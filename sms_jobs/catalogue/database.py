@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,7 +22,13 @@ from sqlalchemy.exc import (
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
 
-from sms_jobs.errors import CommitInDoubt, ConfigurationError, ServerUnreachable, StorageFull
+from sms_jobs.errors import (
+    CatalogueBusy,
+    CommitInDoubt,
+    ConfigurationError,
+    ServerUnreachable,
+    StorageFull,
+)
 
 _WRITING = "sms_writing"
 _RETURNED = "sms_returned_at"
@@ -28,6 +36,11 @@ _READ_ONLY = "25006"
 """PostgreSQL's code for a change that a server which stands by refuses."""
 _TRUSTED_S = 1.0
 """A connection that was in use so lately is taken without asking whether the server is still there."""
+_PATIENCE_S = 120.0
+"""How long a writer of SQLite waits for its turn; of the others each holds it for some milliseconds."""
+_LONGEST_PAUSE_S = 0.02
+_PATIENCE_OF_READERS_MS = 30_000
+"""A reader waits only while a catalogue is opened after a crash or closed by its last user."""
 
 _NOTICED = {
     "connect_timeout": 10,
@@ -86,10 +99,13 @@ class Catalogue:
         """Open a session that is committed at the end, or rolled back on an exception.
 
         On SQLite the write lock is taken at once, so that nothing read inside can be changed by another
-        process before it is written back.
+        process before it is written back. Others wait meanwhile: what takes long, such as loading kinds or
+        files, is done before.
 
         Raises
         ------
+        CatalogueBusy
+            On SQLite others have been writing all the time.
         CommitInDoubt
             The server went away while it committed.
         """
@@ -141,7 +157,7 @@ def _engine(url: str, create: bool) -> Engine:
         backend = parsed.get_backend_name()
         if backend == "sqlite":
             _require_file(parsed.database, create)
-            engine = create_engine(parsed, connect_args={"timeout": 30.0})
+            engine = create_engine(parsed, connect_args={"timeout": _PATIENCE_OF_READERS_MS / 1e3})
             event.listen(engine, "connect", _prepare_sqlite)
             event.listen(engine, "begin", _begin_sqlite)
             return engine
@@ -181,7 +197,7 @@ def _prepare_sqlite(connection: Any, _record: Any) -> None:
     # The driver would begin transactions late and by itself; `_begin_sqlite` does it instead.
     connection.isolation_level = None
     cursor = connection.cursor()
-    cursor.execute("PRAGMA busy_timeout = 30000")
+    cursor.execute(f"PRAGMA busy_timeout = {_PATIENCE_OF_READERS_MS}")
     cursor.execute("PRAGMA journal_mode = WAL")
     cursor.execute("PRAGMA synchronous = FULL")
     cursor.execute("PRAGMA foreign_keys = ON")
@@ -213,5 +229,42 @@ def _refuse_broken(
 
 
 def _begin_sqlite(connection: Connection) -> None:
-    writing = connection.get_execution_options().get(_WRITING, False)
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")
+    if connection.get_execution_options().get(_WRITING, False):
+        _take_turn(connection)
+    else:
+        connection.exec_driver_sql("BEGIN")
+
+
+def _take_turn(connection: Connection) -> None:
+    """Begin to write, once nobody else does.
+
+    SQLite's own waiting asks ten times a second and gives up early: among many who write for some
+    milliseconds each, whoever waits long meets another one every time. Asked more often, at random moments,
+    everybody comes to his turn.
+    """
+    driver: Any = connection.connection.dbapi_connection
+    deadline = time.monotonic() + _PATIENCE_S
+    pause = 1e-3
+    driver.execute("PRAGMA busy_timeout = 0")
+    try:
+        while _is_busy(driver):
+            if time.monotonic() > deadline:
+                raise CatalogueBusy(
+                    f"others have written to the catalogue {connection.engine.url} for {_PATIENCE_S:.0f} s; "
+                    "nothing was changed; try again, and if it stays so run 'sms doctor'"
+                )
+            time.sleep(random.uniform(0.5, 1.5) * pause)  # noqa: S311 - chance that keeps no secret
+            pause = min(2.0 * pause, _LONGEST_PAUSE_S)
+    finally:
+        driver.execute(f"PRAGMA busy_timeout = {_PATIENCE_OF_READERS_MS}")
+    if not driver.in_transaction:
+        connection.exec_driver_sql("BEGIN IMMEDIATE")
+
+
+def _is_busy(driver: Any) -> bool:
+    """Try to begin to write; True where somebody else does. Any other error is for the next try to tell."""
+    try:
+        driver.execute("BEGIN IMMEDIATE")
+    except sqlite3.OperationalError as error:
+        return error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY
+    return False
