@@ -5,6 +5,7 @@ from __future__ import annotations
 from sqlalchemy import text
 
 from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import Table
 
 MANY = 1000
 """After so many new jobs or files the database should look at them."""
@@ -18,7 +19,12 @@ def analyse(catalogue: Catalogue) -> None:
     Without it SQLite never does, and chooses indexes as if all tables were alike; PostgreSQL does it by
     itself, but only a minute after much has changed.
     """
-    with catalogue.writing() as session:
-        if catalogue.dialect == "sqlite":
+    if catalogue.dialect != "sqlite":
+        with catalogue.writing() as session:
+            session.execute(text("ANALYZE"))
+        return
+    for table in Table.metadata.tables:
+        # One by one, since others wait who want to write.
+        with catalogue.writing() as session:
             session.execute(text(f"PRAGMA analysis_limit = {_ROWS}"))
-        session.execute(text("ANALYZE"))
+            session.execute(text(f'ANALYZE "{table}"'))
