@@ -9,6 +9,7 @@ from __future__ import annotations
 import mmap
 import os
 import struct
+import tempfile
 
 _LINE = struct.Struct("=qq")
 _DRAINING = 0
@@ -68,9 +69,11 @@ def place_line(number: int) -> int:
 
 def new_board(places: int) -> int:
     """Return the file descriptor of a board with lines for the nursery and so many places."""
-    descriptor = os.memfd_create("sms-board")
-    os.ftruncate(descriptor, _at(place_line(places)))
-    return descriptor
+    with tempfile.TemporaryFile() as file:
+        # Written, so that there is room for it for good.
+        file.write(bytes(_at(place_line(places))))
+        file.flush()
+        return os.dup(file.fileno())
 
 
 def _at(line: int) -> int:

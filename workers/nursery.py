@@ -24,7 +24,9 @@ _BEAT_EVERY_S = 1.0
 def main() -> None:
     """Fork what is asked for, until nobody asks any more."""
     board_descriptor, lifeline = int(sys.argv[1]), int(sys.argv[2])
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # A stopped process whose parent dies is hung up on by the system, with all of its group.
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
     all_kinds()
     app.finalize()
     # What is there now is shared by all places for as long as no collection touches it.

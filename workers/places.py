@@ -2,19 +2,20 @@
 
 A place that has died is filled again; one that was stopped is woken; one that neither listens nor runs a job
 is killed. Whether it is well says its own sign of life, and nothing that a broker or a thread beside it says.
+A thread sees to that: what was stopped may hold the very lock of the catalogue that its supervisor waits for.
 """
 
 from __future__ import annotations
 
 import logging
 import os
-import select
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
@@ -25,6 +26,7 @@ from sms_jobs.workers.board import NURSERY, Board, new_board, place_line
 
 logger = logging.getLogger(__name__)
 
+_TICK_S = 0.2
 _LONGEST_STEP_S = 1.0
 _WAKE_AFTER_S = 3.0
 """A stopped process is woken after this; a debugger would have to be quicker."""
@@ -38,44 +40,6 @@ _BIRTH_S = 120.0
 _ASK_AGAIN_S = 2.0
 _DEATH_S = 2.0
 """A process that is killed ends at once, unless a disk holds it."""
-
-
-@dataclass(frozen=True)
-class Process:
-    """A process that is held fast: its number may become another's, this never does."""
-
-    pid: int
-    descriptor: int
-
-    @classmethod
-    def of(cls, pid: int) -> Process | None:
-        """Take hold of a process; None when it is gone."""
-        try:
-            return cls(pid, os.pidfd_open(pid))
-        except ProcessLookupError:
-            return None
-
-    @property
-    def lives(self) -> bool:
-        """Whether it has not ended; one that nobody has buried yet has."""
-        return not select.select([self.descriptor], [], [], 0.0)[0]
-
-    @property
-    def stopped(self) -> bool:
-        """Whether it was stopped by a signal."""
-        try:
-            return bool(psutil.Process(self.pid).status() == psutil.STATUS_STOPPED)
-        except psutil.Error:
-            return False
-
-    def send(self, number: signal.Signals) -> None:
-        """Send it a signal, if it is still there."""
-        with suppress(ProcessLookupError):
-            signal.pidfd_send_signal(self.descriptor, number)
-
-    def close(self) -> None:
-        """Let go of it."""
-        os.close(self.descriptor)
 
 
 class Places:
@@ -99,52 +63,53 @@ class Places:
         self._board = Board(self._descriptor)
         self._lifeline, self._lifeline_held = os.pipe()
         self._nursery: subprocess.Popen[bytes] | None = None
-        self._processes: dict[int, Process] = {}
+        self._processes: dict[int, psutil.Process] = {}
         self._asked_at: dict[int, float] = {}
         self._stopped: Stillness[int] = Stillness(_LONGEST_STEP_S)
         self._silent: Stillness[int] = Stillness(_LONGEST_STEP_S)
+        self._busy: frozenset[int] | None = None
         self._draining = False
+        self._lock = threading.Lock()
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._tend, name="places", daemon=True)
 
-    def tend(self, now: float, busy: Collection[int] | None) -> None:
-        """Fill places that are empty, wake what was stopped, end what hangs.
+    def start(self) -> None:
+        """Fill the places, and look after them from now on."""
+        self._thread.start()
 
-        Parameters
-        ----------
-        now
-            Seconds of a monotonic clock.
-        busy
-            Processes that run a job; None when that is not known, and then nobody is said to hang.
-        """
-        self._look()
-        self._wake_stopped(now)
-        self._end_silent(now, busy)
-        if not self._draining:
-            self._fill(now)
+    def busy(self, pids: Collection[int] | None) -> None:
+        """Hear which processes run a job; None when that is not known, and then nobody is said to hang."""
+        self._busy = None if pids is None else frozenset(pids)
 
     def living(self) -> set[int]:
         """Return the processes that are in the places now."""
-        self._look()
-        return {p.pid for line, p in self._processes.items() if line != NURSERY and p.lives}
+        with self._lock:
+            self._look()
+            return {p.pid for line, p in self._processes.items() if line != NURSERY and _lives(p)}
 
     def end(self, pid: int, force: Force) -> None:
         """End the process of a place; one that is in none any more is left alone."""
-        for line, process in self._processes.items():
-            if line != NURSERY and process.pid == pid:
-                process.send(signal.SIGKILL if force is Force.KILL else signal.SIGTERM)
+        with self._lock:
+            for line, process in self._processes.items():
+                if line != NURSERY and process.pid == pid:
+                    _send(process, signal.SIGKILL if force is Force.KILL else signal.SIGTERM)
 
     def drain(self) -> None:
         """Let each place end after what it runs, and fill none any more."""
-        self._draining = True
-        self._board.drain()
+        with self._lock:
+            self._draining = True
+            self._board.drain()
 
     def close(self) -> None:
         """Kill what is left, and let go of everything."""
         self.drain()
+        self._closed.set()
+        if self._thread.is_alive():
+            self._thread.join()
         self._look()
         for process in self._processes.values():
-            process.send(signal.SIGKILL)
-            select.select([process.descriptor], [], [], _DEATH_S)
-            process.close()
+            _send(process, signal.SIGKILL)
+        psutil.wait_procs(self._processes.values(), timeout=_DEATH_S)
         self._processes.clear()
         self._lines = []
         if self._nursery is not None:
@@ -154,34 +119,49 @@ class Places:
         for descriptor in (self._lifeline_held, self._lifeline, self._descriptor):
             os.close(descriptor)
 
+    def _tend(self) -> None:
+        while not self._closed.wait(_TICK_S):
+            try:
+                with self._lock:
+                    self._look()
+                    self._wake_stopped(time.monotonic())
+                    self._end_silent(time.monotonic())
+                    if not self._draining:
+                        self._fill(time.monotonic())
+            except Exception:
+                # Whatever it is, places would stay empty without this thread.
+                logger.exception("the places cannot be looked after now; trying again")
+
     def _look(self) -> None:
         """Take hold of who is in which place, and let go of who is gone."""
         for line in self._lines:
             pid, _ = self._board.read(line)
             known = self._processes.get(line)
-            if known is not None and known.pid == pid and known.lives:
+            if known is not None and known.pid == pid and _lives(known):
                 continue
             if known is not None:
-                self._processes.pop(line).close()
+                del self._processes[line]
                 if not self._draining:
                     logger.warning("process %d is gone", known.pid)
             if known is not None and known.pid == pid:
                 self._board.clear(line)
-            elif pid and (process := Process.of(pid)) is not None:
-                self._processes[line] = process  # one that has ended is let go of at the next look
+            elif pid:
+                with suppress(psutil.NoSuchProcess):
+                    self._processes[line] = psutil.Process(pid)
 
     def _wake_stopped(self, now: float) -> None:
-        stopped = {line: p.pid for line, p in self._processes.items() if p.stopped}
+        stopped = {line: p.pid for line, p in self._processes.items() if _is_stopped(p)}
         for line, for_s in self._stopped.look(stopped, now).items():
             process = self._processes[line]
             if for_s > _STOPPED_S:
                 logger.error("process %d was stopped and does not go on; killing it", process.pid)
-                process.send(signal.SIGKILL)
+                _send(process, signal.SIGKILL)
             elif for_s > _WAKE_AFTER_S:
                 logger.warning("process %d was stopped; letting it go on", process.pid)
-                process.send(signal.SIGCONT)
+                _send(process, signal.SIGCONT)
 
-    def _end_silent(self, now: float, busy: Collection[int] | None) -> None:
+    def _end_silent(self, now: float) -> None:
+        busy = self._busy
         signs = {
             line: self._board.read(line)
             for line, process in self._processes.items()
@@ -192,7 +172,7 @@ class Places:
             if for_s > limit_s:
                 process = self._processes[line]
                 logger.error("process %d gives no sign of life; killing it", process.pid)
-                process.send(signal.SIGKILL)
+                _send(process, signal.SIGKILL)
 
     def _fill(self, now: float) -> None:
         nursery = self._nursery
@@ -244,3 +224,23 @@ class Places:
         nursery.stdin.close()
         nursery.kill()
         nursery.wait()
+
+
+def _lives(process: psutil.Process) -> bool:
+    """Tell whether a process has not ended; one that nobody has buried yet has."""
+    try:
+        return bool(process.is_running() and process.status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False
+
+
+def _is_stopped(process: psutil.Process) -> bool:
+    try:
+        return bool(process.status() == psutil.STATUS_STOPPED)
+    except psutil.NoSuchProcess:
+        return False
+
+
+def _send(process: psutil.Process, number: signal.Signals) -> None:
+    with suppress(psutil.NoSuchProcess):
+        process.send_signal(number)

@@ -24,7 +24,7 @@ from sms_jobs.catalogue import upkeep
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs import limits, recovery, schedules
-from sms_jobs.jobs.limits import Limits, Observed, Watch
+from sms_jobs.jobs.limits import Limits, Watch
 from sms_jobs.jobs.origin import Origin
 from sms_jobs.jobs.witness import Witness
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN
@@ -69,7 +69,6 @@ class Supervisor:
         self._origin = Origin.own()
         self._witness = Witness(self.worker_id, self._origin)
         self._watch = Watch()
-        self._running: list[Observed] | None = None
         self._places = Places(
             self._settings.workers,
             self._environment(),
@@ -90,6 +89,7 @@ class Supervisor:
         watch = ArchiveWatch(self._services, self.worker_id)
         publisher.start()
         watch.start()
+        self._places.start()
         try:
             self._serve(until_idle)
         finally:
@@ -136,7 +136,6 @@ class Supervisor:
                     recover_at = moment + _RECOVER_EVERY_S
                     if until_idle and self._idle:
                         return
-            self._done(self._tend)
             time.sleep(_TICK_S)
 
     def _look_for_rigs(self) -> None:
@@ -147,10 +146,6 @@ class Supervisor:
                 recovery.note_queues(session, self.worker_id, served)
             self._served = served
             logger.info("serving %s from now on", ", ".join(served))
-
-    def _tend(self) -> None:
-        busy = None if self._running is None else {job.pid for job in self._running}
-        self._places.tend(time.monotonic(), busy)
 
     def _done(self, duty: Callable[[], None]) -> bool:
         """Do one duty; False when it could not be done, which keeps the supervisor from no other."""
@@ -189,14 +184,14 @@ class Supervisor:
 
     def _enforce(self) -> None:
         """Ask jobs that take too much to stop, and end those that do not."""
-        self._running = None
+        self._places.busy(None)
         with self._services.catalogue.writing() as session:
             running = self._watch.look(session, self.worker_id, time.monotonic())
             for job_id in limits.ask_those_over_limit(
                 session, running, datetime.now(UTC), self._limits, memory_of_process
             ):
                 logger.warning("job %s is over its limit and asked to stop", job_id)
-        self._running = running
+        self._places.busy([job.pid for job in running])
         for job in limits.overdue(running, self._limits):
             logger.warning("job %s does not stop: %s process %d", job.job_id, job.force.value, job.pid)
             self._places.end(job.pid, job.force)
@@ -235,7 +230,6 @@ class Supervisor:
                 enforce_at = time.monotonic() + _RECOVER_EVERY_S
                 self._done(self._beat)
                 self._done(self._enforce)
-            self._done(self._tend)
             time.sleep(_TICK_S)
         late = self._places.living()
         self._places.close()

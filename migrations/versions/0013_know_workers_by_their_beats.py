@@ -1,5 +1,7 @@
 """Know workers by where they are and by their beats; jobs have no leases of their own any more."""
 
+from typing import Any
+
 import sqlalchemy as sa
 from alembic import op
 
@@ -8,7 +10,7 @@ down_revision = "0010"
 branch_labels = None
 depends_on = None
 
-_NEW = (
+_NEW: tuple[tuple[str, sa.types.TypeEngine[Any], Any], ...] = (
     ("machine", sa.String(64), ""),
     ("boot", sa.String(64), ""),
     ("pid_namespace", sa.String(64), ""),
