@@ -14,6 +14,7 @@ resolve() {
         --no-header --no-annotate --no-emit-index-url --no-emit-find-links pyproject.toml "$@"
 }
 
-resolve --extra build --output-file requirements.lock
+# A grown installation and a rig with a projector are set up by the same commands as any other.
+resolve --extra build --extra postgresql --extra projector --output-file requirements.lock
 # The constraint keeps the two files on the same versions, so that tests run what users run.
-resolve --extra build --extra test --constraint requirements.lock --output-file requirements-test.lock
+resolve --extra build --extra postgresql --extra projector --extra test --constraint requirements.lock --output-file requirements-test.lock

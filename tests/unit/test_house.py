@@ -96,8 +96,10 @@ def test_every_declared_dependency_is_locked() -> None:
     def names(requirements: list[str]) -> set[str]:
         return {re.split(r"[\[<>=~! ;]", r)[0].lower() for r in requirements}
 
-    assert names(project["dependencies"] + extras["build"]) <= packages("requirements.lock").keys()
-    assert names(extras["test"] + extras["postgresql"]) <= packages("requirements-test.lock").keys()
+    # Whoever sets up a grown installation, or a rig with a projector, does it by the same commands.
+    set_up = project["dependencies"] + extras["build"] + extras["postgresql"] + extras["projector"]
+    assert names(set_up) <= packages("requirements.lock").keys()
+    assert names(extras["test"]) <= packages("requirements-test.lock").keys()
 
 
 def test_every_imported_package_is_declared() -> None:
