@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -30,32 +31,55 @@ class Services:
         return Stations.of(self.settings)
 
 
-def initialise(home: Path | None = None) -> Settings:
+def initialise(home: Path | None = None, environment_file: Path | None = None) -> Settings:
     """Make a home: folders, settings file and an up-to-date catalogue; what is there already is kept.
+
+    Folders that are made are for their owner alone.
+
+    Parameters
+    ----------
+    home
+        Its folder; the default one if it is None.
+    environment_file
+        That the settings file is to name.
 
     Raises
     ------
     ConfigurationError
-        The folder cannot be written.
+        The folder cannot be written, or its settings file is there and names another environment file.
     """
-    settings = settings_file.load(home)
+    settings = settings_file.load(home, environment_file)
+    file = settings.home / settings_file.FILE_NAME
     try:
         for folder in (settings.home, settings.archive_root, settings.log_folder):
-            folder.mkdir(parents=True, exist_ok=True)
-        file = settings.home / settings_file.FILE_NAME
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not file.exists():
-            file.write_text(_SETTINGS_TEXT, encoding="utf-8")
+            file.write_text(_settings_text(settings.environment_file), encoding="utf-8")
     except OSError as error:
         raise ConfigurationError(
             f"the home {settings.home} cannot be made: {error.strerror}: {error.filename}; "
             "choose another with --home"
         ) from error
+    named = settings_file.load(settings.home).environment_file
+    if named != settings.environment_file:
+        raise ConfigurationError(
+            f"{file} is there already and names {named or 'no environment file'}: write "
+            f"{_naming(settings.environment_file)} into it"
+        )
     catalogue = Catalogue(settings.catalogue_url, create=True)
     try:
         schema.upgrade(catalogue)
     finally:
         catalogue.close()
     return settings
+
+
+def _settings_text(environment_file: Path | None) -> str:
+    return _SETTINGS_TEXT + ("" if environment_file is None else _naming(environment_file) + "\n")
+
+
+def _naming(environment_file: Path | None) -> str:
+    return f"environment_file = {json.dumps(str(environment_file))}"
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """Where the home is, which servers are used, and how much of the machine a worker takes.
 
-Environment variables (`SMS_...`) win over `sms.toml` in the home, which wins over the defaults.
+Environment variables (`SMS_...`) win over the environment file that `sms.toml` in the home may name, this
+over `sms.toml` itself, and this over the defaults.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from pathlib import Path
 from pydantic import Field, SecretStr, ValidationError
 from pydantic_settings import (
     BaseSettings,
+    InitSettingsSource,
     PydanticBaseSettingsSource,
     SettingsConfigDict,
     TomlConfigSettingsSource,
@@ -20,6 +22,7 @@ from pydantic_settings import (
 from sms_jobs.errors import ConfigurationError
 
 FILE_NAME = "sms.toml"
+_PREFIX = "SMS_"
 
 
 class Settings(BaseSettings):
@@ -37,6 +40,9 @@ class Settings(BaseSettings):
         Folder of the sealed files; empty for `archive` in the home.
     spool
         Folder, on a disk of this host, for frames as they come in; empty for `spool` in the home.
+    environment_file
+        File of environment variables, as systemd reads it, for what `sms.toml` should not hold, such as
+        passwords; it has to be there. In `sms.toml` alone.
     workers
         Jobs that run at the same time under one supervisor.
     threads
@@ -54,13 +60,14 @@ class Settings(BaseSettings):
         after twice this it is killed.
     """
 
-    model_config = SettingsConfigDict(env_prefix="SMS_", frozen=True, extra="forbid")
+    model_config = SettingsConfigDict(env_prefix=_PREFIX, frozen=True, extra="forbid")
 
     home: Path
     database_url: SecretStr = SecretStr("")
     broker_url: SecretStr = SecretStr("")
     archive: Path | None = None
     spool: Path | None = None
+    environment_file: Path | None = None
     workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=256)
     threads: int = Field(default=1, ge=1, le=256)
     lease_s: float = Field(default=30.0, ge=1.0, le=3600.0)
@@ -79,13 +86,12 @@ class Settings(BaseSettings):
         dotenv_settings: PydanticBaseSettingsSource,
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Put the home's file between the environment and the defaults."""
-        home = init_settings().get("home")
-        return (
-            init_settings,
-            env_settings,
-            TomlConfigSettingsSource(settings_cls, Path(str(home)) / FILE_NAME),
-        )
+        """Put the files of the home between the environment and the defaults."""
+        given = init_settings()
+        of_home = TomlConfigSettingsSource(settings_cls, Path(str(given["home"])) / FILE_NAME)
+        named = given.get("environment_file") or of_home().get("environment_file")
+        variables = {} if named is None else _environment(Path(str(named)), set(settings_cls.model_fields))
+        return (init_settings, env_settings, InitSettingsSource(settings_cls, variables), of_home)
 
     @property
     def catalogue_url(self) -> str:
@@ -124,12 +130,40 @@ class Settings(BaseSettings):
 
 
 def default_home() -> Path:
-    """Return the home that is used when none is named: `SMS_HOME`, or `sms-home` in the user's folder."""
-    return Path(os.environ.get("SMS_HOME") or Path.home() / "sms-home")
+    """Return the home that is used when none is named.
+
+    That is `SMS_HOME`, or the user's own folder where it is a home, as that of a service's account is, or
+    `sms-home` in it.
+    """
+    if named := os.environ.get("SMS_HOME"):
+        return Path(named)
+    own = Path.home()
+    return own if (own / FILE_NAME).is_file() else own / "sms-home"
 
 
-def load(home: Path | None = None) -> Settings:
-    """Read the settings of a home.
+def _environment(path: Path, known: set[str]) -> dict[str, str]:
+    """Return the settings in a file of environment variables; `ConfigurationError` where it is not there."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or "it is no text"
+        raise ConfigurationError(
+            f"settings of this home are in {path}, which cannot be read ({why}): restore it, run this as an "
+            f"account that may read it, or correct 'environment_file' in {FILE_NAME}"
+        ) from error
+    found = {}
+    for line in lines:
+        name, _, value = line.strip().partition("=")
+        field = name.removeprefix(_PREFIX).lower()
+        if name.startswith(_PREFIX) and field in known - {"home", "environment_file"}:
+            value = value.strip()
+            quoted = len(value) > 1 and value[0] == value[-1] and value[0] in "\"'"
+            found[field] = value[1:-1] if quoted else value
+    return found
+
+
+def load(home: Path | None = None, environment_file: Path | None = None) -> Settings:
+    """Read the settings of a home; with another environment file than it names, if one is given.
 
     Raises
     ------
@@ -138,7 +172,9 @@ def load(home: Path | None = None) -> Settings:
     """
     folder = (home or default_home()).expanduser().absolute()
     try:
-        return Settings(home=folder)
+        if environment_file is None:
+            return Settings(home=folder)
+        return Settings(home=folder, environment_file=environment_file.absolute())
     except ValidationError as error:
         first = error.errors(include_input=False, include_url=False)[0]
         name = ".".join(str(part) for part in first["loc"]) or "settings"

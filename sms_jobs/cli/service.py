@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Annotated, Any
 
 import h5py
@@ -28,12 +29,19 @@ _FINDINGS = 6
 _LITTLE_ROOM_BYTES = 10e9
 
 
-def init(home: Home = None, as_json: Json = False) -> None:
+def init(
+    home: Home = None,
+    environment_file: Annotated[
+        Path | None,
+        typer.Option(help="File with SMS_... variables, such as passwords; the home is not used without it."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
     """Make a home: folder, settings file and an empty catalogue. What is there is kept.
 
     Example: sms init --home /data/sms
     """
-    settings = bootstrap.initialise(home)
+    settings = bootstrap.initialise(home, environment_file)
     if as_json:
         output.print_json({"home": str(settings.home), "archive": str(settings.archive_root)})
     else:
