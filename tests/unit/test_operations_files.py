@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import typer.main
+from support.compose import service_lists
 
 from sms_jobs.cli.main import app
 
@@ -74,7 +75,7 @@ def test_every_script_that_is_named_exists() -> None:
             assert (ROOT / name).exists(), f"{file.name} names {name}"
 
 
-@pytest.mark.parametrize("script", ["backup.sh", "restore.sh"])
+@pytest.mark.parametrize("script", ["backup.sh", "certificates.sh", "restore.sh"])
 def test_a_script_says_how_it_is_used(script: str) -> None:
     done = subprocess.run(["bash", str(OPS / script)], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
@@ -82,27 +83,16 @@ def test_a_script_says_how_it_is_used(script: str) -> None:
     assert subprocess.run(["bash", "-n", str(OPS / script)], check=False).returncode == 0
 
 
-def compose_lists() -> dict[str, list[str]]:
-    """Return the items below each key of the compose file, whose lists are one item a line."""
-    found: dict[str, list[str]] = {}
-    key = ""
-    for line in (OPS / "compose.yaml").read_text(encoding="utf-8").splitlines():
-        assert "\t" not in line
-        text = line.strip()
-        if text.startswith("- "):
-            found.setdefault(key, []).append(text[2:].strip("\"'"))
-        elif text.endswith(":") and not text.startswith("#"):
-            key = text[:-1]
-    return found
-
-
-def test_the_servers_are_for_this_machine_alone_and_lose_nothing() -> None:
-    lists = compose_lists()
-    assert sorted(lists["ports"]) == ["127.0.0.1:5432:5432", "127.0.0.1:6379:6379"]
-    arguments = " ".join(lists["command"])
+def test_the_servers_are_for_this_machine_unless_told_and_lose_nothing() -> None:
+    postgresql, cache = service_lists("postgresql"), service_lists("redis")
+    assert postgresql["ports"] == ["${SMS_ADDRESS:-127.0.0.1}:5432:5432"]
+    assert cache["ports"] == ["${SMS_ADDRESS:-127.0.0.1}:6379:6379"]
+    arguments = " ".join(cache["command"])
     assert "--appendonly yes" in arguments
     assert "--maxmemory-policy noeviction" in arguments
-    assert len(lists["volumes"]) == 2
+    assert "--port 0 --tls-port 6379" in arguments  # tests/integration/test_compose_servers.py tries the rest
+    for server in (postgresql, cache):
+        assert len(server["volumes"]) == 1
     text = (OPS / "compose.yaml").read_text(encoding="utf-8")
     assert "POSTGRES_PASSWORD_FILE: /run/secrets/postgresql_password" in text
     assert not re.search(r"POSTGRES_PASSWORD:|--requirepass|network_mode|trust", text)
