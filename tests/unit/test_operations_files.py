@@ -136,11 +136,22 @@ def test_a_unit_takes_no_more_than_it_needs(unit: Path) -> None:
     program, *words = start.split()
     if program.endswith("/sms"):
         _, path, _ = resolve(words)
-        assert path in (["up"], ["worker", "start"], ["metrics"])
+        assert path in (["up"], ["worker", "start"], ["metrics"], ["rig", "serve"])
+    # Without it a home whose database is elsewhere would be taken for one with a database of its own.
+    assert "/etc/sms/sms.env" in found["EnvironmentFile"]
+    if {"up", "start", "serve"} & set(words):
+        # Rigs: serial ports, and the socket of a display, which PrivateTmp alone would hide.
+        assert {"dialout", "video"} <= set(found["SupplementaryGroups"][0].split())
+        assert found["BindReadOnlyPaths"] == ["-/tmp/.X11-unix"]
     if {"up", "start"} & set(words):
         # Jobs may take 10 minutes to finish; systemd must not kill them before the supervisor would.
         assert (found["KillMode"], found["TimeoutStopSec"]) == (["mixed"], ["11min"])
         assert found["Restart"] == ["always"]
+
+
+def test_a_worker_serves_the_rigs_of_its_host() -> None:
+    found = settings(OPS / "systemd" / "sms-worker@.service")
+    assert "QUEUES=cpu,io,acquisition,rigs" in found["Environment"]
 
 
 def test_systemd_understands_the_units(tmp_path: Path) -> None:
@@ -151,7 +162,7 @@ def test_systemd_understands_the_units(tmp_path: Path) -> None:
         text = unit.read_text(encoding="utf-8")
         # It looks whether the programs are there.
         text = text.replace("/opt/sms/.venv/bin/sms", sys.executable).replace("/opt/sms", str(ROOT))
-        name = unit.name.replace("@.", "@cpu.")
+        name = unit.name.replace("@.", "@left.")
         (tmp_path / name).write_text(text, encoding="utf-8")
     done = subprocess.run(
         [analyze, "verify", "--man=no", *map(str, sorted(tmp_path.iterdir()))],
