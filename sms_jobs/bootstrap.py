@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from sms_jobs import settings as settings_file
 from sms_jobs.archive import Archive
-from sms_jobs.catalogue import schema
+from sms_jobs.catalogue import renewal, schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.errors import ConfigurationError
+from sms_jobs.errors import CatalogueDamaged, CatalogueEmpty, ConfigurationError
 from sms_jobs.jobs.stations import Stations
 from sms_jobs.settings import Settings
 
@@ -92,20 +93,87 @@ def services(home: Path | None = None) -> Iterator[Services]:
         There is no home, or its catalogue is older than this version needs.
     FormatTooNew
         Its catalogue is newer.
+    CatalogueDamaged
+        It is damaged, or empty or gone although the archive holds files.
     ServerUnreachable
         The database does not answer.
     """
     settings = settings_file.load(home)
+    _require_home(settings)
+    with closing(_current_catalogue(settings)) as catalogue:
+        yield Services(settings, catalogue, Archive(settings.archive_root))
+
+
+@contextmanager
+def renewed(home: Path | None = None, *, dry_run: bool = False) -> Iterator[tuple[Services, str]]:
+    """Open the services of a home; a catalogue that is damaged, empty or gone is made anew, without rows.
+
+    With `dry_run` nothing is changed, and such a catalogue is replaced by one that nobody sees.
+
+    Yields
+    ------
+    Services, and a sentence that says what became of the catalogue; empty when nothing did.
+
+    Raises
+    ------
+    As `services`, and Conflict when the damaged file is in use.
+    """
+    settings = settings_file.load(home)
+    _require_home(settings)
+    url, said = settings.catalogue_url, ""
+    file = renewal.file_of(url)
+    with TemporaryDirectory() as folder:
+        damage = None if file is None else renewal.damage(file)
+        if damage is not None and file is not None:
+            aside = "" if dry_run else f" to {renewal.set_aside(file)}"
+            said = f"the catalogue {file} is damaged ({damage}), and set aside{aside} for a new one"
+        elif _is_empty(url):
+            said = "the catalogue is empty, and filled anew"
+        if said and dry_run:
+            url = f"sqlite:///{folder}/catalogue.sqlite"
+        with closing(Catalogue(url, create=bool(said))) as catalogue:
+            if said:
+                schema.upgrade(catalogue)
+            schema.require_current(catalogue)
+            yield Services(settings, catalogue, Archive(settings.archive_root)), said
+
+
+def _require_home(settings: Settings) -> None:
     if not settings.home.is_dir():
         raise ConfigurationError(
             f"there is no home at {settings.home}; run 'sms init --home {settings.home}'"
         )
-    catalogue = Catalogue(settings.catalogue_url)
+
+
+def _current_catalogue(settings: Settings) -> Catalogue:
     try:
-        schema.require_current(catalogue)
-        yield Services(settings, catalogue, Archive(settings.archive_root))
-    finally:
-        catalogue.close()
+        catalogue = Catalogue(settings.catalogue_url)
+        try:
+            schema.require_current(catalogue)
+        except BaseException:
+            catalogue.close()
+            raise
+    except CatalogueEmpty as error:
+        if not _archive_has_files(settings):
+            raise
+        raise CatalogueDamaged(
+            f"{str(error).partition(';')[0]}, although files lie in the archive {settings.archive_root}; end "
+            "the service, then restore a backup, or run 'sms archive reindex', which enters these files again"
+        ) from error
+    return catalogue
+
+
+def _archive_has_files(settings: Settings) -> bool:
+    root = settings.archive_root
+    return root.is_dir() and next(Archive(root).files(), None) is not None
+
+
+def _is_empty(url: str) -> bool:
+    try:
+        with closing(Catalogue(url)) as catalogue:
+            return schema.current_revision(catalogue) is None
+    except CatalogueEmpty:
+        return True
 
 
 _SETTINGS_TEXT = """\

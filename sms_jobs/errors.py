@@ -34,6 +34,10 @@ class ConfigurationError(InvalidInput):
     """A setting or a configuration file cannot be used."""
 
 
+class CatalogueEmpty(ConfigurationError):
+    """There is no catalogue, or one without tables."""
+
+
 class NotFound(SmsError):
     """A campaign, state, job, calibration or file that was named does not exist."""
 
@@ -66,6 +70,12 @@ class JobFailed(SmsError):
 
 class ArchiveCorrupt(SmsError):
     """A file of the archive is missing, truncated, or differs from its recorded hash."""
+
+    exit_code = 6
+
+
+class CatalogueDamaged(SmsError):
+    """The catalogue's file is damaged, emptied or gone; the archive can tell what was in it."""
 
     exit_code = 6
 

@@ -24,6 +24,8 @@ from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
 
 from sms_jobs.errors import (
     CatalogueBusy,
+    CatalogueDamaged,
+    CatalogueEmpty,
     CommitInDoubt,
     ConfigurationError,
     ServerUnreachable,
@@ -125,12 +127,21 @@ class Catalogue:
         """Close all connections."""
         self.engine.dispose()
 
+    def damaged(self, reason: str) -> CatalogueDamaged:
+        """Return what says that the catalogue cannot be used any more, and how to get another."""
+        return CatalogueDamaged(
+            f"the catalogue {self.describe()} is damaged ({reason}); end the service, then restore a backup, "
+            "or run 'sms archive reindex', which makes a new one of the files of the archive"
+        )
+
     @contextmanager
     def _explained(self) -> Iterator[None]:
         try:
             yield
         except OperationalError as error:
             reason = str(error.orig).strip().splitlines()[0]
+            if says_damaged(error.orig):
+                raise self.damaged(reason) from error
             if "disk is full" in reason or "No space left" in reason:
                 raise StorageFull(
                     f"the catalogue {self.describe()} cannot be written: the disk is full; free some space"
@@ -139,6 +150,8 @@ class Catalogue:
                 f"the catalogue {self.describe()} does not answer ({reason}); run 'sms doctor'"
             ) from error
         except DBAPIError as error:
+            if says_damaged(error.orig):
+                raise self.damaged(str(error.orig)) from error
             if getattr(error.orig, "sqlstate", None) == _READ_ONLY:
                 raise ServerUnreachable(
                     f"the catalogue {self.describe()} takes no changes for now: its server stands by for "
@@ -149,6 +162,12 @@ class Catalogue:
             raise ServerUnreachable(
                 f"the connection to the catalogue {self.describe()} broke; run 'sms doctor'"
             ) from error
+
+
+def says_damaged(error: BaseException | None) -> bool:
+    """Say whether an error of SQLite means that its file is damaged, or none of its files."""
+    code = getattr(error, "sqlite_errorcode", 0)
+    return code & 0xFF in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
 def _engine(url: str, create: bool) -> Engine:
@@ -190,7 +209,7 @@ def _require_file(database: str | None, create: bool) -> None:
                 f"the catalogue's folder {path.parent} cannot be made: {error.strerror}; choose another home"
             ) from error
     elif not path.exists():
-        raise ConfigurationError(f"there is no catalogue at {path}; run 'sms init'")
+        raise CatalogueEmpty(f"there is no catalogue at {path}; run 'sms init'")
 
 
 def _prepare_sqlite(connection: Any, _record: Any) -> None:

@@ -15,7 +15,7 @@ from sqlalchemy.schema import SchemaItem
 import sms_jobs
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import Table
-from sms_jobs.errors import ConfigurationError, FormatTooNew
+from sms_jobs.errors import CatalogueEmpty, ConfigurationError, FormatTooNew
 
 if TYPE_CHECKING:
     from alembic.config import Config
@@ -80,15 +80,17 @@ def require_current(catalogue: Catalogue) -> None:
     ------
     FormatTooNew
         The catalogue was made by a newer version of the program.
+    CatalogueEmpty
+        It has no tables.
     ConfigurationError
-        It is empty or older.
+        It is older.
     """
     found = current_revision(catalogue)
     if found == newest_revision():
         return
     _refuse_newer(catalogue, found)
     if found is None:
-        raise ConfigurationError(f"the catalogue {catalogue.describe()} is empty; run 'sms init'")
+        raise CatalogueEmpty(f"the catalogue {catalogue.describe()} is empty; run 'sms init'")
     raise ConfigurationError(
         f"the catalogue {catalogue.describe()} has revision {found}, this version needs "
         f"{newest_revision()}; run 'sms db upgrade'"

@@ -89,7 +89,9 @@ def reindex(
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Enter the files of the archive that the catalogue does not know: all, where it is new and empty.
+    """Enter the files of the archive that the catalogue does not know: all, where it is empty or damaged.
+
+    A catalogue that is empty or gone is made anew; one on SQLite that is damaged is set aside before.
 
     Campaigns, states, rigs, calibrations, measurements, results with their statistics and provenance, and the
     jobs that made them are told by the files; queues, schedules, pins and failed jobs are not. Every file is
@@ -100,7 +102,9 @@ def reindex(
     """
     started = time.monotonic()
     done: list[Reindexed] = []
-    with bootstrap.services(home) as services:
+    with bootstrap.renewed(home, dry_run=dry_run) as (services, renewal):
+        if renewal:
+            output.say(renewal)
         paths = reindexing.unknown_files(services.catalogue, services.archive)
         with output.progress_bar() as bar:
             task = bar.add_task("reindexing", total=len(paths))

@@ -56,7 +56,7 @@ COMMANDS: Mapping[str, Command] = {
     "status": Command("Show campaigns, jobs by state, workers and disk.", "service", "status"),
     "doctor": Command(
         "Check catalogue, archive, messages, workers, clock and disk; say what to do about each finding.",
-        "service",
+        "doctor",
         "doctor",
     ),
     "metrics": Command(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import secrets
 import shutil
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,13 +11,14 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive
+from sms_jobs.archive.place import probe
+from sms_jobs.catalogue import renewal
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow, WorkerRow
+from sms_jobs.catalogue.models import FileRow
+from sms_jobs.errors import StorageFull, StorageUnusable
 from sms_jobs.jobs import queues
-from sms_jobs.records.job import ALIVE_WITHIN, JobState
 
-_MISSED_FOR = timedelta(days=1)
-"""A worker that vanished is a finding for so long."""
+_LOOK_FOR_S = 8.0
 
 _ON_THE_NETWORK = frozenset({"nfs", "nfs4", "cifs", "smb", "smb3", "smbfs", "afs", "9p", "fuse.sshfs"})
 
@@ -57,36 +56,47 @@ def clock_finding(ahead: timedelta, lease: timedelta) -> str | None:
     )
 
 
-def archive_writes(archive: Archive) -> str | None:
-    """Do once what sealing does: write a file, force it to the disk, and rename it."""
-    growing = archive.root / f".doctor-{secrets.token_hex(4)}"
-    sealed = growing.with_name(f"{growing.name}-renamed")
+def archive_works(archive_root: Path) -> str | None:
+    """Do once what sealing does: write a file, force it to the disk, rename it and read it."""
     try:
-        with growing.open("xb") as stream:
-            stream.write(b"sms doctor")
-            stream.flush()
-            os.fsync(stream.fileno())
-        growing.replace(sealed)
-        whole = sealed.read_bytes() == b"sms doctor"
-    except OSError as error:
+        probe(archive_root)
+    except (StorageFull, StorageUnusable) as fault:
+        return str(fault)
+    return None
+
+
+def files_nobody_knows(session: Session, archive: Archive) -> str | None:
+    """Find an archive with files beside a catalogue that knows none, and the other way round."""
+    known = session.scalar(select(FileRow.path).limit(1))
+    lying = next(archive.files(), None)
+    if known is None and lying is not None:
         return (
-            f"{archive.root} cannot be written to ({error.strerror}); give this account write permission, or "
-            "correct 'archive' in sms.toml"
+            f"the catalogue knows no file, although files lie in the archive {archive.root}; "
+            "'sms archive reindex' enters them"
         )
-    finally:
-        for left in (growing, sealed):
-            left.unlink(missing_ok=True)
-    return None if whole else f"{archive.root} does not keep what is written; use another file system"
+    if known is not None and lying is None:
+        return (
+            f"the catalogue knows files, and none lies in the archive {archive.root}; mount its disk or "
+            "share, or correct 'archive' in sms.toml"
+        )
+    return None
 
 
-def other_file_systems(archive: Archive) -> str | None:
+def damage(catalogue: Catalogue) -> str | None:
+    """Find an SQLite catalogue whose file is damaged, as far as that can be seen in a few seconds."""
+    file = renewal.file_of(str(catalogue.engine.url))
+    found = None if file is None else renewal.damage(file, _LOOK_FOR_S)
+    return None if found is None else str(catalogue.damaged(found))
+
+
+def other_file_systems(archive_root: Path) -> str | None:
     """Find folders of the archive that are on a disk of their own, whose room nobody watches."""
-    here = archive.root.stat().st_dev
-    elsewhere = [f.name for f in archive.root.iterdir() if f.is_dir() and f.stat().st_dev != here]
+    here = archive_root.stat().st_dev
+    elsewhere = [f.name for f in archive_root.iterdir() if f.is_dir() and f.stat().st_dev != here]
     if not elsewhere:
         return None
     return (
-        f"'{elsewhere[0]}' in {archive.root} is on another file system, whose free room is not watched; "
+        f"'{elsewhere[0]}' in {archive_root} is on another file system, whose free room is not watched; "
         "keep the archive on one, and set 'archive' in sms.toml to it"
     )
 
@@ -113,8 +123,9 @@ def room(root: Path, least_bytes: float) -> str | None:
     return None if free >= least_bytes else f"only {free / 1e9:.1f} GB free at {root}; make room"
 
 
-def pauses(session: Session) -> str | None:
-    """Find a queue that is paused while jobs wait in it, or because a disk was full."""
+def pauses(session: Session) -> list[str]:
+    """Find queues that are paused while jobs wait in them, or because a disk was full."""
+    found = []
     for queue in queues.queues(session):
         if queue.paused_at is None or not (queue.queued or queue.for_room):
             continue
@@ -123,32 +134,8 @@ def pauses(session: Session) -> str | None:
             if queue.for_room
             else f"'sms queue resume {queue.name}' lets it go on"
         )
-        return (
+        found.append(
             f"the queue '{queue.name}' is paused since {queue.paused_at:%Y-%m-%d %H:%M} UTC with "
             f"{queue.queued} jobs in it: {queue.reason}; {hint}"
         )
-    return None
-
-
-def workers(session: Session, now: datetime) -> str | None:
-    """Find jobs that nobody runs, and workers that vanished without another in their place."""
-    rows = session.scalars(select(WorkerRow).where(WorkerRow.beat_at >= now - _MISSED_FOR)).all()
-    alive = [row for row in rows if now - row.beat_at <= ALIVE_WITHIN]
-    serving = [row for row in alive if not row.draining]
-    queued, running = (
-        session.scalar(select(func.count()).select_from(JobRow).where(JobRow.state == state)) or 0
-        for state in (JobState.QUEUED, JobState.RUNNING)
-    )
-    if queued and not serving:
-        return f"{queued} jobs are queued and no worker is there that takes them; start one with 'sms up'"
-    if running and not alive:
-        return f"{running} jobs count as running and no worker is alive; 'sms up' recovers them"
-    for row in rows:
-        replaced = any(other.host == row.host and other.started_at > row.started_at for other in alive)
-        if row in alive or row.draining or replaced:
-            continue
-        return (
-            f"worker {row.id} on {row.host} gave its last sign of life at {row.beat_at:%Y-%m-%d %H:%M} UTC; "
-            "look at that host, and start the service there again ('sms up', or 'systemctl start sms')"
-        )
-    return None
+    return found

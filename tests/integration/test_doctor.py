@@ -3,26 +3,44 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import os
+import shutil
+import socket
+import sqlite3
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import NoReturn
 
+import psutil
 import pytest
 import redis
+import typer
 from pydantic import SecretStr
 from sqlalchemy import update
-from support.command import sms
-from support.jobs import NOW, claim, submit_pipeline
+from support.command import kill_all, sms, wait_until
+from support.jobs import JOBS, NOW, claim, submit_pipeline
+from support.places import mounted
+from support.servers import RedisServer
+from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import WorkerRow
-from sms_jobs.jobs import health, queues, recovery
+from sms_jobs.cli import doctor as doctor_command
+from sms_jobs.jobs import health, lifecycle, liveness, queues, recovery
 from sms_jobs.settings import Settings
 from sms_jobs.workers import broker
+
+HOST = socket.gethostname()
+APP = typer.Typer()
+APP.command()(doctor_command.doctor)
 
 
 @pytest.fixture
@@ -35,51 +53,173 @@ def catalogue(home: Path) -> Iterator[Catalogue]:
         yield opened
 
 
-def of_workers(catalogue: Catalogue, after: timedelta) -> str | None:
+def of_workers(catalogue: Catalogue, after: timedelta) -> list[str]:
     with catalogue.reading() as session:
-        return health.workers(session, NOW + after)
+        return liveness.workers(session, NOW + after)
 
 
 def test_a_worker_is_missed_until_it_ends_in_order_or_is_replaced(catalogue: Catalogue) -> None:
-    assert of_workers(catalogue, timedelta(seconds=60)) is None
-    missed = of_workers(catalogue, timedelta(seconds=61))
-    assert missed is not None
-    assert "w1 on here" in missed
-    assert "sms up" in missed
-    assert of_workers(catalogue, timedelta(days=2)) is None
+    def missed(after: timedelta) -> bool:
+        return any("w1 on here gave its last sign" in finding for finding in of_workers(catalogue, after))
+
+    assert of_workers(catalogue, timedelta(seconds=60)) == []
+    assert missed(timedelta(seconds=61))
+    assert not missed(timedelta(days=2))
     with catalogue.writing() as session:
         at = NOW + timedelta(minutes=5)
         recovery.register_worker(session, "w2", "here", 1, ["cpu"], 2, at)
         recovery.beat(session, "w2", NOW + timedelta(hours=1))
-    assert of_workers(catalogue, timedelta(hours=1)) is None
+    assert of_workers(catalogue, timedelta(hours=1)) == []
     with catalogue.writing() as session:
         session.execute(update(WorkerRow).values(draining=True))
-    assert of_workers(catalogue, timedelta(hours=2)) is None
+    assert not missed(timedelta(hours=2))
 
 
-def test_jobs_that_nobody_runs_are_noticed(catalogue: Catalogue) -> None:
+def test_that_nobody_is_there_is_a_finding_whether_or_not_there_are_jobs(catalogue: Catalogue) -> None:
+    (none, _) = of_workers(catalogue, timedelta(minutes=2))
+    assert none.startswith("no worker is alive: 0 jobs wait for one; start the service with 'sms up'")
     submit_pipeline(catalogue)
-    assert of_workers(catalogue, timedelta(0)) is None
-    assert "2 jobs are queued" in str(of_workers(catalogue, timedelta(minutes=2)))
+    assert of_workers(catalogue, timedelta(0)) == []
     claim(catalogue)
     claim(catalogue)
-    assert "2 jobs count as running" in str(of_workers(catalogue, timedelta(minutes=2)))
+    (none, _) = of_workers(catalogue, timedelta(minutes=2))
+    assert f"{JOBS} jobs wait for one, and 2 count as running" in none
+    with catalogue.writing() as session:
+        recovery.drain(session, "w1")
+    assert "is draining" in of_workers(catalogue, timedelta(0))[0]
+
+
+def test_a_worker_that_takes_nothing_beside_jobs_is_noticed(catalogue: Catalogue) -> None:
+    submit_pipeline(catalogue)
+
+    def beaten(after: timedelta) -> list[str]:
+        with catalogue.writing() as session:
+            recovery.beat(session, "w1", NOW + after, timedelta(hours=1), lambda pid, began: True)
+        return of_workers(catalogue, after)
+
+    # It loads for a while, and then a job has waited for long enough, within a minute.
+    assert beaten(timedelta(seconds=30)) == []
+    (idle,) = beaten(timedelta(seconds=46))
+    assert "w1 on here runs 0 of 2 jobs and has not taken the next" in idle
+    assert claim(catalogue, NOW + timedelta(seconds=46)) is not None
+    assert beaten(timedelta(seconds=60)) == []
+    assert "runs 1 of 2" in beaten(timedelta(seconds=90))[0]
+    assert claim(catalogue, NOW + timedelta(seconds=90)) is not None
+    assert beaten(timedelta(hours=1)) == []
+
+
+def test_a_worker_that_is_held_says_why(catalogue: Catalogue) -> None:
+    with catalogue.writing() as session:
+        recovery.hold(session, "w1", "the archive cannot be used", None)
+    assert of_workers(catalogue, timedelta(0)) == [
+        "worker w1 on here claims no job: the archive cannot be used; it goes on by itself"
+    ]
+
+
+def test_a_queue_that_nobody_serves_is_noticed(catalogue: Catalogue) -> None:
+    submit_pipeline(catalogue)
+
+    def found(after: timedelta = timedelta(0)) -> list[str]:
+        with catalogue.reading() as session:
+            return liveness.unserved(session, NOW + after)
+
+    assert found() == []
+    with catalogue.writing() as session:
+        session.execute(update(WorkerRow).values(queues="cpu,io"))
+    (only,) = found()
+    assert "serves the queue 'acquisition'" in only
+    assert "sms worker start --queues acquisition" in only
+    assert found(timedelta(minutes=2)) == []  # that nobody is there at all is said elsewhere
+
+
+@pytest.fixture
+def family(catalogue: Catalogue) -> Iterator[tuple[psutil.Process, psutil.Process]]:
+    """A process with one below it, which the catalogue takes for that of worker `w2` of this host."""
+    below = "import subprocess, sys; subprocess.run(['sleep', '600'])"
+    with subprocess.Popen([sys.executable, "-c", below]) as process:
+        try:
+            supervisor = psutil.Process(process.pid)
+            (child,) = wait_until(supervisor.children)
+            with catalogue.writing() as session:
+                now = datetime.now(UTC)
+                recovery.register_worker(session, "w2", HOST, process.pid, ["cpu"], 1, now)
+            yield supervisor, child
+        finally:
+            kill_all(psutil.Process(process.pid))
+
+
+def of_processes(catalogue: Catalogue) -> list[str]:
+    with catalogue.reading() as session:
+        return liveness.processes(session, datetime.now(UTC), HOST)
+
+
+def test_a_process_that_was_stopped_is_noticed_and_named_with_its_job(
+    catalogue: Catalogue, family: tuple[psutil.Process, psutil.Process]
+) -> None:
+    supervisor, child = family
+    assert of_processes(catalogue) == []
+    for stopped, what in ((supervisor, "the supervisor of worker w2"), (child, "a process of worker w2")):
+        stopped.suspend()
+        wait_until(lambda one=stopped: one.status() == psutil.STATUS_STOPPED)
+        (finding,) = of_processes(catalogue)
+        assert finding.startswith(f"{what}, process {stopped.pid}, which is stopped")
+        assert f"kill -CONT {stopped.pid}" in finding
+        stopped.resume()
+    submit_pipeline(catalogue)
+    with catalogue.writing() as session:
+        held = lifecycle.claim(
+            session, ["acquisition"], "w2", child.pid, datetime.now(UTC), timedelta(seconds=30)
+        )
+    assert held is not None
+    child.suspend()
+    wait_until(lambda: child.status() == psutil.STATUS_STOPPED)
+    (finding,) = of_processes(catalogue)
+    assert finding.startswith(
+        f"job {held.job_id[:8]} ({held.kind} {held.subject}) runs in process {child.pid}"
+    )
+    child.resume()
+
+
+def test_another_host_of_the_same_name_is_noticed(
+    catalogue: Catalogue, family: tuple[psutil.Process, psutil.Process]
+) -> None:
+    def of_hosts() -> list[str]:
+        with catalogue.reading() as session:
+            return liveness.hosts(session, datetime.now(UTC))
+
+    with subprocess.Popen(["true"]) as gone:
+        gone.wait()
+    with catalogue.writing() as session:
+        recovery.register_worker(session, "w3", HOST, gone.pid, ["cpu"], 1, datetime.now(UTC))
+    (finding,) = of_processes(catalogue)
+    assert f"worker w3 says that it is process {gone.pid} of a host called '{HOST}'" in finding
+    assert "hostnamectl" in finding
+    # One that was killed and has another in its place is no other host's.
+    with catalogue.writing() as session:
+        recovery.register_worker(session, "w4", HOST, family[0].pid, ["cpu"], 1, datetime.now(UTC))
+    assert of_processes(catalogue) == []
+    assert of_hosts() == []
+    # In containers numbers repeat: those of w2 and w4 are the same, and both go on giving signs of life.
+    with catalogue.writing() as session:
+        session.execute(update(WorkerRow).values(beat_at=datetime.now(UTC)))
+    (finding,) = of_hosts()
+    assert "workers w2 and w4 both say" in finding
 
 
 def test_a_pause_is_a_finding_when_it_holds_jobs_back(catalogue: Catalogue) -> None:
-    def found() -> str | None:
+    def found() -> list[str]:
         with catalogue.reading() as session:
             return health.pauses(session)
 
     with catalogue.writing() as session:
         queues.pause(session, "acquisition", "the rig is being moved", NOW)
-    assert found() is None
+    assert found() == []
     submit_pipeline(catalogue)
-    assert "the rig is being moved; 'sms queue resume acquisition'" in str(found())
+    assert "the rig is being moved; 'sms queue resume acquisition'" in found()[0]
     with catalogue.writing() as session:
         queues.resume(session, "acquisition")
         queues.pause(session, "cpu", "the disk is full", NOW, for_room=True)
-    assert "goes on by itself" in str(found())
+    assert "goes on by itself" in found()[0]
 
 
 @pytest.mark.parametrize(
@@ -101,12 +241,24 @@ def test_the_clock_of_a_server_is_compared(fresh_postgresql_url: str) -> None:
 
 
 def test_an_archive_is_written_to_and_left_as_it_was(home: Path) -> None:
+    root = Archive(home / "archive").root
+    assert health.archive_works(root) is None
+    assert health.other_file_systems(root) is None
+    assert list(root.iterdir()) == []
+    root.rmdir()
+    assert "cannot be used" in str(health.archive_works(root))
+
+
+def test_an_archive_that_lost_its_disk_is_noticed(catalogue: Catalogue, home: Path) -> None:
     archive = Archive(home / "archive")
-    assert health.archive_writes(archive) is None
-    assert health.other_file_systems(archive) is None
-    assert list(archive.root.iterdir()) == []
-    archive.root.rmdir()
-    assert "cannot be written to" in str(health.archive_writes(archive))
+
+    def found() -> str | None:
+        with catalogue.reading() as session:
+            return health.files_nobody_knows(session, archive)
+
+    assert found() is None
+    submit_pipeline(catalogue)  # it knows a calibration, which nobody has sealed
+    assert "mount its disk" in str(found())
 
 
 @pytest.mark.redis
@@ -127,8 +279,38 @@ def test_a_broker_that_would_lose_messages_is_noticed(redis_url: str, home: Path
     assert "open-sesame" not in finding
 
 
+def test_a_full_redis_is_noticed(home: Path, tmp_path: Path) -> None:
+    if shutil.which("redis-server") is None:
+        pytest.skip("needs Redis to start a server of its own: install it, or run ops/test.sh")
+    server = RedisServer(tmp_path / "redis")
+    try:
+        settings = Settings(home=home, broker_url=SecretStr(server.url))
+        with redis.Redis.from_url(server.url) as client:
+            assert broker.examine(settings)[1] is None
+            assert client.keys() == []
+            client.config_set("maxmemory", "1mb")
+            finding = broker.examine(settings)[1]
+    finally:
+        server.kill()
+    assert finding is not None
+    assert "Redis takes no messages" in finding
+    assert "raise 'maxmemory'" in finding
+
+
+def doctor(home: Path) -> tuple[int, dict[str, str]]:
+    """Run the command in this process; return its exit code and what each check found."""
+    done = CliRunner().invoke(APP, ["--json", "--home", str(home)])
+    found = json.loads(done.stdout.splitlines()[-1])["checks"]
+    return done.exit_code, {check["check"]: check["finding"] for check in found}
+
+
 def test_the_command_tells_what_it_found(home: Path) -> None:
     bootstrap.initialise(home)
+    with (
+        closing(Catalogue(f"sqlite:///{home / 'catalogue.sqlite'}")) as catalogue,
+        catalogue.writing() as session,
+    ):
+        recovery.register_worker(session, "w1", HOST, os.getpid(), ["cpu"], 1, datetime.now(UTC))
     done = sms("doctor", "--json", "--home", str(home))
     checks = {check["check"]: check for check in json.loads(done.stdout)["checks"]}
     # Whether there is room is up to the machine.
@@ -136,11 +318,71 @@ def test_the_command_tells_what_it_found(home: Path) -> None:
     assert {"versions", "clock", "messages", "archive", "disk", "queues", "workers"} <= checks.keys()
     for name in ("Python", "HDF5", "SQLite"):
         assert name in checks["versions"]["found"]
-    with (
-        closing(Catalogue(f"sqlite:///{home / 'catalogue.sqlite'}")) as catalogue,
-        catalogue.writing() as session,
-    ):
-        queues.pause(session, "cpu", "the disk is full", datetime.now(UTC), for_room=True)
-    done = sms("doctor", "--home", str(home))
-    assert done.returncode == 6
-    assert "the queue 'cpu' is paused" in " ".join(done.stdout.split())
+    with closing(Catalogue(f"sqlite:///{home / 'catalogue.sqlite'}")) as catalogue:
+        with catalogue.writing() as session:
+            queues.pause(session, "cpu", "the disk is full", datetime.now(UTC), for_room=True)
+        code, found = doctor(home)
+    assert code == 6
+    assert "the queue 'cpu' is paused" in found["queues"]
+
+
+def break_settings(home: Path) -> None:
+    (home / "sms.toml").write_text("workers = 'many'")
+
+
+def break_messages(home: Path) -> None:
+    shutil.rmtree(home / "messages", ignore_errors=True)
+    (home / "messages").write_text("no folder")
+
+
+def break_archive(home: Path) -> None:
+    (home / "archive").rmdir()
+    (home / "archive").write_text("no folder")
+
+
+def break_tables(home: Path) -> None:
+    with closing(sqlite3.connect(home / "catalogue.sqlite")) as connection:
+        connection.execute("DROP TABLE worker")
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [break_settings, break_messages, break_archive, break_tables, shutil.rmtree],
+    ids=lambda h: h.__name__,
+)
+def test_whatever_is_broken_is_a_finding(home: Path, harm: Callable[[Path], None]) -> None:
+    bootstrap.initialise(home)
+    harm(home)
+    code, found = doctor(home)
+    assert code == 6
+    assert all(text for text in found.values())
+
+
+def test_an_examination_that_fails_or_hangs_keeps_nothing_from_being_told() -> None:
+    never = threading.Event()
+
+    def fails() -> NoReturn:
+        raise RuntimeError("so it is")
+
+    def hangs() -> NoReturn:
+        never.wait()
+        raise AssertionError
+
+    examinations = {"fails": fails, "hangs": hangs, "ends": doctor_command.Examined}
+    found = doctor_command.examine(examinations, patience_s=0.2)
+    never.set()
+    assert "RuntimeError: so it is" in found["fails"].findings[0]
+    assert "gave no answer within 0.2 s" in found["hangs"].findings[0]
+    assert found["ends"].findings == ()
+
+
+def test_a_read_only_archive_is_a_finding(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with mounted(tmp_path / "disk") as disk:
+        monkeypatch.setenv("SMS_ARCHIVE", str(disk.folder))
+        bootstrap.initialise(home)
+        assert disk.remount("ro")
+        code, found = doctor(home)
+    assert code == 6
+    assert "Read-only file system" in found["archive"]

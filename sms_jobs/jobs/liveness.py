@@ -1,0 +1,222 @@
+"""Whether jobs that could run do run: workers, their processes, and queues; a finding says what to do.
+
+What the catalogue alone can tell is found from any host; what only processes show, on their own host.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+import psutil
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.models import EventRow, JobRow, QueueRow, WorkerRow
+from sms_jobs.jobs import locks
+from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, JobState
+
+_MISSED_FOR = timedelta(days=1)
+"""A worker that vanished is a finding for so long."""
+_BEATS_WITHIN = timedelta(seconds=25)
+"""A worker whose process lives has given its last sign of life since: it does so every 20 s."""
+_TAKES_WITHIN = timedelta(seconds=30)
+"""A job that could run is taken by a worker that has a place for it in far less time."""
+_STARTS_WITHIN = timedelta(seconds=45)
+_STOPPED = frozenset({psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP})
+
+
+@dataclass(frozen=True)
+class _Workers:
+    """Of the last day, and which of them live."""
+
+    rows: Sequence[WorkerRow]
+    alive: Sequence[WorkerRow]
+
+    @classmethod
+    def lately(cls, session: Session, now: datetime) -> _Workers:
+        query = select(WorkerRow).where(WorkerRow.beat_at >= now - _MISSED_FOR).order_by(WorkerRow.started_at)
+        rows = session.scalars(query).all()
+        return cls(rows, [row for row in rows if now - row.beat_at <= ALIVE_WITHIN])
+
+    @property
+    def serving(self) -> list[WorkerRow]:
+        """Those that may claim jobs."""
+        return [row for row in self.alive if not row.draining]
+
+
+def workers(session: Session, now: datetime) -> list[str]:
+    """Find that nobody is there, who has vanished without another in its place, and who claims nothing."""
+    known = _Workers.lately(session, now)
+    found = [*_nobody(session, known)]
+    for row in known.rows:
+        replaced = any(other.host == row.host and other.started_at > row.started_at for other in known.alive)
+        if row in known.alive or row.draining or replaced:
+            continue
+        found.append(
+            f"worker {row.id} on {row.host} gave its last sign of life at {row.beat_at:%Y-%m-%d %H:%M} UTC; "
+            "look at that host, and start the service there again ('sms up', or 'systemctl start sms')"
+        )
+    found += [
+        f"worker {row.id} on {row.host} claims no job: {row.held_for}; it goes on by itself"
+        for row in known.serving
+        if row.held_for is not None
+    ]
+    return [*found, *_idle_beside_work(session, known, now)]
+
+
+def _nobody(session: Session, known: _Workers) -> Iterator[str]:
+    if known.serving:
+        return
+    if known.alive:
+        yield "every worker that lives is draining and takes no more jobs; start another with 'sms up'"
+        return
+    left = session.scalar(select(func.count()).select_from(JobRow).where(JobRow.state.in_(ACTIVE))) or 0
+    running = select(func.count()).select_from(JobRow).where(JobRow.state == JobState.RUNNING)
+    counted = session.scalar(running) or 0
+    also = f", and {counted} count as running" if counted else ""
+    yield (
+        f"no worker is alive: {left} jobs wait for one{also}; start the service with 'sms up', or "
+        "'systemctl start sms'"
+    )
+
+
+def _idle_beside_work(session: Session, known: _Workers, now: datetime) -> Iterator[str]:
+    """Find workers that have places, and do not take what they could."""
+    for row in known.serving:
+        if row.held_for is not None or now - row.started_at < _STARTS_WITHIN:
+            continue
+        running, last = session.execute(
+            select(func.count(), func.max(JobRow.started_at)).where(
+                JobRow.worker_id == row.id, JobRow.state == JobState.RUNNING
+            )
+        ).one()
+        if running >= row.concurrency or (last is not None and now - last < _TAKES_WITHIN):
+            continue
+        since = _queued_since(session, row.queues.split(","), now)
+        if since is not None and now - since > _TAKES_WITHIN:
+            yield (
+                f"worker {row.id} on {row.host} runs {running} of {row.concurrency} jobs and has not taken "
+                f"the next, which it could since {since:%Y-%m-%d %H:%M:%S} UTC; look whether its processes "
+                f"are stopped and at 'logs/worker-{row.id}.log' there, then start the service there again"
+            )
+
+
+def _queued_since(session: Session, queues: Sequence[str], now: datetime) -> datetime | None:
+    """Return since when the job that is claimed next from some queues could have been claimed."""
+    paused = select(QueueRow.name).where(QueueRow.paused_at.is_not(None))
+    first = (
+        select(JobRow.id)
+        .where(
+            JobRow.state == JobState.QUEUED,
+            JobRow.queue.in_(queues),
+            JobRow.queue.not_in(paused),
+            ~locks.waits_for_device(now),
+        )
+        .order_by(JobRow.priority.desc(), JobRow.position)
+        .limit(1)
+    )
+    job_id = session.scalar(first)
+    if job_id is None:
+        return None
+    told = select(func.max(EventRow.at)).where(EventRow.job_id == job_id, EventRow.state == JobState.QUEUED)
+    return session.scalar(told)
+
+
+def unserved(session: Session, now: datetime) -> list[str]:
+    """Find queues with jobs in them that no living worker serves."""
+    serving = _Workers.lately(session, now).serving
+    served = {queue for row in serving for queue in row.queues.split(",")}
+    found = []
+    while serving:
+        job = session.scalar(
+            select(JobRow).where(JobRow.state == JobState.QUEUED, JobRow.queue.not_in(served)).limit(1)
+        )
+        if job is None:
+            break
+        served.add(job.queue)
+        found.append(
+            f"no worker that lives serves the queue '{job.queue}', in which {job.kind} {job.subject} waits; "
+            f"run 'sms worker start --queues {job.queue}' on a host that can, or 'sms job cancel "
+            f"{job.id[:8]}'"
+        )
+    return found
+
+
+def processes(session: Session, now: datetime, host: str) -> list[str]:
+    """Find processes of this host's workers that are stopped, and another host of the same name."""
+    alive = [row for row in _Workers.lately(session, now).alive if row.host == host]
+    found: list[str] = []
+    for row in alive:
+        supervisor = _process_of(row)
+        if supervisor is not None:
+            found += _stopped(session, row, supervisor)
+        elif now - row.beat_at <= _BEATS_WITHIN and not _is_replaced(row, alive):
+            found.append(
+                f"worker {row.id} says that it is process {row.pid} of a host called '{host}', and here is "
+                "no such process: another machine or container has the name of this one, so give each a name "
+                "of its own ('hostnamectl set-hostname'); or it was just killed, so ask again in a minute"
+            )
+    return found
+
+
+def hosts(session: Session, now: datetime) -> list[str]:
+    """Find workers that live at the same time as the same process of hosts of one name."""
+    found = []
+    alive = _Workers.lately(session, now).alive
+    for number, row in enumerate(alive):
+        for other in alive[number + 1 :]:
+            same = (row.host, row.pid) == (other.host, other.pid)
+            if same and row.beat_at > other.started_at:
+                found.append(
+                    f"workers {row.id} and {other.id} both say that they are process {row.pid} of "
+                    f"'{row.host}': two machines or containers have one name; give each a name of its own"
+                )
+    return found
+
+
+def _is_replaced(row: WorkerRow, alive: Sequence[WorkerRow]) -> bool:
+    return any(other.started_at > row.beat_at for other in alive)
+
+
+def _process_of(row: WorkerRow) -> psutil.Process | None:
+    """Return the supervisor's process; None when it is not on this machine."""
+    try:
+        process = psutil.Process(row.pid)
+        # One that is younger than the entry has only the same number.
+        ours = process.create_time() <= row.started_at.timestamp() + 1.0
+        return process if ours and process.status() != psutil.STATUS_ZOMBIE else None
+    except psutil.NoSuchProcess:
+        return None
+
+
+def _stopped(session: Session, row: WorkerRow, supervisor: psutil.Process) -> Iterator[str]:
+    jobs = {
+        pid: f"job {job_id[:8]} ({kind} {subject})"
+        for pid, job_id, kind, subject in session.execute(
+            select(JobRow.pid, JobRow.id, JobRow.kind, JobRow.subject).where(
+                JobRow.worker_id == row.id, JobRow.state == JobState.RUNNING
+            )
+        )
+    }
+    for process in [supervisor, *_below(supervisor)]:
+        try:
+            status = process.status()
+        except psutil.NoSuchProcess:
+            continue
+        if status not in _STOPPED:
+            continue
+        what = "the supervisor" if process == supervisor else "a process"
+        runs = f"{jobs[process.pid]} runs in" if process.pid in jobs else f"{what} of worker {row.id},"
+        yield (
+            f"{runs} process {process.pid}, which is stopped; 'kill -CONT {process.pid}' lets it go on, "
+            f"'kill -KILL {process.pid}' has its work begun again"
+        )
+
+
+def _below(process: psutil.Process) -> list[psutil.Process]:
+    try:
+        return list(process.children(recursive=True))
+    except psutil.NoSuchProcess:
+        return []
