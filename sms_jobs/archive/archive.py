@@ -33,6 +33,7 @@ from sms_jobs.archive.provenance import (
 )
 from sms_jobs.archive.sealing import make_folders, safe_file, sealing, sync
 from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput
+from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import CampaignDefinition, Subject
 from sms_jobs.records.sensors import Calibration
 
@@ -172,6 +173,32 @@ class Archive:
             operator=operator,
         )
         return self._seal_next({"calibration": calibration, **(beside or {})}, provenance)
+
+    def seal_acceptance(
+        self,
+        acceptance: Acceptance,
+        calibration: InputReference,
+        created_at: datetime,
+        *,
+        program_version: str,
+        host: str,
+        operator: str,
+    ) -> Sealed:
+        """Store a decision about a calibration beside it: a catalogue that is rebuilt comes to the same."""
+        provenance = Provenance(
+            kind="acceptance",
+            kind_version=1,
+            subject=Subject(layout.CALIBRATIONS, acceptance.rig),
+            job_id="",
+            attempt=1,
+            created_at=created_at,
+            parameters={},
+            inputs=(calibration,),
+            program_version=program_version,
+            host=host,
+            operator=operator,
+        )
+        return self._seal_next({"acceptance": acceptance}, provenance)
 
     def seal_campaign(
         self,

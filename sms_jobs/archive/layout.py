@@ -103,6 +103,11 @@ def is_result(relative: str) -> bool:
     return _SEALED.fullmatch(name) is not None and not name.endswith(_SIDECAR) and not name.startswith(".")
 
 
+def is_decision(relative: str) -> bool:
+    """Say whether a path is that of a decision whether a calibration is used."""
+    return relative.startswith(f"{CALIBRATIONS}/") and part(relative, "kind") == "acceptance"
+
+
 def temporary_name(name: str, job_id: str) -> str:
     """Return the name of a file while the job writes it."""
     return f".{name}.{checked_job_id(job_id)}.tmp"

@@ -158,7 +158,7 @@ def _rows_above(session: Session, campaigns: int, calibrations: int) -> None:
             )
         )
         session.flush()
-        session.add(CalibrationRow(id=key, rig_id=1, file_id=key, valid_from=BEGUN, origin=""))
+        session.add(CalibrationRow(id=key, rig_id=1, file_id=key, valid_from=BEGUN, origin="", sensors={}))
     for key in range(1, campaigns + 1):
         at = BEGUN + timedelta(hours=key)
         name = f"c{key - 1:05d}"

@@ -1,4 +1,4 @@
-"""Campaigns, their states, rigs and calibrations in the catalogue."""
+"""Campaigns, their states and rigs in the catalogue."""
 
 from __future__ import annotations
 
@@ -13,18 +13,15 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import (
-    CalibrationRow,
     CampaignRow,
     ChannelRow,
     FileRow,
     LoadStateRow,
     RigRow,
-    SensorRow,
     SpecimenRow,
 )
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
-from sms_jobs.records.sensors import Calibration
 
 _DEFINITION = TypeAdapter(Campaign)
 KEPT_DEFINITIONS = 16
@@ -47,7 +44,7 @@ def add_campaign(session: Session, campaign: Campaign, now: datetime, plan: str 
             description=campaign.specimen.description,
         )
         session.add(specimen)
-    rig = _rig(session, campaign.rig)
+    rig = rig_row(session, campaign.rig)
     session.flush()
     row = CampaignRow(name=campaign.name, specimen_id=specimen.id, rig_id=rig.id, created_at=now, plan=plan)
     define(row, campaign)
@@ -68,7 +65,7 @@ def describe_state(row: LoadStateRow, state: LoadState) -> None:
     """Tell the row of a state what is planned and what is known of it."""
     row.planned_load_n, row.planned_displacement_mm = state.load_n, state.displacement_mm
     row.load_n, row.displacement_mm = state.known_load_n, state.known_displacement_mm
-    row.time = state.time
+    row.time = state.time or row.time  # that of its recording stays
 
 
 def number_of_campaigns(session: Session) -> int:
@@ -149,46 +146,6 @@ def state_ids(session: Session, campaign_id: int, labels: Collection[str] | None
     return dict(session.execute(query).all())
 
 
-def add_calibration(session: Session, calibration: Calibration, file_id: int) -> int:
-    """Index a calibration file and the sensors that it names; return the number of the calibration."""
-    rig = _rig(session, calibration.rig.name)
-    session.flush()
-    known = set(session.scalars(select(SensorRow.name).where(SensorRow.rig_id == rig.id)))
-    session.add_all(
-        SensorRow(rig_id=rig.id, name=s.name, role=s.role.value, columns=s.columns, rows=s.rows)
-        for s in calibration.rig.sensors
-        if s.name not in known
-    )
-    row = CalibrationRow(
-        rig_id=rig.id, file_id=file_id, valid_from=calibration.valid_from, origin=calibration.origin
-    )
-    session.add(row)
-    session.flush()
-    return row.id
-
-
-def calibration_file(session: Session, rig_id: int, at: datetime) -> int | None:
-    """Return the file of the calibration that is valid at a time: the last to become so before it."""
-    return session.scalar(
-        select(CalibrationRow.file_id)
-        .where(CalibrationRow.rig_id == rig_id, CalibrationRow.valid_from <= at)
-        .order_by(CalibrationRow.valid_from.desc(), CalibrationRow.id.desc())
-        .limit(1)
-    )
-
-
-def time_of(session: Session, subject: Subject, now: datetime) -> datetime:
-    """Return when the state of a subject was held; `now` where that is not known or there is no state."""
-    return (
-        session.scalar(
-            select(LoadStateRow.time)
-            .join(CampaignRow, CampaignRow.id == LoadStateRow.campaign_id)
-            .where(CampaignRow.name == subject.campaign, LoadStateRow.label == subject.state)
-        )
-        or now
-    )
-
-
 def newest_file(session: Session, source: str, subject: Subject, media_type: str) -> int | None:
     """Return the newest file of a type that is a measurement or result of a kind about a subject."""
     query = (
@@ -210,7 +167,8 @@ def newest_file(session: Session, source: str, subject: Subject, media_type: str
     return session.scalar(query)
 
 
-def _rig(session: Session, name: str) -> RigRow:
+def rig_row(session: Session, name: str) -> RigRow:
+    """Return the row of a rig, a new one where nothing has named the rig yet."""
     rig = session.scalar(select(RigRow).where(RigRow.name == name))
     if rig is None:
         rig = RigRow(name=name)

@@ -95,19 +95,6 @@ class RigRow(Table):
     name: Mapped[str] = mapped_column(String(64), unique=True)
 
 
-class SensorRow(Table):
-    """A camera or projector of a rig."""
-
-    __tablename__ = "sensor"
-    __table_args__ = (UniqueConstraint("rig_id", "name"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
-    rig_id: Mapped[int] = mapped_column(ForeignKey("rig.id"))
-    name: Mapped[str] = mapped_column(String(8))
-    role: Mapped[str] = mapped_column(String(16))
-    columns: Mapped[int]
-    rows: Mapped[int]
-
-
 class CampaignRow(Table):
     """A test of one specimen; `definition` is the whole `Campaign` record."""
 
@@ -188,6 +175,21 @@ class CalibrationRow(Table):
     file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), unique=True)
     valid_from: Mapped[datetime]
     origin: Mapped[str] = mapped_column(Text)
+    sensors: Mapped[dict[str, Any]]
+    """Role, columns and rows of each of its sensors, by name, in their order."""
+
+
+class AcceptanceRow(Table):
+    """The last decision whether a calibration is used; without one it is not."""
+
+    __tablename__ = "acceptance"
+    __table_args__ = (Index(None, "campaign"),)
+    calibration_id: Mapped[int] = mapped_column(ForeignKey("calibration.id"), primary_key=True)
+    campaign: Mapped[str] = mapped_column(String(64), primary_key=True)
+    """Name of the only campaign that it is about; empty for all of the rig that have none of their own."""
+    in_use: Mapped[bool]
+    decided_at: Mapped[datetime]
+    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), unique=True)
 
 
 class CalibrationUseRow(Table):

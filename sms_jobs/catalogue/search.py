@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.models import (
+    AcceptanceRow,
     CalibrationRow,
     CampaignRow,
     FileRow,
@@ -20,7 +21,6 @@ from sms_jobs.catalogue.models import (
     ProvenanceRow,
     ReadingRow,
     RigRow,
-    SensorRow,
     StatisticRow,
 )
 from sms_jobs.errors import NotFound
@@ -163,37 +163,81 @@ class CalibrationView:
     path: str
     content_hash: str
     size_bytes: int
+    in_use: bool
+    """For its rig: all campaigns that have no calibration of their own."""
+    campaigns: tuple[str, ...]
+    """That it is used for alone."""
+
+    @property
+    def inactive(self) -> bool:
+        """Whether nothing is computed with it."""
+        return not self.in_use and not self.campaigns
 
 
 def list_calibrations(session: Session, rig: str | None = None) -> list[CalibrationView]:
     """Return calibrations, the one that became valid last first."""
-    query = (
-        select(CalibrationRow, RigRow.name, FileRow.path, FileRow.content_hash, FileRow.size_bytes)
-        .join(RigRow, RigRow.id == CalibrationRow.rig_id)
-        .join(FileRow, FileRow.id == CalibrationRow.file_id)
-        .order_by(CalibrationRow.valid_from.desc(), CalibrationRow.id.desc())
-    )
+    query = _calibrations().order_by(CalibrationRow.valid_from.desc(), CalibrationRow.id.desc())
     if rig is not None:
         query = query.where(RigRow.name == rig)
-    views = []
-    for row, name, path, content_hash, size_bytes in session.execute(query):
-        sensors = session.scalars(
-            select(SensorRow.name).where(SensorRow.rig_id == row.rig_id).order_by(SensorRow.id)
-        )
-        views.append(
-            CalibrationView(
-                row.id, name, row.valid_from, row.origin, tuple(sensors), path, content_hash, size_bytes
-            )
-        )
-    return views
+    return _calibration_views(session, query)
 
 
 def calibration_view(session: Session, number: int) -> CalibrationView:
     """Return the calibration of that number; raise `NotFound` where there is none."""
-    for view in list_calibrations(session):
-        if view.id == number:
-            return view
-    raise NotFound(f"there is no calibration {number}; 'sms calibration list' shows them")
+    views = _calibration_views(session, _calibrations().where(CalibrationRow.id == number))
+    if not views:
+        raise NotFound(f"there is no calibration {number}; 'sms calibration list' shows them")
+    return views[0]
+
+
+def calibrations_of_files(session: Session, paths: Sequence[str]) -> list[CalibrationView]:
+    """Return the calibrations that lie in some files."""
+    views = []
+    for first in range(0, len(paths), _AT_ONCE):
+        query = _calibrations().where(FileRow.path.in_(paths[first : first + _AT_ONCE]))
+        views += _calibration_views(session, query.order_by(CalibrationRow.id))
+    return views
+
+
+def _calibrations() -> Select[CalibrationRow, str, FileRow]:
+    return (
+        select(CalibrationRow, RigRow.name, FileRow)
+        .join(RigRow, RigRow.id == CalibrationRow.rig_id)
+        .join(FileRow, FileRow.id == CalibrationRow.file_id)
+    )
+
+
+def _calibration_views(
+    session: Session, query: Select[CalibrationRow, str, FileRow]
+) -> list[CalibrationView]:
+    rows = session.execute(query).all()
+    used: dict[int, list[str]] = {}
+    for first in range(0, len(rows), _AT_ONCE):
+        accepted = (
+            select(AcceptanceRow.calibration_id, AcceptanceRow.campaign)
+            .where(
+                AcceptanceRow.in_use,
+                AcceptanceRow.calibration_id.in_([row.id for row, _, _ in rows[first : first + _AT_ONCE]]),
+            )
+            .order_by(AcceptanceRow.campaign)
+        )
+        for number, campaign in session.execute(accepted):
+            used.setdefault(number, []).append(campaign)
+    return [
+        CalibrationView(
+            row.id,
+            rig,
+            row.valid_from,
+            row.origin,
+            tuple(row.sensors),
+            file.path,
+            file.content_hash,
+            file.size_bytes,
+            "" in used.get(row.id, ()),
+            tuple(name for name in used.get(row.id, ()) if name),
+        )
+        for row, rig, file in rows
+    ]
 
 
 def calibration_of_file(session: Session, file_id: int) -> int:

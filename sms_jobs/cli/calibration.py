@@ -14,7 +14,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import search
-from sms_jobs.cli import calibration_files, completion, output
+from sms_jobs.cli import calibration_acceptance, calibration_files, completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.calibration import CalibrationQuality
@@ -24,6 +24,8 @@ from sms_jobs.records.sensors import Calibration
 app = typer.Typer(help="Calibrations of rigs.", no_args_is_help=True)
 app.command("export")(calibration_files.export)
 app.command("import")(calibration_files.import_)
+app.command("accept")(calibration_acceptance.accept)
+app.command("withdraw")(calibration_acceptance.withdraw)
 
 _FINDINGS = 6
 
@@ -31,23 +33,30 @@ _FINDINGS = 6
 @app.command("list")
 def list_(
     rig: Annotated[str | None, typer.Option(help="Only of this rig.")] = None,
+    inactive: Annotated[
+        bool, typer.Option("--inactive", help="Only those that nothing is computed with.")
+    ] = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Show calibrations, the one that became valid last first.
+    """Show calibrations, the one that became valid last first, and what each is used for.
 
-    Example: sms calibration list --rig hall-3
+    Example: sms calibration list --rig hall-3; sms calibration list --inactive
     """
     with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        views = search.list_calibrations(session, rig)
+        views = [v for v in search.list_calibrations(session, rig) if v.inactive or not inactive]
     if as_json:
         output.print_json_list(views)
         return
     output.print_table(
-        ["calibration", "rig", "valid from", "sensors", "origin"],
-        [(v.id, v.rig, v.valid_from, " ".join(v.sensors), v.origin) for v in views],
-        empty="there is no calibration yet",
+        ["calibration", "rig", "used for", "valid from", "sensors", "origin"],
+        [
+            (v.id, v.rig, calibration_acceptance.used_for(v), v.valid_from, " ".join(v.sensors), v.origin)
+            for v in views
+        ],
+        empty="there is no inactive calibration" if inactive else "there is no calibration yet",
     )
+    calibration_acceptance.tell_inactive(views)
 
 
 @app.command()

@@ -15,7 +15,7 @@ from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.interchange.styles import Style
-from sms_jobs.jobs.registration import register_calibration
+from sms_jobs.jobs.registration import Registered, register_calibration
 from sms_jobs.records.sensors import Box, Calibration
 
 _STYLES: tuple[Style, ...] = get_args(Style)
@@ -122,6 +122,9 @@ def import_(
     samples, SLStudio, SLMaster and others write them; the world is then the frame of the first sensor. What
     the file does not say has to be added. Nothing is changed unless everything is right.
 
+    The first calibration of a rig is used at once. Where the rig has one in use, nothing is computed with
+    this one before 'sms calibration accept'; one of other sensors is refused.
+
     Example: sms calibration import calibration.xml --rig desk --valid-from 2026-05-04T10:00:00+02:00
     --volume -200 -200 500 200 200 900
 
@@ -142,14 +145,13 @@ def import_(
     found = read_calibration(files, supplement)
     calibration = found.calibration
     with bootstrap.services(home) as services:
-        number, new = register_calibration(
-            services.catalogue, services.archive, calibration, datetime.now(UTC)
-        )
+        known = register_calibration(services.catalogue, services.archive, calibration, datetime.now(UTC))
     if as_json:
         output.print_json(
             {
-                "calibration": number,
-                "new": new,
+                "calibration": known.number,
+                "new": known.new,
+                "in_use": known.in_use,
                 "rig": calibration.rig.name,
                 "sensors": [s.name for s in calibration.rig.sensors],
                 "valid_from": calibration.valid_from,
@@ -160,9 +162,16 @@ def import_(
     for remark in found.remarks:
         output.say(remark)
     names = " ".join(s.name for s in calibration.rig.sensors)
-    output.say(
-        f"calibration {number} of rig {calibration.rig.name} ({names}) "
-        + (f"is entered; next: sms calibration show {number}" if new else "is known already")
+    said = "is entered" if known.new else "is known already"
+    output.say(f"calibration {known.number} of rig {calibration.rig.name} ({names}) {said}; {_next(known)}")
+
+
+def _next(known: Registered) -> str:
+    if known.in_use:
+        return f"next: sms calibration show {known.number}"
+    return (
+        "it is inactive, since the rig has another in use: "
+        f"'sms calibration accept {known.number}' takes it into use"
     )
 
 

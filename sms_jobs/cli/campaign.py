@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import campaigns, valid_calibrations
 from sms_jobs.cli import completion, output, simulated_campaigns
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
@@ -129,6 +129,7 @@ def show(
     with bootstrap.services(home) as services, services.catalogue.reading() as session:
         row = campaigns.campaign_row(session, name)
         jobs = inquiry.counts(session, Chosen(campaign_id=row.id))
+        times = valid_calibrations.state_times(session, row.id)
     if plan and not as_json:
         if row.plan is None:
             raise NotFound(f"campaign {name} was made by a program, not from a test plan")
@@ -159,7 +160,7 @@ def show(
                 s.label,
                 s.load_n,
                 s.displacement_mm,
-                s.time,
+                times.get(s.label),
                 ", ".join(f"{k}={v:g}" for k, v in s.channels.items()),
             )
             for s in campaign.states

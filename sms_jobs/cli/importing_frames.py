@@ -316,7 +316,7 @@ class _Import:
     def _calibrated_otherwise(self, rig: str, good: Sequence[Inspected]) -> list[str]:
         """Say which cameras the newest calibration of the rig knows with images of another size."""
         with self.services.catalogue.reading() as session:
-            views = search.list_calibrations(session, rig)
+            views = [v for v in search.list_calibrations(session, rig) if not v.inactive]
         if not views:
             return []
         with self.services.archive.open(views[0]) as dataset:

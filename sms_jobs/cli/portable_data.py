@@ -10,7 +10,9 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Checker
+from sms_jobs.catalogue import search
 from sms_jobs.cli import completion, output
+from sms_jobs.cli.calibration_acceptance import used_for
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.research_crate import CrateFile, as_text
@@ -122,6 +124,8 @@ def unpack(
 
     Every file is compared with its checksum first; if one fails, nothing is brought. Then each is judged as
     'sms archive reindex' does, and what is refused is taken out again. What is there already is passed over.
+    Calibrations that come along are used for the campaigns that come with them and are new here, and for
+    nothing else before 'sms calibration accept'.
     The exit code is 6 when something was refused or lacks an input. Interrupted, the same command goes on.
 
     Example: sms data unpack /media/stick/wing --dry-run; sms data unpack /media/stick/wing
@@ -139,21 +143,37 @@ def unpack(
                 services.archive,
                 folder,
                 portable_import.manifest_of(folder),
+                datetime.now(UTC),
                 dry_run=dry_run,
                 link=link,
                 placed=lambda count: bar.advance(task, count),
             )
         )
+        with services.catalogue.reading() as session:
+            brought = search.calibrations_of_files(session, [one.path for one in done])
     bad = [one for one in done if one.outcome != "indexed"]
     entered = sum(one.outcome in _ENTERED for one in done)
     if as_json:
-        output.print_json({"done": not dry_run, "files": len(done), "indexed": entered, "not_well": bad})
+        output.print_json(
+            {
+                "done": not dry_run,
+                "files": len(done),
+                "indexed": entered,
+                "not_well": bad,
+                "calibrations": brought,
+            }
+        )
     else:
         if bad:
             rows = [(one.outcome, one.path, one.detail) for one in bad]
             output.print_table(["outcome", "file", "why"], rows, empty="")
         now = "would be" if dry_run else "are now"
         output.say(f"{entered} of {len(done)} files that were new {now} in the catalogue")
+        for view in brought:
+            output.say(
+                f"calibration {view.id} of rig {view.rig} came along and is used for {used_for(view)}; "
+                f"'sms calibration accept {view.id}' takes it into use for the rig"
+            )
     if bad:
         raise typer.Exit(_FINDINGS)
 

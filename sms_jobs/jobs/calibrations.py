@@ -11,10 +11,11 @@ import numpy as np
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, ArchivedDataset, InputReference
-from sms_jobs.catalogue import campaigns, search
+from sms_jobs.catalogue import campaigns, search, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.search import FileView
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
+from sms_jobs.jobs import calibration_choice
 from sms_jobs.jobs.registration import register_calibration
 from sms_jobs.kinds.phases import sensor_pair
 from sms_jobs.kinds.session_adjustment import known_as
@@ -26,7 +27,7 @@ from sms_jobs.metrology.calibration.pair_points import Parameters
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps, PointCloud
-from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.measurement import UNTIMED, FringeSequence
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Box, Calibration, Rig, split_pair
 
@@ -144,16 +145,27 @@ def certify(
             f"the calibration of session {campaign} has {count} warning{'s' * (count != 1)} and is "
             f"not taken into use: {listed}; see its report, or say --despite-warnings"
         )
-    calibration = replace(found.calibration, valid_from=valid_from or found.calibration.valid_from)
-    number, new = register_calibration(
+    since = valid_from or _began(catalogue, campaign, found.calibration)
+    calibration = replace(found.calibration, valid_from=since)
+    known = register_calibration(
         catalogue,
         archive,
         calibration,
         now,
         inputs=(InputReference("session", file.source, file.path, file.content_hash),),
         beside={"uncertainty": found.uncertainty, "quality": found.quality},
+        accepted=True,
     )
-    return number, new, calibration
+    return known.number, known.new, calibration
+
+
+def _began(catalogue: Catalogue, campaign: str, calibration: Calibration) -> datetime:
+    """Return when a session began: as its plan says, or when its first pose was recorded."""
+    if calibration.valid_from != UNTIMED:
+        return calibration.valid_from
+    with catalogue.reading() as session:
+        number = campaigns.campaign_id(session, campaign)
+        return valid_calibrations.session_began(session, number) or UNTIMED
 
 
 def deviation_from(rig: Rig, calibration: Calibration) -> dict[str, float]:
@@ -268,13 +280,11 @@ def check(
                 "check a measurement with two"
             )
         shape = campaigns.newest_file(session, "reconstruct", subject, DATASET_MEDIA_TYPE)
-        at = campaigns.time_of(session, subject, now)
-        file_id = campaigns.calibration_file(session, row.rig_id, at)
-        if shape is None or file_id is None:
+        used = calibration_choice.chosen(session, subject, now)
+        if shape is None or used is None:
             what = "shape" if shape is None else "valid calibration"
             raise NotFound(f"{subject} has no {what} yet; 'sms job submit reconstruct' makes shapes")
-        view = search.file_view(session, str(shape))
-        number = search.calibration_of_file(session, file_id)
+        view, number = search.file_view(session, str(shape)), used.number
     known = known_calibration(catalogue, archive, number)
     with archive.open(view) as dataset:
         phase, cloud = dataset.read("phase", PhaseMaps), dataset.read("cloud", PointCloud)

@@ -13,7 +13,8 @@ from pydantic import TypeAdapter
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, SensorRow, WorkerRow
+from sms_jobs.catalogue import valid_calibrations
+from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, WorkerRow
 from sms_jobs.jobs.coming import Coming
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import JobState
@@ -134,17 +135,16 @@ class _Images:
 def _images(session: Session, campaign_id: int) -> _Images | None:
     definition = CampaignRow.definition
     row = session.execute(
-        select(CampaignRow.rig_id, definition["pairs"], definition["sequence"]).where(
-            CampaignRow.id == campaign_id
-        )
+        select(definition["pairs"], definition["sequence"]).where(CampaignRow.id == campaign_id)
     ).one_or_none()
     if row is None:
         return None
-    rig_id, pairs, sequence = row
-    cameras = session.execute(
-        select(SensorRow.name, SensorRow.columns * SensorRow.rows).where(SensorRow.rig_id == rig_id)
-    )
-    pixels = dict(cameras.all())
+    pairs, sequence = row
+    pixels = {
+        name: sensor["columns"] * sensor["rows"]
+        for used in valid_calibrations.used_for_campaign(session, campaign_id)
+        for name, sensor in used.sensors.items()
+    }
     states = session.scalar(select(func.count()).where(LoadStateRow.campaign_id == campaign_id)) or 0
     frames = _SEQUENCE.validate_python(sequence).frames
     # A campaign of images alone has cameras in place of pairs.

@@ -28,6 +28,7 @@ from sms_jobs.catalogue.models import (
     MeasurementRow,
     ResultRow,
 )
+from sms_jobs.catalogue.valid_calibrations import note_time
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.importers.readings import Reading
 from sms_jobs.jobs.registration import index_definition, seal_definition
@@ -213,6 +214,8 @@ def _index(session: Session, subject: Subject, sealed: Sealed, recorded_at: date
         )
     )
     lineage.note_recording(session, file, recorded_at, {})
+    assert file.state_id is not None
+    note_time(session, file.state_id, recorded_at)
 
 
 def _file(session: Session, subject: Subject, sealed: Sealed, now: datetime, source: str) -> FileRow:

@@ -12,7 +12,7 @@ from sqlalchemy import Row, Table, bindparam, select, update
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Sealed
-from sms_jobs.catalogue import campaigns, lineage
+from sms_jobs.catalogue import campaigns, lineage, valid_calibrations
 from sms_jobs.catalogue.models import (
     DependencyRow,
     FileRow,
@@ -24,8 +24,9 @@ from sms_jobs.catalogue.models import (
     StatisticRow,
 )
 from sms_jobs.errors import ArchiveCorrupt
+from sms_jobs.jobs import calibration_choice
 from sms_jobs.jobs.lifecycle import Claim
-from sms_jobs.kinds.kind import MEASUREMENT, RECORDING, DatasetOutput, Kind, Output
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, RECORDING, DatasetOutput, Kind, Output
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.recording import Recording
@@ -67,8 +68,10 @@ def sealed_output(output: Output, file: Sealed) -> SealedOutput:
     return SealedOutput(output.subject, file, output.statistics, recorded_at, readings)
 
 
-def resolve_inputs(session: Session, job_id: str) -> tuple[ResolvedInput, ...]:
+def resolve_inputs(session: Session, job_id: str, now: datetime) -> tuple[ResolvedInput, ...]:
     """Find the files of a job's inputs, now that their producers are done, and note them in its row.
+
+    What is measured by now says which calibration holds for it, whatever held when the job was planned.
 
     Raises
     ------
@@ -79,14 +82,14 @@ def resolve_inputs(session: Session, job_id: str) -> tuple[ResolvedInput, ...]:
     session.flush()
     edges = session.execute(_INPUTS, {"job": job_id}).all()
     for edge in edges:
-        file_id = edge.file_id or _produced(session, edge)
+        file_id = _calibration(session, edge, now) or edge.file_id or _produced(session, edge)
         file = session.get(FileRow, file_id) if file_id else None
         if file is None:
             raise ArchiveCorrupt(
                 f"the {edge.source} of {edge.subject} is missing from the catalogue although the job that "
                 "makes it has succeeded; retry that job"
             )
-        if edge.file_id is None:
+        if edge.file_id != file.id:
             session.execute(
                 update(DependencyRow)
                 .where(DependencyRow.job_id == job_id, DependencyRow.role == edge.role)
@@ -94,6 +97,13 @@ def resolve_inputs(session: Session, job_id: str) -> tuple[ResolvedInput, ...]:
             )
         found.append(ResolvedInput(edge.role, edge.source, file.path, file.content_hash, file.size_bytes))
     return tuple(found)
+
+
+def _calibration(session: Session, edge: Row[Any], now: datetime) -> int | None:
+    if edge.source != CALIBRATION:
+        return None
+    used = calibration_choice.chosen(session, Subject.parse(edge.subject), now)
+    return None if used is None else used.file_id
 
 
 def _produced(session: Session, edge: Row[Any]) -> int | None:
@@ -149,6 +159,8 @@ def add_outputs(
                 )
             )
             lineage.note_recording(session, file, output.recorded_at, output.readings)
+            if state_id is not None:
+                valid_calibrations.note_time(session, state_id, output.recorded_at)
         session.add_all(
             StatisticRow(file_id=file.id, name=name, value=float(value))
             for name, value in output.statistics.items()

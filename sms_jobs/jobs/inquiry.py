@@ -13,7 +13,6 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.models import (
-    CalibrationRow,
     CampaignRow,
     DependencyRow,
     EventRow,
@@ -27,7 +26,7 @@ from sms_jobs.catalogue.models import (
 )
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import Conflict, NotFound
-from sms_jobs.jobs import chosen, locks
+from sms_jobs.jobs import calibration_choice, chosen, locks
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION
@@ -264,13 +263,15 @@ def _staleness(session: Session, job: JobRow, now: datetime) -> list[str]:
             f"it is stale: {job.kind} is now version {current.version}, it was made by {job.kind_version}"
         )
     used = session.execute(
-        select(CalibrationRow.file_id, CalibrationRow.rig_id, DependencyRow.subject)
-        .join(DependencyRow, DependencyRow.file_id == CalibrationRow.file_id)
-        .where(DependencyRow.job_id == job.id, DependencyRow.source == CALIBRATION)
+        select(DependencyRow.file_id, DependencyRow.subject).where(
+            DependencyRow.job_id == job.id, DependencyRow.source == CALIBRATION
+        )
     ).first()
     if used is not None:
-        at = campaigns.time_of(session, Subject.parse(used.subject), now)
-        if campaigns.calibration_file(session, used.rig_id, at) != used.file_id:
+        holds = calibration_choice.chosen(session, Subject.parse(used.subject), now)
+        if holds is None:
+            say.append("its calibration is not in use any more, and there is no other")
+        elif holds.file_id != used.file_id:
             say.append("it is stale: another calibration of the rig is valid for this state now")
     return say
 

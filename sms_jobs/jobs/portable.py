@@ -29,12 +29,14 @@ from sms_jobs.archive.repacking import repack
 from sms_jobs.archive.sealing import make_folders, sync
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, FileRow, ProvenanceRow
+from sms_jobs.catalogue.models import AcceptanceRow, CalibrationRow, CampaignRow, FileRow, ProvenanceRow
+from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
 from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, StorageFull
 from sms_jobs.formats import research_crate as crate
 from sms_jobs.formats.research_crate import CrateFile
 from sms_jobs.jobs import lineage_documents
 from sms_jobs.jobs.registration import CAMPAIGN
+from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.campaign import Subject
 
 _BEGUN = ".export.json"
@@ -104,20 +106,36 @@ def chosen(session: Session, wanted: Wanted, now: datetime) -> list[Part]:
             f"campaign {wanted.campaign} has no file of kind {', '.join(wanted.kinds)}; see 'sms data find'"
         )
     if wanted.inputs:
-        times = {campaigns.time_of(session, subject, now) for subject in _states(campaign)}
-        valid = (campaigns.calibration_file(session, campaign.rig_id, at) for at in sorted(times))
-        numbers |= {number for number in valid if number is not None}
+        valid = ValidCalibrations(session, campaign.id, now)
+        held = (valid.of(subject) for subject in _tuples(campaign))
+        numbers |= {used.file_id for used in held if used is not None}
         numbers |= _inputs(session, numbers)
     rows = [row for some in _split(sorted(numbers)) for row in _rows(session, FileRow.id.in_(some))]
     owners = sorted({row.campaign_id for row in rows if row.campaign_id is not None})
     for some in _split(owners):
         rows += _rows(session, (FileRow.source == CAMPAIGN) & FileRow.campaign_id.in_(some))
+    brought = [row.id for row in rows if row.source == CALIBRATION]
+    rows += _acceptances(session, brought, owners)
     unique = {row.id: row for row in rows}
     return [_part(unique[number]) for number in sorted(unique)]
 
 
-def _states(campaign: CampaignRow) -> list[Subject]:
-    return [Subject(campaign.name, state.label) for state in campaigns.definition(campaign).states]
+def _tuples(campaign: CampaignRow) -> list[Subject]:
+    told = campaigns.definition(campaign)
+    return [Subject(told.name, state.label, pair) for state in told.states for pair in told.pairs]
+
+
+def _acceptances(session: Session, calibrations: Sequence[int], owners: Sequence[int]) -> list[FileRow]:
+    """Return what says that calibrations among some files are used, for their rig or for these campaigns."""
+    names = [session.get_one(CampaignRow, number).name for number in owners]
+    query = (
+        select(FileRow)
+        .join(AcceptanceRow, AcceptanceRow.file_id == FileRow.id)
+        .join(CalibrationRow, CalibrationRow.id == AcceptanceRow.calibration_id)
+        .where(AcceptanceRow.in_use, CalibrationRow.file_id.in_(calibrations))
+        .where(AcceptanceRow.campaign.in_(["", *names]))
+    )
+    return list(session.scalars(query))
 
 
 def _split(numbers: Sequence[int]) -> Iterator[Sequence[int]]:

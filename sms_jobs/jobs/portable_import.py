@@ -13,6 +13,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -25,6 +26,7 @@ from sms_jobs.catalogue.models import FileRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats import research_crate as crate
 from sms_jobs.jobs import reindexing
+from sms_jobs.jobs.portable_decisions import decisions, seal_missing
 from sms_jobs.jobs.reindexing import Reindexed
 from sms_jobs.kinds.kind import CALIBRATION
 
@@ -106,6 +108,7 @@ def enter(
     archive: Archive,
     folder: Path,
     manifest: Mapping[str, str],
+    now: datetime,
     *,
     dry_run: bool = False,
     link: bool = False,
@@ -115,7 +118,8 @@ def enter(
     """Bring the files of a checked folder into an archive and its catalogue; tell of each what became of it.
 
     What the catalogue knows is passed over, so that an import that was interrupted goes on. A file that is
-    refused is taken out of the archive again.
+    refused is taken out of the archive again. Decisions about calibrations count for the campaigns that come
+    along and are new; others are passed over.
 
     Parameters
     ----------
@@ -138,15 +142,27 @@ def enter(
     brought = Archive(folder / crate.PAYLOAD)
     listed = {path.removeprefix(f"{crate.PAYLOAD}/") for path in manifest}
     with nullcontext(checker) if checker else Checker() as reader:
+        decided = decisions(catalogue, brought, listed, reader)
+        coming = {one.path for one in decided}
+
+        def passed_over(path: str) -> bool:
+            if path not in listed or (layout.is_decision(path) and path not in coming):
+                return True
+            return _known_calibration(catalogue, brought, path, reader)
+
         if dry_run:
-            paths = [p for p in reindexing.unknown_files(catalogue, brought) if p in listed]
-            paths = [p for p in paths if not _known_calibration(catalogue, brought, p, reader)]
+            paths = [p for p in reindexing.unknown_files(catalogue, brought) if not passed_over(p)]
             yield from reindexing.reindex(catalogue, brought, paths, dry_run=True, checker=reader)
             return
-        new: set[str] = set()
-        mine: set[str] = set()
+        # Decisions first: they are not made any more once the campaigns are known.
+        mine = {path for path in coming if path is not None and not archive.path(path).is_file()}
+        for path in sorted(mine):
+            _place(brought, archive, path, link)
+        names = {path.split("/", 1)[0] for path in brought.files() if path in listed}
+        new = seal_missing(catalogue, archive, decided, names, now)
+        mine |= new
         for path in reindexing.unknown_files(catalogue, brought):
-            if path not in listed or _known_calibration(catalogue, brought, path, reader):
+            if passed_over(path):
                 continue
             if not archive.path(path).is_file():
                 for part in _parts(path):
@@ -156,10 +172,10 @@ def enter(
             new.add(path)
             placed(brought.path(path).stat().st_size)
         paths = [path for path in reindexing.unknown_files(catalogue, archive) if path in new]
-        for one in reindexing.reindex(catalogue, archive, paths, checker=reader):
-            if one.outcome not in ("indexed", "incomplete") and one.path in mine:
-                archive.discard(one.path)
-            yield one
+        for entered in reindexing.reindex(catalogue, archive, paths, checker=reader):
+            if entered.outcome not in ("indexed", "incomplete") and entered.path in mine:
+                archive.discard(entered.path)
+            yield entered
 
 
 def _parts(path: str) -> tuple[str, ...]:

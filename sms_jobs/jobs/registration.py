@@ -8,6 +8,7 @@ from __future__ import annotations
 import getpass
 import socket
 from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
@@ -16,13 +17,14 @@ from sqlalchemy.orm import Session
 
 import sms_jobs
 from sms_jobs.archive import Archive, InputReference, Sealed
-from sms_jobs.catalogue import campaigns, lineage
+from sms_jobs.catalogue import campaigns, lineage, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CalibrationRow, FileRow, ProvenanceRow
-from sms_jobs.errors import Conflict
+from sms_jobs.jobs import acceptances
 from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION
+from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import Campaign, CampaignDefinition
 from sms_jobs.records.sensors import Calibration
 
@@ -38,7 +40,7 @@ def register_campaign(
     now: datetime,
     plan: str | None = None,
 ) -> None:
-    """Add a campaign and, if given, the calibration of its rig and the text of the file that defines both.
+    """Add a campaign and, if given, a calibration of its own and the text of the file that defines both.
 
     Raises
     ------
@@ -51,24 +53,25 @@ def register_campaign(
         checked_parameters(kind_named(name), parameters)
     with catalogue.reading() as session:
         campaigns.refuse_taken_name(session, campaign.name)
-    definition = seal_definition(archive, CampaignDefinition(campaign, plan), now)
+    sealed: list[Sealed] = []
     try:
-        sealed = None if calibration is None else _seal(archive, calibration, now)
-    except BaseException:
-        archive.discard(definition.path)
-        raise
-    try:
+        sealed.append(seal_definition(archive, CampaignDefinition(campaign, plan), now))
+        if calibration is not None:
+            sealed.append(_seal(archive, calibration, now))
+            own = Acceptance(calibration.rig.name, sealed[-1].content_hash, campaign.name)
+            sealed.append(acceptances.seal(archive, own, _path(catalogue, sealed[-1]), now))
         with catalogue.writing() as session:
             campaigns.add_campaign(session, campaign, now, plan)
-            index_definition(session, campaign.name, definition, now)
-            if calibration is not None and sealed is not None:
-                _index(session, archive, calibration, sealed, now)
-    except Conflict:
-        # Somebody else was faster with the same name.
-        archive.discard(definition.path)
-        if sealed is not None:
-            archive.discard(sealed.path)
+            index_definition(session, campaign.name, sealed[0], now)
+            if calibration is not None:
+                _, same = _index(session, calibration, sealed[1], now)
+                acceptances.enter(session, own, sealed[2], now)
+    except BaseException:
+        for file in sealed:
+            archive.discard(file.path)
         raise
+    if calibration is not None and same:
+        archive.discard(sealed[1].path)
 
 
 def seal_definition(archive: Archive, definition: CampaignDefinition, now: datetime) -> Sealed:
@@ -99,6 +102,25 @@ def index_definition(session: Session, name: str, sealed: Sealed, now: datetime)
     return file.id
 
 
+@dataclass(frozen=True)
+class Registered:
+    """A calibration that was brought in.
+
+    Attributes
+    ----------
+    number
+        Of the catalogue.
+    new
+        False where the catalogue had the same from another file.
+    in_use
+        Whether it is used for its rig.
+    """
+
+    number: int
+    new: bool
+    in_use: bool
+
+
 def register_calibration(
     catalogue: Catalogue,
     archive: Archive,
@@ -107,8 +129,12 @@ def register_calibration(
     *,
     inputs: tuple[InputReference, ...] = (),
     beside: Mapping[str, Any] | None = None,
-) -> tuple[int, bool]:
+    accepted: bool = False,
+) -> Registered:
     """Add a calibration of a rig: one that was made elsewhere, or the result of a session.
+
+    The first of a rig is used from the beginning. Any other waits until it is accepted by its number, so that
+    nobody's files change what a rig measures.
 
     Parameters
     ----------
@@ -116,24 +142,36 @@ def register_calibration(
         Files that it comes from.
     beside
         Records that are stored with it: its covariance, and what is known of its quality.
+    accepted
+        Whether it is used for its rig even where that has others.
 
-    Returns
-    -------
-    Its number in the catalogue, and whether it is new: the same calibration is entered once.
+    Raises
+    ------
+    Conflict
+        Its rig is known with other sensors; nothing is changed.
     """
-    sealed = _seal(archive, calibration, now, inputs, beside)
+    with catalogue.reading() as session:
+        acceptances.refuse_other_sensors(session, calibration.rig)
+        accepted = accepted or not acceptances.has_one(session, calibration.rig.name)
+    sealed = [_seal(archive, calibration, now, inputs, beside)]
+    acceptance = Acceptance(calibration.rig.name, sealed[0].content_hash)
     try:
+        if accepted:
+            sealed.append(acceptances.seal(archive, acceptance, _path(catalogue, sealed[0]), now))
         with catalogue.writing() as session:
-            number = _index(session, archive, calibration, sealed, now, inputs)
-            path = session.scalar(
-                select(FileRow.path)
-                .join(CalibrationRow, CalibrationRow.file_id == FileRow.id)
-                .where(CalibrationRow.id == number)
-            )
+            acceptances.refuse_other_sensors(session, calibration.rig)
+            number, same = _index(session, calibration, sealed[0], now, inputs)
+            in_use = acceptances.is_used(session, number)
+            again = accepted and in_use
+            if accepted and not in_use:
+                acceptances.enter(session, acceptance, sealed[1], now)
     except BaseException:
-        archive.discard(sealed.path)
+        for file in sealed:
+            archive.discard(file.path)
         raise
-    return number, path == sealed.path
+    for file in (*sealed[:1] * same, *sealed[1:] * again):
+        archive.discard(file.path)
+    return Registered(number, not same, accepted or in_use)
 
 
 def _seal(
@@ -154,23 +192,30 @@ def _seal(
     )
 
 
+def _path(catalogue: Catalogue, sealed: Sealed) -> str:
+    """Return where a calibration lies by which the catalogue knows it: another file may be the same."""
+    query = select(FileRow.path).where(
+        FileRow.source == CALIBRATION, FileRow.content_hash == sealed.content_hash
+    )
+    with catalogue.reading() as session:
+        return session.scalar(query) or sealed.path
+
+
 def _index(
     session: Session,
-    archive: Archive,
     calibration: Calibration,
     sealed: Sealed,
     now: datetime,
     inputs: tuple[InputReference, ...] = (),
-) -> int:
-    """Index a sealed calibration and return its number; the file of one that is known is discarded."""
-    same = session.scalar(
+) -> tuple[int, bool]:
+    """Index a sealed calibration; return its number, and whether another file of the same has it already."""
+    known = session.scalar(
         select(CalibrationRow.id)
         .join(FileRow, FileRow.id == CalibrationRow.file_id)
         .where(FileRow.source == CALIBRATION, FileRow.content_hash == sealed.content_hash)
     )
-    if same is not None:
-        archive.discard(sealed.path)
-        return same
+    if known is not None:
+        return known, True
     file = FileRow(
         source=CALIBRATION,
         path=sealed.path,
@@ -187,4 +232,4 @@ def _index(
         session.add(ProvenanceRow(output_id=file.id, role=given.role, input_id=source))
     lineage.note_calibrations(session, file.id)
     lineage.note_recordings(session, file)
-    return campaigns.add_calibration(session, calibration, file.id)
+    return valid_calibrations.add_calibration(session, calibration, file.id), False

@@ -26,7 +26,7 @@ from sms_jobs.archive import (
     Provenance,
     layout,
 )
-from sms_jobs.catalogue import campaigns, lineage
+from sms_jobs.catalogue import campaigns, lineage, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
     CalibrationRow,
@@ -39,7 +39,8 @@ from sms_jobs.catalogue.models import (
     StatisticRow,
 )
 from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput, SmsError
-from sms_jobs.jobs import past_jobs
+from sms_jobs.jobs import acceptances, past_jobs
+from sms_jobs.jobs.acceptances import ACCEPTANCE
 from sms_jobs.jobs.past_definitions import PastDefinitions
 from sms_jobs.jobs.registration import CAMPAIGN
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, RECORDING
@@ -233,7 +234,7 @@ def _judged(session: Session, archived: _Archived, one: Found) -> list[str]:
             raise _Refused(objection)
     elif provenance.kind == CALIBRATION:
         _judge_calibration(session, one)
-    else:
+    elif provenance.kind != ACCEPTANCE:
         _judge_output(session, archived, one)
     lacking = []
     for given in provenance.inputs:
@@ -326,8 +327,12 @@ def _enter(session: Session, archived: _Archived, one: Found) -> None:
     elif provenance.kind == CALIBRATION:
         file = _file_row(session, one, CALIBRATION)
         with archived.archive.open(one.sealed) as dataset:
-            campaigns.add_calibration(session, dataset.read("calibration", Calibration), file.id)
+            valid_calibrations.add_calibration(session, dataset.read("calibration", Calibration), file.id)
         _add_edges(session, one, file)
+    elif provenance.kind == ACCEPTANCE:
+        file = _file_row(session, one, ACCEPTANCE)
+        decision = acceptances.read(archived.archive, one.sealed.path)
+        acceptances.decide(session, decision, provenance.created_at, file.id)
     else:
         campaign = archived.definitions.at(session, provenance)
         assert campaign is not None
@@ -340,7 +345,7 @@ def _enter(session: Session, archived: _Archived, one: Found) -> None:
 
 def _file_row(session: Session, one: Found, source: str) -> FileRow:
     campaign_id, state_id, pair = (
-        (None, None, None) if source == CALIBRATION else _place(session, one.provenance.subject)
+        (None, None, None) if source in (CALIBRATION, ACCEPTANCE) else _place(session, one.provenance.subject)
     )
     row = FileRow(
         source=source,
@@ -380,6 +385,7 @@ def _describe_output(session: Session, archive: Archive, one: Found, file: FileR
             readings = dataset.read(RECORDING, Recording).readings() if recorded else {}
         session.add(MeasurementRow(file_id=file.id, state_id=file.state_id, pair=file.pair, recorded_at=at))
         lineage.note_recording(session, file, at, readings)
+        valid_calibrations.note_time(session, file.state_id, at)
     else:
         session.add(
             ResultRow(file_id=file.id, kind=one.provenance.kind, kind_version=one.provenance.kind_version)

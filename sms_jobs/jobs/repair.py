@@ -13,18 +13,20 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Literal, TypeAlias
 
-from sqlalchemy import select
+from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive, Checker, layout
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import campaigns, search
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow
-from sms_jobs.jobs import reindexing, retention
+from sms_jobs.catalogue.models import AcceptanceRow, CalibrationRow, CampaignRow, FileRow, JobRow
+from sms_jobs.jobs import acceptances, reindexing, retention
+from sms_jobs.jobs.acceptances import ACCEPTANCE
 from sms_jobs.jobs.registration import CAMPAIGN, index_definition, seal_definition
 from sms_jobs.jobs.verification import Finding, Problem
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import CampaignDefinition
 
 Step: TypeAlias = Literal["index", "set-aside", "forget", "seal-again", "nothing"]
@@ -44,7 +46,8 @@ class Repair:
     step
         index: the catalogue learns of it. set-aside: it is moved out of the way. forget: the catalogue does
         not look for it any more, since a newer result has replaced it; what is left of it is set aside.
-        seal-again: the catalogue's definition of a campaign is stored anew. nothing: a person has to.
+        seal-again: the catalogue's definition of a campaign, or its decision about a calibration, is stored
+        anew. nothing: a person has to.
     why
         A sentence.
     then
@@ -100,6 +103,10 @@ def _known(session: Session, finding: Finding, going: set[str]) -> Repair:
     file = session.scalars(select(FileRow).where(FileRow.path == path)).one()
     if file.source == CAMPAIGN:
         return Repair(problem, path, "seal-again", "the catalogue has what it said")
+    if file.source == ACCEPTANCE:
+        if _decision(session, path) is None:
+            return Repair(problem, path, "forget", "it was decided otherwise since")
+        return Repair(problem, path, "seal-again", "the catalogue has what was decided")
     if path in going:
         return Repair(problem, path, "forget", "a newer result has replaced it and nothing needs it")
     again = _command(session, file)
@@ -167,7 +174,8 @@ def apply(
                 file = session.scalar(select(FileRow.id).where(FileRow.path == one.path))
                 retention.forget(session, [] if file is None else [file])
         if one.step == "seal-again":
-            _seal_again(catalogue, archive, one.path, now)
+            again = _decide_again if layout.is_decision(one.path) else _seal_again
+            again(catalogue, archive, one.path, now)
     return undone
 
 
@@ -191,3 +199,26 @@ def _seal_again(catalogue: Catalogue, archive: Archive, path: str, now: datetime
         if old is not None:
             retention.forget(session, [old.id])
         index_definition(session, name, sealed, now)
+
+
+def _decision(session: Session, path: str) -> AcceptanceRow | None:
+    """Return the decision about a calibration that a file tells; None where a later one counts."""
+    return session.scalar(
+        select(AcceptanceRow).join(FileRow, FileRow.id == AcceptanceRow.file_id).where(FileRow.path == path)
+    )
+
+
+def _decide_again(catalogue: Catalogue, archive: Archive, path: str, now: datetime) -> None:
+    with catalogue.reading() as session:
+        row = _decision(session, path)
+        assert row is not None
+        rig, calibration = search.calibration_view(session, row.calibration_id).rig, row.calibration_id
+        file = session.get_one(FileRow, session.get_one(CalibrationRow, calibration).file_id)
+    told = Acceptance(rig, file.content_hash, row.campaign or None, row.in_use)
+    if archive.path(path).is_file():
+        archive.set_aside(path)
+    sealed = acceptances.seal(archive, told, file.path, row.decided_at)
+    with catalogue.writing() as session:
+        session.execute(delete(AcceptanceRow).where(AcceptanceRow.file_id == row.file_id))
+        retention.forget(session, [row.file_id])
+        acceptances.enter(session, told, sealed, row.decided_at)

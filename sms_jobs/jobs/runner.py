@@ -248,7 +248,7 @@ class Runner:
 
     def _load(self, session: Session, kind: Kind[Any], held: Claim) -> _Task:
         definition = self._definitions.get(session, held.campaign_id, held.definition_hash)
-        inputs = indexing.resolve_inputs(session, held.job_id)
+        inputs = indexing.resolve_inputs(session, held.job_id, self.now())
         station = self.stations.station(definition.rig, held.job_id) if kind.with_instruments else None
         context = kind.context(definition, held.subject)
         return _Task(inputs, context, kind.parameters(**held.parameters), station)

@@ -23,7 +23,9 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CampaignRow, DependencyRow, EventRow, JobDeviceRow, JobRow, OutboxRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
 from sms_jobs.errors import PlanOutdated
+from sms_jobs.jobs import calibration_choice
 from sms_jobs.jobs.planning import Existing, PlannedInput, PlannedJob, Request, covering, plan
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, Kind, Need
@@ -164,11 +166,12 @@ def draft(
     campaign = campaigns.definition(row)
 
     coming = _coming(session, row.id)
+    valid = ValidCalibrations(session, row.id, now)
 
     def find(need: Need) -> Existing | None:
         if need.source == CALIBRATION:
-            at = campaigns.time_of(session, need.subject, now)
-            file_id = campaigns.calibration_file(session, row.rig_id, at)
+            used = calibration_choice.holding(session, valid, campaign.rig, need.subject)
+            file_id = None if used is None else used.file_id
         elif (job_id := coming(need)) is not None:
             return Existing(job_id=job_id)
         else:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +35,7 @@ from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, undist
 from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
+from sms_jobs.records.measurement import UNTIMED
 from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.scene import Rigid
 from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor, sensors_of
@@ -45,7 +45,6 @@ Boards = Mapping[str, Sequence[BoardObservation]]
 """What pairs observed of a board, by pose."""
 Bars = Mapping[str, Sequence[BarObservation]]
 
-UNTIMED = datetime(2000, 1, 1, tzinfo=UTC)
 _OUTER = 6  # parameters of a sensor that place it
 _GRID = 7  # places along each side of the volume at which the expected deviation is told
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Literal
 
 import numpy as np
@@ -27,12 +27,9 @@ from sms_jobs.kinds.kind import (
     no_needs,
 )
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
-from sms_jobs.records.measurement import FringeSequence, Measurement
+from sms_jobs.records.measurement import UNTIMED, FringeSequence, Measurement
 from sms_jobs.records.scene import Deformation, Scene
 from sms_jobs.records.sensors import split_pair
-
-UNTIMED = datetime(2000, 1, 1, tzinfo=UTC)
-"""What a simulated measurement bears whose state has no time: a clock would make every run differ."""
 
 
 class SimulateParameters(Parameters):

@@ -1,4 +1,4 @@
-"""What a calibration is worth: its covariance, and what the adjustment says of itself."""
+"""What a calibration is worth, and whether it is used."""
 
 from __future__ import annotations
 
@@ -8,6 +8,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.records.quantity import array
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """A decision whether a calibration is used: for its rig, or for one campaign alone.
+
+    Attributes
+    ----------
+    rig
+        Whose calibration it is.
+    calibration
+        SHA-256 of its contents, in hexadecimal.
+    campaign
+        The only campaign that it is used for; None for all of the rig that have none of their own.
+    in_use
+        False to use it no longer.
+    """
+
+    rig: str
+    calibration: str
+    campaign: str | None = None
+    in_use: bool = True
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from math import inf, pi
 from typing import Any, Literal, Protocol
 
@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.quantity import array
 from sms_jobs.records.scene import Simulation
+
+UNTIMED = datetime(2000, 1, 1, tzinfo=UTC)
+"""What a simulated measurement bears whose state has no time: a clock would make every run differ."""
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ def bending_rig(size: Size) -> Rig:
         aimed("P1", 1024, 768, PROJECTOR_LENS, (-1500.0, -600.0, 1900.0), 0.01),
         aimed("P2", 1024, 768, PROJECTOR_LENS, (1500.0, 600.0, 1900.0), 0.02),
     )
-    return Rig("virtual-rig", sensors)
+    return Rig(f"virtual-rig-{pixels}", sensors)
 
 
 def top_hat_bending(name: str, size: Size) -> Made:

@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 
 import pytest
 from sqlalchemy import select, update
-from support.jobs import JOBS, NOW, submit_pipeline
+from support.jobs import JOBS, NOW, accept_calibration, submit_pipeline
 
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
@@ -50,7 +50,7 @@ def add_campaign(catalogue: Catalogue, name: str, scale: int = 1) -> None:
         session.add(file)
         session.flush()
         rig = replace(calibration.rig, name=f"rig-{name}", sensors=tuple(larger))
-        campaigns.add_calibration(session, replace(calibration, rig=rig), file.id)
+        accept_calibration(session, replace(calibration, rig=rig), file.id)
 
 
 def submitted(catalogue: Catalogue, name: str, *kinds: str, priority: int = 0) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
+    AcceptanceRow,
     CalibrationRow,
     CampaignRow,
     ChannelRow,
@@ -27,7 +28,6 @@ from sms_jobs.catalogue.models import (
     ReadingRow,
     ResultRow,
     RigRow,
-    SensorRow,
     SpecimenRow,
     StatisticRow,
     Table,
@@ -157,11 +157,22 @@ def everything(catalogue: Catalogue) -> dict[str, list[Any]]:
         "channels": select(LoadStateRow.label, ChannelRow.name, ChannelRow.value)
         .join(LoadStateRow, LoadStateRow.id == ChannelRow.state_id)
         .order_by(LoadStateRow.label, ChannelRow.name),
-        "sensors": select(RigRow.name, SensorRow.name, SensorRow.role, SensorRow.columns, SensorRow.rows)
-        .join(RigRow, RigRow.id == SensorRow.rig_id)
-        .order_by(RigRow.name, SensorRow.name),
+        "acceptances": select(
+            AcceptanceRow.calibration_id,
+            AcceptanceRow.campaign,
+            AcceptanceRow.in_use,
+            AcceptanceRow.decided_at,
+            FileRow.path,
+        )
+        .join(FileRow, FileRow.id == AcceptanceRow.file_id)
+        .order_by(AcceptanceRow.calibration_id, AcceptanceRow.campaign),
         "calibrations": select(
-            CalibrationRow.id, RigRow.name, FileRow.path, CalibrationRow.valid_from, CalibrationRow.origin
+            CalibrationRow.id,
+            RigRow.name,
+            FileRow.path,
+            CalibrationRow.valid_from,
+            CalibrationRow.origin,
+            CalibrationRow.sensors,
         )
         .join(RigRow, RigRow.id == CalibrationRow.rig_id)
         .join(FileRow, FileRow.id == CalibrationRow.file_id)

@@ -7,15 +7,17 @@ from datetime import UTC, datetime
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import campaigns, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import DependencyRow, JobRow
+from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow
 from sms_jobs.jobs import inquiry, lifecycle
 from sms_jobs.jobs.lifecycle import Claim
 from sms_jobs.jobs.planning import Existing, Request, plan
 from sms_jobs.jobs.submission import submit
+from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import JobState
+from sms_jobs.records.sensors import Calibration
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 NOW = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
@@ -45,8 +47,6 @@ def submit_pipeline(
 
 def add_calibration_file(session: Session, name: str) -> None:
     """Index a calibration whose file nobody will open."""
-    from sms_jobs.catalogue.models import FileRow
-
     file = FileRow(
         source="calibration",
         path=f"calibrations/{name}.h5",
@@ -57,7 +57,23 @@ def add_calibration_file(session: Session, name: str) -> None:
     )
     session.add(file)
     session.flush()
-    campaigns.add_calibration(session, small_plate(name)[0], file.id)
+    accept_calibration(session, small_plate(name)[0], file.id)
+
+
+def accept_calibration(session: Session, calibration: Calibration, file_id: int) -> None:
+    """Index a calibration of some file, and use it for its rig by the decision of another."""
+    number = valid_calibrations.add_calibration(session, calibration, file_id)
+    decision = FileRow(
+        source="acceptance",
+        path=f"calibrations/acceptance-{file_id}.h5",
+        content_hash="",
+        size_bytes=1,
+        media_type="application/x-hdf5",
+        created_at=NOW,
+    )
+    session.add(decision)
+    session.flush()
+    valid_calibrations.decide(session, number, Acceptance(calibration.rig.name, ""), NOW, decision.id)
 
 
 def claim(catalogue: Catalogue, now: datetime = NOW) -> Claim | None:

@@ -87,9 +87,38 @@ def test_the_thesiss_parameters_become_a_calibration_of_their_own(made: Path, tm
     np.testing.assert_allclose(matrix, [[2601.0, 0, 843.5], [0, 2601.0, 675.5], [0, 0, 1]], rtol=1e-12)
 
 
+def test_a_second_calibration_of_a_rig_waits_for_a_word(made: Path, tmp_path: Path) -> None:
+    out, at = tmp_path / "next.json", ("--home", str(made))
+    answer("calibration", "export", "1", "--as", "opencv-json", "--out", str(out), *at)
+    later = ("--valid-from", "2026-05-05T10:00:00+02:00")
+    told = " ".join(sms("calibration", "import", str(out), *later, *at).stderr.split())
+    number = told.split()[1]
+    assert f"inactive, since the rig has another in use: 'sms calibration accept {number}' takes it" in told
+    (waiting,) = answer("calibration", "list", "--inactive", *at)
+    assert (str(waiting["id"]), waiting["in_use"], waiting["campaigns"]) == (number, False, [])
+    listed = sms("calibration", "list", "--rig", "desk", *at)
+    assert "inactive" in listed.stdout
+    assert f"calibration {number} is inactive; 'sms calibration accept {number}'" in listed.stderr
+    accepted = sms("calibration", "accept", number, *at)
+    assert f"calibration {number} is used for rig desk from 2026-05-05" in " ".join(accepted.stderr.split())
+    assert answer("calibration", "accept", number, *at)["new"] is False
+    assert answer("calibration", "list", "--inactive", *at) == []
+    assert answer("calibration", "withdraw", number, *at)["in_use"] is False
+    assert sms("calibration", "accept", number, "-c", "nobody", *at).returncode == 3
+    larger = tmp_path / "larger.json"
+    larger.write_text(out.read_text().replace("1688", "1700"))
+    before = contents(made)
+    refused = sms("calibration", "import", str(larger), *at)
+    assert refused.returncode == 4
+    assert "C1 (1700 x 1352 px)" in " ".join(refused.stderr.split())
+    assert "a rig with other sensors needs a name of its own" in " ".join(refused.stderr.split())
+    assert contents(made) == before
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
+        (("accept", "99"), 3, "there is no calibration 99"),
         (("import", str(WRONG / "skew.yml"), *SAID), 2, "skew of 0.05 px"),
         (("import", "no-such-file.yml", *SAID), 3, "there is no calibration file no-such-file.yml"),
         (("import", str(WRONG / "skew.yml"), "--size", "P1=big"), 2, "as in P1=1920x1080, not 'P1=big'"),
@@ -112,6 +141,7 @@ def test_wrong_input_changes_nothing(arguments: tuple[str, ...], code: int, word
 
 def test_the_help_has_examples() -> None:
     assert "Example: sms calibration import intrinsics.yml" in sms("calibration", "import", "--help").stdout
+    assert "Example: sms calibration accept 3" in sms("calibration", "accept", "--help").stdout
 
 
 def test_the_plan_of_a_campaign_is_kept_letter_by_letter(made: Path, tmp_path: Path) -> None:

@@ -99,19 +99,29 @@ def imported(folder: Path, into: Home, **options: Any) -> list[reindexing.Reinde
     manifest = portable_import.manifest_of(folder)
     assert [one for one in portable_import.check(folder, manifest) if one.fault] == []
     return list(
-        portable_import.enter(into.catalogue, into.archive, folder, manifest, checker=into.checker, **options)
+        portable_import.enter(
+            into.catalogue, into.archive, folder, manifest, NOW, checker=into.checker, **options
+        )
     )
 
 
 def of_campaign(told: dict[str, list[Any]], repacked: bool) -> dict[str, list[Any]]:
     """Leave of all that a catalogue says what is about one campaign; sizes only of files as they were."""
+    # What is decided about calibrations of the rig, and of another campaign that has the same, stays behind.
+    foreign = {row[4] for row in told["acceptances"] if row[1] != "plate"}
+    told = told | {"provenance": [row for row in told["provenance"] if row[0] not in foreign]}
     used = {row[2] for row in told["provenance"]}
-    files = [row for row in told["files"] if row[5] == "plate" or row[0] in used]
+    files = [
+        row
+        for row in told["files"]
+        if row[5] == "plate" or row[0] in used | {one[4] for one in told["acceptances"]} - foreign
+    ]
     return {
         "files": [row[:3] + row[4:] if repacked and row[0].endswith(".h5") else row for row in files],
         "campaigns": [row for row in told["campaigns"] if row[0] == "plate"],
         "states": [row for row in told["states"] if row[0] == "plate"],
         "calibrations": [row[1:] for row in told["calibrations"] if row[2] in used],
+        "acceptances": [row[1:] for row in told["acceptances"] if row[4] not in foreign],
     } | {name: told[name] for name in ("statistics", "provenance", "jobs", "dependencies")}
 
 
@@ -228,6 +238,7 @@ def test_what_is_chosen_comes_with_what_it_needs(full: Home, tmp_path: Path) -> 
     assert {part.path for part in alone} < {part.path for part in strain} < {part.path for part in every}
     assert sorted(part.description.split()[0] for part in alone) == ["campaign", "strain"]
     assert {part.description.split()[0] for part in strain} == {
+        "acceptance",
         "campaign",
         "calibration",
         "measurement",
@@ -265,7 +276,7 @@ def test_an_import_into_a_home_that_knows_some_of_it(full: Home, empty: Home, tm
     registered(empty.catalogue, empty.archive, clock, "third")
     done = imported(folder, empty)
     assert {one.outcome for one in done} == {"indexed"}
-    assert not any(one.path.startswith("calibrations/") for one in done)
+    assert not any("/calibration-" in one.path for one in done)
     told = everything(empty.catalogue)
     assert len(told["calibrations"]) == 1
     mine = told["calibrations"][0][2]
@@ -283,7 +294,7 @@ def test_what_does_not_fit_is_taken_out_again(full: Home, empty: Home, tmp_path:
     manifest = {path: sha256 for path, sha256 in manifest.items() if "/campaign-" not in path}
     before = contents(empty.archive.root)
     done = list(
-        portable_import.enter(empty.catalogue, empty.archive, folder, manifest, checker=empty.checker)
+        portable_import.enter(empty.catalogue, empty.archive, folder, manifest, NOW, checker=empty.checker)
     )
     assert [one.outcome for one in done] == ["no-campaign"]
     assert contents(empty.archive.root) == before
@@ -302,7 +313,7 @@ def test_a_file_cannot_pass_for_the_output_of_another_job(full: Home, empty: Hom
         forged = replace(told, job_id=dataset.provenance.job_id)
     made = brought.seal_dataset(names, forged)
     manifest = {f"data/{path}": sha256 for path, sha256 in contents(folder / "data").items()}
-    done = portable_import.enter(empty.catalogue, empty.archive, folder, manifest, checker=empty.checker)
+    done = portable_import.enter(empty.catalogue, empty.archive, folder, manifest, NOW, checker=empty.checker)
     bad = {one.path: one.detail for one in done if one.outcome != "indexed"}
     assert list(bad) == [made.path]
     assert "is known as correlate of plate/S01/C1P1" in bad[made.path]
@@ -384,7 +395,9 @@ def test_the_commands_take_a_campaign_from_home_to_home(full: Home, tmp_path: Pa
     told_by("pack", "-c", "plate", "--to", folder, *options)
     told_by("check", folder)
     bootstrap.initialise(tmp_path / "there")
-    told_by("unpack", folder, *there)
+    told = CliRunner().invoke(data.app, ["unpack", folder, *there])
+    assert told.exit_code == 0
+    assert "came along and is used for plate; 'sms calibration accept 1'" in " ".join(told.stderr.split())
     files = everything(full.catalogue)["files"]
     (strain,) = (row[0] for row in files if row[1] == "strain")
     first = next(row[0] for row in files if row[1] == "calibration")

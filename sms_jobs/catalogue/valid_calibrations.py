@@ -1,0 +1,206 @@
+"""Which calibrations are used, and which of them holds for what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import and_, func, or_, select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.campaigns import rig_row
+from sms_jobs.catalogue.models import (
+    AcceptanceRow,
+    CalibrationRow,
+    CampaignRow,
+    FileRow,
+    LoadStateRow,
+    MeasurementRow,
+    ProvenanceRow,
+)
+from sms_jobs.records.calibration import Acceptance
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.measurement import UNTIMED
+from sms_jobs.records.sensors import Calibration, Rig
+
+Sensors = Mapping[str, Mapping[str, Any]]
+"""Role, columns and rows of sensors, by name."""
+
+_OF_THE_RIG = ""
+
+
+@dataclass(frozen=True)
+class UsedCalibration:
+    """A calibration that is used for a campaign, from a time on."""
+
+    number: int
+    file_id: int
+    valid_from: datetime
+    sensors: Sensors
+
+
+def sensors_of(rig: Rig) -> dict[str, dict[str, Any]]:
+    """Return what the catalogue keeps of the sensors of a calibration."""
+    return {s.name: {"role": s.role.value, "columns": s.columns, "rows": s.rows} for s in rig.sensors}
+
+
+def add_calibration(session: Session, calibration: Calibration, file_id: int) -> int:
+    """Index a calibration file, which nobody has accepted yet; return the number of the calibration."""
+    rig = rig_row(session, calibration.rig.name)
+    session.flush()
+    row = CalibrationRow(
+        rig_id=rig.id,
+        file_id=file_id,
+        valid_from=calibration.valid_from,
+        origin=calibration.origin,
+        sensors=sensors_of(calibration.rig),
+    )
+    session.add(row)
+    session.flush()
+    return row.id
+
+
+def decide(session: Session, number: int, acceptance: Acceptance, at: datetime, file_id: int) -> None:
+    """Enter a decision about a calibration, unless a later one is known."""
+    campaign = acceptance.campaign or _OF_THE_RIG
+    row = session.get(AcceptanceRow, (number, campaign))
+    if row is None:
+        row = AcceptanceRow(calibration_id=number, campaign=campaign)
+        session.add(row)
+    elif row.decided_at > at:
+        return
+    row.in_use, row.decided_at, row.file_id = acceptance.in_use, at, file_id
+    session.flush()
+
+
+def used_for_rig(session: Session, rig_id: int) -> tuple[UsedCalibration, ...]:
+    """Return the calibrations that are used for a rig, the one that becomes valid first before the others."""
+    return tuple(used for _, used in _used(session, AcceptanceRow.campaign == _OF_THE_RIG, rig_id))
+
+
+def used_for_campaign(session: Session, campaign_id: int) -> tuple[UsedCalibration, ...]:
+    """Return the calibrations that are used for a campaign: its own where it has any, else those of its rig.
+
+    What a calibration session gave is not among those that it begins with itself.
+    """
+    campaign = session.get_one(CampaignRow, campaign_id)
+    given = (
+        select(ProvenanceRow.output_id)
+        .join(FileRow, FileRow.id == ProvenanceRow.input_id)
+        .where(FileRow.campaign_id == campaign_id)
+    )
+    found = _used(
+        session,
+        or_(AcceptanceRow.campaign == campaign.name, AcceptanceRow.campaign == _OF_THE_RIG),
+        campaign.rig_id,
+        CalibrationRow.file_id.not_in(given),
+    )
+    own = tuple(used for name, used in found if name != _OF_THE_RIG)
+    return own or tuple(used for _, used in found)
+
+
+def _used(session: Session, accepted: Any, rig_id: int, *further: Any) -> list[tuple[str, UsedCalibration]]:
+    rows = session.execute(
+        select(
+            AcceptanceRow.campaign,
+            CalibrationRow.id,
+            CalibrationRow.file_id,
+            CalibrationRow.valid_from,
+            CalibrationRow.sensors,
+        )
+        .join(CalibrationRow, CalibrationRow.id == AcceptanceRow.calibration_id)
+        .where(and_(AcceptanceRow.in_use, accepted, CalibrationRow.rig_id == rig_id, *further))
+        .order_by(CalibrationRow.valid_from, CalibrationRow.id)
+    )
+    return [(row[0], UsedCalibration(*row[1:])) for row in rows]
+
+
+class ValidCalibrations:
+    """Tells which calibration holds for what a campaign measured: it is chosen by when that was measured.
+
+    Parameters
+    ----------
+    campaign_id
+        Number of the campaign.
+    now
+        Stands for the time of what is not measured yet.
+    state
+        Label of the only state that will be asked for, if it is one.
+    """
+
+    def __init__(self, session: Session, campaign_id: int, now: datetime, state: str | None = None) -> None:
+        self.used = used_for_campaign(session, campaign_id)
+        self._measured = _measured(session, campaign_id, state)
+        self._planned = state_times(session, campaign_id, state)
+        self._now = now
+
+    def time_of(self, subject: Subject) -> datetime:
+        """Return when a subject was measured: of a state, or of a whole campaign, when that began.
+
+        Where nothing is measured yet, it is the time that the plan says, or now.
+        """
+        if subject.state is not None and subject.pair is not None:
+            measured = self._measured.get((subject.state, subject.pair))
+            return measured or self._planned.get(subject.state) or self._now
+        times = [t for (label, _), t in self._measured.items() if subject.state in (None, label)]
+        planned = [t for label, t in self._planned.items() if subject.state in (None, label)]
+        return min(times or planned, default=self._now)
+
+    def of(self, subject: Subject) -> UsedCalibration | None:
+        """Return the calibration that holds for a subject: the last to become valid before its time."""
+        at = self.time_of(subject)
+        return next((used for used in reversed(self.used) if used.valid_from <= at), None)
+
+
+def _measured(session: Session, campaign_id: int, state: str | None) -> dict[tuple[str, str], datetime]:
+    """Return when the newest measurement of each tuple was made, by label and pair.
+
+    One that was simulated without a time counts as made when it was entered: that does not change either.
+    """
+    query = (
+        select(
+            LoadStateRow.label,
+            MeasurementRow.pair,
+            MeasurementRow.recorded_at,
+            LoadStateRow.time,
+            FileRow.created_at,
+        )
+        .join(MeasurementRow, MeasurementRow.state_id == LoadStateRow.id)
+        .join(FileRow, FileRow.id == MeasurementRow.file_id)
+        .where(LoadStateRow.campaign_id == campaign_id)
+        .order_by(FileRow.id)
+    )
+    if state is not None:
+        query = query.where(LoadStateRow.label == state)
+    return {
+        (label, pair): recorded if recorded != UNTIMED else planned or entered
+        for label, pair, recorded, planned, entered in session.execute(query)
+    }
+
+
+def state_times(session: Session, campaign_id: int, state: str | None = None) -> dict[str, datetime]:
+    """Return when the states of a campaign were held, by label, where that is planned or known by now."""
+    query = select(LoadStateRow.label, LoadStateRow.time).where(
+        LoadStateRow.campaign_id == campaign_id, LoadStateRow.time.is_not(None)
+    )
+    if state is not None:
+        query = query.where(LoadStateRow.label == state)
+    return {label: time for label, time in session.execute(query) if time is not None}
+
+
+def session_began(session: Session, campaign_id: int) -> datetime | None:
+    """Return when the first measurement of a campaign was recorded; None where no time is known."""
+    return session.scalar(
+        select(func.min(MeasurementRow.recorded_at))
+        .join(LoadStateRow, LoadStateRow.id == MeasurementRow.state_id)
+        .where(LoadStateRow.campaign_id == campaign_id, MeasurementRow.recorded_at != UNTIMED)
+    )
+
+
+def note_time(session: Session, state_id: int, recorded_at: datetime) -> None:
+    """Give a state the time at which it was first recorded, unless it has one."""
+    state = session.get_one(LoadStateRow, state_id)
+    if state.time is None and recorded_at != UNTIMED:
+        state.time = recorded_at

@@ -1,0 +1,221 @@
+"""Which calibrations are used: decisions of people, sealed beside the calibrations, then indexed.
+
+A calibration that a plan or a portable folder brings is used for its campaign alone; one that a session gave
+and somebody certified, or the first of a rig, for the whole rig; any other not before it is accepted.
+"""
+
+from __future__ import annotations
+
+import getpass
+import socket
+from datetime import datetime, timedelta
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+import sms_jobs
+from sms_jobs.archive import Archive, InputReference, Sealed
+from sms_jobs.catalogue import campaigns, search, valid_calibrations
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import (
+    AcceptanceRow,
+    CalibrationRow,
+    FileRow,
+    ProvenanceRow,
+    RigRow,
+)
+from sms_jobs.catalogue.valid_calibrations import Sensors
+from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.kinds.kind import CALIBRATION
+from sms_jobs.records.calibration import Acceptance
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.sensors import Rig, sensors_of
+
+ACCEPTANCE = "acceptance"
+"""The source of files that say whether a calibration is used."""
+
+
+def seal(archive: Archive, acceptance: Acceptance, path: str, now: datetime) -> Sealed:
+    """Store a decision about the calibration that lies at a path."""
+    return archive.seal_acceptance(
+        acceptance,
+        InputReference(CALIBRATION, CALIBRATION, path, acceptance.calibration),
+        now,
+        program_version=sms_jobs.__version__,
+        host=socket.gethostname(),
+        operator=getpass.getuser(),
+    )
+
+
+def enter(session: Session, acceptance: Acceptance, sealed: Sealed, now: datetime) -> None:
+    """Index a sealed decision about a calibration that the catalogue knows."""
+    file = FileRow(
+        source=ACCEPTANCE,
+        path=sealed.path,
+        content_hash=sealed.content_hash,
+        size_bytes=sealed.size_bytes,
+        sha256=sealed.sha256,
+        media_type=sealed.media_type,
+        created_at=now,
+    )
+    session.add(file)
+    session.flush()
+    decide(session, acceptance, now, file.id)
+
+
+def decide(session: Session, acceptance: Acceptance, at: datetime, file_id: int) -> None:
+    """Make a decision count whose file is in the catalogue.
+
+    Raises
+    ------
+    Conflict
+        The rig or the campaign has other sensors.
+    InvalidInput
+        The catalogue does not know the calibration.
+    NotFound
+        It does not know the campaign.
+    """
+    row = session.scalar(
+        select(CalibrationRow)
+        .join(FileRow, FileRow.id == CalibrationRow.file_id)
+        .join(RigRow, RigRow.id == CalibrationRow.rig_id)
+        .where(
+            FileRow.source == CALIBRATION,
+            FileRow.content_hash == acceptance.calibration,
+            RigRow.name == acceptance.rig,
+        )
+    )
+    if row is None:
+        raise InvalidInput(
+            f"the calibration of rig {acceptance.rig} with the contents {acceptance.calibration[:12]}... is "
+            "not in the catalogue: bring it in, then reindex again"
+        )
+    if acceptance.in_use:
+        what = f"calibration {row.id} of rig {acceptance.rig}"
+        if acceptance.campaign is None:
+            _refuse_other_than_rig(session, row.sensors, row.rig_id, what)
+        else:
+            _refuse_other_than_campaign(session, row.sensors, acceptance.campaign, what)
+    valid_calibrations.decide(session, row.id, acceptance, at, file_id)
+    session.add(ProvenanceRow(output_id=file_id, role=CALIBRATION, input_id=row.file_id))
+
+
+def has_one(session: Session, rig: str) -> bool:
+    """Say whether a rig has a calibration that is used for all of its campaigns."""
+    row = session.scalar(select(RigRow).where(RigRow.name == rig))
+    return row is not None and bool(valid_calibrations.used_for_rig(session, row.id))
+
+
+def is_used(session: Session, number: int, campaign: str = "") -> bool:
+    """Say whether a calibration is used for its rig, or for a campaign alone."""
+    row = session.get(AcceptanceRow, (number, campaign))
+    return row is not None and row.in_use
+
+
+def refuse_other_sensors(session: Session, rig: Rig) -> None:
+    """Raise `Conflict` where a rig is known with other sensors than these."""
+    row = session.scalar(select(RigRow).where(RigRow.name == rig.name))
+    if row is not None:
+        what = f"the calibration of rig {rig.name}"
+        _refuse_other_than_rig(session, valid_calibrations.sensors_of(rig), row.id, what)
+
+
+def _refuse_other_than_rig(session: Session, sensors: Sensors, rig_id: int, what: str) -> None:
+    for used in valid_calibrations.used_for_rig(session, rig_id):
+        if used.sensors != sensors:
+            raise Conflict(
+                f"{what} is of {_named(sensors)}, and calibration {used.number}, which is in use for that "
+                f"rig, of {_named(used.sensors)}: a rig with other sensors needs a name of its own"
+            )
+
+
+def _refuse_other_than_campaign(session: Session, sensors: Sensors, name: str, what: str) -> None:
+    known = _sensors_of(campaigns.definition(campaigns.campaign_row(session, name)))
+    other = {n: s for n, s in known.items() if any(sensors.get(n, {}).get(k) != v for k, v in s.items())}
+    if other:
+        raise Conflict(
+            f"{what} is of {_named(sensors)}, and campaign {name} is measured by {_named(other)}: choose a "
+            "calibration of its sensors; see 'sms calibration list'"
+        )
+
+
+def _sensors_of(campaign: Campaign) -> Sensors:
+    """Return what a campaign says of its sensors: of a virtual rig all, of others what their names tell."""
+    if campaign.scene is not None:
+        return valid_calibrations.sensors_of(campaign.scene.rig)
+    names = dict.fromkeys(name for pair in campaign.pairs for name in sensors_of(pair))
+    told = {n: {"role": "camera" if n.startswith("C") else "projector"} for n in names}
+    sizes = () if campaign.session is None else campaign.session.sensors
+    return told | {s.name: {**told.get(s.name, {}), "columns": s.columns, "rows": s.rows} for s in sizes}
+
+
+def _named(sensors: Sensors) -> str:
+    return ", ".join(
+        f"{name} ({sensor['columns']} x {sensor['rows']} px)" if "columns" in sensor else name
+        for name, sensor in sensors.items()
+    )
+
+
+def accept(
+    catalogue: Catalogue,
+    archive: Archive,
+    number: int,
+    campaign: str | None,
+    now: datetime,
+    *,
+    in_use: bool = True,
+) -> bool:
+    """Decide that a calibration is used from now on, or no longer: for its rig, or for one campaign alone.
+
+    Parameters
+    ----------
+    number
+        Of the calibration.
+    campaign
+        Name of the campaign; None for the rig.
+
+    Returns
+    -------
+    False where it was decided so before.
+
+    Raises
+    ------
+    NotFound
+        There is no such calibration or campaign.
+    Conflict
+        The rig or the campaign has other sensors.
+    """
+    with catalogue.reading() as session:
+        view = search.calibration_view(session, number)
+        if campaign is not None:
+            _refuse_other_rig(session, view.rig, campaign, number)
+        if is_used(session, number, campaign or "") == in_use:
+            return False
+        content = session.scalars(select(FileRow.content_hash).where(FileRow.path == view.path)).one()
+        last = session.get(AcceptanceRow, (number, campaign or ""))
+        if last is not None:
+            # A clock that was set back must not make the earlier decision the later one.
+            now = max(now, last.decided_at + timedelta(microseconds=1))
+    acceptance = Acceptance(view.rig, content, campaign, in_use)
+    sealed = seal(archive, acceptance, view.path, now)
+    try:
+        with catalogue.writing() as session:
+            enter(session, acceptance, sealed, now)
+    except BaseException:
+        archive.discard(sealed.path)
+        raise
+    return True
+
+
+def _refuse_other_rig(session: Session, rig: str, campaign: str, number: int) -> None:
+    theirs = campaigns.definition(campaigns.campaign_row(session, campaign)).rig
+    if theirs != rig:
+        raise InvalidInput(
+            f"calibration {number} is of rig {rig}, and campaign {campaign} is measured by rig {theirs}"
+        )
+
+
+def read(archive: Archive, path: str) -> Acceptance:
+    """Read a sealed decision that is not on record yet."""
+    with archive.open_unrecorded(path) as dataset:
+        return dataset.read(ACCEPTANCE, Acceptance)
