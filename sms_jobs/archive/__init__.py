@@ -3,7 +3,7 @@
 from sms_jobs.archive.archive import DATASET_MEDIA_TYPE, Archive
 from sms_jobs.archive.checking import Checker
 from sms_jobs.archive.dataset import ArchivedDataset
-from sms_jobs.archive.provenance import Found, InputReference, Provenance, Recorded, Sealed, WhollyRecorded
+from sms_jobs.archive.provenance import Found, InputReference, Provenance, Recorded, Sealed
 
 __all__ = [
     "DATASET_MEDIA_TYPE",
@@ -15,5 +15,4 @@ __all__ = [
     "Provenance",
     "Recorded",
     "Sealed",
-    "WhollyRecorded",
 ]

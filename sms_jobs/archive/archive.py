@@ -26,7 +26,6 @@ from sms_jobs.archive.provenance import (
     Provenance,
     Recorded,
     Sealed,
-    WhollyRecorded,
     digest,
     provenance_from_json,
     provenance_to_json,
@@ -40,6 +39,12 @@ from sms_jobs.records.sensors import Calibration
 DATASET_MEDIA_TYPE = "application/x-hdf5"
 
 
+_COMPARED_FIRST_BYTES = 256 << 10
+"""A file of at most so much is compared as a whole before HDF5 sees it, which some damage makes spin.
+
+Most of a small file is what HDF5 finds its way by; of a large one that is next to nothing, and arrays, which
+are compared when they are read.
+"""
 _OF_A_NETWORK_DISK = ".nfs"
 """Begins the names of files that are removed while somebody still reads them; they go by themselves."""
 
@@ -242,7 +247,10 @@ class Archive:
         FormatTooNew
             When it was written by a newer version.
         """
-        return open_dataset(self.path(file.path), file.path, file.content_hash, file.size_bytes)
+        path = self.path(file.path)
+        if file.sha256 and file.size_bytes <= _COMPARED_FIRST_BYTES:
+            self.verify_bytes(file)
+        return open_dataset(path, file.path, file.content_hash, file.size_bytes)
 
     def open_unrecorded(self, path: str) -> AbstractContextManager[ArchivedDataset]:
         """Open a dataset file of which nothing is on record; it must be what it says of itself.
@@ -325,7 +333,7 @@ class Archive:
         if found != content_hash:
             raise altered(path, "it hashes to", f"{found[:12]}...", f"{content_hash[:12]}...")
 
-    def verify_bytes(self, file: WhollyRecorded) -> None:
+    def verify_bytes(self, file: Recorded) -> None:
         """Read a whole file, but not as HDF5; raise `ArchiveCorrupt` unless its bytes are those on record.
 
         Where they are not on record, its contents are compared, as `verify` does.

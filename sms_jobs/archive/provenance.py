@@ -100,7 +100,7 @@ class Sealed:
 
 
 class Recorded(Protocol):
-    """What is on record of a sealed file, as in the catalogue: path, content hash, and size in bytes."""
+    """What is on record of a sealed file, as in the catalogue: the same as in `Sealed`."""
 
     @property
     def path(self) -> str: ...  # noqa: D102
@@ -110,10 +110,6 @@ class Recorded(Protocol):
 
     @property
     def size_bytes(self) -> int: ...  # noqa: D102
-
-
-class WhollyRecorded(Recorded, Protocol):
-    """What is on record of a sealed file, and the SHA-256 of its bytes; empty where that is not known."""
 
     @property
     def sha256(self) -> str: ...  # noqa: D102

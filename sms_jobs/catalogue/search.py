@@ -163,6 +163,7 @@ class CalibrationView:
     path: str
     content_hash: str
     size_bytes: int
+    sha256: str
     in_use: bool
     """For its rig: all campaigns that have no calibration of their own."""
     campaigns: tuple[str, ...]
@@ -233,6 +234,7 @@ def _calibration_views(
             file.path,
             file.content_hash,
             file.size_bytes,
+            file.sha256,
             "" in used.get(row.id, ()),
             tuple(name for name in used.get(row.id, ()) if name),
         )

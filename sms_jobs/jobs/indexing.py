@@ -45,6 +45,7 @@ class ResolvedInput:
     path: str
     content_hash: str
     size_bytes: int
+    sha256: str
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,8 @@ def resolve_inputs(session: Session, job_id: str, now: datetime) -> tuple[Resolv
                 .where(DependencyRow.job_id == job_id, DependencyRow.role == edge.role)
                 .values(file_id=file.id)
             )
-        found.append(ResolvedInput(edge.role, edge.source, file.path, file.content_hash, file.size_bytes))
+        recorded = file.path, file.content_hash, file.size_bytes, file.sha256
+        found.append(ResolvedInput(edge.role, edge.source, *recorded))
     return tuple(found)
 
 
