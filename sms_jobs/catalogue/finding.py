@@ -436,12 +436,11 @@ def _parameter_type(value: Value) -> Any:
 
 def _asked(fields: Fields, query: Query, columns: Sequence[str] | None) -> dict[str, Field]:
     """Return what to tell of each file: the columns that are wanted, or what the query compares."""
-    named = {c: fields.field(Name(c, 0), c) for c in columns or ()}
-    if columns is None:
-        for test in comparisons(query.condition):
-            if test.name.at == UNWRITTEN:
-                continue
-            named[test.name.text] = fields.field(test.name, query.text)
+    if columns is not None:
+        return {c: fields.field(Name(c, 0), c) for c in columns}
+    tests = [test for test in comparisons(query.condition) if test.name.at != UNWRITTEN]
+    named = {test.name.text: fields.field(test.name, query.text) for test in tests}
+    # Which calibration is wanted, a query says itself.
     return {name: field for name, field in named.items() if field.type != "calibration"}
 
 
@@ -456,6 +455,9 @@ def _told(session: Session, ids: Sequence[int], asked: dict[str, Field]) -> Iter
 
 
 def _value(field: Field, value: Any) -> Any:
+    if field.type == "calibration":
+        # The database has them in no certain order.
+        return None if value is None else ", ".join(sorted(value.split(","), key=int))
     if field.type == "parameter":
         value = (value or {}).get(field.parameter)
         value = value if value is None or isinstance(value, bool | int | float | str) else str(value)

@@ -13,11 +13,12 @@ from difflib import get_close_matches
 from functools import cache, cached_property
 from typing import Any, Literal, NoReturn, TypeAlias
 
-from sqlalchemy import ColumnElement, Select, String, case, func, literal, select
+from sqlalchemy import ColumnElement, Select, String, case, cast, func, literal, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
 from sms_jobs.catalogue.models import (
     CalibrationRow,
+    CalibrationUseRow,
     CampaignRow,
     ChannelRow,
     FileRow,
@@ -151,6 +152,13 @@ def _rig() -> ColumnElement[Any]:
     )
 
 
+def _calibrations() -> ColumnElement[Any]:
+    """Return the numbers of the calibrations that a file was computed with, with commas between."""
+    numbers = func.aggregate_strings(cast(CalibrationUseRow.calibration_id, String), ",")
+    used = select(numbers).where(CalibrationUseRow.file_id == FileRow.id)
+    return used.correlate(FileRow).scalar_subquery()
+
+
 def _specimen() -> ColumnElement[Any]:
     tested = select(SpecimenRow.name).join(CampaignRow, CampaignRow.specimen_id == SpecimenRow.id)
     return tested.where(CampaignRow.id == FileRow.campaign_id).correlate(FileRow).scalar_subquery()
@@ -176,7 +184,7 @@ def _built_in(dialect: str) -> dict[str, Field]:
         _state("planned_displacement_mm", LoadStateRow.planned_displacement_mm, "number"),
         _time(),
         Field("created", "time", FileRow.created_at.expression, sources=(created,)),
-        Field("calibration", "calibration", FileRow.id.expression),
+        Field("calibration", "calibration", _calibrations()),
         Field("version", "number", version),
         Field("rig", "text", _rig()),
         Field("specimen", "text", _specimen()),

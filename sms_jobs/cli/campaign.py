@@ -158,8 +158,8 @@ def show(
         [
             (
                 s.label,
-                s.load_n,
-                s.displacement_mm,
+                s.known_load_n,
+                s.known_displacement_mm,
                 times.get(s.label),
                 ", ".join(f"{k}={v:g}" for k, v in s.channels.items()),
             )

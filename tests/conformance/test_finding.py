@@ -25,6 +25,8 @@ from sms_jobs.catalogue import finding, saved_queries
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.finding import Page, find_page, restricted
 from sms_jobs.catalogue.models import (
+    CalibrationRow,
+    CalibrationUseRow,
     CampaignRow,
     ChannelRow,
     FileRow,
@@ -281,6 +283,28 @@ def test_what_cannot_be_asked_is_pointed_at(catalogue: Catalogue, text: str, wor
         ask(catalogue, text)
 
 
+def test_calibrations_are_a_column(catalogue: Catalogue) -> None:
+    large_catalogue.fill(catalogue, 64)
+    with catalogue.writing() as session:
+        session.add(
+            FileRow(
+                id=9,
+                source="calibration",
+                path="9",
+                content_hash="",
+                size_bytes=1,
+                media_type="",
+                created_at=NOW,
+            )
+        )
+        session.flush()
+        session.add(CalibrationRow(id=12, rig_id=1, file_id=9, valid_from=NOW, origin=""))
+        session.flush()
+        session.add(CalibrationUseRow(calibration_id=12, file_id=10_001))
+    found = ask(catalogue, "file between 10000 and 10002", columns=["file", "calibration"]).found
+    assert [one.values["calibration"] for one in found] == ["1", "1, 12", None]
+
+
 def test_what_does_not_exist_is_said(catalogue: Catalogue) -> None:
     large_catalogue.fill(catalogue, 64)
     with pytest.raises(NotFound, match="no campaign 'wing'; the latest are c00000"):
@@ -347,10 +371,10 @@ def test_every_format_tells_the_same(home: Path, capsys: pytest.CaptureFixture[s
     run(capsys, "query", "save", "rough", text, *at)
     (row,) = csv.DictReader(io.StringIO(run(capsys, "query", "run", "rough", "--format", "csv", *at)))
     assert (row["path"], row["length_rms_um"]) == (listed["path"], "250.0")
-    columns = ("--columns", "file,length_rms_mm,rig,load_n")
+    columns = ("--columns", "file,length_rms_mm,rig,load_n,calibration")
     header, told = run(capsys, "find", "calibration", "--format", "csv", *columns, *at).splitlines()
-    assert header == "file,length_rms_mm,rig,load_n"
-    assert re.fullmatch(rf"{key},0.25,[\w-]+,", told)
+    assert header == "file,length_rms_mm,rig,load_n,calibration"
+    assert re.fullmatch(rf"{key},0.25,[\w-]+,,", told)
     for refused in (
         ("find", text, "--format", "parquet"),
         ("find", text, "--json", "--format", "csv"),
