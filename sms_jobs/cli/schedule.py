@@ -91,12 +91,20 @@ def add(
             grace=timedelta(seconds=grace),
         )
         with services.catalogue.reading() as session:
-            first = schedules.coming(session, name, now, 1)
+            first = schedules.first_fire(session, name, now)
     if as_json:
-        output.print_json({"schedule": name, "next_fire": first[0] if first else None})
+        output.print_json({"schedule": name, "next_fire": first})
     else:
-        when = f"at {output.shown(first[0])}" if first else f"when {after} is done"
-        output.say(f"schedule {name} fires next {when}; the service ('sms up') must run then")
+        output.say(f"schedule {name} fires {_when(first, after, now)}; the service ('sms up') must run then")
+
+
+def _when(first: datetime | None, after: str | None, now: datetime) -> str:
+    """Say when a new schedule fires first."""
+    if first is None:
+        return f"when {after} is done"
+    if first <= now:
+        return f"at once, since {output.shown(first)} has only just passed"
+    return f"next at {output.shown(first)}"
 
 
 @app.command("list")

@@ -113,7 +113,11 @@ def add(
     # What it needs may come into being later: that it could run is enough.
     plan(campaign, order.requests, lambda need: Existing(file_id=0))
     if expression.form == "at" and not next_times(expression, now, now - grace, 1):
-        raise InvalidInput(f"{expression.what} is past; give a time to come")
+        raise InvalidInput(
+            f"{expression.what} is past, by more than {grace.total_seconds():g} s of grace; give one to come"
+        )
+    if expression.form == "cron" and not next_times(expression, now, now, 1):
+        raise InvalidInput(f"'{expression.what}' is at no time to come; give days that there are")
     with catalogue.writing() as session:
         _refuse_taken(session, name)
         session.add(
@@ -181,6 +185,16 @@ def coming(session: Session, name: str, now: datetime, count: int) -> list[datet
     """Return the next times of a schedule; none for one that waits for a campaign."""
     row = _required(session, name)
     return next_times(_expression(row), row.created_at, now, count)
+
+
+def first_fire(session: Session, name: str, now: datetime) -> datetime | None:
+    """Return when a schedule that was just added fires; None where that is up to another campaign.
+
+    A time given to the minute may have just passed: it is due.
+    """
+    row = _required(session, name)
+    since = now - timedelta(seconds=row.grace_s if _expression(row).form == "at" else 0.0)
+    return next(iter(next_times(_expression(row), row.created_at, since, 1)), None)
 
 
 def fire_due(catalogue: Catalogue, now: datetime) -> list[Fired]:

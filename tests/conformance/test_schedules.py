@@ -124,6 +124,7 @@ def test_a_submission_that_fails_says_why_and_the_next_one_is_tried(catalogue: C
     ("text", "order", "error", "complaint"),
     [
         ("at 2026-02-28T12:00", ORDER, InvalidInput, "is past"),
+        ("cron 0 0 30 2 *", ORDER, InvalidInput, "no time to come|no cron expression"),
         ("every 1h", Order("nowhere", tuple(REQUESTS)), NotFound, "no campaign 'nowhere'"),
         ("after nowhere", ORDER, NotFound, "no campaign 'nowhere'"),
         ("every 1h", Order("plate", (Request("levitate"),)), InvalidInput, "levitate"),
@@ -138,6 +139,25 @@ def test_an_impossible_schedule_is_refused_and_nothing_is_entered(
         add(catalogue, text, order)
     with catalogue.reading() as session:
         assert schedules.schedules(session, NOW) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "first"),
+    [
+        ("at 2026-03-01T11:58", timedelta(minutes=-2)),
+        ("at 2026-03-01T13:00", timedelta(hours=1)),
+        ("every 2h", timedelta(hours=2)),
+        ("after plate", None),
+    ],
+)
+def test_it_is_known_when_a_schedule_fires_first(
+    catalogue: Catalogue, text: str, first: timedelta | None
+) -> None:
+    submit_pipeline(catalogue)
+    add(catalogue, text)
+    with catalogue.reading() as session:
+        expected = None if first is None else NOW + first
+        assert schedules.first_fire(session, "nightly", NOW) == expected
 
 
 def test_a_name_is_taken_once(catalogue: Catalogue) -> None:
