@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import re
 import sys
 from collections.abc import Iterable, Sequence
@@ -28,6 +29,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+from sms_jobs.cli.tables import fitted
 from sms_jobs.records.texts import harmless
 
 SCHEMA = 1
@@ -44,7 +46,16 @@ Home = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
 
-answer = Console(soft_wrap=False, highlight=False, markup=False, emoji=False)
+_AS_WIDE_AS_IT_IS = 10_000
+
+
+def _width() -> int | None:
+    """Return the width of answers: where they are no terminal's, nothing has to be folded for one."""
+    watched = sys.stdout.isatty() or "COLUMNS" in os.environ
+    return None if watched else _AS_WIDE_AS_IT_IS
+
+
+answer = Console(soft_wrap=False, highlight=False, markup=False, emoji=False, width=_width())
 remarks = Console(stderr=True, highlight=False, markup=False, emoji=False)
 """Neither takes anything in a text for an instruction: names are given by people, and files by strangers."""
 
@@ -81,13 +92,16 @@ def print_sentence(text: str) -> None:
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, empty: str) -> None:
     """Print a table that fits the terminal, or say on stderr that there is nothing."""
-    table = Table(*(shown(column) for column in columns), box=None, pad_edge=False, header_style="bold")
-    for row in rows:
-        table.add_row(*(shown(cell) for cell in row))
-    if table.row_count:
-        answer.print(table)
+    texts = [[shown(cell) for cell in row] for row in rows]
+    if texts:
+        answer.print(table_of(columns, texts))
     else:
         say(empty)
+
+
+def table_of(columns: Sequence[str], texts: Sequence[Sequence[str]]) -> Table:
+    """Return a table that fits the terminal, of which nothing is cut off."""
+    return fitted([shown(column) for column in columns], texts, answer.width)
 
 
 def print_facts(facts: dict[str, Any]) -> None:

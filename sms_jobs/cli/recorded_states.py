@@ -59,10 +59,7 @@ def _found(services: Services, campaign: str) -> list[StateProgress]:
 
 
 def _table(rows: Iterable[tuple[object, ...]]) -> Table:
-    table = Table(*_COLUMNS, box=None, pad_edge=False, header_style="bold")
-    for row in rows:
-        table.add_row(*(output.shown(cell) for cell in row))
-    return table
+    return output.table_of(_COLUMNS, [[output.shown(cell) for cell in row] for row in rows])
 
 
 def _row(state: StateProgress) -> tuple[object, ...]:
