@@ -18,14 +18,12 @@ from sms_jobs.catalogue.models import (
     CampaignRow,
     FileRow,
     LoadStateRow,
-    ProvenanceRow,
     ReadingRow,
     RigRow,
     StatisticRow,
 )
+from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import NotFound
-
-_AT_ONCE = 1000
 
 
 @dataclass(frozen=True)
@@ -43,21 +41,6 @@ class FileView:
     created_at: datetime
     recorded_at: datetime | None
     job_id: str | None
-
-
-@dataclass(frozen=True)
-class Ancestor:
-    """A file in a provenance tree, and what it was to the file above it in the tree, or that one to it.
-
-    In a tree of what was computed from a file, `inputs` are what was computed from this one. `told` says that
-    the same file stands elsewhere in the tree with its inputs, which are left out here: a calibration is an
-    input of everything, and has hundreds of its own.
-    """
-
-    role: str
-    file: FileView
-    inputs: tuple[Ancestor, ...]
-    told: bool
 
 
 def find_files(
@@ -115,34 +98,6 @@ def readings(session: Session, file_id: int) -> dict[str, float]:
         .order_by(ReadingRow.name)
     )
     return dict(rows.all())
-
-
-def ancestry(session: Session, file: FileView) -> tuple[Ancestor, ...]:
-    """Return what a file was computed from, and so on back to what was measured; each file's inputs once."""
-    return _related(session, file, set(), down=False)
-
-
-def descent(session: Session, file: FileView) -> tuple[Ancestor, ...]:
-    """Return what was computed from a file, and so on to what nothing was made of; each file's outputs once.
-
-    The role is what the file above was to this one.
-    """
-    return _related(session, file, set(), down=True)
-
-
-def _related(session: Session, file: FileView, told: set[int], *, down: bool) -> tuple[Ancestor, ...]:
-    edge = ProvenanceRow
-    here, there = (edge.input_id, edge.output_id) if down else (edge.output_id, edge.input_id)
-    rows = session.execute(
-        select(edge.role, there).where(here == file.id).order_by(*((there,) if down else (edge.role,)))
-    )
-    found = []
-    for role, key in rows.all():
-        parent, known = file_view(session, str(key)), key in told
-        told.add(key)
-        below = () if known else _related(session, parent, told, down=down)
-        found.append(Ancestor(role, parent, below, known))
-    return tuple(found)
 
 
 def files_of_job(session: Session, job_id: str) -> list[FileView]:
@@ -251,8 +206,8 @@ def views_with(
     session: Session, ids: Sequence[int], extra: Sequence[ColumnElement[Any]]
 ) -> Iterator[tuple[FileView, tuple[Any, ...]]]:
     """Yield the files of some numbers, each with further expressions about its row, in no certain order."""
-    for first in range(0, len(ids), _AT_ONCE):
-        query = _views().where(FileRow.id.in_(ids[first : first + _AT_ONCE])).add_columns(*extra)
+    for some in parts(ids):
+        query = _views().where(FileRow.id.in_(some)).add_columns(*extra)
         for row in session.execute(query):
             yield _view(*row[:3]), tuple(row[3:])
 

@@ -11,10 +11,10 @@ from rich.tree import Tree
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import DATASET_MEDIA_TYPE
-from sms_jobs.catalogue import search
+from sms_jobs.catalogue import family, search
+from sms_jobs.catalogue.family import Ancestor
 from sms_jobs.catalogue.finding import restricted
 from sms_jobs.catalogue.query_language import parse
-from sms_jobs.catalogue.search import Ancestor
 from sms_jobs.cli import (
     advice,
     completion,
@@ -160,13 +160,16 @@ def tree(
     """
     with bootstrap.services(home) as services, services.catalogue.reading() as session:
         view = search.file_view(session, file)
-        inputs = search.descent(session, view) if down else search.ancestry(session, view)
+        related = family.descent(session, view) if down else family.ancestry(session, view)
     if as_json:
-        output.print_json({"file": view, "outputs" if down else "inputs": inputs})
+        name = "outputs" if down else "inputs"
+        output.print_json({"file": view, name: related.inputs, "more": related.more})
         return
     root = Tree(f"{view.source} {view.subject} ({view.id})")
-    _grow(root, inputs, whole)
+    _grow(root, related.inputs, whole)
     output.answer.print(root)
+    if related.more:
+        output.say(f"the tree ends at {family.MOST} entries; ask for that of a file in it")
 
 
 @app.command()
@@ -191,7 +194,7 @@ def plot(
     with bootstrap.services(home) as services:
         with services.catalogue.reading() as session:
             view = search.file_view(session, file)
-            inputs = search.ancestry(session, view)
+            inputs = family.ancestry(session, view).inputs
         if view.media_type != DATASET_MEDIA_TYPE:
             raise InvalidInput(f"file {file} is a {view.media_type} document, which cannot be plotted")
         with services.archive.open(view) as dataset:
@@ -233,6 +236,8 @@ def _grow(node: Tree, inputs: tuple[Ancestor, ...], whole: bool) -> None:
         shown = alike if whole or len(alike) <= _SHOWN_ALIKE else alike[:1]
         for ancestor in shown:
             more = "; its inputs are shown elsewhere" if ancestor.told else ""
+            if ancestor.more:
+                more = f"; there is more, see 'sms data tree {ancestor.file.id}'"
             child = node.add(
                 f"{ancestor.role}: {ancestor.file.source} {ancestor.file.subject} ({ancestor.file.id}){more}"
             )

@@ -13,8 +13,9 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import campaigns, search
-from sms_jobs.catalogue.search import Ancestor, FileView
+from sms_jobs.catalogue import campaigns, family, search
+from sms_jobs.catalogue.family import Ancestor
+from sms_jobs.catalogue.search import FileView
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
@@ -185,7 +186,7 @@ def section(
     with bootstrap.services(home) as services:
         with services.catalogue.reading() as session:
             view = search.file_view(session, file)
-            parents = search.ancestry(session, view)
+            parents = family.ancestry(session, view).inputs
         with services.archive.open(view) as dataset:
             name = record or dataset.names[0]
             read: Any = dataset.read(name, dataset.record_class(name))
