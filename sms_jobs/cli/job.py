@@ -22,6 +22,7 @@ from sms_jobs.jobs.estimates import Estimate, estimate_planned
 from sms_jobs.jobs.logs import job_log
 from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.submission import Submission, draft, enter, while_outdated
+from sms_jobs.jobs.turns import planning_turn
 from sms_jobs.kinds import all_kinds
 from sms_jobs.records.job import JobState
 
@@ -134,7 +135,8 @@ def _planned(
         with services.catalogue.writing() as session:
             return enter(session, planned), ahead
 
-    done, ahead = while_outdated(attempt)
+    with planning_turn(services.settings.home):
+        done, ahead = while_outdated(attempt)
     if not dry_run and len(done.job_ids) >= upkeep.MANY:
         upkeep.analyse(services.catalogue)
     return done, ahead
