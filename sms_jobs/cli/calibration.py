@@ -16,10 +16,10 @@ from sms_jobs import bootstrap
 from sms_jobs.catalogue import search
 from sms_jobs.cli import calibration_acceptance, calibration_files, completion, output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import InvalidInput
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.times import parsed_time
 
 app = typer.Typer(help="Calibrations of rigs.", no_args_is_help=True)
 app.command("export")(calibration_files.export)
@@ -174,13 +174,7 @@ def certify(
 
 
 def _time(text: str) -> datetime:
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError:
-        moment = None
-    if moment is None or moment.tzinfo is None:
-        raise InvalidInput(f"'{text}' is no time with a zone; write it like 2026-06-01T08:00:00+01:00")
-    return moment
+    return parsed_time(text, "--valid-from")
 
 
 @app.command()

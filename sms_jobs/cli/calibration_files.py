@@ -11,12 +11,13 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import search
-from sms_jobs.cli import output
+from sms_jobs.cli import output, writing
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.jobs.registration import Registered, register_calibration
 from sms_jobs.records.sensors import Box, Calibration
+from sms_jobs.records.times import parsed_time
 
 _STYLES: tuple[Style, ...] = get_args(Style)
 _SIZE = re.compile(r"(?P<name>\w{1,8})=(?P<columns>\d{1,6})x(?P<rows>\d{1,6})")
@@ -55,20 +56,14 @@ def export(
     chosen = next((one for one in _STYLES if one == style), None)
     if chosen is None:
         raise InvalidInput(f"--as should be one of {', '.join(_STYLES)}, not '{style}'")
-    if out.exists() and not force:
-        raise Conflict(f"{out} exists already; give another name, or --force to replace it")
-    if not out.parent.is_dir():
-        raise InvalidInput(f"the folder {out.parent} does not exist; make it first")
+    writing.check_new_file(out, force)
     with bootstrap.services(home) as services:
         with services.catalogue.reading() as session:
             view = search.calibration_view(session, number)
         with services.archive.open(view) as dataset:
             calibration = dataset.read("calibration", Calibration)
     text, remarks = calibration_text(calibration, chosen, pixel_pitch_um / 1000.0)
-    try:
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InvalidInput(f"{out} cannot be written: {error.strerror}") from error
+    writing.write_file(out, text, force)
     if as_json:
         output.print_json({"calibration": number, "style": chosen, "file": out, "remarks": remarks})
         return
@@ -176,14 +171,7 @@ def _next(known: Registered) -> str:
 
 
 def _time(text: str | None) -> datetime | None:
-    if text is None:
-        return None
-    try:
-        return datetime.fromisoformat(text)
-    except ValueError:
-        raise InvalidInput(
-            f"--valid-from should be a time as in 2026-05-04T10:00:00+02:00, not '{text}'"
-        ) from None
+    return None if text is None else parsed_time(text, "--valid-from")
 
 
 def _sizes(texts: list[str]) -> dict[str, tuple[int, int]]:

@@ -28,10 +28,11 @@ from sms_jobs.cli import (
     saved_queries,
     state_comparison,
     surface_fields,
+    writing,
 )
 from sms_jobs.cli.found_files import After, As, Columns, Force, Format, Limit, Out, Wanted
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.figures import plot_record
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.measurement import Measurement
@@ -190,7 +191,7 @@ def plot(
 
     Example: sms data plot 17 --field strain --component xx --out strain.png
     """
-    _refuse_existing(out, force)
+    writing.check_new_file(out, force)
     with bootstrap.services(home) as services:
         with services.catalogue.reading() as session:
             view = search.file_view(session, file)
@@ -204,7 +205,7 @@ def plot(
         if isinstance(read, PlanarDisplacement | PlanarStrain):
             behind = _reference_image(services, inputs)
     png = plot_record(read, field, component, behind=behind)
-    out.write_bytes(png)
+    writing.write_file(out, png, force)
     output.say(f"wrote {out}")
 
 
@@ -218,13 +219,6 @@ def _reference_image(services: bootstrap.Services, inputs: Iterable[Ancestor]) -
         if found is not None:
             return found
     return None
-
-
-def _refuse_existing(out: Path, force: bool) -> None:
-    if out.exists() and not force:
-        raise Conflict(f"{out} exists already; give another name, or --force to replace it")
-    if not out.parent.is_dir():
-        raise InvalidInput(f"the folder {out.parent} does not exist; make it first")
 
 
 def _grow(node: Tree, inputs: tuple[Ancestor, ...], whole: bool) -> None:

@@ -14,9 +14,9 @@ from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.archive.repacking import repack
 from sms_jobs.catalogue import search
 from sms_jobs.catalogue.search import FileView
-from sms_jobs.cli import completion, output
+from sms_jobs.cli import completion, output, writing
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import Conflict, InvalidInput, NotFound
+from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.fields import Mesh, PhaseMaps
 from sms_jobs.records.quantity import quantities
 
@@ -173,7 +173,8 @@ def _export(services: bootstrap.Services, view: FileView, out: Path | None, want
     if exporter is None:
         target = _target(out, PurePosixPath(view.path).name, wanted.force)
         services.archive.verify_bytes(view)
-        shutil.copyfile(services.archive.path(view.path), target)
+        with writing.new_file(target, wanted.force) as part:
+            shutil.copyfile(services.archive.path(view.path), part)
         return [target]
     written = []
     with services.archive.open(view) as dataset:
@@ -190,7 +191,8 @@ def _export(services: bootstrap.Services, view: FileView, out: Path | None, want
                 [view.subject.replace("/", "-"), view.source, *([name] if len(names) > 1 else ())]
             )
             target = _target(out, f"{stem}{exporter.suffix}", wanted.force)
-            exporter.write(source, target)
+            with writing.new_file(target, wanted.force) as part:
+                exporter.write(source, part)
             written.append(target)
     return written
 
@@ -203,8 +205,8 @@ def _repacked(services: bootstrap.Services, view: FileView, out: Path | None, wa
         raise InvalidInput(_NO_DATASET.format(number=view.id, media_type=view.media_type))
     target = _target(out, f"{view.subject.replace('/', '-')}-{view.source}.h5", wanted.force)
     services.archive.verify_bytes(view)
-    target.unlink(missing_ok=True)
-    repack(services.archive.path(view.path), target, view.path)
+    with writing.new_file(target, wanted.force) as part:
+        repack(services.archive.path(view.path), part, view.path)
     return target
 
 
@@ -254,8 +256,5 @@ def _texture(dataset: ArchivedDataset, record: Any) -> Any:
 def _target(out: Path | None, name: str, force: bool) -> Path:
     """Return the file to write; refuse one that is there and a folder that is not."""
     path = Path(name) if out is None else out / name if out.is_dir() else out
-    if path.exists() and not force:
-        raise Conflict(f"{path} exists already; give another name, or --force to replace it")
-    if not path.parent.is_dir():
-        raise InvalidInput(f"the folder {path.parent} does not exist; make it first")
+    writing.check_new_file(path, force)
     return path

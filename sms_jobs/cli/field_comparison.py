@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
-from sms_jobs.cli import output
+from sms_jobs.cli import output, writing
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.other_fields import PointField, draw_difference, read_point_field
@@ -64,7 +64,7 @@ def compare(
     Example: sms data compare 42 --with panel.vtu --field U --scale-mm 1000 --free-of-motion --out diff.png
     """
     if out is not None:
-        output.check_written(out, (".csv", ".png"), force)
+        writing.check_new_file(out, force, (".csv", ".png"))
     how = How(field, scale_mm, align, free, within_mm)
     with bootstrap.services(home) as services:
         found = difference_of(services, file, other, how)
@@ -73,7 +73,8 @@ def compare(
         facts[f"mean_{axis}_mm"] = float(values.mean())
         facts[f"rms_{axis}_mm"] = float(np.sqrt(np.mean(values**2)))
     if out is not None:
-        out.write_bytes(_written(out, found.points, found.difference, f"file {file} minus {other}"))
+        content = _written(out, found.points, found.difference, f"file {file} minus {other}")
+        writing.write_file(out, content, force)
         output.say(f"wrote {out}")
     if as_json:
         output.print_json({"file": file, "other": other} | facts)

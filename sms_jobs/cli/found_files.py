@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -18,8 +18,8 @@ from sms_jobs.catalogue.finding import Found, Page
 from sms_jobs.catalogue.query_fields import Vocabulary
 from sms_jobs.catalogue.query_language import Query
 from sms_jobs.catalogue.search import FileView
-from sms_jobs.cli import output
-from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.cli import output, writing
+from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.row_tables import write_csv, write_parquet
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
@@ -159,13 +159,16 @@ def _pages(
 def _write(wanted: Wanted, columns: list[str], files: Iterator[Found]) -> None:
     rows = (_row(one, columns) for one in files)
     if wanted.out is None:
-        write_csv(sys.stdout, columns, rows)
+        text = io.StringIO(newline="")
+        write_csv(text, columns, rows)
+        output.print_text(text.getvalue())
         return
-    if wanted.form is Format.PARQUET:
-        count = write_parquet(wanted.out, columns, rows)
-    else:
-        with wanted.out.open("w", encoding="utf-8", newline="") as stream:
-            count = write_csv(stream, columns, rows)
+    with writing.new_file(wanted.out, wanted.force) as part:
+        if wanted.form is Format.PARQUET:
+            count = write_parquet(part, columns, rows)
+        else:
+            with part.open("w", encoding="utf-8", newline="") as stream:
+                count = write_csv(stream, columns, rows)
     output.say(f"wrote {count} files into {wanted.out}")
 
 
@@ -179,10 +182,7 @@ def _refuse(wanted: Wanted) -> None:
         return
     if wanted.as_json or wanted.form not in (Format.CSV, Format.PARQUET):
         raise InvalidInput("--out writes --format csv or --format parquet; the rest goes to the screen")
-    if wanted.out.exists() and not wanted.force:
-        raise Conflict(f"{wanted.out} exists already; give another name, or --force to replace it")
-    if not wanted.out.parent.is_dir():
-        raise InvalidInput(f"the folder {wanted.out.parent} does not exist; make it first")
+    writing.check_new_file(wanted.out, wanted.force)
 
 
 def _split(columns: str) -> list[str]:

@@ -18,6 +18,7 @@ from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats.importers.folders import LeftOut
 from sms_jobs.formats.importers.inspection import Inspected
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.times import parsed_time
 
 _FINDINGS = 6
 TOLD = 20
@@ -46,15 +47,7 @@ class Outcome:
 
 def time_given(text: str | None) -> datetime | None:
     """Return the time of --recorded-at; raise `InvalidInput` for one without a zone."""
-    if text is None:
-        return None
-    try:
-        at = datetime.fromisoformat(text)
-    except ValueError:
-        at = None
-    if at is None or at.tzinfo is None:
-        raise InvalidInput(f"--recorded-at should be a time as in 2026-05-04T10:00:00+02:00, not '{text}'")
-    return at
+    return None if text is None else parsed_time(text, "--recorded-at")
 
 
 def existing_campaign(services: Services, name: str) -> Campaign | None:

@@ -11,10 +11,10 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.archive import Checker
 from sms_jobs.catalogue import search
-from sms_jobs.cli import completion, output
+from sms_jobs.cli import completion, output, writing
 from sms_jobs.cli.calibration_acceptance import used_for
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.research_crate import CrateFile, as_text
 from sms_jobs.jobs import lineage_documents, portable, portable_import
 from sms_jobs.jobs.portable import Wanted
@@ -194,7 +194,7 @@ def provenance(
     Example: sms data provenance 17 --output strain.prov.json; sms data provenance wing-fatigue
     """
     if out is not None:
-        _refuse_existing(out, force)
+        writing.check_new_file(out, force)
     with bootstrap.services(home) as services:
         with services.catalogue.reading() as session:
             paths = lineage_documents.paths_of(session, what)
@@ -202,15 +202,8 @@ def provenance(
     if out is None:
         output.print_line(document)
         return
-    out.write_text(as_text(document), encoding="utf-8")
+    writing.write_file(out, as_text(document), force)
     output.say(f"wrote {out}: {len(document['entity'])} files and {len(document['activity'])} activities")
-
-
-def _refuse_existing(out: Path, force: bool) -> None:
-    if out.exists() and not force:
-        raise Conflict(f"{out} exists already; give another name, or --force to replace it")
-    if not out.parent.is_dir():
-        raise InvalidInput(f"the folder {out.parent} does not exist; make it first")
 
 
 def _checked(folder: Path) -> tuple[list[CheckedFile], int, int]:

@@ -11,9 +11,9 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns
-from sms_jobs.cli import output
+from sms_jobs.cli import output, writing
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs.registration import register_campaign
 
 if TYPE_CHECKING:
@@ -119,14 +119,14 @@ def exact(
 
     with bootstrap.services(home) as services, services.catalogue.reading() as session:
         defined = campaigns.definition(campaigns.campaign_row(session, campaign))
-    out.mkdir(parents=True, exist_ok=True)
+    writing.new_folder(out)
     written = []
     for state in defined.states[1:]:
         path = out / f"{state.label}.vtu"
-        if path.exists() and not force:
-            raise Conflict(f"{path} exists; choose another folder or add --force")
+        writing.check_new_file(path, force)
         mesh = exact_mesh(defined, state.label, step_px)
-        write_point_field(path, mesh.nodes, mesh.triangles, mesh.displacement)
+        with writing.new_file(path, force) as part:
+            write_point_field(part, mesh.nodes, mesh.triangles, mesh.displacement)
         written.append({"state": state.label, "file": str(path), "nodes": len(mesh.nodes)})
     if as_json:
         output.print_json_list(written)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sms_jobs.cli import output
+from sms_jobs.cli import output, writing
 
 app = typer.Typer(help="Speckle patterns for specimens.", no_args_is_help=True)
 
@@ -38,7 +38,8 @@ def print_(
     """
     from sms_jobs.formats.printed_speckle import Sheet, as_pdf, as_png
 
-    output.check_written(out, (".pdf", ".png"), force)
+    endings = (".pdf", ".png")
+    writing.check_new_file(out, force, endings)
     sheet = Sheet(width_mm, height_mm, speckle_mm, dpi, seed, mirrored)
-    out.write_bytes(as_pdf(sheet) if out.suffix == ".pdf" else as_png(sheet))
+    writing.write_file(out, as_pdf(sheet) if out.suffix == ".pdf" else as_png(sheet), force, endings)
     output.say(f"wrote {out}: {width_mm:g} mm x {height_mm:g} mm at {dpi} dpi")

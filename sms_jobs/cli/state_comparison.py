@@ -12,7 +12,7 @@ from sms_jobs import bootstrap
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, search
-from sms_jobs.cli import output
+from sms_jobs.cli import output, writing
 from sms_jobs.cli.field_comparison import How, difference_of
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
@@ -60,7 +60,7 @@ def compare_states(
     Example: sms data compare-states hat --with 'model/{state}.vtu' --free-of-motion --out states.png
     """
     if out is not None:
-        output.check_written(out, (".csv", ".png"), force)
+        writing.check_new_file(out, force, (".csv", ".png"))
     if kind not in ("merge", "combine"):
         raise InvalidInput(f"--kind cannot be '{kind}'; choose merge or combine")
     how = How(field, scale_mm, align, free, within_mm)
@@ -71,7 +71,8 @@ def compare_states(
         ]
     if out is not None:
         title = f"{campaign} minus {other}"
-        out.write_bytes(draw_states(found, title) if out.suffix == ".png" else written_table(found))
+        content = draw_states(found, title) if out.suffix == ".png" else written_table(found)
+        writing.write_file(out, content, force)
         output.say(f"wrote {out}")
     if as_json:
         output.print_json_list([one.named() for one in found])

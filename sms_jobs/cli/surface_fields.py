@@ -16,7 +16,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, family, search
 from sms_jobs.catalogue.family import Ancestor
 from sms_jobs.catalogue.search import FileView
-from sms_jobs.cli import completion, output
+from sms_jobs.cli import completion, output, writing
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.fields import PointCloud
@@ -250,6 +250,7 @@ def _point(text: str, option: str) -> tuple[float, float]:
 
 
 def _write(out: Path, force: bool, table: str, picture: Any) -> None:
-    output.check_written(out, (".csv", ".png"), force)
-    out.write_bytes(table.encode() if out.suffix == ".csv" else picture())
+    endings = (".csv", ".png")
+    writing.check_new_file(out, force, endings)
+    writing.write_file(out, table if out.suffix == ".csv" else picture(), force, endings)
     output.say(f"wrote {out}")
