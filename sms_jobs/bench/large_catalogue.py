@@ -24,6 +24,7 @@ from sqlalchemy import (
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import lineage, upkeep
+from sms_jobs.catalogue.columns import UtcDateTime
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
     BigId,
@@ -42,7 +43,6 @@ from sms_jobs.catalogue.models import (
     SpecimenRow,
     StatisticRow,
     Table,
-    UtcDateTime,
 )
 from sms_jobs.records.job import JobState
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import sqlite3
 import time
@@ -11,13 +12,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Connection, Dialect, Engine, create_engine, event, make_url
+from sqlalchemy import Connection, Dialect, Engine, ExceptionContext, create_engine, event, make_url
 from sqlalchemy.exc import (
     ArgumentError,
     DBAPIError,
     DisconnectionError,
     NoSuchModuleError,
     OperationalError,
+    StatementError,
 )
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
@@ -28,7 +30,9 @@ from sms_jobs.errors import (
     CatalogueEmpty,
     CommitInDoubt,
     ConfigurationError,
+    InvalidInput,
     ServerUnreachable,
+    SmsError,
     StorageFull,
 )
 
@@ -36,6 +40,10 @@ _WRITING = "sms_writing"
 _RETURNED = "sms_returned_at"
 _READ_ONLY = "25006"
 """PostgreSQL's code for a change that a server which stands by refuses."""
+_UNUSABLE = (
+    "database_url cannot be used: write sqlite:///PATH or postgresql+psycopg://USER@HOST/NAME (the latter "
+    "needs 'pip install sms-jobs[postgresql]')"
+)
 _TRUSTED_S = 1.0
 """A connection that was in use so lately is taken without asking whether the server is still there."""
 _PATIENCE_S = 120.0
@@ -87,8 +95,8 @@ class Catalogue:
         return self.engine.dialect.name
 
     def describe(self) -> str:
-        """Return the URL with its password hidden."""
-        return self.engine.url.render_as_string(hide_password=True)
+        """Return the URL without its password, and without options, one of which may be a password too."""
+        return self.engine.url.set(query={}).render_as_string(hide_password=True)
 
     @contextmanager
     def reading(self) -> Iterator[Session]:
@@ -152,6 +160,9 @@ class Catalogue:
         except DBAPIError as error:
             if says_damaged(error.orig):
                 raise self.damaged(str(error.orig)) from error
+            if error.statement is None and not error.connection_invalidated:
+                # It was not even connected; the driver's words may repeat the URL and so a password.
+                raise ConfigurationError(_UNUSABLE) from error
             if getattr(error.orig, "sqlstate", None) == _READ_ONLY:
                 raise ServerUnreachable(
                     f"the catalogue {self.describe()} takes no changes for now: its server stands by for "
@@ -162,6 +173,11 @@ class Catalogue:
             raise ServerUnreachable(
                 f"the connection to the catalogue {self.describe()} broke; run 'sms doctor'"
             ) from error
+        except StatementError as error:
+            # Raised by the type of a column, of a value that it does not take.
+            if isinstance(error.orig, SmsError):
+                raise error.orig from error
+            raise
 
 
 def says_damaged(error: BaseException | None) -> bool:
@@ -175,10 +191,15 @@ def _engine(url: str, create: bool) -> Engine:
         parsed = make_url(url)
         backend = parsed.get_backend_name()
         if backend == "sqlite":
+            if parsed.query:
+                raise ConfigurationError(
+                    "database_url of SQLite takes no options: leave out what is behind '?'"
+                )
             _require_file(parsed.database, create)
             engine = create_engine(parsed, connect_args={"timeout": _PATIENCE_OF_READERS_MS / 1e3})
             event.listen(engine, "connect", _prepare_sqlite)
             event.listen(engine, "begin", _begin_sqlite)
+            event.listen(engine, "handle_error", _refuse_value)
             return engine
         if backend == "postgresql":
             # What the URL says wins.
@@ -187,29 +208,47 @@ def _engine(url: str, create: bool) -> Engine:
             event.listen(engine, "connect", _prepare_postgresql)
             event.listen(engine, "checkin", _note_return)
             event.listen(engine, "checkout", partial(_refuse_broken, engine.dialect))
+            event.listen(engine, "handle_error", _refuse_value)
             return engine
-    except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
+    except (ArgumentError, NoSuchModuleError, ModuleNotFoundError, ValueError) as error:
         # The text of the error may repeat the URL and so a password: it is not passed on.
-        raise ConfigurationError(
-            "database_url cannot be used: write sqlite:///PATH or postgresql+psycopg://USER@HOST/NAME "
-            "(the latter needs 'pip install sms-jobs[postgresql]')"
+        raise ConfigurationError(_UNUSABLE) from error
+    raise ConfigurationError(
+        "database_url names another database; the catalogue runs on sqlite or postgresql"
+    )
+
+
+def _refuse_value(context: ExceptionContext) -> None:
+    """Raise `InvalidInput` for a value that no column can hold, whatever the driver calls that."""
+    error = context.original_exception
+    data_error = context.dialect.loaded_dbapi.DataError
+    if context.statement is not None and isinstance(error, data_error | OverflowError | UnicodeError):
+        raise InvalidInput(
+            "a number or text that was given is more than the catalogue can hold "
+            f"({str(error).splitlines()[0][:100]}); give another"
         ) from error
-    raise ConfigurationError(f"database_url names '{backend}'; the catalogue runs on sqlite or postgresql")
 
 
 def _require_file(database: str | None, create: bool) -> None:
     if not database:
         raise ConfigurationError("database_url must name a file, like sqlite:////var/sms/catalogue.sqlite")
     path = Path(database)
-    if create:
-        try:
+    try:
+        if create:
             path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigurationError(
-                f"the catalogue's folder {path.parent} cannot be made: {error.strerror}; choose another home"
-            ) from error
-    elif not path.exists():
+        there = os.path.lexists(path)
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(
+            f"the catalogue's folder {path.parent} cannot be made: {getattr(error, 'strerror', error)}; "
+            "choose another home"
+        ) from error
+    if there and not path.is_file():
+        raise ConfigurationError(f"the catalogue {path} is a folder or a device, not a file; choose another")
+    if not create and not there:
         raise CatalogueEmpty(f"there is no catalogue at {path}; run 'sms init'")
+    if not create and path.stat().st_size == 0:
+        # To open it would make it a database.
+        raise CatalogueEmpty(f"the catalogue {path} is empty; run 'sms init'")
 
 
 def _prepare_sqlite(connection: Any, _record: Any) -> None:

@@ -2,50 +2,24 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any, ClassVar
 
 from sqlalchemy import (
     JSON,
     BigInteger,
-    DateTime,
-    Dialect,
     Enum,
     ForeignKey,
     Index,
     Integer,
     MetaData,
-    String,
-    Text,
-    TypeDecorator,
     UniqueConstraint,
     desc,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
+from sms_jobs.catalogue.columns import String, Text, Told, UtcDateTime
 from sms_jobs.records.job import JobState
-
-
-class UtcDateTime(TypeDecorator[datetime]):
-    """A time with zone, kept as UTC; SQLite stores it without the zone and gets it back on reading."""
-
-    impl = DateTime(timezone=True)
-    cache_ok = True
-
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
-        """Refuse a time without zone; convert the rest to UTC."""
-        if value is None:
-            return None
-        if value.tzinfo is None:
-            raise ValueError(f"a time without time zone cannot be stored: {value}")
-        return value.astimezone(UTC)
-
-    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
-        """Return the time in UTC."""
-        if value is None:
-            return None
-        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
-
 
 BigId = BigInteger().with_variant(Integer(), "sqlite")
 JobStateColumn = Enum(
@@ -331,10 +305,10 @@ class JobRow(Table):
     stop_asked_at: Mapped[datetime | None]
     """Since when it is to stop; `stop_as` says how it then ends, `stop_reason` why."""
     stop_as: Mapped[JobState | None]
-    stop_reason: Mapped[str | None] = mapped_column(Text)
+    stop_reason: Mapped[str | None] = mapped_column(Told)
     progress: Mapped[float] = mapped_column(default=0.0)
-    message: Mapped[str] = mapped_column(Text, default="")
-    error: Mapped[str | None] = mapped_column(Text)
+    message: Mapped[str] = mapped_column(Told, default="")
+    error: Mapped[str | None] = mapped_column(Told)
     reuse_key: Mapped[str | None] = mapped_column(String(64))
     reused_from: Mapped[str | None] = mapped_column(ForeignKey("job.id"))
 
@@ -361,7 +335,7 @@ class EventRow(Table):
     at: Mapped[datetime]
     state: Mapped[JobState]
     attempt: Mapped[int]
-    message: Mapped[str] = mapped_column(Text, default="")
+    message: Mapped[str] = mapped_column(Told, default="")
 
 
 class OutboxRow(Table):
@@ -405,7 +379,7 @@ class ScheduleFireRow(Table):
     __tablename__ = "schedule_fire"
     schedule_id: Mapped[int] = mapped_column(ForeignKey("schedule.id"), primary_key=True)
     fire_time: Mapped[datetime] = mapped_column(primary_key=True)
-    outcome: Mapped[str] = mapped_column(Text)
+    outcome: Mapped[str] = mapped_column(Told)
 
 
 class SavedQueryRow(Table):

@@ -15,9 +15,11 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 from cronsim import CronSim, CronSimError
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.records.times import LATEST, checked_time
 
 Form: TypeAlias = Literal["cron", "at", "every", "after"]
 _LEAST_INTERVAL_S = 1.0
+_LONGEST_INTERVAL_S = 3660 * 86400.0
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def _moment(text: str, zone: ZoneInfo) -> datetime:
         raise InvalidInput(
             f"'{text}' is no time; write it like 2026-05-04T02:00, or with a zone 2026-05-04T02:00+01:00"
         ) from None
-    return moment if moment.tzinfo is not None else moment.replace(tzinfo=zone)
+    return checked_time(moment if moment.tzinfo is not None else moment.replace(tzinfo=zone), f"'{text}'")
 
 
 _UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
@@ -95,9 +97,10 @@ def _seconds(text: str) -> float:
         seconds = float(number) * _UNITS_S[unit]
     except ValueError:
         seconds = 0.0
-    if not _LEAST_INTERVAL_S <= seconds < 1e9:
+    if not _LEAST_INTERVAL_S <= seconds <= _LONGEST_INTERVAL_S:
         raise InvalidInput(
-            f"'{text}' is no interval; write a number with s, m, h or d, of at least {_LEAST_INTERVAL_S:g} s"
+            f"'{text}' is no interval; write a number with s, m, h or d, of at least {_LEAST_INTERVAL_S:g} s "
+            f"and at most {_LONGEST_INTERVAL_S / 86400.0:g} d"
         )
     return seconds
 
@@ -114,10 +117,10 @@ def fire_times(expression: Expression, began: datetime, after: datetime) -> Iter
             yield moment
     elif expression.form == "every":
         step = timedelta(seconds=float(expression.what))
-        count = max((after - began) // step + 1, 1)
-        while True:
-            yield (began + count * step).astimezone(UTC)
-            count += 1
+        moment = began + max((after - began) // step + 1, 1) * step
+        while moment < LATEST:
+            yield moment.astimezone(UTC)
+            moment += step
     elif expression.form == "cron":
         for moment in CronSim(expression.what, after.astimezone(expression.zone)):
             yield moment.astimezone(UTC)

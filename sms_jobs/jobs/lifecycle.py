@@ -17,6 +17,7 @@ from sqlalchemy.orm import Session, aliased
 from sqlalchemy.orm.util import identity_key
 from sqlalchemy.sql.dml import ReturningUpdate
 
+from sms_jobs.catalogue.columns import UtcDateTime
 from sms_jobs.catalogue.models import (
     CampaignRow,
     DependencyRow,
@@ -25,7 +26,6 @@ from sms_jobs.catalogue.models import (
     JobRow,
     OutboxRow,
     QueueRow,
-    UtcDateTime,
     WorkerRow,
 )
 from sms_jobs.catalogue.parts import parts

@@ -25,6 +25,11 @@ def harmless(text: str) -> str:
     return _UNPRINTABLE.sub(lambda found: _as_number(found[0]), text)
 
 
+def unstored(text: str) -> str:
+    """Return a text to be looked for: one that `checked_text` refuses is changed, and so found nowhere."""
+    return _UNPRINTABLE.sub("\ufffd\ufffd", text)
+
+
 def checked_text(text: str, what: str, most: int = REMARK_LETTERS) -> str:
     """Return a text that can be stored and shown; raise `InvalidInput`, saying what it is, if it cannot."""
     if len(text) > most:

@@ -6,7 +6,6 @@ NaN, which is nothing measured.
 
 from __future__ import annotations
 
-import csv
 import io
 import re
 from collections.abc import Mapping, Sequence
@@ -17,7 +16,9 @@ from pathlib import Path
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.formats.csv_tables import csv_cells
 from sms_jobs.formats.importers.folders import printable
+from sms_jobs.records.times import checked_time
 
 LARGEST_BYTES = 64 << 20
 MOST_ROWS = 1_000_000
@@ -179,7 +180,10 @@ def read_table(path: Path, delimiter: str | None = None, decimal: str | None = N
     mark = delimiter or max("\t;,", key=numbered[0][1].count)
     if len(mark) != 1:
         raise InvalidInput(f"--delimiter should be one character, not '{printable(mark)}'")
-    header, *rows = csv.reader(io.StringIO("\n".join(line for _, line in numbered)), delimiter=mark)
+    if mark in '\r\n"':
+        raise InvalidInput(f"--delimiter cannot be '{printable(mark)}': give a comma, a semicolon or a tab")
+    lines_read = io.StringIO("\n".join(line for _, line in numbered))
+    header, *rows = csv_cells(lines_read, path.name, mark)
     names = tuple(name.strip() for name in header)
     if len(names) > MOST_COLUMNS or len(rows) > MOST_ROWS:
         raise InvalidInput(
@@ -296,7 +300,7 @@ def _time(table: Table, row: int, column: int, zone: tzinfo | None) -> datetime:
         if zone is None:
             raise InvalidInput(f"{where}: the time {text} has no zone: give it, as --time-zone Europe/Berlin")
         at = at.replace(tzinfo=zone)
-    return at
+    return checked_time(at, where)
 
 
 def readings_of(table: Table, states: Sequence[str | None], columns: Sequence[Column]) -> Readings:

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias
 import cv2
 import numpy as np
 
-from sms_jobs.errors import ConfigurationError, FormatTooNew
+from sms_jobs.errors import ConfigurationError, FormatTooNew, InvalidInput
 from sms_jobs.formats.interchange.found_sensors import (
     FoundCalibration,
     FoundSensor,
@@ -28,6 +28,7 @@ from sms_jobs.formats.interchange.opencv_text import Table
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.scene import AT_ORIGIN
 from sms_jobs.records.sensors import Box, Calibration, Role
+from sms_jobs.records.times import parsed_time
 
 Dialect: TypeAlias = Literal["yml", "xml", "json"]
 
@@ -270,15 +271,9 @@ def _text(table: Table, key: str, source: str) -> str:
 
 def _time(text: str, source: str) -> datetime:
     try:
-        found = datetime.fromisoformat(text)
-    except ValueError:
-        found = None
-    if found is None or found.tzinfo is None:
-        raise ConfigurationError(
-            f"valid_from of {source} should be a time with its zone, as in 2026-05-04T10:00:00+02:00, "
-            f"not '{text}'"
-        )
-    return found
+        return parsed_time(text, f"valid_from of {source}")
+    except InvalidInput as error:
+        raise ConfigurationError(str(error)) from None
 
 
 def opencv_text(calibration: Calibration, dialect: Dialect) -> str:
