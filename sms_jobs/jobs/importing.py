@@ -31,6 +31,7 @@ from sms_jobs.catalogue.models import (
 from sms_jobs.catalogue.valid_calibrations import note_time
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.importers.readings import Reading
+from sms_jobs.jobs.entering import entered_or_discarded
 from sms_jobs.jobs.registration import index_definition, seal_definition
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import MEASUREMENT
@@ -131,14 +132,12 @@ def import_measurement(
     with catalogue.reading() as session:
         before = _measurements(session, subject)
     told = {SOURCE_HASH: source_sha256, **parameters}
-    sealed = _seal(archive, subject, {MEASUREMENT: measurement}, told, now)
-    try:
+    with entered_or_discarded(archive) as made:
+        sealed = _seal(archive, subject, {MEASUREMENT: measurement}, told, now)
+        made.append(sealed)
         with catalogue.writing() as session:
             _require_same(_measurements(session, subject), before, str(subject))
             _index(session, subject, sealed, measurement.recorded_at, now)
-    except BaseException:
-        archive.discard(sealed.path)
-        raise
     return Known(known.status, sealed.path)
 
 
@@ -160,22 +159,15 @@ def import_observations(
     It stands where `observe-board` would have put it, without a job.
     """
     kind = kind_named(OBSERVE_BOARD)
-    sealed: list[tuple[Subject, Sealed]] = []
-    try:
-        for label, observation in observations.items():
-            subject = Subject(campaign.name, label, campaign.pairs[0])
-            file = _seal(
-                archive, subject, {OBSERVATION: observation}, parameters, now, kind.name, kind.version
-            )
-            sealed.append((subject, file))
+    subjects = [Subject(campaign.name, label, campaign.pairs[0]) for label in observations]
+    with entered_or_discarded(archive) as sealed:
+        for subject, observation in zip(subjects, observations.values(), strict=True):
+            records = {OBSERVATION: observation}
+            sealed.append(_seal(archive, subject, records, parameters, now, kind.name, kind.version))
         with catalogue.writing() as session:
-            for subject, file in sealed:
+            for subject, file in zip(subjects, sealed, strict=True):
                 row = _file(session, subject, file, now, kind.name)
                 session.add(ResultRow(file_id=row.id, kind=kind.name, kind_version=kind.version))
-    except BaseException:
-        for _, file in sealed:
-            archive.discard(file.path)
-        raise
 
 
 def _seal(
@@ -318,16 +310,13 @@ def amend_campaign(
         )
     with catalogue.reading() as session:
         plan = campaigns.campaign_row(session, before.name).plan
-    sealed = seal_definition(archive, CampaignDefinition(after, plan), now)
-    try:
+    with entered_or_discarded(archive) as sealed:
+        sealed.append(seal_definition(archive, CampaignDefinition(after, plan), now))
         with catalogue.writing() as session:
             row = campaigns.campaign_row(session, before.name)
             _require_same(campaigns.definition(row), before, f"campaign {before.name}")
             bring_up_to_date(session, row, after)
-            index_definition(session, before.name, sealed, now)
-    except BaseException:
-        archive.discard(sealed.path)
-        raise
+            index_definition(session, before.name, sealed[0], now)
 
 
 def continues(before: Campaign, after: Campaign) -> bool:

@@ -21,6 +21,7 @@ from sms_jobs.catalogue import campaigns, lineage, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CalibrationRow, FileRow, ProvenanceRow
 from sms_jobs.jobs import acceptances
+from sms_jobs.jobs.entering import entered_or_discarded
 from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION
@@ -53,8 +54,7 @@ def register_campaign(
         checked_parameters(kind_named(name), parameters)
     with catalogue.reading() as session:
         campaigns.refuse_taken_name(session, campaign.name)
-    sealed: list[Sealed] = []
-    try:
+    with entered_or_discarded(archive) as sealed:
         sealed.append(seal_definition(archive, CampaignDefinition(campaign, plan), now))
         if calibration is not None:
             sealed.append(_seal(archive, calibration, now))
@@ -66,10 +66,6 @@ def register_campaign(
             if calibration is not None:
                 _, same = _index(session, calibration, sealed[1], now)
                 acceptances.enter(session, own, sealed[2], now)
-    except BaseException:
-        for file in sealed:
-            archive.discard(file.path)
-        raise
     if calibration is not None and same:
         archive.discard(sealed[1].path)
 
@@ -153,9 +149,9 @@ def register_calibration(
     with catalogue.reading() as session:
         acceptances.refuse_other_sensors(session, calibration.rig)
         accepted = accepted or not acceptances.has_one(session, calibration.rig.name)
-    sealed = [_seal(archive, calibration, now, inputs, beside)]
-    acceptance = Acceptance(calibration.rig.name, sealed[0].content_hash)
-    try:
+    with entered_or_discarded(archive) as sealed:
+        sealed.append(_seal(archive, calibration, now, inputs, beside))
+        acceptance = Acceptance(calibration.rig.name, sealed[0].content_hash)
         if accepted:
             sealed.append(acceptances.seal(archive, acceptance, _path(catalogue, sealed[0]), now))
         with catalogue.writing() as session:
@@ -165,10 +161,6 @@ def register_calibration(
             again = accepted and in_use
             if accepted and not in_use:
                 acceptances.enter(session, acceptance, sealed[1], now)
-    except BaseException:
-        for file in sealed:
-            archive.discard(file.path)
-        raise
     for file in (*sealed[:1] * same, *sealed[1:] * again):
         archive.discard(file.path)
     return Registered(number, not same, accepted or in_use)

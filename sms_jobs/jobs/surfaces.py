@@ -15,6 +15,7 @@ from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, Provenance, Sealed, la
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, StatisticRow
+from sms_jobs.jobs.entering import entered_or_discarded
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.surfaces import SURFACE, ReferenceSurface
 
@@ -37,15 +38,13 @@ def register_surface(
     """
     with catalogue.reading() as session:
         campaigns.campaign_id(session, campaign)
-    sealed, statistics = _seal(archive, campaign, surface, now)
-    try:
+    with entered_or_discarded(archive) as made:
+        sealed, statistics = _seal(archive, campaign, surface, now)
+        made.append(sealed)
         with catalogue.writing() as session:
             same = _present(session, campaign, sealed.content_hash)
             if same is None:
                 return _index(session, campaign, sealed, statistics, now), True
-    except BaseException:
-        archive.discard(sealed.path)
-        raise
     archive.discard(sealed.path)
     return same, False
 
