@@ -7,7 +7,6 @@ over `sms.toml` itself, and this over the defaults.
 from __future__ import annotations
 
 import os
-import tomllib
 from pathlib import Path
 
 from pydantic import Field, SecretStr, ValidationError
@@ -182,7 +181,9 @@ def load(home: Path | None = None, environment_file: Path | None = None) -> Sett
             f"the setting '{name}' ({folder / FILE_NAME} or SMS_{name.upper()}) "
             f"cannot be used: {first['msg']}"
         ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"{folder / FILE_NAME} is not valid TOML: {error}") from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigurationError(
+            f"{folder / FILE_NAME} is not valid TOML: {error or 'nested too deeply'}"
+        ) from error
     except OSError as error:
         raise ConfigurationError(f"{folder / FILE_NAME} cannot be read: {error.strerror}") from error

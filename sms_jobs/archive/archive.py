@@ -31,7 +31,7 @@ from sms_jobs.archive.provenance import (
     provenance_to_json,
 )
 from sms_jobs.archive.sealing import make_folders, safe_file, sealing, sync
-from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput
+from sms_jobs.errors import ArchiveCorrupt, ConfigurationError, FormatTooNew, InvalidInput
 from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import CampaignDefinition, Subject
 from sms_jobs.records.sensors import Calibration
@@ -68,9 +68,18 @@ class Archive:
     """
 
     def __init__(self, root: Path) -> None:
-        """Use the archive in the folder `root`, which is created if it is not there."""
-        root.mkdir(parents=True, exist_ok=True)
-        self.root = root.resolve()
+        """Use the archive in the folder `root`, which is created if it is not there.
+
+        Raises `ConfigurationError` where there can be no such folder.
+        """
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+            self.root = root.resolve()
+        except (OSError, RuntimeError, ValueError) as error:
+            raise ConfigurationError(
+                f"there can be no archive at {root} ({getattr(error, 'strerror', error)}); correct the "
+                "setting 'archive'"
+            ) from error
 
     def probe(self, subject: Subject | None = None) -> None:
         """Find out whether files can be kept, and where those of a subject lie.

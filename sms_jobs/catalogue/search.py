@@ -149,8 +149,8 @@ def calibration_view(session: Session, number: int) -> CalibrationView:
 def calibrations_of_files(session: Session, paths: Sequence[str]) -> list[CalibrationView]:
     """Return the calibrations that lie in some files."""
     views = []
-    for first in range(0, len(paths), _AT_ONCE):
-        query = _calibrations().where(FileRow.path.in_(paths[first : first + _AT_ONCE]))
+    for some in parts(paths):
+        query = _calibrations().where(FileRow.path.in_(some))
         views += _calibration_views(session, query.order_by(CalibrationRow.id))
     return views
 
@@ -168,12 +168,12 @@ def _calibration_views(
 ) -> list[CalibrationView]:
     rows = session.execute(query).all()
     used: dict[int, list[str]] = {}
-    for first in range(0, len(rows), _AT_ONCE):
+    for some in parts(rows):
         accepted = (
             select(AcceptanceRow.calibration_id, AcceptanceRow.campaign)
             .where(
                 AcceptanceRow.in_use,
-                AcceptanceRow.calibration_id.in_([row.id for row, _, _ in rows[first : first + _AT_ONCE]]),
+                AcceptanceRow.calibration_id.in_([row.id for row, _, _ in some]),
             )
             .order_by(AcceptanceRow.campaign)
         )

@@ -16,6 +16,7 @@ from sms_jobs.cli.commands import Commands
 from sms_jobs.errors import SmsError
 
 _INTERRUPTED = 130
+_TRUE = frozenset({"1", "true", "t", "yes", "y", "on"})
 
 app = typer.Typer(
     name="sms",
@@ -76,7 +77,7 @@ def main() -> None:
 
 
 def _refuse(error: Exception, text: str, code: int) -> None:
-    if os.environ.get("SMS_DEBUG"):
+    if os.environ.get("SMS_DEBUG", "").lower() in _TRUE:
         raise error
     output.say_error(text)
     sys.exit(code)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from math import isfinite, radians
 from pathlib import Path
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.csv_tables import csv_rows
+from sms_jobs.formats.interchange.text_files import read_text
 from sms_jobs.metrology.deformation.gauges import GaugePlace
 
 _FORM = "NAME x=MM y=MM length=MM [width=MM] [angle=DEGREES]"
@@ -83,13 +84,9 @@ def read_gauge_file(path: Path) -> tuple[GaugeReading, ...]:
 
     Raises `InvalidInput` with the line for a missing column or a reading that is no number.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"gauge file {path} cannot be read: {error}") from error
-    rows = csv.DictReader(lines, skipinitialspace=True)
+    header, rows = csv_rows(read_text(path, "gauge file").splitlines(), str(path), skip_spaces=True)
     wanted = ("state", "gauge", "microstrain")
-    missing = [name for name in wanted if name not in (rows.fieldnames or ())]
+    missing = [name for name in wanted if name not in header]
     if missing:
         raise InvalidInput(
             f"gauge file {path} has no column {missing[0]}; its first line must name {', '.join(wanted)}"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.formats.importers.image_files import read_image
 from sms_jobs.metrology.images.region_of_interest import outlines_of, written
 
 
@@ -33,13 +33,9 @@ def region_of_mask(path: Path, above: float | None = None, least_px: int = 0) ->
     InvalidInput
         It is no image, or nothing of it counts.
     """
-    if not path.is_file():
+    if not path.exists():
         raise NotFound(f"there is no file {path}; give a mask image whose bright pixels count")
-    grey = cv2.imdecode(
-        np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
-    )
-    if grey is None:
-        raise InvalidInput(f"{path} is no image that can be read; save the mask as PNG or TIFF")
+    grey, _ = read_image(path)
     inside = np.asarray(grey > (grey.max() / 2 if above is None else above))
     inside = ~_large(~_large(inside, least_px), least_px)
     try:

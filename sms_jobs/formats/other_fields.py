@@ -9,8 +9,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.errors import NotFound
 from sms_jobs.formats.figures import as_png, new_figure
+from sms_jobs.formats.foreign_meshes import read_node_fields
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -42,27 +43,16 @@ def read_point_field(path: Path, name: str | None, scale_mm: float) -> PointFiel
     InvalidInput
         It cannot be read.
     """
-    import meshio
-
-    if not path.is_file():
-        raise NotFound(f"there is no file {path}; give a mesh file with a field at its nodes")
-    try:
-        mesh = meshio.read(path)
-    except (meshio.ReadError, ValueError, KeyError, IndexError, SystemExit) as error:
-        raise InvalidInput(
-            f"{path} cannot be read as a mesh: {error or 'unknown format'}; save it as VTU"
-        ) from error
-    fields = {key: np.asarray(value, dtype=np.float64) for key, value in mesh.point_data.items()}
-    vectors = [key for key, value in fields.items() if value.ndim == 2 and value.shape[1] == 3]
+    nodes, vectors = read_node_fields(path)
     chosen = name if name is not None else next(iter(vectors), None)
-    if chosen not in vectors:
+    if chosen is None or chosen not in vectors:
         raise NotFound(
             f"{path} has no field '{chosen or 'with three components'}' at its nodes; "
             f"those with three components are {', '.join(vectors) or 'none'}"
         )
-    points = np.zeros((len(mesh.points), 3))
-    points[:, : mesh.points.shape[1]] = mesh.points
-    return PointField(points * scale_mm, fields[chosen] * scale_mm)
+    points = np.zeros((len(nodes), 3))
+    points[:, : nodes.shape[1]] = nodes
+    return PointField(points * scale_mm, vectors[chosen] * scale_mm)
 
 
 def write_point_field(path: Path, nodes: Floats, triangles: NDArray[np.int32], displacement: Floats) -> None:

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-import re
-import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.interchange.text_files import read_bytes
+from sms_jobs.formats.mesh_files import Mesh, read_obj, read_ply, read_stl
 from sms_jobs.metrology.surfaces.triangle_surface import triangle_surface
 from sms_jobs.records.surfaces import ReferenceSurface
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4, "um": 1e-3}
-_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _READABLE = (".stl", ".ply", ".obj")
 _MOST_TRIANGLES = 10_000_000
+_LARGEST_BYTES = 2 << 30
+_FARTHEST_MM = 1e7
 _EXACT = (".step", ".stp", ".iges", ".igs", ".sldprt", ".catpart", ".x_t", ".prt", ".jt")
 
 
@@ -43,8 +42,6 @@ def read_reference_surface(path: Path, unit: str = "mm", turn_over: bool = False
     """
     if unit not in UNITS_MM:
         raise InvalidInput(f"the unit of a surface is one of {', '.join(UNITS_MM)}, not '{unit}'")
-    if not path.is_file():
-        raise NotFound(f"there is no file {path}")
     suffix = path.suffix.lower()
     if suffix in _EXACT:
         raise InvalidInput(
@@ -64,6 +61,11 @@ def read_reference_surface(path: Path, unit: str = "mm", turn_over: bool = False
     if turn_over:
         faces = faces[:, ::-1]
     vertices = vertices * UNITS_MM[unit]
+    if (np.abs(vertices) > _FARTHEST_MM).any():
+        raise InvalidInput(
+            f"{path.name} has a corner that is more than {_FARTHEST_MM / 1e6:g} km away; mend the file, or "
+            "say its --unit"
+        )
     # Refuses what cannot be measured against.
     triangle_surface(vertices, faces)
     with path.open("rb") as stream:
@@ -78,37 +80,11 @@ def read_reference_surface(path: Path, unit: str = "mm", turn_over: bool = False
     )
 
 
-def _read(path: Path, suffix: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    import meshio
-
-    failures = (meshio.ReadError, ValueError, KeyError, IndexError, TypeError, AssertionError, EOFError)
+def _read(path: Path, suffix: str) -> Mesh:
+    content = read_bytes(path, "reference surface", _LARGEST_BYTES)
     try:
-        if suffix == ".stl":
-            return _read_stl(path.read_bytes())
-        with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
-            mesh: Any = (meshio.ply.read if suffix == ".ply" else meshio.obj.read)(path)
-    except failures as error:
-        reason = " ".join(str(error).split())[:120] or "it is damaged"
+        with np.errstate(all="ignore"):
+            return {".stl": read_stl, ".ply": read_ply, ".obj": read_obj}[suffix](content)
+    except (ValueError, OverflowError) as error:
+        reason = " ".join(str(error).split())[:120]
         raise InvalidInput(f"{path.name} is no whole {suffix[1:].upper()} file ({reason})") from error
-    parts = [np.zeros((0, 3), np.int64)]
-    for cells in mesh.cells:
-        corners = np.asarray(cells.data, np.int64)
-        if cells.type == "triangle":
-            parts.append(corners)
-        elif cells.type == "quad":
-            parts += [corners[:, :3], corners[:, [0, 2, 3]]]
-    points = np.asarray(mesh.points, np.float64)
-    return points.reshape(-1, 3), np.concatenate(parts)
-
-
-def _read_stl(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Read STL of either form; a binary file is known by its size, whatever it begins with."""
-    count = int.from_bytes(content[80:84], "little")
-    if len(content) >= 84 and len(content) == 84 + _FACET.itemsize * count:
-        corners = np.frombuffer(content, _FACET, count, 84)["corners"].astype(np.float64)
-    elif content[:5].lower() == b"solid":
-        found = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", content)
-        corners = np.array(found, np.float64).reshape(-1, 3, 3)
-    else:
-        raise ValueError(f"its size of {len(content)} bytes is not that of {count} triangles")
-    return corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)

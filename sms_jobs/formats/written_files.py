@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from sms_jobs.errors import ConfigurationError, InvalidInput
+from sms_jobs.formats.interchange.text_files import DEEPEST
 from sms_jobs.formats.interchange.xml_values import Places
 
 T = TypeVar("T", bound=BaseModel)
@@ -22,9 +23,15 @@ def read_toml(text: str, source: str) -> tuple[dict[str, Any], Places]:
 
     Raises `ConfigurationError` for what is no TOML; `source` names the text in messages.
     """
+    if _TOO_DEEP.search(text):
+        # Its parser takes a time that grows with the square of a key's parts.
+        raise ConfigurationError(
+            f"{source} has a key with more than {DEEPEST} parts: name fewer tables in it"
+        )
     try:
         content = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
+        # Of TOML itself, or a number with thousands of digits.
         raise ConfigurationError(f"{source} is not valid TOML: {error or 'nested too deeply'}") from None
     return content, _toml_places(text, source)
 
@@ -49,6 +56,10 @@ def validated(
         raise ConfigurationError(f"{places.source}: {error}") from error
 
 
+_PART = r"(?:[A-Za-z0-9_-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
+_TOO_DEEP = re.compile(
+    rf"(?:^[ \t]*+\[{{0,2}}|[{{,])[ \t]*+{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST},}}", re.MULTILINE
+)
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]#]+?)\s*\]\]?\s*(?:#.*)?$")
 _KEY = re.compile(r"\s*((?:[A-Za-z0-9_-]+|\"[^\"]*\")(?:\s*\.\s*(?:[A-Za-z0-9_-]+|\"[^\"]*\"))*)\s*=")
 

@@ -18,7 +18,17 @@ def odd(folder: Path) -> list[Path]:
     (folder / "loop").symlink_to("loop")
     (folder / "dangling").symlink_to("nowhere")
     (folder / "empty").touch()
-    names = ("pipe", "folder", "device", "loop", "dangling", "empty/below", "missing/below", "a" * 300, "a\x00b")
+    names = (
+        "pipe",
+        "folder",
+        "device",
+        "loop",
+        "dangling",
+        "empty/below",
+        "missing/below",
+        "a" * 300,
+        "a\x00b",
+    )
     return [folder / name for name in names]
 
 
@@ -36,7 +46,9 @@ def test_what_cannot_become_a_file_is_refused_before_any_work(tmp_path: Path) ->
 
 
 def odd_again(folder: Path) -> list[Path]:
-    return [folder / name for name in ("pipe", "folder", "device", "loop", "dangling", "empty/below", "a" * 300)]
+    return [
+        folder / name for name in ("pipe", "folder", "device", "loop", "dangling", "empty/below", "a" * 300)
+    ]
 
 
 def test_an_error_leaves_what_was_there(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 from collections import defaultdict
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.csv_tables import csv_rows
 from sms_jobs.formats.importers.boards import BOARD
 from sms_jobs.formats.importers.folders import printable
 from sms_jobs.formats.interchange.text_files import read_text
@@ -81,14 +81,14 @@ def read_points(path: Path, pair: str, sigma_px: float) -> BoardTable:
 
 
 def _rows(path: Path, text: str, wanted: tuple[str, ...]) -> dict[str, list[list[float]]]:
-    reader = csv.DictReader(text.splitlines())
-    missing = [name for name in wanted if name not in (reader.fieldnames or ())]
+    header, read = csv_rows(text.splitlines(), str(path))
+    missing = [name for name in wanted if name not in header]
     if missing:
         raise InvalidInput(
             f"{path} has no column {', '.join(missing)}: its header should have {', '.join(wanted)}"
         )
     rows: dict[str, list[list[float]]] = defaultdict(list)
-    for number, row in enumerate(reader, start=2):
+    for number, row in enumerate(read, start=2):
         values = []
         for name in wanted[1:]:
             try:

@@ -8,7 +8,6 @@ not. No pixel is changed.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,13 +19,14 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from sms_jobs.errors import ConfigurationError, InvalidInput, NotFound
+from sms_jobs.errors import ConfigurationError, InvalidInput
 from sms_jobs.formats.importers.folders import NamePattern, printable
 from sms_jobs.formats.importers.image_files import RawFormat
+from sms_jobs.formats.interchange.text_files import read_text
 from sms_jobs.formats.record_tables import Table
+from sms_jobs.formats.written_files import read_toml
 from sms_jobs.records.measurement import FringeSequence, GrayCode
 
-LARGEST_FILE_BYTES = 1 << 18
 MOST_FRAMES = 4096
 
 _BLOCK = re.compile(
@@ -264,18 +264,7 @@ class FrameLayout:
 
 def load_layout(path: Path) -> dict[str, Any]:
     """Return the table of a layout file; raise `NotFound` or `ConfigurationError` where there is none."""
-    try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST_FILE_BYTES + 1)
-        if len(content) > LARGEST_FILE_BYTES:
-            raise ConfigurationError(f"{path} is larger than the {LARGEST_FILE_BYTES} bytes of a layout file")
-        return tomllib.loads(content.decode("utf-8"))
-    except FileNotFoundError:
-        raise NotFound(f"there is no layout file {path}") from None
-    except OSError as error:
-        raise ConfigurationError(f"{path} cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise ConfigurationError(f"{path} is not valid TOML: {error}") from None
+    return read_toml(read_text(path, "layout file"), str(path))[0]
 
 
 def layout_of(table: Mapping[str, Any], source: str) -> FrameLayout:
