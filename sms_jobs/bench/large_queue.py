@@ -15,16 +15,19 @@ from typing import Any
 from sqlalchemy import insert
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue import campaigns, upkeep
+from sms_jobs.archive import DATASET_MEDIA_TYPE
+from sms_jobs.catalogue import campaigns, upkeep, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
     DependencyRow,
     EventRow,
+    FileRow,
     JobRow,
     OutboxRow,
-    SensorRow,
 )
 from sms_jobs.jobs import recovery
+from sms_jobs.kinds.kind import CALIBRATION
+from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.job import JobState
 from sms_jobs.virtual_rig.campaigns import small_plate
 
@@ -67,10 +70,19 @@ def _campaigns(session: Session, count: int, at: datetime) -> list[int]:
     calibration, record = small_plate(name_of(0))
     for place in range(count):
         campaigns.add_campaign(session, replace(record, name=name_of(place)), at)
-    rig_id = campaigns.campaign_row(session, name_of(0)).rig_id
-    session.add_all(
-        SensorRow(rig_id=rig_id, name=s.name, role=s.role.value, columns=s.columns, rows=s.rows)
-        for s in calibration.rig.sensors
+    file = FileRow(
+        source=CALIBRATION,
+        path="calibrations/bench.h5",
+        content_hash="0" * 64,
+        size_bytes=0,
+        media_type=DATASET_MEDIA_TYPE,
+        created_at=at,
+    )
+    session.add(file)
+    session.flush()
+    number = valid_calibrations.add_calibration(session, calibration, file.id)
+    valid_calibrations.decide(
+        session, number, Acceptance(calibration.rig.name, file.content_hash), at, file.id
     )
     return [campaigns.campaign_id(session, name_of(place)) for place in range(count)]
 

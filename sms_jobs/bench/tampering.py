@@ -14,7 +14,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import fields, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -227,7 +227,6 @@ def _runner(folder: Path, catalogue: Catalogue, archive: Archive) -> Runner:
         ["cpu", "io", "acquisition"],
         "bench",
         "here",
-        timedelta(hours=1),
         1,
         folder / "logs",
         Stations(folder / "rigs", folder / "spool"),

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from sms_jobs.archive.sealing import says_full
+from sms_jobs.archive.place import says_full
 from sms_jobs.errors import Conflict, InvalidInput, StorageFull
 
 
