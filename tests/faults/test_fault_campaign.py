@@ -16,8 +16,9 @@ from support.fault_campaign import FaultCampaign, Place, Verdict, judge, prepare
 from support.servers import PostgresqlServer, RedisServer, postgresql_programs
 
 KILLS = (
-    *(6 * ["worker's child killed"]),
-    "worker killed",
+    *(5 * ["busy process killed"]),
+    "idle process killed",
+    "nursery killed",
     "supervisor killed, and with it the publisher",
 )
 """In the long form these take turns."""

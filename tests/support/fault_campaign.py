@@ -1,6 +1,6 @@
 """Many short jobs through the real service while faults are injected, and the proof that nothing was lost.
 
-Two supervisors with a worker each serve one home. A seeded generator decides which fault comes when.
+Two supervisors with two processes each serve one home. A seeded generator decides which fault comes when.
 """
 
 from __future__ import annotations
@@ -27,16 +27,17 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import DependencyRow, EventRow, FileRow, JobRow, OutboxRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs import recovery
+from sms_jobs.jobs.origin import Origin
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.witness import Witness
 from sms_jobs.records.job import ACTIVE, TRANSITIONS, JobState
 from sms_jobs.virtual_rig.campaigns import small_plate
 from support.command import SMS, kill_all, wait_until
 from support.servers import PostgresqlServer, RedisServer
 
 SETTINGS = {
-    "SMS_WORKERS": "1",
     # It is the campaign that kills them, not the jobs: none is to be quarantined for it.
     "SMS_CRASH_BUDGET": "100",
     "SMS_LEAST_ROOM_MB": "2",
@@ -55,7 +56,9 @@ class Place:
     home, archive
         On a file system that may be filled up when `may_be_filled`.
     lease_s
-        How long a job stays with a worker that gives no sign of life.
+        How long a job stays with a supervisor that gives no sign of life.
+    processes
+        For jobs, of each supervisor.
     postgresql, redis
         Servers of the grown deployment; None for both in the embedded one.
     """
@@ -64,6 +67,7 @@ class Place:
     archive: Path
     may_be_filled: bool
     lease_s: float = 4.0
+    processes: int = 2
     postgresql: PostgresqlServer | None = None
     redis: RedisServer | None = None
 
@@ -71,6 +75,7 @@ class Place:
     def environment(self) -> dict[str, str]:
         """What tells `sms` about it."""
         known = SETTINGS | {"SMS_ARCHIVE": str(self.archive), "SMS_LEASE_S": str(self.lease_s)}
+        known["SMS_WORKERS"] = str(self.processes)
         if self.postgresql is not None and self.redis is not None:
             known |= {"SMS_DATABASE_URL": self.postgresql.url, "SMS_BROKER_URL": self.redis.url}
         return known
@@ -79,10 +84,6 @@ class Place:
         """Open its catalogue."""
         embedded = f"sqlite:///{self.home / 'catalogue.sqlite'}"
         return Catalogue(embedded if self.postgresql is None else self.postgresql.url)
-
-
-def _lives(pid: int, before: datetime) -> bool:
-    return True
 
 
 def _living(pid: int | None) -> psutil.Process | None:
@@ -144,10 +145,12 @@ class FaultCampaign:
     def faults(self) -> dict[str, Callable[[], bool]]:
         """Every fault that this place can meet; each returns whether it hit something."""
         known = {
-            "worker's child killed": self.kill_child,
-            "worker killed": self.kill_worker,
+            "busy process killed": self.kill_busy,
+            "idle process killed": self.kill_idle,
+            "busy process stopped": self.stop_busy,
+            "nursery killed": self.kill_nursery,
             "supervisor killed, and with it the publisher": self.kill_supervisor,
-            "supervisor and worker frozen past the lease, thawed": self.freeze,
+            "supervisor and processes frozen past the lease, thawed": self.freeze,
             "broker killed": self.kill_broker,
             "broker back empty": self.empty_broker,
             "broker absent": self.take_broker_away,
@@ -261,12 +264,26 @@ class FaultCampaign:
         self.kills += 1
         return True
 
-    def kill_child(self) -> bool:
+    def kill_busy(self) -> bool:
         return self._kill(self._a_running_process())
 
-    def kill_worker(self) -> bool:
-        worker = self._a_running_process().parent()
-        return worker is not None and "celery" in " ".join(worker.cmdline()) and self._kill(worker)
+    def kill_idle(self) -> bool:
+        with self.catalogue.reading() as session:
+            busy = set(session.scalars(select(JobRow.pid).where(JobRow.state == JobState.RUNNING)))
+        nurseries = [n for s in self._services for n in psutil.Process(s.pid).children()]
+        idle = [p for n in nurseries for p in n.children() if p.pid not in busy]
+        return bool(idle) and self._kill(self._random.choice(idle))
+
+    def stop_busy(self) -> bool:
+        """Stop what runs a job; its supervisor lets it go on."""
+        stopped = self._a_running_process()
+        stopped.suspend()
+        wait_until(lambda: _living(stopped.pid) is None or stopped.status() != psutil.STATUS_STOPPED)
+        return True
+
+    def kill_nursery(self) -> bool:
+        nursery = self._a_running_process().parent()
+        return nursery is not None and "nursery" in " ".join(nursery.cmdline()) and self._kill(nursery)
 
     def _a_supervisor(self) -> psutil.Process:
         """Return the supervisor of a job that runs, if it can be told."""
@@ -357,15 +374,17 @@ class FaultCampaign:
         return False
 
     def jump_clock(self, by: timedelta) -> bool:
-        """Have one whose clock is wrong renew leases, and a minute later by it recover jobs."""
+        """Have clocks that are wrong beat for every supervisor, and recover jobs a minute later by them."""
         self._a_running_process()
         now = datetime.now(UTC) + by
         with self.catalogue.writing() as session:
             query = select(JobRow.worker_id).where(JobRow.state == JobState.RUNNING).distinct()
             workers = [worker for worker in session.scalars(query) if worker is not None]
             for worker in workers:
-                recovery.beat(session, worker, now, timedelta(seconds=self.place.lease_s), _lives)
-            recovery.recover(session, now + timedelta(minutes=1), "elsewhere", 100, _lives)
+                recovery.beat(session, worker, now)
+            silent = Witness("elsewhere", Origin()).silent(session, time.monotonic())
+            lost = recovery.recover(session, now + timedelta(minutes=1), "elsewhere", 100, set, silent)
+        assert lost == []
         return len(workers) > 0
 
     def restart_database(self) -> bool:
