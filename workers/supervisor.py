@@ -74,6 +74,7 @@ class Supervisor:
             self._environment(),
             self._settings.log_folder / f"worker-{self.worker_id}.log",
         )
+        self._processes_told = 0
         self._stop_asked = 0
         self._idle = False
 
@@ -130,6 +131,7 @@ class Supervisor:
                     self._fire_schedules,
                     self._enforce,
                     self._recover,
+                    self._tell_of_processes,
                     self._look_whether_idle,
                 )
                 if sum(map(self._done, duties)) == len(duties):
@@ -163,7 +165,13 @@ class Supervisor:
 
     def _beat(self) -> None:
         with self._services.catalogue.writing() as session:
-            recovery.beat(session, self.worker_id, datetime.now(UTC), len(self._places.living()))
+            processes = len(self._places.living())
+            recovery.beat(session, self.worker_id, datetime.now(UTC), processes)
+        self._processes_told = processes
+
+    def _tell_of_processes(self) -> None:
+        if len(self._places.living()) != self._processes_told:
+            self._beat()
 
     def _recover(self) -> None:
         with self._services.catalogue.writing() as session:

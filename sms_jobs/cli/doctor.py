@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 import shutil
-import socket
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -26,6 +25,7 @@ from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs import health, inquiry, liveness
+from sms_jobs.jobs.origin import Origin
 from sms_jobs.records.job import ALIVE_WITHIN
 from sms_jobs.settings import Settings
 
@@ -185,7 +185,7 @@ def _of_the_service(services: Services) -> dict[str, Examination]:
         return [*health.pauses(session), *liveness.unserved(session, now)]
 
     def processes(session: Session, now: datetime) -> list[str]:
-        return liveness.processes(session, now, socket.gethostname())
+        return liveness.processes(session, now, Origin.own())
 
     return {
         "queues": asked(queues),

@@ -101,7 +101,14 @@ def _facts(services: Services) -> dict[str, Any]:
             "campaigns": campaigns.number_of_campaigns(session),
             "jobs": inquiry.counts(session),
             "workers": [
-                {"id": w.id, "host": w.host, "pid": w.pid, "running": w.running, "beat_at": w.beat_at}
+                {
+                    "id": w.id,
+                    "host": w.host,
+                    "pid": w.pid,
+                    "processes": w.processes,
+                    "running": w.running,
+                    "beat_at": w.beat_at,
+                }
                 for w in inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)
             ],
         }

@@ -58,9 +58,12 @@ def list_(home: Home = None, as_json: Json = False) -> None:
         output.print_json_list(workers)
         return
     output.print_table(
-        ["worker", "host", "process", "queues", "jobs", "last beat", "draining"],
+        ["worker", "host", "process", "queues", "jobs", "processes", "last beat", "draining"],
         [
-            (w.id, w.host, w.pid, w.queues, f"{w.running}/{w.concurrency}", w.beat_at, w.draining)
+            (
+                *(w.id, w.host, w.pid, w.queues, w.running),
+                *(f"{w.processes}/{w.concurrency}", w.beat_at, w.draining),
+            )
             for w in workers
         ],
         empty="no worker is alive; start one with 'sms up'",

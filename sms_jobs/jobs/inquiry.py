@@ -285,6 +285,8 @@ class WorkerView:
     pid: int
     queues: str
     concurrency: int
+    processes: int
+    """How many of them lived at the last beat."""
     beat_at: datetime
     draining: bool
     running: int
@@ -302,7 +304,7 @@ def workers(session: Session, since: datetime) -> list[WorkerView]:
         select(WorkerRow, running).where(WorkerRow.beat_at >= since).order_by(WorkerRow.started_at)
     )
     return [
-        WorkerView(w.id, w.host, w.pid, w.queues, w.concurrency, w.beat_at, w.draining, count)
+        WorkerView(w.id, w.host, w.pid, w.queues, w.concurrency, w.processes, w.beat_at, w.draining, count)
         for w, count in rows
     ]
 

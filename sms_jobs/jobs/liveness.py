@@ -15,12 +15,12 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import EventRow, JobRow, QueueRow, WorkerRow
 from sms_jobs.jobs import locks
+from sms_jobs.jobs.origin import Origin, is_gone
+from sms_jobs.jobs.witness import origin_of
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, JobState
 
 _MISSED_FOR = timedelta(days=1)
 """A worker that vanished is a finding for so long."""
-_BEATS_WITHIN = timedelta(seconds=25)
-"""A worker whose process lives has given its last sign of life since: it does so every 20 s."""
 _TAKES_WITHIN = timedelta(seconds=30)
 """A job that could run is taken by a worker that has a place for it in far less time."""
 _STARTS_WITHIN = timedelta(seconds=45)
@@ -63,7 +63,7 @@ def workers(session: Session, now: datetime) -> list[str]:
         for row in known.serving
         if row.held_for is not None
     ]
-    return [*found, *_idle_beside_work(session, known, now)]
+    return [*found, *_without_processes(known, now), *_idle_beside_work(session, known, now)]
 
 
 def _nobody(session: Session, known: _Workers) -> Iterator[str]:
@@ -82,10 +82,19 @@ def _nobody(session: Session, known: _Workers) -> Iterator[str]:
     )
 
 
+def _without_processes(known: _Workers, now: datetime) -> Iterator[str]:
+    for row in known.serving:
+        if row.processes == 0 and now - row.started_at > ALIVE_WITHIN:
+            yield (
+                f"worker {row.id} on {row.host} has none of its {row.concurrency} processes, which end "
+                f"as soon as they begin; 'logs/worker-{row.id}.log' in that host's home says why"
+            )
+
+
 def _idle_beside_work(session: Session, known: _Workers, now: datetime) -> Iterator[str]:
     """Find workers that have places, and do not take what they could."""
     for row in known.serving:
-        if row.held_for is not None or now - row.started_at < _STARTS_WITHIN:
+        if row.held_for is not None or row.processes == 0 or now - row.started_at < _STARTS_WITHIN:
             continue
         running, last = session.execute(
             select(func.count(), func.max(JobRow.started_at)).where(
@@ -144,51 +153,33 @@ def unserved(session: Session, now: datetime) -> list[str]:
     return found
 
 
-def processes(session: Session, now: datetime, host: str) -> list[str]:
-    """Find processes of this host's workers that are stopped, and another host of the same name."""
-    alive = [row for row in _Workers.lately(session, now).alive if row.host == host]
+def processes(session: Session, now: datetime, here: Origin) -> list[str]:
+    """Find processes of workers that are stopped, as far as numbers of processes mean the same here."""
     found: list[str] = []
-    for row in alive:
-        supervisor = _process_of(row)
-        if supervisor is not None:
-            found += _stopped(session, row, supervisor)
-        elif now - row.beat_at <= _BEATS_WITHIN and not _is_replaced(row, alive):
-            found.append(
-                f"worker {row.id} says that it is process {row.pid} of a host called '{host}', and here is "
-                "no such process: another machine or container has the name of this one, so give each a name "
-                "of its own ('hostnamectl set-hostname'); or it was just killed, so ask again in a minute"
-            )
+    for row in _Workers.lately(session, now).alive:
+        there = origin_of(row)
+        if here.sees(there) and not is_gone(row.pid, there, here):
+            found += _stopped(session, row, psutil.Process(row.pid))
     return found
 
 
 def hosts(session: Session, now: datetime) -> list[str]:
-    """Find workers that live at the same time as the same process of hosts of one name."""
+    """Find machines or containers of one name: each does its own work, but nobody can tell which did what."""
     found = []
     alive = _Workers.lately(session, now).alive
     for number, row in enumerate(alive):
         for other in alive[number + 1 :]:
-            same = (row.host, row.pid) == (other.host, other.pid)
-            if same and row.beat_at > other.started_at:
+            if row.host == other.host and _are_apart(origin_of(row), origin_of(other)):
                 found.append(
-                    f"workers {row.id} and {other.id} both say that they are process {row.pid} of "
-                    f"'{row.host}': two machines or containers have one name; give each a name of its own"
+                    f"workers {row.id} and {other.id} both say that they are on '{row.host}' and are not on "
+                    "one machine: give each machine or container a name of its own ('hostnamectl "
+                    "set-hostname')"
                 )
     return found
 
 
-def _is_replaced(row: WorkerRow, alive: Sequence[WorkerRow]) -> bool:
-    return any(other.started_at > row.beat_at for other in alive)
-
-
-def _process_of(row: WorkerRow) -> psutil.Process | None:
-    """Return the supervisor's process; None when it is not on this machine."""
-    try:
-        process = psutil.Process(row.pid)
-        # One that is younger than the entry has only the same number.
-        ours = process.create_time() <= row.started_at.timestamp() + 1.0
-        return process if ours and process.status() != psutil.STATUS_ZOMBIE else None
-    except psutil.NoSuchProcess:
-        return None
+def _are_apart(one: Origin, other: Origin) -> bool:
+    return bool(one.boot and other.boot) and not one.sees(other)
 
 
 def _stopped(session: Session, row: WorkerRow, supervisor: psutil.Process) -> Iterator[str]:

@@ -40,7 +40,7 @@ class Origin:
                 return cls()  # the processes that are shown are those of another name space
             boot = _BOOT.read_text(encoding="ascii").strip()
             namespace = str((_PROCESSES / "self" / "ns" / "pid").readlink())
-            started = _started(os.getpid())
+            started = started_at(os.getpid())
         except (OSError, ValueError):
             return cls()
         machine = _MACHINE.read_text(encoding="ascii").strip() if _MACHINE.is_file() else ""
@@ -55,12 +55,12 @@ class Origin:
 def is_gone(pid: int, there: Origin, here: Origin) -> bool:
     """Tell whether a process is gone for certain: it would have to be where this one is, and is not."""
     try:
-        return here.sees(there) and _started(pid) != there.started
+        return here.sees(there) and started_at(pid) != there.started
     except (OSError, ValueError):
         return False
 
 
-def _started(pid: int) -> int | None:
+def started_at(pid: int) -> int | None:
     """Return when a process started, in clock ticks from the boot; None when there is none."""
     try:
         line = (_PROCESSES / str(pid) / "stat").read_text(encoding="ascii", errors="replace")

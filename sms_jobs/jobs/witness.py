@@ -48,9 +48,10 @@ class Witness:
         return [
             row.id
             for row in others
-            if still_s[row.id] > row.lease_s or is_gone(row.pid, _origin(row), self._here)
+            if still_s[row.id] > row.lease_s or is_gone(row.pid, origin_of(row), self._here)
         ]
 
 
-def _origin(row: WorkerRow) -> Origin:
+def origin_of(row: WorkerRow) -> Origin:
+    """Return where a supervisor says that it is."""
     return Origin(row.machine, row.boot, row.pid_namespace, row.process_started)

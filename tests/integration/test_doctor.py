@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import NoReturn
@@ -35,6 +36,7 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import WorkerRow
 from sms_jobs.cli import doctor as doctor_command
 from sms_jobs.jobs import health, lifecycle, liveness, queues, recovery
+from sms_jobs.jobs.origin import Origin, started_at
 from sms_jobs.settings import Settings
 from sms_jobs.workers import broker
 
@@ -68,11 +70,21 @@ def test_a_worker_is_missed_until_it_ends_in_order_or_is_replaced(catalogue: Cat
     with catalogue.writing() as session:
         at = NOW + timedelta(minutes=5)
         recovery.register_worker(session, "w2", "here", 1, ["cpu"], 2, at)
-        recovery.beat(session, "w2", NOW + timedelta(hours=1))
+        recovery.beat(session, "w2", NOW + timedelta(hours=1), 2)
     assert of_workers(catalogue, timedelta(hours=1)) == []
     with catalogue.writing() as session:
         session.execute(update(WorkerRow).values(draining=True))
     assert not missed(timedelta(hours=2))
+
+
+def test_a_worker_without_processes_is_a_finding_once_it_had_time_to_start(catalogue: Catalogue) -> None:
+    for after, processes, found in ((30, 0, False), (61, 0, True), (61, 1, False)):
+        at = NOW + timedelta(seconds=after)
+        with catalogue.writing() as session:
+            recovery.beat(session, "w1", at, processes)
+        said = of_workers(catalogue, timedelta(seconds=after))
+        assert bool(said) is found
+        assert not said or "none of its 2 processes" in said[0]
 
 
 def test_that_nobody_is_there_is_a_finding_whether_or_not_there_are_jobs(catalogue: Catalogue) -> None:
@@ -94,7 +106,7 @@ def test_a_worker_that_takes_nothing_beside_jobs_is_noticed(catalogue: Catalogue
 
     def beaten(after: timedelta) -> list[str]:
         with catalogue.writing() as session:
-            recovery.beat(session, "w1", NOW + after, timedelta(hours=1), lambda pid, began: True)
+            recovery.beat(session, "w1", NOW + after, 2)
         return of_workers(catalogue, after)
 
     # It loads for a while, and then a job has waited for long enough, within a minute.
@@ -142,7 +154,8 @@ def family(catalogue: Catalogue) -> Iterator[tuple[psutil.Process, psutil.Proces
             (child,) = wait_until(supervisor.children)
             with catalogue.writing() as session:
                 now = datetime.now(UTC)
-                recovery.register_worker(session, "w2", HOST, process.pid, ["cpu"], 1, now)
+                origin = replace(Origin.own(), started=started_at(process.pid) or 0)
+                recovery.register_worker(session, "w2", HOST, process.pid, ["cpu"], 1, now, origin=origin)
             yield supervisor, child
         finally:
             kill_all(psutil.Process(process.pid))
@@ -150,7 +163,7 @@ def family(catalogue: Catalogue) -> Iterator[tuple[psutil.Process, psutil.Proces
 
 def of_processes(catalogue: Catalogue) -> list[str]:
     with catalogue.reading() as session:
-        return liveness.processes(session, datetime.now(UTC), HOST)
+        return liveness.processes(session, datetime.now(UTC), Origin.own())
 
 
 def test_a_process_that_was_stopped_is_noticed_and_named_with_its_job(
@@ -167,9 +180,7 @@ def test_a_process_that_was_stopped_is_noticed_and_named_with_its_job(
         stopped.resume()
     submit_pipeline(catalogue)
     with catalogue.writing() as session:
-        held = lifecycle.claim(
-            session, ["acquisition"], "w2", child.pid, datetime.now(UTC), timedelta(seconds=30)
-        )
+        held = lifecycle.claim(session, ["acquisition"], "w2", child.pid, datetime.now(UTC))
     assert held is not None
     child.suspend()
     wait_until(lambda: child.status() == psutil.STATUS_STOPPED)
@@ -180,30 +191,22 @@ def test_a_process_that_was_stopped_is_noticed_and_named_with_its_job(
     child.resume()
 
 
-def test_another_host_of_the_same_name_is_noticed(
-    catalogue: Catalogue, family: tuple[psutil.Process, psutil.Process]
-) -> None:
+def test_another_host_of_the_same_name_is_noticed(catalogue: Catalogue) -> None:
     def of_hosts() -> list[str]:
         with catalogue.reading() as session:
             return liveness.hosts(session, datetime.now(UTC))
 
-    with subprocess.Popen(["true"]) as gone:
-        gone.wait()
-    with catalogue.writing() as session:
-        recovery.register_worker(session, "w3", HOST, gone.pid, ["cpu"], 1, datetime.now(UTC))
-    (finding,) = of_processes(catalogue)
-    assert f"worker w3 says that it is process {gone.pid} of a host called '{HOST}'" in finding
-    assert "hostnamectl" in finding
-    # One that was killed and has another in its place is no other host's.
-    with catalogue.writing() as session:
-        recovery.register_worker(session, "w4", HOST, family[0].pid, ["cpu"], 1, datetime.now(UTC))
-    assert of_processes(catalogue) == []
-    assert of_hosts() == []
-    # In containers numbers repeat: those of w2 and w4 are the same, and both go on giving signs of life.
-    with catalogue.writing() as session:
-        session.execute(update(WorkerRow).values(beat_at=datetime.now(UTC)))
-    (finding,) = of_hosts()
-    assert "workers w2 and w4 both say" in finding
+    here = Origin("machine", "boot", "namespace", 1)
+    # A clone has the machine's id, and a container in it the boot.
+    others = {"w3": here, "w4": replace(here, boot="later"), "w5": replace(here, pid_namespace="container")}
+    found = []
+    for name, origin in others.items():
+        with catalogue.writing() as session:
+            recovery.register_worker(session, name, HOST, 1, ["cpu"], 1, datetime.now(UTC), origin=origin)
+        found.append(of_hosts())
+    assert [len(findings) for findings in found] == [0, 1, 3]
+    assert found[1][0].startswith(f"workers w3 and w4 both say that they are on '{HOST}'")
+    assert "hostnamectl" in found[1][0]
 
 
 def test_a_pause_is_a_finding_when_it_holds_jobs_back(catalogue: Catalogue) -> None:
