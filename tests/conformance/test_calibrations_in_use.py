@@ -32,7 +32,7 @@ from sms_jobs.records.sensors import Calibration
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 MORNING = datetime(2026, 3, 1, 8, 0, tzinfo=UTC)  # of the day at whose noon the clock of these tests begins
-SHAPES = [Request("reconstruct"), Request("correlate")]
+SHAPES = [Request("reconstruct")]
 
 
 @pytest.fixture(scope="module")

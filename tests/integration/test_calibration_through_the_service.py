@@ -11,7 +11,7 @@ import pytest
 from support.command import answer, service, sms
 
 from sms_jobs import bootstrap
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.registration import register_calibration, register_campaign
 from sms_jobs.records.campaign import Campaign, Specimen
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.virtual_rig.sessions import BEGIN, small_session
@@ -51,7 +51,8 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]
     old = Calibration(session.scene.rig, session.session.volume, BEGIN - timedelta(days=1), "exact")
     with bootstrap.services(home) as services:
         register_campaign(services.catalogue, services.archive, session, None, datetime.now(UTC))
-        register_campaign(services.catalogue, services.archive, plain_test(session), old, datetime.now(UTC))
+        register_campaign(services.catalogue, services.archive, plain_test(session), None, datetime.now(UTC))
+        register_calibration(services.catalogue, services.archive, old, datetime.now(UTC))
     said: dict[str, Any] = {"too early": sms("calibration", "certify", "session", "--home", str(home))}
     shapes = ("job", "submit", "reconstruct", "-c", "test")
     with service(home):
