@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from sms_jobs.archive import hdf5
 from sms_jobs.archive.codec import class_named, layout_of, record_from_parts
-from sms_jobs.archive.hashing import RecordDigest, SlabHash, block_checks, content_hash_of
+from sms_jobs.archive.hashing import ArrayDigest, RecordDigest, SlabHash, block_checks, manifest_from
 from sms_jobs.archive.limits import refuse_excess
-from sms_jobs.archive.provenance import Provenance, provenance_from_json
+from sms_jobs.archive.provenance import Provenance, digest, provenance_from_json
 from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput, NotFound
 from sms_jobs.records.campaign import Subject
 
@@ -170,11 +170,9 @@ class ArchivedDataset:
         opened = until.enter_context(_opened(self._file, self.path))
         with readable(self.path):
             group = opened["entry"][name]
-            told = hdf5.record_digest(name, group)
-        if told != self._manifest[name]:
-            raise ArchiveCorrupt(
-                f"{self.path}:{name} was changed while it was read; see 'sms archive verify'"
-            )
+            plain = hdf5.read_text(group[hdf5.FIELDS])
+        if plain != self._manifest[name]["fields"]:
+            raise _differs(f"{self.path}:{name}", plain, self._manifest[name]["fields"])
         return group
 
     def record_class(self, name: str) -> type:
@@ -220,41 +218,50 @@ class ArchivedDataset:
         hashes: dict[str, SlabHash] = {}
         with ExitStack() as briefly, readable(where):
             group = self._group(name, self._streams if streamed else briefly)
-            stored = group.attrs["record"]
-            if stored != record.__name__:
-                raise InvalidInput(f"{where} is a {stored}, not a {record.__name__}")
-            plain = hdf5.read_text(group[hdf5.FIELDS])
-            present = set(group.attrs["arrays"])
+            told = self._manifest[name]
+            if told["record"] != record.__name__:
+                raise InvalidInput(f"{where} is a {told['record']}, not a {record.__name__}")
+            present = {one["name"]: one for one in told["arrays"]}
             for field_name, field in declared.items():
                 if field_name not in present and field.optional:
                     continue
                 if field_name not in present:
                     raise ArchiveCorrupt(f"{where} has no {field_name}; was it written by another version?")
-                dataset = group[field_name]
+                dataset, known = group[field_name], present[field_name]
                 if field.dtype is not None and dataset.dtype != field.dtype:
                     raise ArchiveCorrupt(f"{where}.{field_name} is {dataset.dtype}, not {field.dtype}")
-                arrays[field_name] = _frames(dataset, where) if field.streamed else dataset[...]
-                if not field.streamed:
+                form = [dataset.dtype.str, *dataset.shape]
+                if form != [known["dtype"], *known["shape"]]:
+                    raise _differs(f"{where}.{field_name}", form, [known["dtype"], *known["shape"]])
+                if field.streamed:
+                    arrays[field_name] = _frames(dataset, known, where)
+                else:
+                    arrays[field_name] = dataset[...]
                     # Taken while the next array is read.
                     hashes[field_name] = SlabHash()
                     hashes[field_name].update(arrays[field_name])
-        for told in self._manifest[name]["arrays"]:
-            found = hashes[told["name"]].hexdigest() if told["name"] in hashes else told["sha256"]
-            if found != told["sha256"]:
+        for field_name, hashed in hashes.items():
+            found, wanted = hashed.hexdigest(), present[field_name]["sha256"]
+            if found != wanted:
                 raise altered(
-                    f"{where}.{told['name']}",
-                    "its values hash to",
-                    f"{found[:12]}...",
-                    f"{told['sha256'][:12]}...",
+                    f"{where}.{field_name}", "its values hash to", f"{found[:12]}...", f"{wanted[:12]}..."
                 )
-        return record_from_parts(record, plain, arrays, where)
+        return record_from_parts(record, told["fields"], arrays, where)
 
 
-def _frames(dataset: Any, where: str) -> StoredFrames:
+def _differs(where: str, found: object, wanted: object) -> ArchiveCorrupt:
+    first, second = (digest(str(one))[:12] for one in (found, wanted))
+    return altered(where, "what it says of itself hashes to", f"{first}...", f"{second}...")
+
+
+def _frames(dataset: Any, known: ArrayDigest, where: str) -> StoredFrames:
     block = hdf5.frames_in_blocks(dataset)
     if block is None:
         raise ArchiveCorrupt(f"the frames of {where} have no checks; was it written by another version?")
-    return StoredFrames(dataset, where, block, dataset.attrs[hdf5.BLOCK_CHECKS])
+    checks = dataset.attrs[hdf5.BLOCK_CHECKS]
+    if hdf5.table_digest(block, checks) != known.get("blocks"):
+        raise _differs(where, checks, "the checks of its frames")
+    return StoredFrames(dataset, where, block, checks)
 
 
 @contextmanager
@@ -286,13 +293,13 @@ def open_dataset(
         entry = opened["entry"]
         text = hdf5.read_text(entry[hdf5.PROCESS]["provenance"])
         whole = hdf5.provenance_is_whole(opened)
-        manifest = hdf5.manifest_of(opened)
-        found = content_hash_of(manifest)
+        manifest = hdf5.stored_manifest(opened)
         recorded = str(opened.attrs["content_hash"])
+    found = digest(manifest)
     _compare(where, found, recorded, content_hash)
     if not whole:
         raise ArchiveCorrupt(f"the provenance in {where} was altered; restore the file from a backup")
-    told = {one["name"]: one for one in manifest}
+    told = {one["name"]: one for one in manifest_from(manifest)}
     with ExitStack() as streams:
         yield ArchivedDataset(
             where, provenance_from_json(text, where), recorded, tuple(told), file, told, streams
@@ -303,8 +310,8 @@ def check_dataset(file: Path, where: str, content_hash: str) -> None:
     """Read everything in a dataset file; raise `ArchiveCorrupt` unless it has that content hash."""
     with _opened(file, where) as opened, readable(where):
         refuse_excess(opened)
-        stored = content_hash_of(hdf5.manifest_of(opened))
-        found = hdf5.content_hash(opened)
+        stored = digest(hdf5.stored_manifest(opened))
+        found = digest(hdf5.found_manifest(opened))
         whole = hdf5.provenance_is_whole(opened)
         recorded = str(opened.attrs["content_hash"])
     _compare(where, found, recorded, stored)

@@ -1,8 +1,8 @@
 """The content hash: what a dataset file says, whatever its bytes and whenever it was written.
 
 It is the SHA-256 of a canonical JSON manifest: for every record, in order, its name, its class, the text of
-its plain fields, and of every array the name, type, shape, unit and the SHA-256 of its bytes in C order. All
-of these stand in the file, so that the manifest is known without reading an array.
+its plain fields, and of every array the name, type, shape, unit and the SHA-256 of its bytes in C order. It
+stands in the file, so that whoever opens one knows what is to be in it without reading an array.
 
 Frames are read in parts, to which no hash of the whole can be compared. They have a table besides, with the
 CRC-32 of each block of some frames and rows, which the manifest covers too.
@@ -20,8 +20,6 @@ from typing import Any, NotRequired
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import TypedDict
-
-from sms_jobs.archive.provenance import digest
 
 _WORTH_A_THREAD_BYTES = 1 << 20
 
@@ -49,9 +47,15 @@ class RecordDigest(TypedDict):
     arrays: list[ArrayDigest]
 
 
-def content_hash_of(manifest: Sequence[RecordDigest]) -> str:
-    """Return the SHA-256 of a manifest, in hexadecimal."""
-    return digest(json.dumps(manifest, sort_keys=True, separators=(",", ":"), ensure_ascii=False))
+def manifest_text(manifest: Sequence[RecordDigest]) -> str:
+    """Return the canonical JSON of a manifest; its SHA-256 is the content hash."""
+    return json.dumps(manifest, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
+
+def manifest_from(text: str) -> list[RecordDigest]:
+    """Return the manifest in a text that has been compared with its content hash."""
+    manifest: list[RecordDigest] = json.loads(text)
+    return manifest
 
 
 class SlabHash:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC
 from math import prod
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.archive.codec import ArrayField, checked_array, layout_of, plain_to_json
-from sms_jobs.archive.hashing import ArrayDigest, FramesHash, RecordDigest, SlabHash, content_hash_of
+from sms_jobs.archive.hashing import ArrayDigest, FramesHash, RecordDigest, SlabHash, manifest_text
 from sms_jobs.archive.limits import LARGEST_TEXT_BYTES
 from sms_jobs.archive.provenance import Provenance, digest, provenance_to_json
 from sms_jobs.errors import InvalidInput
@@ -37,7 +37,8 @@ FIELDS = "record_fields"
 BLOCK_CHECKS = "block_crc32"
 BLOCK = "block"
 PROCESS = "process"
-_RESERVED = {PROCESS, "title", "start_time", "definition"}
+MANIFEST = "manifest"
+_RESERVED = {PROCESS, MANIFEST, "title", "start_time", "definition"}
 
 
 def chunk_shape(shape: tuple[int, ...], itemsize: int, streamed: bool) -> tuple[int, ...]:
@@ -79,8 +80,8 @@ def _create(group: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any, st
     )
 
 
-def _write_stack(dataset: Any, stack: Any) -> str:
-    """Write frames, a few in memory at a time, and the checks of their blocks; return their SHA-256."""
+def _write_stack(dataset: Any, stack: Any) -> tuple[str, str]:
+    """Write frames, a few in memory at a time, and the checks of their blocks; return the digests of both."""
     count, rows, columns = stack.shape
     block = dataset.chunks[:2] if dataset.chunks else (FRAMES_IN_CHUNK, ROWS_IN_CHUNK)
     hashed = FramesHash(stack.shape, block)
@@ -93,7 +94,7 @@ def _write_stack(dataset: Any, stack: Any) -> str:
         dataset[start:stop] = slab
     dataset.attrs[BLOCK] = np.array(block, np.int32)
     dataset.attrs[BLOCK_CHECKS] = hashed.table()
-    return hashed.hexdigest()
+    return hashed.hexdigest(), table_digest(block, hashed.table())
 
 
 def _name(node: Any, attribute: str, names: Sequence[str]) -> None:
@@ -152,7 +153,7 @@ def _write_record(entry: h5py.Group, name: str, record: Any) -> RecordDigest:
     if not name.isidentifier() or name in _RESERVED:
         raise InvalidInput(f"'{name}' cannot be the name of a record in a file")
     group = entry.create_group(name)
-    written = []
+    arrays: list[ArrayDigest] = []
     for field_name, field in layout.arrays.items():
         value = getattr(record, field_name)
         if value is None and field.optional:
@@ -160,20 +161,28 @@ def _write_record(entry: h5py.Group, name: str, record: Any) -> RecordDigest:
         array = checked_array(f"{name}.{field_name}", field, value)
         dataset = _create(group, field_name, array.shape, array.dtype, field.streamed)
         _describe(dataset, field.quantity)
+        told: ArrayDigest = {
+            "name": field_name,
+            "dtype": dataset.dtype.str,
+            "shape": list(dataset.shape),
+            "unit": field.quantity.unit,
+            "sha256": "",
+        }
         if field.streamed:
-            sha = _write_stack(dataset, array)
+            told["sha256"], told["blocks"] = _write_stack(dataset, array)
         else:
             hashed = SlabHash()
             hashed.update(array)
             dataset[...] = array
-            sha = hashed.hexdigest()
-        dataset.attrs["sha256"] = sha
-        written.append(field_name)
+            told["sha256"] = hashed.hexdigest()
+        dataset.attrs["sha256"] = told["sha256"]
+        arrays.append(told)
+    plain = plain_to_json(record)
     group.attrs["record"] = type(record).__name__
-    _name(group, "arrays", written)
-    _text(group, FIELDS, plain_to_json(record))
+    _name(group, "arrays", [told["name"] for told in arrays])
+    _text(group, FIELDS, plain)
     _plot_as_nxdata(group, layout.arrays)
-    return record_digest(name, group)
+    return {"name": name, "record": type(record).__name__, "fields": plain, "arrays": arrays}
 
 
 def _write_process(entry: h5py.Group, provenance: Provenance) -> None:
@@ -219,12 +228,13 @@ def write(file: h5py.File, records: Mapping[str, Any], provenance: Provenance) -
     _name(entry, "records", list(records))
     _text(entry, "title", f"{provenance.kind} of {provenance.subject}")
     _text(entry, "start_time", provenance.created_at.astimezone(UTC).isoformat())
-    content_hash = content_hash_of([_write_record(entry, name, one) for name, one in records.items()])
+    manifest = manifest_text([_write_record(entry, name, one) for name, one in records.items()])
+    _text(entry, MANIFEST, manifest)
     plotted = [name for name in records if entry[name].attrs["NX_class"] == "NXdata"]
     entry.attrs["default"] = next(iter(plotted or records))
     _write_process(entry, provenance)
-    file.attrs["content_hash"] = content_hash
-    return content_hash
+    file.attrs["content_hash"] = digest(manifest)
+    return digest(manifest)
 
 
 def _slabs(dataset: Any) -> Iterator[NDArray[Any]]:
@@ -239,34 +249,30 @@ def _slabs(dataset: Any) -> Iterator[NDArray[Any]]:
         yield np.ascontiguousarray(dataset[start : start + step])
 
 
-def _stored_digest(name: str, dataset: Any) -> ArrayDigest:
-    """Return what the manifest says of an array, as it is stored beside it."""
-    told: ArrayDigest = {
-        "name": name,
-        "dtype": dataset.dtype.str,
-        "shape": list(dataset.shape),
-        "unit": dataset.attrs["units"],
-        "sha256": dataset.attrs["sha256"],
-    }
-    if BLOCK_CHECKS in dataset.attrs:
-        told["blocks"] = _table_digest(dataset.attrs[BLOCK], dataset.attrs[BLOCK_CHECKS])
-    return told
-
-
-def _table_digest(block: Any, checks: Any) -> str:
+def table_digest(block: Any, checks: Any) -> str:
+    """Return what the manifest says of the blocks of frames: how large they are, and the check of each."""
     return digest(np.asarray(block, "<i4").tobytes() + np.asarray(checks, "<u4").tobytes())
 
 
 def _found_digest(name: str, dataset: Any) -> ArrayDigest:
-    """Read a whole array and return what the manifest has to say of it."""
-    told = _stored_digest(name, dataset)
+    """Read a whole array and return what the manifest has to say of it; `ValueError` if its own hash lies."""
     block = frames_in_blocks(dataset)
     hashed = SlabHash() if block is None else FramesHash(dataset.shape, block)
     for slab in _slabs(dataset):
         hashed.update(slab)
-    found = told | {"sha256": hashed.hexdigest()}
+    found: ArrayDigest = {
+        "name": name,
+        "dtype": dataset.dtype.str,
+        "shape": list(dataset.shape),
+        "unit": dataset.attrs["units"],
+        "sha256": hashed.hexdigest(),
+    }
     if isinstance(hashed, FramesHash):
-        found["blocks"] = _table_digest(block, hashed.table())
+        found["blocks"] = table_digest(block, hashed.table())
+        if table_digest(block, dataset.attrs[BLOCK_CHECKS]) != found["blocks"]:
+            raise ValueError(f"the blocks of {name} have other checks than are written beside them")
+    if dataset.attrs["sha256"] != found["sha256"]:
+        raise ValueError(f"the values of {name} have another hash than is written beside them")
     return found
 
 
@@ -296,28 +302,24 @@ def read_text(dataset: Any) -> str:
     return value.decode()
 
 
-def record_digest(
-    name: str, group: Any, of_array: Callable[[str, Any], ArrayDigest] = _stored_digest
-) -> RecordDigest:
-    """Return what the manifest says of a record, from what is stored beside its arrays."""
+def _found_record(name: str, group: Any) -> RecordDigest:
     return {
         "name": name,
         "record": group.attrs["record"],
         "fields": read_text(group[FIELDS]),
-        "arrays": [of_array(array, group[array]) for array in group.attrs["arrays"]],
+        "arrays": [_found_digest(array, group[array]) for array in group.attrs["arrays"]],
     }
 
 
-def manifest_of(file: h5py.File) -> list[RecordDigest]:
-    """Return the manifest as it stands in a file; no array is read."""
+def found_manifest(file: h5py.File) -> str:
+    """Read everything in a file and return the manifest that it has to have."""
     entry = file["entry"]
-    return [record_digest(name, entry[name]) for name in entry.attrs["records"]]
+    return manifest_text([_found_record(name, entry[name]) for name in entry.attrs["records"]])
 
 
-def content_hash(file: h5py.File) -> str:
-    """Read everything in a file and return its content hash."""
-    entry = file["entry"]
-    return content_hash_of([record_digest(n, entry[n], _found_digest) for n in entry.attrs["records"]])
+def stored_manifest(file: h5py.File) -> str:
+    """Return the manifest that stands in a file; its SHA-256 is the content hash."""
+    return read_text(file["entry"][MANIFEST])
 
 
 def provenance_is_whole(file: h5py.File) -> bool:

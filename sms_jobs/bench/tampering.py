@@ -34,7 +34,9 @@ from sms_jobs.jobs.reuse import Earlier, EarlierFile
 from sms_jobs.jobs.runner import Runner
 from sms_jobs.jobs.stations import Stations
 from sms_jobs.jobs.submission import submit
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import JobState
+from sms_jobs.records.sensors import Calibration
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 _TRIED = ("reconstruct", "correlate", "strain")
@@ -46,20 +48,28 @@ _TEXT = b'{"'
 
 def prepare(folder: Path) -> None:
     """Run every kind of job for two states of a small plate."""
-    calibration, campaign = small_plate("plate")
-    campaign = replace(campaign, states=campaign.states[:2], pairs=campaign.pairs[:1])
     archive = Archive(folder / "archive")
-    with closing(Catalogue(_url(folder), create=True)) as catalogue:
-        schema.upgrade(catalogue)
-        register_campaign(catalogue, archive, campaign, calibration, _now())
+    with closing(Catalogue(url(folder), create=True)) as catalogue:
+        campaign = registered(catalogue, archive, *small_plate("plate"))
         with catalogue.writing() as session:
-            recovery.register_worker(session, "bench", "here", 1, ["cpu", "io", "acquisition"], 1, _now())
-            submit(session, "plate", [Request("simulate"), Request("pipeline")], _now())
-        _runner(folder, catalogue, archive).run_queued()
+            submit(session, campaign.name, [Request("simulate"), Request("pipeline")], now())
+        runner(folder, catalogue, archive).run_queued()
         with catalogue.reading() as session:
             unwell = session.scalars(select(JobRow.kind).where(JobRow.state != JobState.SUCCEEDED)).all()
     if unwell:
         raise SmsError(f"{len(unwell)} jobs did not succeed on what is whole, {unwell[0]} first; report it")
+
+
+def registered(
+    catalogue: Catalogue, archive: Archive, calibration: Calibration, campaign: Campaign
+) -> Campaign:
+    """Make a catalogue with the first pair and the first two states of a campaign, and a worker `bench`."""
+    schema.upgrade(catalogue)
+    campaign = replace(campaign, states=campaign.states[:2], pairs=campaign.pairs[:1])
+    register_campaign(catalogue, archive, campaign, calibration, now())
+    with catalogue.writing() as session:
+        recovery.register_worker(session, "bench", "here", 1, ["cpu", "io", "acquisition"], 1, now())
+    return campaign
 
 
 def tried(folder: Path, mode: str, count: int) -> Iterator[str]:
@@ -86,7 +96,7 @@ def tried(folder: Path, mode: str, count: int) -> Iterator[str]:
 def main(folder: Path, mode: str, first: int, last: int) -> None:
     """Make some tries and print what became of each."""
     archive = Archive(folder / "archive")
-    with closing(Catalogue(_url(folder))) as catalogue:
+    with closing(Catalogue(url(folder))) as catalogue:
         with catalogue.reading() as session:
             files = list(session.scalars(select(FileRow).order_by(FileRow.id)))
         _restore_left(archive, folder)
@@ -124,14 +134,14 @@ class _Jobs:
 
     def __init__(self, folder: Path, catalogue: Catalogue, archive: Archive) -> None:
         self._folder, self._catalogue, self._archive = folder, catalogue, archive
-        self._runner = _runner(folder, catalogue, archive)
+        self._runner = runner(folder, catalogue, archive)
 
     def outcome(self, random: np.random.Generator, folder: Path) -> str:
         kind, of_result = str(random.choice(_TRIED)), bool(random.random() < 0.3)
         with self._catalogue.writing() as session:
             files = list(session.scalars(select(FileRow).order_by(FileRow.id)))
             request = Request(kind, states=("S01",))
-            (job,) = submit(session, "plate", [request], _now(), use_cache=of_result).job_ids
+            (job,) = submit(session, "plate", [request], now(), use_cache=of_result).job_ids
             earlier = _newest(session, kind)
             given = select(DependencyRow.file_id).where(DependencyRow.job_id == job)
             inputs = [file for file in files if file.id in set(session.scalars(given))]
@@ -220,7 +230,8 @@ def _add(told: Any, record: Any) -> None:
         told.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
 
 
-def _runner(folder: Path, catalogue: Catalogue, archive: Archive) -> Runner:
+def runner(folder: Path, catalogue: Catalogue, archive: Archive) -> Runner:
+    """Return what runs jobs in this process."""
     return Runner(
         catalogue,
         archive,
@@ -230,16 +241,18 @@ def _runner(folder: Path, catalogue: Catalogue, archive: Archive) -> Runner:
         1,
         folder / "logs",
         Stations(folder / "rigs", folder / "spool"),
-        _now,
+        now,
         least_room_mb=0.0,
     )
 
 
-def _url(folder: Path) -> str:
+def url(folder: Path) -> str:
+    """Return where the catalogue of a folder lies."""
     return f"sqlite:///{folder / 'catalogue.sqlite'}"
 
 
-def _now() -> datetime:
+def now() -> datetime:
+    """Return the time, with time zone."""
     return datetime.now(UTC)
 
 

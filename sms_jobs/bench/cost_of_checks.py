@@ -1,0 +1,151 @@
+"""What it costs a job to compare its inputs with what was sealed: the same job with and without, in turn."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from itertools import count
+from pathlib import Path
+from statistics import median
+from typing import Any, TypeVar
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy import select
+
+from sms_jobs.archive import Archive, Provenance, hdf5
+from sms_jobs.archive.codec import layout_of, record_from_parts
+from sms_jobs.bench.tampering import now, registered, runner, url
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.jobs import indexing
+from sms_jobs.jobs.indexing import ResolvedInput
+from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.submission import submit
+from sms_jobs.kinds import kind_named
+from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.sensors import Calibration
+
+KINDS = ("reconstruct", "correlate", "strain", "merge")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Cost:
+    """CPU-seconds of a kind of job whose inputs are compared, and of the same that reads them as they are."""
+
+    kind: str
+    compared: float
+    uncompared: float
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """Frames as HDF5 reads them."""
+
+    _dataset: Any
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        frames, rows, columns = self._dataset.shape
+        return frames, rows, columns
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        dtype: np.dtype[Any] = self._dataset.dtype
+        return dtype
+
+    def frame(self, index: int) -> NDArray[Any]:
+        return np.asarray(self._dataset[index])
+
+    def rows(self, start: int, stop: int) -> NDArray[Any]:
+        return np.asarray(self._dataset[:, start:stop])
+
+
+@dataclass(frozen=True)
+class _Uncompared:
+    """A dataset file whose arrays are read and compared with nothing."""
+
+    subject: Subject
+    file: h5py.File
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.file["entry"].attrs["records"])
+
+    def read(self, name: str, record: type[R]) -> R:
+        group = self.file["entry"][name]
+        present = set(group.attrs["arrays"])
+        arrays = {
+            key: _Frames(group[key]) if field.streamed else group[key][...]
+            for key, field in layout_of(record).arrays.items()
+            if key in present
+        }
+        return record_from_parts(record, hdf5.read_text(group[hdf5.FIELDS]), arrays, name)
+
+
+def measured(
+    folder: Path, made: tuple[Calibration, Campaign], repeats: int, say: Callable[[str], None]
+) -> Iterator[Cost]:
+    """Run the first jobs of a pipeline, then those of one state again, in turn with and without."""
+    archive = Archive(folder / "archive")
+    with closing(Catalogue(url(folder), create=True)) as catalogue:
+        campaign = registered(catalogue, archive, *made)
+        label = campaign.states[-1].label
+        with catalogue.writing() as session:
+            submit(session, campaign.name, [Request(kind) for kind in ("simulate", *KINDS)], now())
+        runner(folder, catalogue, archive).run_queued()
+        attempts = count(2)
+        for kind in KINDS:
+            say(f"{kind}, with comparing its inputs and without")
+            with catalogue.reading() as session:
+                about = JobRow.subject.contains(f"/{label}")
+                job = session.scalars(select(JobRow).where(JobRow.kind == kind, about)).first()
+                assert job is not None
+                inputs = indexing.resolve_inputs(session, job.id)
+                definition = campaigns.definition(campaigns.campaign_row(session, campaign.name))
+            work = _Work(archive, job, inputs, definition)
+            taken: dict[bool, list[float]] = {True: [], False: []}
+            for turn in range(2 * repeats + 2):
+                compared = turn % 2 == 0
+                seconds = work.seconds(compared, next(attempts))
+                if turn > 1:
+                    taken[compared].append(seconds)
+            yield Cost(kind, median(taken[True]), median(taken[False]))
+
+
+@dataclass(frozen=True)
+class _Work:
+    """A job that has run, to be run again from the archive to the archive."""
+
+    archive: Archive
+    job: JobRow
+    inputs: Sequence[ResolvedInput]
+    definition: Campaign
+
+    def seconds(self, compared: bool, attempt: int) -> float:
+        """Return the CPU-seconds of this process for reading, computing and sealing."""
+        kind, subject = kind_named(self.job.kind), Subject.parse(self.job.subject)
+        parameters = kind.parameters(**self.job.parameters)
+        made = Provenance(kind.name, 1, subject, "bench", attempt, now(), {}, (), "0", "here", "me")
+        started = time.process_time()
+        with ExitStack() as stack:
+            datasets: dict[str, Any] = {}
+            for given in self.inputs:
+                if compared:
+                    datasets[given.role] = stack.enter_context(self.archive.open(given))
+                else:
+                    about = Subject(*given.path.split("/")[:-1])
+                    file = stack.enter_context(h5py.File(self.archive.path(given.path), "r"))
+                    datasets[given.role] = _Uncompared(about, file)
+            inputs = Inputs(subject, kind.context(self.definition, subject), datasets, threads=1)
+            for output in kind.run(inputs, parameters, lambda fraction, message="": None):
+                if isinstance(output, DatasetOutput):
+                    sealed = self.archive.seal_dataset(output.records, replace(made, subject=output.subject))
+                    self.archive.discard(sealed.path)
+        return time.process_time() - started
