@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -30,7 +29,7 @@ from sms_jobs.archive.provenance import (
     provenance_from_json,
     provenance_to_json,
 )
-from sms_jobs.archive.sealing import make_folders, safe_file, sealing, sync
+from sms_jobs.archive.sealing import copy_file, make_folders, safe_file, sealing, sha256_of, sync
 from sms_jobs.errors import ArchiveCorrupt, ConfigurationError, FormatTooNew, InvalidInput
 from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import CampaignDefinition, Subject
@@ -52,12 +51,6 @@ _OF_A_NETWORK_DISK = ".nfs"
 def _digest_of(about: Mapping[str, Any]) -> str:
     """Return what covers all that is said beside a document."""
     return digest(json.dumps(about, sort_keys=True, separators=(",", ":"), ensure_ascii=False))
-
-
-def sha256_of(file: Path) -> str:
-    """Return the SHA-256 of a file's bytes."""
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 class Archive:
@@ -347,18 +340,40 @@ class Archive:
 
         Where they are not on record, its contents are compared, as `verify` does.
         """
-        lying = self.path(file.path)
+        self._compare_bytes(self.path(file.path), file)
+
+    def _compare_bytes(self, lying: Path, file: Recorded) -> None:
         if not lying.is_file():
             raise ArchiveCorrupt(f"{file.path} is missing from the archive; restore it from a backup")
         size = lying.stat().st_size
         if size != file.size_bytes:
             raise altered(file.path, "it has", f"{size} bytes", str(file.size_bytes))
-        if not file.sha256:
-            self.verify(file.path, file.content_hash)
+        if not file.sha256 and layout.is_dataset(file.path):
+            with Checker() as checker:
+                checker.check(lying, file.path, file.content_hash)
             return
         found = sha256_of(lying)
-        if found != file.sha256:
-            raise altered(file.path, "its bytes hash to", f"{found[:12]}...", f"{file.sha256[:12]}...")
+        wanted = file.sha256 or file.content_hash
+        if found != wanted:
+            raise altered(file.path, "its bytes hash to", f"{found[:12]}...", f"{wanted[:12]}...")
+
+    def bring(self, file: Recorded, source: Archive) -> None:
+        """Copy a sealed file from another archive, a document with its provenance, and compare the copy.
+
+        What lies at its place is replaced, but never by anything else than what is on record.
+
+        Raises
+        ------
+        ArchiveCorrupt
+            When what the other archive has is not that; nothing is changed.
+        """
+        if not source.path(file.path).is_file():
+            raise ArchiveCorrupt(f"{file.path} is missing from {source.root}")
+        if not layout.is_dataset(file.path):
+            source.verify_provenance(file.path, file.content_hash)
+            beside = layout.sidecar(file.path)
+            copy_file(source.path(beside), self._new(beside))
+        copy_file(source.path(file.path), self._new(file.path), lambda copy: self._compare_bytes(copy, file))
 
     def files(self) -> Iterator[str]:
         """Yield the path of every sealed dataset and document, in no order; none that is being written."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -79,6 +81,31 @@ def sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def sha256_of(file: Path) -> str:
+    """Return the SHA-256 of a file's bytes."""
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def copy_file(original: Path, copy: Path, check: Callable[[Path], None] | None = None) -> None:
+    """Copy a file with its times and rights; under its name it is whole, on the disk, and passed `check`.
+
+    What is there under that name is replaced.
+    """
+    copy.parent.mkdir(parents=True, exist_ok=True)
+    growing = copy.with_name(f".{copy.name}.{os.getpid()}.tmp")
+    try:
+        shutil.copyfile(original, growing)
+        shutil.copystat(original, growing)
+        sync(growing)
+        if check is not None:
+            check(growing)
+        growing.replace(copy)
+        sync(copy.parent)
+    finally:
+        growing.unlink(missing_ok=True)
 
 
 def make_folders(root: Path, folder: Path) -> None:

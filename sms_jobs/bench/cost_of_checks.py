@@ -107,7 +107,7 @@ def measured(
                 about = JobRow.subject.contains(f"/{label}")
                 job = session.scalars(select(JobRow).where(JobRow.kind == kind, about)).first()
                 assert job is not None
-                inputs = indexing.resolve_inputs(session, job.id)
+                inputs = indexing.resolve_inputs(session, job.id, now())
                 definition = campaigns.definition(campaigns.campaign_row(session, campaign.name))
             work = _Work(archive, job, inputs, definition)
             taken: dict[bool, list[float]] = {True: [], False: []}

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -98,18 +98,24 @@ def copy(
 @app.command()
 def backup(
     folder: Annotated[Path, typer.Argument(help="Where to; every backup adds to what is there.")],
+    shares: Annotated[
+        int, typer.Option(help="In how many backups all is read again; 1 for all of it now.", min=1)
+    ] = backups.SHARES,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
     """Back up the catalogue and the files of the archive that it knows, while the service runs.
 
-    What an earlier backup has copied is not copied again. Settings are kept without URLs; logs are not kept.
+    Copies are compared with what is on record. What an earlier backup has copied is not copied again; a share
+    of it is read again, here and there, and damaged copies are replaced. Files of rigs and frames that are
+    not archived yet come along; settings without URLs; logs do not. Files that are missing or damaged are
+    listed; the exit code is then 6.
 
     Example: sms db backup /mnt/backup/sms
     """
     with bootstrap.services(home) as services:
         steps = backups.back_up(
-            services.catalogue, services.archive, services.settings.home, folder, datetime.now(UTC)
+            services.catalogue, services.archive, services.settings, folder, datetime.now(UTC), shares
         )
         facts = _followed("backing up", steps)
     facts = {"snapshot": str(backups.snapshots(folder)[-1])} | facts
@@ -123,6 +129,9 @@ def restore(
     snapshot: Annotated[
         str, typer.Option(help="Beginning of its name, like 20260301; the newest if not given.")
     ] = "",
+    host: Annotated[
+        str, typer.Option(help="Whose rigs and frames come along, where several hosts backed up; this one's.")
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Make a home of its own, without servers, of a backup.
@@ -133,30 +142,34 @@ def restore(
     Example: sms db restore /mnt/backup/sms /data/sms-restored
     """
     home = home.expanduser().absolute()
-    _tell({"home": str(home)} | _followed("restoring", backups.restore(folder, home, snapshot)), as_json)
+    _tell(
+        {"home": str(home)} | _followed("restoring", backups.restore(folder, home, snapshot, host)), as_json
+    )
 
 
-def _followed(what: str, steps: Iterator[Progress]) -> dict[str, object]:
+def _followed(what: str, steps: Iterator[Progress]) -> dict[str, Any]:
     """Show how work comes on, and return what came of it."""
-    files = copied = total = 0
-    missing = []
+    files = copied = again = total = 0
+    findings = []
     with output.byte_bar() as bar:
         task = bar.add_task(what, total=None)
         for step in steps:
             bar.update(task, completed=step.done_bytes, total=step.total_bytes)
-            files, copied, total = files + 1, copied + step.copied, step.total_bytes
-            if step.missing:
-                missing.append(step.missing)
-    return {"files": files, "bytes": total, "copied": copied, "missing": missing}
+            files, copied, again = files + 1, copied + step.copied, again + step.read_again
+            total = step.total_bytes or total
+            if step.finding:
+                findings.append({"path": step.path, "finding": step.finding})
+    return {"files": files, "bytes": total, "copied": copied, "read_again": again, "findings": findings}
 
 
-def _tell(facts: dict[str, object], as_json: bool) -> None:
-    missing = facts["missing"]
+def _tell(facts: dict[str, Any], as_json: bool) -> None:
+    findings = facts["findings"]
     if as_json:
         output.print_json(facts)
     else:
-        output.print_facts({name: value for name, value in facts.items() if name != "missing"})
-    if missing:
-        assert isinstance(missing, list)
-        output.say(f"{len(missing)} files are missing: {missing[0]}; see 'sms archive verify'")
+        output.print_facts({name: value for name, value in facts.items() if name != "findings"})
+    if findings:
+        if not as_json:
+            output.print_table(["file", "what"], [tuple(one.values()) for one in findings], empty="")
+        output.say(f"{len(findings)} files are missing or damaged; see 'sms archive verify' and the runbook")
         raise typer.Exit(_FINDINGS)

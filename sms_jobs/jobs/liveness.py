@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from itertools import combinations
 
 import psutil
 from sqlalchemy import func, select
@@ -165,17 +166,13 @@ def processes(session: Session, now: datetime, here: Origin) -> list[str]:
 
 def hosts(session: Session, now: datetime) -> list[str]:
     """Find machines or containers of one name: each does its own work, but nobody can tell which did what."""
-    found = []
-    alive = _Workers.lately(session, now).alive
-    for number, row in enumerate(alive):
-        for other in alive[number + 1 :]:
-            if row.host == other.host and _are_apart(origin_of(row), origin_of(other)):
-                found.append(
-                    f"workers {row.id} and {other.id} both say that they are on '{row.host}' and are not on "
-                    "one machine: give each machine or container a name of its own ('hostnamectl "
-                    "set-hostname')"
-                )
-    return found
+    pairs = combinations(_Workers.lately(session, now).alive, 2)
+    return [
+        f"workers {one.id} and {other.id} both say that they are on '{one.host}' and are not on one machine: "
+        "give each machine or container a name of its own ('hostnamectl set-hostname')"
+        for one, other in pairs
+        if one.host == other.host and _are_apart(origin_of(one), origin_of(other))
+    ]
 
 
 def _are_apart(one: Origin, other: Origin) -> bool:

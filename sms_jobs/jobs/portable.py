@@ -26,7 +26,7 @@ import sms_jobs
 from sms_jobs.archive import Archive, Checker, layout
 from sms_jobs.archive.place import says_full
 from sms_jobs.archive.repacking import repack
-from sms_jobs.archive.sealing import make_folders, sync
+from sms_jobs.archive.sealing import make_folders, sha256_of, sync
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import AcceptanceRow, CalibrationRow, CampaignRow, FileRow, ProvenanceRow
@@ -258,7 +258,7 @@ def bring(
             _copy(archive, relative, temporary, wanted)
             if not document:
                 checker.check(temporary, relative, part.content_hash)
-            sha256 = _sha256_of(temporary)
+            sha256 = sha256_of(temporary)
             if document and not beside and sha256 != part.content_hash:
                 raise ArchiveCorrupt(f"{relative} is not what was sealed; see 'sms archive verify'")
             temporary.replace(target)
@@ -302,11 +302,6 @@ def _copy(archive: Archive, relative: str, target: Path, wanted: Wanted) -> None
         shutil.copyfile(source, target)
         sync(target)
     target.chmod(_READ_ONLY)
-
-
-def _sha256_of(file: Path) -> str:
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def finish(

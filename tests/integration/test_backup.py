@@ -7,16 +7,19 @@ import subprocess
 from collections.abc import Mapping
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
+from itertools import count
 from pathlib import Path
 
 import pytest
 from sqlalchemy import select
-from support.command import answer, service
-from support.homes import make_home
+from support.command import answer, service, sms
+from support.homes import make_home, stored
 from support.jobs import claim
+from support.sealing import regions
 
 from sms_jobs import bootstrap
-from sms_jobs.archive import Archive
+from sms_jobs import settings as settings_file
+from sms_jobs.archive import Archive, layout
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow
@@ -45,8 +48,8 @@ def script(name: str, *arguments: object, environment: Mapping[str, str]) -> Non
     assert done.returncode == 0, done.stderr
 
 
-def back_up(services: Services, folder: Path, now: datetime) -> list[backups.Progress]:
-    return list(backups.back_up(services.catalogue, services.archive, services.settings.home, folder, now))
+def back_up(services: Services, folder: Path, now: datetime, shares: int = 30) -> list[backups.Progress]:
+    return list(backups.back_up(services.catalogue, services.archive, services.settings, folder, now, shares))
 
 
 def findings(home: Path) -> list[verification.Finding]:
@@ -96,7 +99,9 @@ def test_a_job_that_was_running_is_recovered_after_the_scripts(
     environment = {"SMS_DATABASE_URL": fresh_postgresql_url}
     make_home(home, environment)
     (home / "sms.toml").write_text(
-        'lease_s = 2.0\n# database_url = "postgresql+psycopg://sms:secret@host/sms"\n', encoding="utf-8"
+        'lease_s = 2.0\n# database_url = "postgresql+psycopg://sms:secret@host/sms"\n'
+        'database_url = """\\\npostgresql+psycopg://sms:secret@host\\\n/sms"""\n',
+        encoding="utf-8",
     )
     monkeypatch.setenv("SMS_DATABASE_URL", fresh_postgresql_url)
     with bootstrap.services(home) as services:
@@ -150,6 +155,131 @@ def test_what_has_been_copied_is_not_copied_again(plate: Path, tmp_path: Path) -
     assert findings(tmp_path / "restored") == []
 
 
+def flip(file: Path) -> bytes:
+    """Flip a bit in the middle of a file; return what it was."""
+    good = file.read_bytes()
+    middle = len(good) // 2
+    file.chmod(0o644)
+    file.write_bytes(good[:middle] + bytes([good[middle] ^ 4]) + good[middle + 1 :])
+    return good
+
+
+def kinds_of(services: Services) -> dict[str, str]:
+    """Return the path of a dataset, of a document and of what lies beside a document."""
+    stored(services, "segment", "plate/S00/C1P1", {"regions": regions()})
+    stored(services, "report", "plate", None, 1)
+    with services.catalogue.reading() as session:
+        dataset, document = (
+            session.scalars(select(FileRow.path).where(FileRow.source == source)).one()
+            for source in ("segment", "report")
+        )
+    return {"dataset": dataset, "document": document, "beside": layout.sidecar(document)}
+
+
+@pytest.mark.parametrize("kind", ["dataset", "document", "beside"])
+def test_rot_is_found_wherever_it_is_and_good_takes_the_place_of_bad(
+    plate: Path, tmp_path: Path, kind: str
+) -> None:
+    kept, days = tmp_path / "kept", count()
+
+    def told(shares: int = 1) -> tuple[list[str], list[str]]:
+        """Back up; return the paths of what was copied and of what was found."""
+        steps = back_up(services, kept, NOW + timedelta(days=next(days)), shares)
+        return [s.path for s in steps if s.copied], [s.path for s in steps if s.finding]
+
+    with bootstrap.services(plate) as services:
+        paths = kinds_of(services)
+        known = layout.without_sidecar(paths[kind])
+        source, copy = services.archive.path(paths[kind]), kept / "archive" / paths[kind]
+        # Before its first copy: what is damaged never comes into the backup, and is told every time.
+        good = flip(source)
+        copied, found = told(30)
+        assert found == [known]
+        assert known not in copied
+        assert not (kept / "archive" / known).exists()
+        assert told(30)[1] == [known]
+        source.write_bytes(good)
+        assert told() == ([known], [])
+        # In the backup: replaced.
+        flip(copy)
+        assert told() == ([known], [known])
+        assert copy.read_bytes() == good
+        assert told() == ([], [])
+        # In the archive, later: told, and the good copy stays.
+        flip(source)
+        assert told() == ([], [known])
+        assert copy.read_bytes() == good
+        # In both.
+        flip(copy)
+        assert told() == ([], [known])
+        # The share goes round: whatever was damaged is found within as many backups.
+        source.write_bytes(good)
+        assert sum(known in told(3)[1] for _ in range(3)) == 1
+        assert copy.read_bytes() == good
+
+
+def test_findings_are_an_exit_code_and_name_the_files(plate: Path, tmp_path: Path) -> None:
+    with bootstrap.services(plate) as services:
+        damaged = kinds_of(services)["dataset"]
+        flip(services.archive.path(damaged))
+    done = sms("db", "backup", str(tmp_path / "kept"), "--home", str(plate))
+    assert done.returncode == 6
+    assert damaged in done.stdout
+    assert "is not what was sealed" in done.stdout
+
+
+def test_rigs_and_frames_that_no_archive_has_come_along(plate: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    rig, frames = plate / "rigs" / "rig.toml", plate / "spool" / "job1" / "C1P1.frames"
+    for file, content in ((rig, b"name = 'rig'\n"), (frames, bytes(range(256)) * 100)):
+        file.parent.mkdir(parents=True)
+        file.write_bytes(content)
+    with bootstrap.services(plate) as services:
+        back_up(services, kept, NOW)
+        with frames.open("ab") as growing:
+            growing.write(b"one more")
+        steps = back_up(services, kept, NOW + timedelta(days=1))
+        assert [Path(s.path).name for s in steps if s.copied] == ["C1P1.frames"]
+        # A copy that changed by itself is replaced; a file that did is told, and its copy stays.
+        (copy,) = kept.rglob("C1P1.frames")
+        good = flip(copy)
+        steps = back_up(services, kept, NOW + timedelta(days=2), 1)
+        assert [(s.path, s.copied) for s in steps if s.finding] == [(str(copy), True)]
+        assert copy.read_bytes() == good
+        times = frames.stat()
+        flip(frames)
+        os.utime(frames, ns=(times.st_atime_ns, times.st_mtime_ns))
+        steps = back_up(services, kept, NOW + timedelta(days=3), 1)
+        assert [(s.path, s.copied) for s in steps if s.finding] == [(str(copy), False)]
+        assert copy.read_bytes() == good
+    restored = tmp_path / "restored"
+    assert not [step.finding for step in backups.restore(kept, restored) if step.finding]
+    assert (restored / "rigs" / "rig.toml").read_bytes() == rig.read_bytes()
+    assert (restored / "spool" / "job1" / "C1P1.frames").read_bytes() == good
+    # When the frames have been archived, the next backup lets its copy go.
+    frames.unlink()
+    with bootstrap.services(plate) as services:
+        back_up(services, kept, NOW + timedelta(days=4))
+    assert not list(kept.rglob("C1P1.frames"))
+
+
+def test_settings_are_kept_without_secrets_however_they_are_written(plate: Path, tmp_path: Path) -> None:
+    archive = plate / "archive"
+    (plate / "sms.toml").write_text(
+        "threads = 2\n"
+        f'"archive" = "{archive}"\n'
+        'broker_url = """\\\n  redis://:hidden@\\\n  localhost/0"""\n'
+        "# redis://:hidden@elsewhere\nlease_s = 2.5\n",
+        encoding="utf-8",
+    )
+    with bootstrap.services(plate) as services:
+        back_up(services, tmp_path / "kept", NOW)
+    (settings,) = (tmp_path / "kept" / "snapshots").glob("*.toml")
+    assert settings.read_text(encoding="utf-8") == "threads = 2\nlease_s = 2.5\n"
+    list(backups.restore(tmp_path / "kept", tmp_path / "restored"))
+    assert settings_file.load(tmp_path / "restored").lease_s == 2.5
+
+
 def test_a_file_that_is_missing_is_told_and_the_others_are_kept(plate: Path, tmp_path: Path) -> None:
     with bootstrap.services(plate) as services:
         with services.catalogue.reading() as session:
@@ -157,7 +287,7 @@ def test_a_file_that_is_missing_is_told_and_the_others_are_kept(plate: Path, tmp
         assert path is not None
         services.archive.path(path).unlink()
         steps = back_up(services, tmp_path / "kept", NOW)
-    assert [step.path for step in steps if step.missing] == [path]
+    assert [step.path for step in steps if step.finding] == [path]
     assert backups.snapshots(tmp_path / "kept")
 
 
