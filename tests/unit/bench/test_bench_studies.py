@@ -37,6 +37,23 @@ def test_a_study_is_written_as_picture_and_numbers(home: Path) -> None:
     assert again.read_bytes() == picture.read_bytes()
 
 
+STORED = Path(__file__).resolve().parents[3] / "docs" / "studies"
+QUICK = ("half-and-half", "large-rotation", "table-6", "two-returns")
+
+
+@pytest.mark.long  # 60 s
+@pytest.mark.parametrize("name", QUICK)
+def test_the_numbers_of_the_documents_are_those_of_now(name: str) -> None:
+    stored = json.loads((STORED / f"{name}.json").read_text(encoding="utf-8"))
+    now = study_named(name).run(lambda text: None).table.as_json()
+    timed = [column for column in stored["rows"][0] if "CPU time" in column]
+    for before, after in zip(stored["rows"], now["rows"], strict=True):  # type: ignore[call-overload]
+        for column, value in before.items():
+            if column not in timed:
+                # Processors differ in the last digits, which decides of some pixels.
+                assert after[column] == pytest.approx(value, rel=0.02, abs=0.005), f"{before}: {column}"
+
+
 @pytest.mark.long  # 10 s
 def test_table_6_is_at_the_bounds() -> None:
     said: list[str] = []
