@@ -146,6 +146,8 @@ class Door:
                 self._judge(caller)
             elif len(caller.said) == wanted:
                 self._greet(caller)
+        except BlockingIOError:  # there was nothing after all
+            return
         except OSError as error:
             self._send_away(caller, str(error))
 
