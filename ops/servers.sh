@@ -49,8 +49,8 @@ provide() {
     fi
 }
 
-# Installs an X server in memory and the library of GigE cameras, which brings a simulated one. They exist for Linux;
-# elsewhere the tests that need them are skipped. What is missing fails its own tests and no others.
+# Installs an X server in memory, the library of GigE cameras, which brings a simulated one, and what makes network
+# namespaces, which stand for several computers. They exist for Linux; elsewhere the tests that need them are skipped. What is missing fails its own tests and no others.
 provide_peers() {
     local packages=""
     if [ "$(uname)" != Linux ]; then return; fi
@@ -58,8 +58,9 @@ provide_peers() {
     if ! .venv/bin/python -c 'import ctypes; ctypes.CDLL("libaravis-0.8.so.0")' 2>/dev/null; then
         packages="$packages aravis-tools-cli"
     fi
+    if ! command -v ip >/dev/null; then packages="$packages iproute2"; fi
     # shellcheck disable=SC2086  # a list of words
-    if [ -n "$packages" ]; then (provide "a display and a camera" $packages) || true; fi
+    if [ -n "$packages" ]; then (provide "a display, a camera and network namespaces" $packages) || true; fi
 }
 
 # The names are those of tests/support/browser.py; SMS_TEST_BROWSER names another, or 'none' to skip its tests.
