@@ -53,7 +53,7 @@ _PATIENCE_OF_READERS_MS = 30_000
 """A reader waits only while a catalogue is opened after a crash or closed by its last user."""
 
 _NOTICED = {
-    "connect_timeout": 10,
+    "connect_timeout": 8,
     "keepalives": 1,
     "keepalives_idle": 10,
     "keepalives_interval": 5,

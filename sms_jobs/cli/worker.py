@@ -58,11 +58,11 @@ def list_(home: Home = None, as_json: Json = False) -> None:
         output.print_json_list(workers)
         return
     output.print_table(
-        ["worker", "host", "process", "queues", "jobs", "processes", "last beat", "draining"],
+        ["worker", "host", "process", "queues", "jobs", "processes", "last beat", "draining", "held for"],
         [
             (
                 *(w.id, w.host, w.pid, w.queues, w.running),
-                *(f"{w.processes}/{w.concurrency}", w.beat_at, w.draining),
+                *(f"{w.processes}/{w.concurrency}", w.beat_at, w.draining, w.held_for),
             )
             for w in workers
         ],

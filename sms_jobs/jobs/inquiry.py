@@ -31,7 +31,7 @@ from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState
+from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, UNSUCCESSFUL, JobState
 
 SHORT = 8
 """Characters of a job id that are shown; a unique prefix is enough to name a job."""
@@ -194,9 +194,12 @@ def _why_queued(session: Session, job: JobRow, now: datetime) -> list[str]:
         )
         return [f"the queue '{job.queue}' is paused: {held_back.reason}; {hint}"]
     workers = session.scalars(select(WorkerRow).where(WorkerRow.draining.is_(False))).all()
-    serving = [w.id for w in workers if job.queue in w.queues.split(",")]
+    serving = [w for w in workers if job.queue in w.queues.split(",")]
     if not serving:
         return [f"no worker serves the queue '{job.queue}'; start one with 'sms up'"]
+    alive = [w for w in serving if now - w.beat_at <= ALIVE_WITHIN]
+    if alive and all(w.held_for is not None for w in alive):
+        return [f"worker {w.id} claims no job: {w.held_for}; it goes on by itself" for w in alive]
     devices = [f"it needs {lock}" for lock in locks.waited_for(session, job.id, now)]
     return [*devices, f"{ahead} jobs of the queue '{job.queue}' come before it"]
 
@@ -289,6 +292,7 @@ class WorkerView:
     """How many of them lived at the last beat."""
     beat_at: datetime
     draining: bool
+    held_for: str | None
     running: int
 
 
@@ -304,7 +308,10 @@ def workers(session: Session, since: datetime) -> list[WorkerView]:
         select(WorkerRow, running).where(WorkerRow.beat_at >= since).order_by(WorkerRow.started_at)
     )
     return [
-        WorkerView(w.id, w.host, w.pid, w.queues, w.concurrency, w.processes, w.beat_at, w.draining, count)
+        WorkerView(
+            *(w.id, w.host, w.pid, w.queues, w.concurrency, w.processes, w.beat_at, w.draining),
+            *(w.held_for, count),
+        )
         for w, count in rows
     ]
 

@@ -93,6 +93,7 @@ def _of_workers(session: Session, now: datetime) -> list[Metric]:
     running = Metric("sms_worker_jobs", "Jobs that a worker runs.")
     places = Metric("sms_worker_places", "Jobs that a worker can run at the same time.")
     draining = Metric("sms_worker_draining", "1 when a worker claims no more jobs.")
+    held = Metric("sms_worker_held", "1 while a worker claims none because it cannot use the archive.")
     counted = dict(
         session.execute(
             select(JobRow.worker_id, func.count())
@@ -114,8 +115,9 @@ def _of_workers(session: Session, now: datetime) -> list[Metric]:
         running.add(counted.get(row.id, 0), **labels)
         places.add(row.concurrency, **labels)
         draining.add(row.draining, **labels)
+        held.add(row.held_for is not None, **labels)
     alive.add(count)
-    return [alive, age, running, places, draining]
+    return [alive, age, running, places, draining, held]
 
 
 def _of_archive(session: Session, root: Path) -> list[Metric]:

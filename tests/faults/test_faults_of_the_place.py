@@ -22,7 +22,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow, JobRow, WorkerRow
-from sms_jobs.jobs import recovery, verification
+from sms_jobs.jobs import inquiry, recovery, verification
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.submission import submit
 from sms_jobs.records.job import JobState
@@ -95,6 +95,11 @@ def test_a_read_only_archive_begins_no_job(home: Path, embedded: Catalogue, disk
     reason = held_for(embedded)
     assert reason is not None
     assert "Read-only file system" in reason
+    with embedded.reading() as session:
+        job = session.scalars(select(JobRow).where(JobRow.state == JobState.QUEUED)).first()
+        assert job is not None
+        why = inquiry.explain(session, job, job.submitted_at)
+    assert f"worker w1 claims no job: {reason}; it goes on by itself" in why
     watch(home, embedded, archive).look()
     assert held_for(embedded) == reason
     assert disk.remount("rw")
