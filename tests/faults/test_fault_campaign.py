@@ -7,13 +7,17 @@ import shutil
 import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from sqlalchemy import func, select
 from support.command import sms
 from support.fault_campaign import FaultCampaign, Place, Verdict, judge, prepare
 from support.servers import PostgresqlServer, RedisServer, postgresql_programs
+
+from sms_jobs.catalogue.models import JobRow
 
 KILLS = (
     *(5 * ["busy process killed"]),
@@ -88,6 +92,33 @@ def test_every_fault_once(place: Place) -> None:
         campaign.settle()
     assert judge(place) == Verdict(campaign.jobs)
     assert set(campaign.injected.values()) == {1}, campaign.injected
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("restarts", "read_only_s"), [(4, 10.0), (50, 600.0)], ids=["short", "whole"])
+def test_outages_of_database_and_archive_cost_no_job_anything(
+    place: Place, restarts: int, read_only_s: float
+) -> None:
+    # With the budget that is the default: an outage is no crash.
+    place = replace(place, settings={"SMS_CRASH_BUDGET": "3", "SMS_WORKERS": "2"})
+    if not place.may_be_filled:
+        pytest.skip("only root may mount a file system")
+    prepare(place, states=40)
+    campaign = FaultCampaign(place, seed=3, absence_s=0.0)
+    with campaign.served():
+        for number in range(restarts):
+            if campaign.left() < 10:
+                campaign.submit("simulate", "reconstruct")
+            if place.postgresql is not None:
+                campaign.restart_database()
+            if number % (restarts // 2) == 0:
+                assert campaign.make_read_only(read_only_s / 2)
+            campaign.rest(1)
+        campaign.settle()
+    assert judge(place) == Verdict(campaign.jobs)
+    with closing(place.catalogue()) as catalogue, catalogue.reading() as session:
+        crashes, tries = session.execute(select(func.sum(JobRow.crashes), func.sum(JobRow.tries))).one()
+    assert (crashes, tries) == (0, 0)
 
 
 @pytest.mark.long

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
@@ -70,6 +70,8 @@ class Place:
     processes: int = 2
     postgresql: PostgresqlServer | None = None
     redis: RedisServer | None = None
+    settings: Mapping[str, str] = field(default_factory=dict)
+    """That differ from those of every campaign."""
 
     @property
     def environment(self) -> dict[str, str]:
@@ -78,7 +80,7 @@ class Place:
         known["SMS_WORKERS"] = str(self.processes)
         if self.postgresql is not None and self.redis is not None:
             known |= {"SMS_DATABASE_URL": self.postgresql.url, "SMS_BROKER_URL": self.redis.url}
-        return known
+        return known | dict(self.settings)
 
     def catalogue(self) -> Catalogue:
         """Open its catalogue."""
@@ -163,6 +165,7 @@ class FaultCampaign:
             known["database connections cut"] = self.cut_connections
         if self.place.may_be_filled:
             known["disk full"] = self.fill_disk
+            known["disk read-only"] = lambda: self.make_read_only(2.0)
         return known
 
     @contextmanager
@@ -416,6 +419,19 @@ class FaultCampaign:
         finally:
             ballast.unlink(missing_ok=True)
         return True
+
+    def make_read_only(self, for_s: float) -> bool:
+        """Let nobody write to the disk of the archive for a while."""
+        disk = self.place.archive.parent
+
+        def remount(how: str) -> bool:
+            command = ["mount", "-o", f"remount,{how}", str(disk)]
+            return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+        # It cannot be made so while somebody has a file open for writing.
+        wait_until(lambda: remount("ro"))
+        time.sleep(for_s)
+        return remount("rw")
 
 
 def files_on_disk(archive: Path) -> list[str]:
