@@ -42,7 +42,7 @@ def test_what_cannot_become_a_file_is_refused_before_any_work(tmp_path: Path) ->
         with pytest.raises(InvalidInput):
             write_file(out, "text", force=True)
     assert sorted(tmp_path.iterdir()) == before
-    assert os.readlink(tmp_path / "device") == "/dev/null"
+    assert (tmp_path / "device").readlink() == Path("/dev/null")
 
 
 def odd_again(folder: Path) -> list[Path]:
@@ -56,10 +56,15 @@ def test_an_error_leaves_what_was_there(tmp_path: Path) -> None:
     out.write_text("precious")
     with pytest.raises(Conflict, match="--force"):
         write_file(out, "text", force=False)
-    with pytest.raises(ZeroDivisionError), new_file(out, force=True) as part:
-        assert part.suffix == ".csv"
-        part.write_text("half")
-        raise ZeroDivisionError
+
+    def fail_halfway() -> None:
+        with new_file(out, force=True) as part:
+            assert part.suffix == ".csv"
+            part.write_text("half")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail_halfway()
     assert out.read_text() == "precious"
     write_file(out, "whole \u00e4", force=True)
     assert out.read_bytes() == "whole \u00e4".encode()

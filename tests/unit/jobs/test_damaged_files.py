@@ -72,7 +72,7 @@ def test_jobs_fail_whose_inputs_are_not_what_was_sealed(recorded: Recorded) -> N
     (job,) = recorded.run(changed)
     row = recorded.job(job)
     assert row.state is JobState.FAILED
-    for word in (calibration.path, calibration.content_hash[:12], "sms archive repair", "backup"):
+    for word in (calibration.path, calibration.sha256[:12], "sms archive repair", "backup"):
         assert word in (row.error or "")
     file.write_bytes(good)
 
