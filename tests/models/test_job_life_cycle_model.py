@@ -112,7 +112,7 @@ class JobLives(JobModel):
         self.by_pid[pid] = process = Process(held, worker, pid=pid)
         with self.catalogue.writing() as session:
             # Whatever it needs is there, each of its inputs once.
-            inputs = indexing.resolve_inputs(session, held.job_id)
+            inputs = indexing.resolve_inputs(session, held.job_id, self.now)
         assert len({one.role for one in inputs}) == len(inputs) >= len(job.producers)
         return process
 
