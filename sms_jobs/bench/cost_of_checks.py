@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -17,6 +17,7 @@ from sqlalchemy import select
 
 from sms_jobs.archive import Archive, Provenance, hdf5
 from sms_jobs.archive.codec import layout_of, record_from_parts
+from sms_jobs.archive.provenance import provenance_from_json
 from sms_jobs.bench.tampering import now, registered, runner, url
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
@@ -68,24 +69,36 @@ class _Frames:
 
 @dataclass(frozen=True)
 class _Uncompared:
-    """A dataset file whose arrays are read and compared with nothing."""
+    """A dataset file that is opened as often as another, and whose contents are compared with nothing."""
 
     subject: Subject
-    file: h5py.File
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(self.file["entry"].attrs["records"])
+    path: Path
+    names: tuple[str, ...]
+    streams: ExitStack
 
     def read(self, name: str, record: type[R]) -> R:
-        group = self.file["entry"][name]
-        present = set(group.attrs["arrays"])
-        arrays = {
-            key: _Frames(group[key]) if field.streamed else group[key][...]
-            for key, field in layout_of(record).arrays.items()
-            if key in present
-        }
-        return record_from_parts(record, hdf5.read_text(group[hdf5.FIELDS]), arrays, name)
+        declared = layout_of(record).arrays
+        streamed = any(field.streamed for field in declared.values())
+        with ExitStack() as briefly:
+            file = (self.streams if streamed else briefly).enter_context(h5py.File(self.path, "r"))
+            group = file["entry"][name]
+            present = set(group.attrs["arrays"])
+            arrays = {
+                key: _Frames(group[key]) if field.streamed else group[key][...]
+                for key, field in declared.items()
+                if key in present
+            }
+            plain = hdf5.read_text(group[hdf5.FIELDS])
+        return record_from_parts(record, plain, arrays, name)
+
+
+@contextmanager
+def _uncompared(path: Path) -> Iterator[_Uncompared]:
+    with h5py.File(path, "r") as file:
+        told = hdf5.read_text(file["entry"][hdf5.PROCESS]["provenance"])
+        names = tuple(file["entry"].attrs["records"])
+    with ExitStack() as streams:
+        yield _Uncompared(provenance_from_json(told, path.name).subject, path, names, streams)
 
 
 def measured(
@@ -137,12 +150,8 @@ class _Work:
         with ExitStack() as stack:
             datasets: dict[str, Any] = {}
             for given in self.inputs:
-                if compared:
-                    datasets[given.role] = stack.enter_context(self.archive.open(given))
-                else:
-                    about = Subject(*given.path.split("/")[:-1])
-                    file = stack.enter_context(h5py.File(self.archive.path(given.path), "r"))
-                    datasets[given.role] = _Uncompared(about, file)
+                opened = self.archive.open(given) if compared else _uncompared(self.archive.path(given.path))
+                datasets[given.role] = stack.enter_context(opened)
             inputs = Inputs(subject, kind.context(self.definition, subject), datasets, threads=1)
             for output in kind.run(inputs, parameters, lambda fraction, message="": None):
                 if isinstance(output, DatasetOutput):
