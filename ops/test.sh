@@ -10,7 +10,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 . ops/setup.sh
 . ops/servers.sh
 
-failed=""
+failed="" auditing=""
 
 # Runs a check and goes on after a failure, so that one run tells everything that is wrong.
 step() {
@@ -44,6 +44,8 @@ set_up requirements-test.lock
 (provide_peers && provide_browser) & # while the checks run
 installing=$!
 if [ $# = 0 ]; then
+    # Asks a server and so waits most of its time: while all the rest runs.
+    .venv/bin/python ops/audit.py requirements-test.lock & auditing=$!
     # While the checks run; left to the tests, several would compile the same at once. Ranging is half of it.
     compile_kernels fdr & ranging=$!
     compile_kernels phase dic displacement strain calibration & others=$!
@@ -65,6 +67,9 @@ if [ $# = 0 ]; then
     set -- -n "$(($(getconf _NPROCESSORS_ONLN) + 1))" --dist loadfile --no-loadscope-reorder --durations=25
 fi
 step "pytest" .venv/bin/python -m pytest "$@"
+if [ -n "$auditing" ]; then
+    step "audit of dependencies" wait "$auditing"
+fi
 if [ -n "$failed" ]; then
     die "these checks failed: ${failed#, } (after $SECONDS s)"
 fi

@@ -79,7 +79,7 @@ DOCUMENTED = (
     "where created >= 2020-01-02 and version = 2",
     "correlate where campaign = c00003 and maximum_displacement_mm > 19",
     "reconstruct where time >= 2020-07-01 and load_n > 1999000",
-    "strain where load_kN > 1400 and planned_load_kN < 1400.0005 and temp_c > 39",
+    "strain where planned_load_MN > 1.999 and temp_c > 20",
 )
 """The questions of `docs/query.md`, with names of this catalogue."""
 

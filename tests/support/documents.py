@@ -20,7 +20,7 @@ from sms_jobs.kinds import all_kinds
 
 _FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _INLINE = re.compile(r"`([^`]+)`")
-_OURS = re.compile(r"(?:^|(?<!-u)[\s(])(?:\.venv/bin/)?sms (?=[a-z])")
+_OURS = re.compile(r"(?:^|(?<!-u)[\s(])(?:[\w./-]*/)?sms (?=[a-z])")
 _ENDS = re.compile(r"(?:^|(?<=\s))(?:\||\|\||&&|&|;|>|<|2>)(?=\s|$)|\$\(|(?<=\w)\)|;")
 _PROMPTS = re.compile(r"^(?:\$|>) ", re.MULTILINE)
 _USAGE = typer.BadParameter.__mro__[1]
@@ -56,7 +56,8 @@ def _first(rest: str) -> str:
         elif _ENDS.match(rest, place):
             return rest[:place]
         place += 1
-    return rest
+    # A mark that is not opened here was opened before the command: sh -c '... sms doctor'.
+    return rest.rstrip(quote) if quote else rest
 
 
 def complaint(command: str) -> str:
