@@ -1,6 +1,6 @@
 """A catalogue with as many jobs as are wanted that have not ended, and a past of their kinds.
 
-Tuples of four jobs each that need one another, 4 pairs a state, 500 states a campaign; the first of each is
+Tuples of four jobs each that need one another, 2 pairs a state, 500 states a campaign; the first of each is
 queued and the others wait. Ids are random, as those of real jobs are.
 """
 
@@ -35,7 +35,9 @@ KINDS = ("simulate", "reconstruct", "correlate", "strain")
 SECONDS = {"simulate": 4.0, "reconstruct": 10.0, "correlate": 20.0, "strain": 2.0}
 """What each kind has taken."""
 QUEUES = {"simulate": "acquisition", "reconstruct": "cpu", "correlate": "cpu", "strain": "cpu"}
-CAMPAIGN = len(KINDS) * 4 * 500
+PAIRS = ("C1P1", "C1P2")
+_STATE = len(KINDS) * len(PAIRS)
+CAMPAIGN = _STATE * 500
 """Jobs of a campaign; the last has fewer."""
 WORKER = "w0000001"
 _AT_ONCE = 10_000
@@ -68,6 +70,8 @@ def fill_queue(
 def _campaigns(session: Session, count: int, at: datetime) -> list[int]:
     """Add campaigns of one rig, and return their numbers."""
     calibration, record = small_plate(name_of(0))
+    states = tuple(replace(record.states[1], label=f"S{n:03d}") for n in range(CAMPAIGN // _STATE))
+    record = replace(record, states=(replace(record.states[0], label="S"), *states))
     for place in range(count):
         campaigns.add_campaign(session, replace(record, name=name_of(place)), at)
     file = FileRow(
@@ -113,7 +117,7 @@ def _jobs(
 
 def _row(place: int, numbers: Sequence[int], at: datetime, chance: random.Random) -> dict[str, Any]:
     campaign, of_campaign = divmod(place, CAMPAIGN)
-    state, of_state = divmod(of_campaign, len(KINDS) * 4)
+    state, of_state = divmod(of_campaign, _STATE)
     pair, of_pair = divmod(of_state, len(KINDS))
     kind = KINDS[of_pair]
     return {
@@ -121,7 +125,7 @@ def _row(place: int, numbers: Sequence[int], at: datetime, chance: random.Random
         "kind": kind,
         "kind_version": 1,
         "campaign_id": numbers[campaign],
-        "subject": f"{name_of(campaign)}/S{state:03d}/C1P{pair + 1}",
+        "subject": f"{name_of(campaign)}/S{state:03d}/{PAIRS[pair]}",
         "parameters": {},
         "queue": QUEUES[kind],
         "position": int(at.timestamp() * 1e6),

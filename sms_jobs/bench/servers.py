@@ -1,10 +1,10 @@
-"""PostgreSQL for benchmarks: an empty database on the server that the environment names, and none without."""
+"""Deployments for benchmarks: PostgreSQL is an empty database on the server that the environment names."""
 
 from __future__ import annotations
 
 import os
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 from sqlalchemy import Engine, create_engine, make_url, text
@@ -33,3 +33,18 @@ def fresh_postgresql() -> Iterator[str | None]:
 def _run(engine: Engine, statement: str) -> None:
     with engine.connect() as connection:
         connection.execute(text(statement))
+
+
+@contextmanager
+def environment(changes: Mapping[str, str]) -> Iterator[None]:
+    """Let settings be those of a deployment for a while."""
+    before = {name: os.environ.get(name) for name in changes}
+    os.environ.update(changes)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

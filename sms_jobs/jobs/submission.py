@@ -12,9 +12,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
-from sqlalchemy import insert, select
+from sqlalchemy import Table, insert, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -205,8 +205,9 @@ def enter(session: Session, planned: Draft) -> Submission:
     if planned.jobs:
         _require_current(session, planned)
         try:
+            connection = session.connection()
             for table, rows in planned.rows:
-                session.execute(insert(table), rows)
+                connection.execute(insert(cast(Table, table.__table__)), rows)
         except IntegrityError as error:
             # A policy has let a file go that one of them needs.
             raise PlanOutdated("what these jobs need is gone meanwhile; submit them again") from error

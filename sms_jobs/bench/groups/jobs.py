@@ -7,8 +7,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,7 +17,7 @@ from sqlalchemy import func, select
 
 from sms_jobs import bootstrap
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
-from sms_jobs.bench.servers import POSTGRESQL, REDIS, fresh_postgresql
+from sms_jobs.bench.servers import POSTGRESQL, REDIS, environment, fresh_postgresql
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import SmsError
@@ -32,21 +32,6 @@ _WORKERS = 8
 _STATES = 500
 _RUN = ("S00", "S01")
 _PATIENCE_S = 180.0
-
-
-@contextmanager
-def _environment(changes: Mapping[str, str]) -> Iterator[None]:
-    """Let settings be those of a deployment for a while."""
-    before = {name: os.environ.get(name) for name in changes}
-    os.environ.update(changes)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def _register_long_test(home: Path, deformed: int) -> None:
@@ -173,7 +158,7 @@ def _overhead(run: Run) -> Iterator[Found]:
         "claim, context, reuse key, log file and end"
     )
     run.say("jobs: what a job costs on the embedded deployment")
-    with _environment({"SMS_WORKERS": "1"}):
+    with environment({"SMS_WORKERS": "1"}):
         taken, number = _overhead_ms(run.folder / "jobs-embedded", submissions)
     yield Figure("overhead_embedded_ms", taken, "ms", 10.0, "at most")
     yield Condition("overhead_embedded", text.format(number=number) + "; SQLite, messages as files")
@@ -185,7 +170,7 @@ def _overhead(run: Run) -> Iterator[Found]:
             return
         run.say("jobs: what a job costs on PostgreSQL and Redis")
         grown = {"SMS_WORKERS": "1", "SMS_DATABASE_URL": database, "SMS_BROKER_URL": broker}
-        with _environment(grown):
+        with environment(grown):
             taken, number = _overhead_ms(run.folder / "jobs-grown", submissions)
     yield Figure("overhead_grown_ms", taken, "ms", 3.0, "at most")
     yield Condition("overhead_grown", text.format(number=number) + "; PostgreSQL and Redis of this machine")
