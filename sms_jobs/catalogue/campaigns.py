@@ -9,7 +9,7 @@ from datetime import datetime
 from typing import Any
 
 from pydantic import TypeAdapter
-from sqlalchemy import func, select
+from sqlalchemy import func, insert, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import (
@@ -20,6 +20,7 @@ from sms_jobs.catalogue.models import (
     RigRow,
     SpecimenRow,
 )
+from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
 
@@ -50,22 +51,36 @@ def add_campaign(session: Session, campaign: Campaign, now: datetime, plan: str 
     define(row, campaign)
     session.add(row)
     session.flush()
-    for position, state in enumerate(campaign.states):
-        state_row = LoadStateRow(campaign_id=row.id, label=state.label, position=position)
-        describe_state(state_row, state)
-        session.add(state_row)
-        session.flush()
-        session.add_all(
-            ChannelRow(state_id=state_row.id, name=name, value=value)
-            for name, value in state.channels.items()
-        )
+    # By one statement each, since others wait who want to write.
+    states = [
+        {
+            "campaign_id": row.id,
+            "label": state.label,
+            "position": position,
+            **described(state),
+        }
+        for position, state in enumerate(campaign.states)
+    ]
+    session.execute(insert(LoadStateRow), states)
+    numbers = state_ids(session, row.id)
+    channels = [
+        {"state_id": numbers[state.label], "name": name, "value": value}
+        for state in campaign.states
+        for name, value in state.channels.items()
+    ]
+    if channels:
+        session.execute(insert(ChannelRow), channels)
 
 
-def describe_state(row: LoadStateRow, state: LoadState) -> None:
-    """Tell the row of a state what is planned and what is known of it."""
-    row.planned_load_n, row.planned_displacement_mm = state.load_n, state.displacement_mm
-    row.load_n, row.displacement_mm = state.known_load_n, state.known_displacement_mm
-    row.time = state.time or row.time  # that of its recording stays
+def described(state: LoadState) -> dict[str, Any]:
+    """Return what the row of a state tells of what is planned and what is known of it."""
+    return {
+        "planned_load_n": state.load_n,
+        "planned_displacement_mm": state.displacement_mm,
+        "load_n": state.known_load_n,
+        "displacement_mm": state.known_displacement_mm,
+        "time": state.time,
+    }
 
 
 def number_of_campaigns(session: Session) -> int:
@@ -141,9 +156,12 @@ def as_json(campaign: Campaign) -> dict[str, Any]:
 def state_ids(session: Session, campaign_id: int, labels: Collection[str] | None = None) -> dict[str, int]:
     """Return the ids of a campaign's states, or of some of them, by label."""
     query = select(LoadStateRow.label, LoadStateRow.id).where(LoadStateRow.campaign_id == campaign_id)
-    if labels is not None:
-        query = query.where(LoadStateRow.label.in_(labels))
-    return dict(session.execute(query).all())
+    if labels is None:
+        return dict(session.execute(query).all())
+    found: dict[str, int] = {}
+    for some in parts(sorted(labels)):
+        found |= dict(session.execute(query.where(LoadStateRow.label.in_(some))).all())
+    return found
 
 
 def newest_file(session: Session, source: str, subject: Subject, media_type: str) -> int | None:

@@ -336,7 +336,21 @@ def bring_up_to_date(session: Session, row: CampaignRow, after: Campaign) -> Non
         if state_row is None:
             state_row = LoadStateRow(campaign_id=row.id, label=state.label, position=position)
             session.add(state_row)
-        campaigns.describe_state(state_row, state)
-        session.flush()
+        recorded_at = state_row.time
+        for name, value in campaigns.described(state).items():
+            setattr(state_row, name, value)
+        state_row.time = state.time or recorded_at
+        rows[state.label] = state_row
+    session.flush()
+    of_campaign = select(ChannelRow).join(LoadStateRow, LoadStateRow.id == ChannelRow.state_id)
+    known = {
+        (channel.state_id, channel.name): channel
+        for channel in session.scalars(of_campaign.where(LoadStateRow.campaign_id == row.id))
+    }
+    for state in after.states:
         for name, value in state.channels.items():
-            session.merge(ChannelRow(state_id=state_row.id, name=name, value=value))
+            number = rows[state.label].id
+            if (channel := known.get((number, name))) is None:
+                session.add(ChannelRow(state_id=number, name=name, value=value))
+            else:
+                channel.value = value
