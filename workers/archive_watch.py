@@ -46,7 +46,7 @@ class ArchiveWatch(threading.Thread):
     def look(self) -> None:
         """Let go on what was held back, if it may."""
         with self._services.catalogue.reading() as session:
-            full = queues.wait_for_room(session)
+            full = queues.are_held_for_room(session)
             held = session.execute(
                 select(WorkerRow.held_at).where(
                     WorkerRow.id == self._worker_id, WorkerRow.held_for.is_not(None)

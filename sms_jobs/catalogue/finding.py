@@ -32,6 +32,7 @@ from sqlalchemy.orm import Session, aliased
 
 from sms_jobs.catalogue import campaigns, search
 from sms_jobs.catalogue.models import CalibrationRow, CalibrationUseRow, CampaignRow, FileRow, LoadStateRow
+from sms_jobs.catalogue.parts import AT_ONCE
 from sms_jobs.catalogue.query_fields import Field, Fields, Vocabulary, parameter_as
 from sms_jobs.catalogue.query_language import (
     UNWRITTEN,
@@ -373,7 +374,10 @@ class _Conditions:
         if isinstance(part, Comparison) and part.operator not in (Operator.EQUAL, Operator.UNEQUAL):
             field = self._field(part)
             wanted = self._test(part, Field("campaign", "text", field.column), CampaignRow.name.expression)
-            numbers = self._session.scalars(select(CampaignRow.id).where(wanted)).all()
+            alike = select(CampaignRow.id).where(wanted)
+            numbers = self._session.scalars(alike.limit(AT_ONCE + 1)).all()
+            if len(numbers) > AT_ONCE:
+                return FileRow.campaign_id.in_(alike)
         else:
             numbers = [campaigns.campaign_id(self._session, value.text) for value in _values(part)]
         if isinstance(part, Comparison) and part.operator is Operator.UNEQUAL:

@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.parts import parts
 from sms_jobs.records.job import JobState
 
 _GONE = ".gone"
@@ -56,16 +57,17 @@ def removable(
     """
     folders = {path.name: path for path in sorted(spool.glob("[0-9a-f]*")) if path.is_dir()}
     ended = select(JobRow).where(
-        JobRow.id.in_(folders),
         JobRow.state.in_((JobState.SUCCEEDED, JobState.CANCELLED)),
         JobRow.finished_at < now - older_than,
     )
     if kinds:
         ended = ended.where(JobRow.kind.in_(kinds))
     # Locked, so that nobody lets one go on while its frames are taken away.
+    locked = ended.order_by(JobRow.id).with_for_update(skip_locked=True)
     return [
         LeftFrames(job.id, job.subject, job.state, folders[job.id], _size(folders[job.id]), job.finished_at)
-        for job in session.scalars(ended.order_by(JobRow.id).with_for_update(skip_locked=True))
+        for names in parts(sorted(folders))
+        for job in session.scalars(locked.where(JobRow.id.in_(names)))
         if job.finished_at is not None
     ]
 

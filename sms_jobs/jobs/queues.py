@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Literal, cast
 
-from sqlalchemy import CursorResult, func, select, update
+from sqlalchemy import CursorResult, exists, func, select, update
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import JobRow, QueueRow, WorkerRow
@@ -19,6 +19,7 @@ QUEUES = tuple(queue.value for queue in Queue)
 """Those that every service has; beside them each rig has its own."""
 HIGHEST_PRIORITY = 1_000_000
 
+_FOR_ROOM = (QueueRow.paused_at.is_not(None), QueueRow.for_room)
 _PENDING = (JobState.WAITING, JobState.QUEUED)
 
 
@@ -46,16 +47,14 @@ def pause(session: Session, name: str, reason: str, now: datetime, *, for_room: 
         row.paused_at, row.reason, row.for_room = now, reason, for_room
 
 
-def wait_for_room(session: Session) -> bool:
+def are_held_for_room(session: Session) -> bool:
     """Tell whether a queue is paused because a disk was full."""
-    full = select(QueueRow.name).where(QueueRow.paused_at.is_not(None), QueueRow.for_room)
-    return session.scalar(full.limit(1)) is not None
+    return bool(session.scalar(select(exists().where(*_FOR_ROOM))))
 
 
 def resume_for_room(session: Session) -> list[str]:
     """Let the queues go on that were paused because a disk was full; return their names."""
-    full = select(QueueRow).where(QueueRow.paused_at.is_not(None), QueueRow.for_room)
-    names = [row.name for row in session.scalars(full)]
+    names = list(session.scalars(select(QueueRow.name).where(*_FOR_ROOM)))
     for name in names:
         resume(session, name)
     return names

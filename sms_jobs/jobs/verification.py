@@ -140,7 +140,9 @@ def _of_file(
 def check_unknown(catalogue: Catalogue, archive: Archive) -> Iterator[Finding]:
     """Find the files on the disk that the catalogue does not know, and those that are none of the archive."""
     with catalogue.reading() as session:
-        active = set(session.scalars(select(JobRow.id).where(JobRow.state.in_(ACTIVE))))
+        # One that has never begun has left nothing.
+        begun = select(JobRow.id).where(JobRow.state.in_(ACTIVE), JobRow.attempts > 0)
+        active = set(session.scalars(begun))
     # Listed before they are looked up: what is sealed in between is known by then, or its job is active.
     unfinished, sealed, strays = list(archive.unfinished()), list(archive.files()), dict(archive.strays())
     for path, job_id in sorted(unfinished):
