@@ -12,7 +12,6 @@ from sqlalchemy.orm import Session, aliased
 
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import DependencyRow, JobRow
-from sms_jobs.catalogue.parts import AT_ONCE
 from sms_jobs.errors import Conflict
 from sms_jobs.jobs import chosen, lifecycle
 from sms_jobs.jobs.chosen import Chosen
@@ -20,6 +19,8 @@ from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState, origins
 
 _BY_AN_OPERATOR = "cancelled by an operator"
 _PAUSE_S = 0.05
+_PART = 200
+"""Jobs in one transaction, which others wait for: some ten milliseconds."""
 _RETRYABLE = UNSUCCESSFUL - {JobState.SKIPPED}
 
 
@@ -72,16 +73,18 @@ def _part(
     last: int | None,
     *,
     newest_first: bool,
+    locked: bool = True,
 ) -> list[tuple[str, int]]:
     """Return the ids and positions of the next jobs, behind the last one that was looked at.
 
     Nobody is waited for who has one of them in hand: he may be waiting for another.
     """
-    query = select(JobRow.id, JobRow.position).where(*where).limit(AT_ONCE)
+    query = select(JobRow.id, JobRow.position).where(*where).limit(_PART)
     if last is not None:
         query = query.where(JobRow.position <= last if newest_first else JobRow.position >= last)
     order = JobRow.position.desc() if newest_first else JobRow.position
-    rows = session.execute(query.order_by(order).with_for_update(skip_locked=True, of=JobRow))
+    query = query.order_by(order)
+    rows = session.execute(query.with_for_update(skip_locked=True, of=JobRow) if locked else query)
     return [(job_id, position) for job_id, position in rows]
 
 
@@ -117,13 +120,14 @@ def _retry_round(catalogue: Catalogue, some: Chosen, now: datetime) -> int:
     needs = (DependencyRow.job_id == JobRow.id, producer.id == DependencyRow.producer_id)
     hopeless = exists().where(*needs, producer.state.in_(UNSUCCESSFUL))
     waits = exists().where(*needs, producer.state != JobState.SUCCEEDED)
+    retryable = (JobRow.state.in_(_RETRYABLE), ~hopeless)
     count, last = 0, None
     while True:
+        with catalogue.reading() as session:
+            part = _part(session, (*some.where, *retryable), last, newest_first=False, locked=False)
         with catalogue.writing() as session:
-            part = _part(
-                session, (*some.where, JobRow.state.in_(_RETRYABLE), ~hopeless), last, newest_first=False
-            )
-            ids = [job_id for job_id, _ in part]
+            found = select(JobRow.id).where(JobRow.id.in_([job_id for job_id, _ in part]), *retryable)
+            ids = session.scalars(found.with_for_update(skip_locked=True, of=JobRow)).all()
             waiting = set(session.scalars(select(JobRow.id).where(JobRow.id.in_(ids), waits)))
             afresh: dict[str, Any] = {
                 "finished_at": None,
