@@ -101,7 +101,7 @@ def services(home: Path | None = None) -> Iterator[Services]:
     settings = settings_file.load(home)
     _require_home(settings)
     with closing(_current_catalogue(settings)) as catalogue:
-        yield Services(settings, catalogue, Archive(settings.archive_root))
+        yield Services(settings, catalogue, _archive(settings))
 
 
 @contextmanager
@@ -135,7 +135,7 @@ def renewed(home: Path | None = None, *, dry_run: bool = False) -> Iterator[tupl
             if said:
                 schema.upgrade(catalogue)
             schema.require_current(catalogue)
-            yield Services(settings, catalogue, Archive(settings.archive_root)), said
+            yield Services(settings, catalogue, _archive(settings)), said
 
 
 def _require_home(settings: Settings) -> None:
@@ -143,6 +143,16 @@ def _require_home(settings: Settings) -> None:
         raise ConfigurationError(
             f"there is no home at {settings.home}; run 'sms init --home {settings.home}'"
         )
+
+
+def _archive(settings: Settings) -> Archive:
+    if not settings.archive_root.is_dir():
+        # Not made here: a share that is not mounted, or a name that was mistyped, must not go unnoticed.
+        raise ConfigurationError(
+            f"there is no folder {settings.archive_root} of the archive; mount it, correct the setting "
+            f"'archive', or run 'sms init --home {settings.home}'"
+        )
+    return Archive(settings.archive_root)
 
 
 def _current_catalogue(settings: Settings) -> Catalogue:

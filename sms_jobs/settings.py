@@ -36,7 +36,7 @@ class Settings(BaseSettings):
     broker_url
         Of the message broker (`redis://...`); empty for files in the home.
     archive
-        Folder of the sealed files; empty for `archive` in the home.
+        Folder of the sealed files, from the home if it is relative; empty for `archive` in the home.
     spool
         Folder, on a disk of this host, for frames as they come in; empty for `spool` in the home.
     environment_file
@@ -100,12 +100,12 @@ class Settings(BaseSettings):
     @property
     def archive_root(self) -> Path:
         """Return the folder of the sealed files."""
-        return self.archive or self.home / "archive"
+        return self.home / (self.archive or "archive")
 
     @property
     def spool_folder(self) -> Path:
         """Return the folder for frames as they come in, one folder a job."""
-        return self.spool or self.home / "spool"
+        return self.home / (self.spool or "spool")
 
     @property
     def rig_folder(self) -> Path:

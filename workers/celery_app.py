@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from urllib.parse import urlsplit
 
 from celery import Celery
 from kombu.entity import Queue as MessageQueue
@@ -77,11 +78,19 @@ def _over_files(settings: Settings) -> dict[str, object]:
     }
 
 
+def _has_sound_port(url: str) -> bool:
+    try:
+        return urlsplit(url).port != 0
+    except ValueError:
+        return False
+
+
 def _over_redis(url: str) -> dict[str, object]:
-    if not url.startswith(("redis://", "rediss://", "redis+socket://")):
+    if not (url.startswith(("redis://", "rediss://", "redis+socket://")) and _has_sound_port(url)):
+        # Not what was given: a password may stand anywhere in it.
         raise ConfigurationError(
-            f"broker_url begins with '{url.split(':')[0]}:'; write redis://HOST:PORT/NUMBER, "
-            "or leave it empty for files in the home"
+            "broker_url names no broker that is served; write redis://HOST:PORT/NUMBER, or leave it empty "
+            "for files in the home"
         )
     if url.startswith("rediss://") and "ssl_cert_reqs=" not in url:
         # Celery would take any certificate.

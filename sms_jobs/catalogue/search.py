@@ -25,6 +25,8 @@ from sms_jobs.catalogue.models import (
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import NotFound
 
+_MOST_DIGITS = 18
+
 
 @dataclass(frozen=True)
 class FileView:
@@ -65,6 +67,11 @@ def find_files(
     return [_view(*row) for row in session.execute(query)]
 
 
+def _is_number(key: str) -> bool:
+    """Say whether a text can be the number of a file; one of thousands of digits is none."""
+    return key.isascii() and key.isdecimal() and len(key) <= _MOST_DIGITS
+
+
 def file_view(session: Session, key: str) -> FileView:
     """Return the file of that number or archive path.
 
@@ -73,7 +80,7 @@ def file_view(session: Session, key: str) -> FileView:
     NotFound
         There is no such file.
     """
-    match = FileRow.id == int(key) if key.isdecimal() else FileRow.path == key
+    match = FileRow.id == int(key) if _is_number(key) else FileRow.path == key
     row = session.execute(_views().where(match)).one_or_none()
     if row is None:
         raise NotFound(f"there is no file '{key}' in the catalogue; 'sms data find' shows numbers and paths")

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import wraps
 from importlib import import_module
 from typing import Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_group
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.records.numbers import is_excessive
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,30 @@ class Command:
             above.command(name)(getattr(module, self.function))
         else:
             above.add_typer(module.app, name=name)
-        return get_group(above).commands[name]
+        loaded = get_group(above).commands[name]
+        _guard(loaded)
+        return loaded
+
+
+def _guard(command: Any) -> None:
+    """Let a command, or those of a group, refuse numbers with which nothing can be computed."""
+    for inner in getattr(command, "commands", {}).values():
+        _guard(inner)
+    run = command.callback
+    if run is None or getattr(command, "commands", None):
+        return
+
+    @wraps(run)
+    def guarded(**given: Any) -> Any:
+        for name, value in given.items():
+            for one in value if isinstance(value, list | tuple) else (value,):
+                if is_excessive(one):
+                    raise InvalidInput(
+                        f"{name.replace('_', '-')} cannot be {one}: give a number of usual size"
+                    )
+        return run(**given)
+
+    command.callback = guarded
 
 
 COMMANDS: Mapping[str, Command] = {

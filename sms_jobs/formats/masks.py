@@ -12,6 +12,8 @@ from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats.importers.image_files import read_image
 from sms_jobs.metrology.images.region_of_interest import outlines_of, written
 
+_MOST_PIECES = 1000
+
 
 def region_of_mask(path: Path, above: float | None = None, least_px: int = 0) -> str:
     """Return the outlines of a mask image, whose bright pixels count.
@@ -38,6 +40,12 @@ def region_of_mask(path: Path, above: float | None = None, least_px: int = 0) ->
     grey, _ = read_image(path)
     inside = np.asarray(grey > (grey.max() / 2 if above is None else above))
     inside = ~_large(~_large(inside, least_px), least_px)
+    pieces = ndimage.label(inside)[1] + ndimage.label(~inside)[1]
+    if pieces > _MOST_PIECES:
+        raise InvalidInput(
+            f"{path} has {pieces} pieces and holes, a region may have {_MOST_PIECES}: leave small ones out, "
+            "as with --least-px 20"
+        )
     try:
         return written(outlines_of(inside))
     except ValueError as error:

@@ -13,6 +13,7 @@ from pydantic_core import ErrorDetails
 from sms_jobs.errors import ConfigurationError, InvalidInput
 from sms_jobs.formats.interchange.text_files import DEEPEST
 from sms_jobs.formats.interchange.xml_values import Places
+from sms_jobs.records.numbers import is_excessive
 
 T = TypeVar("T", bound=BaseModel)
 R = TypeVar("R")
@@ -44,6 +45,7 @@ def validated(
     Raises `ConfigurationError`, one sentence that names the file, the line, the key and `hint`, the command
     that helps, where the content cannot be used.
     """
+    _refuse_excess(content, (), content, places)
     try:
         return record(model.model_validate(_tuples(content)))
     except ValidationError as error:
@@ -54,6 +56,21 @@ def validated(
         ) from None
     except InvalidInput as error:
         raise ConfigurationError(f"{places.source}: {error}") from error
+
+
+def _refuse_excess(value: Any, where: tuple[int | str, ...], content: Any, places: Places) -> None:
+    """Raise `ConfigurationError` for a number with which nothing can be computed."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            _refuse_excess(inner, (*where, key), content, places)
+    elif isinstance(value, list):
+        for number, inner in enumerate(value):
+            _refuse_excess(inner, (*where, number), content, places)
+    elif is_excessive(value):
+        name, _ = _place(where, content)
+        raise ConfigurationError(
+            f"{places.at(where)}: {name} cannot be {value}: give a finite number of usual size"
+        )
 
 
 _PART = r"(?:[A-Za-z0-9_-]++|\"[^\"\n]*+\"|'[^'\n]*+')"

@@ -204,7 +204,7 @@ def restore(folder: Path, home: Path, name: str = "", host: str = "") -> Iterato
     of_host = _host(folder, host)
     growing = home / f"{snapshot.name}.tmp"
     try:
-        home.mkdir(parents=True, exist_ok=True)
+        (home / "archive").mkdir(parents=True, exist_ok=True)
         shutil.copyfile(snapshot, growing)
         with closing(Catalogue(f"sqlite:///{growing}")) as catalogue:
             schema.upgrade(catalogue)

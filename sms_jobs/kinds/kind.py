@@ -24,7 +24,7 @@ R = TypeVar("R")
 class Parameters(BaseModel):
     """Base of every kind's parameters: immutable, unknown names refused, units in the names."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 P = TypeVar("P", bound=Parameters)

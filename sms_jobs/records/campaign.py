@@ -10,8 +10,11 @@ from typing import Literal, TypeAlias
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.artefacts import Artefact
 from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.numbers import checked_number
 from sms_jobs.records.scene import Deformation, Rigid, Scene
 from sms_jobs.records.sensors import Box, SensorFormat, has_projector
+from sms_jobs.records.texts import NAME_LETTERS, checked_text
+from sms_jobs.records.times import checked_time
 
 ParameterValue: TypeAlias = bool | int | float | str | tuple[str, ...]
 
@@ -86,6 +89,13 @@ class LoadState:
 
     def __post_init__(self) -> None:
         checked_name(self.label, "state")
+        checked_number(self.load_n, f"load_n of state {self.label}")
+        checked_number(self.displacement_mm, f"displacement_mm of state {self.label}")
+        if self.time is not None:
+            checked_time(self.time, f"time of state {self.label}")
+        for name, value in self.channels.items():
+            checked_text(name, f"the name of a channel of state {self.label}", NAME_LETTERS)
+            checked_number(value, f"channel {name} of state {self.label}")
 
     def planned(self) -> dict[str, float]:
         """Return what channels are to read, by name."""
@@ -110,6 +120,11 @@ class Specimen:
     name: str
     material: str = ""
     description: str = ""
+
+    def __post_init__(self) -> None:
+        checked_text(self.name, "the name of a specimen", NAME_LETTERS)
+        checked_text(self.material, f"the material of specimen {self.name}")
+        checked_text(self.description, f"the description of specimen {self.name}")
 
 
 @dataclass(frozen=True)

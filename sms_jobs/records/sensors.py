@@ -11,9 +11,24 @@ import numpy as np
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.records.numbers import checked_number
+from sms_jobs.records.texts import checked_text
+from sms_jobs.records.times import checked_time
 
 _PAIR = re.compile(r"(C[1-9][0-9]*)(P[1-9][0-9]*)")
 _CAMERA = re.compile(r"C[1-9][0-9]*")
+
+
+LONGEST_FOCAL_PX = 1e7
+FARTHEST_MM = 1e7
+LARGEST_SIDE_PX = 1 << 16
+_NAME_LETTERS = 8
+
+
+def _check_size(name: str, columns: int, rows: int) -> None:
+    checked_text(name, "the name of a sensor", _NAME_LETTERS)
+    for side, what in ((columns, "columns"), (rows, "rows")):
+        checked_number(side, f"the number of {what} of sensor {name}", 1, LARGEST_SIDE_PX)
 
 
 class Role(Enum):
@@ -30,6 +45,9 @@ class SensorFormat:
     name: str
     columns: int
     rows: int
+
+    def __post_init__(self) -> None:
+        _check_size(self.name, self.columns, self.rows)
 
 
 @dataclass(frozen=True)
@@ -54,6 +72,16 @@ class Sensor:
     rows: int
     intrinsics: Intrinsics
     pose: Pose
+
+    def __post_init__(self) -> None:
+        _check_size(self.name, self.columns, self.rows)
+        for key in ("fx", "fy"):
+            value = getattr(self.intrinsics, key)
+            checked_number(value, f"{key} of sensor {self.name}, in px", 1.0, LONGEST_FOCAL_PX)
+        for key in ("cx", "cy", "k1", "k2", "p1", "p2", "k3"):
+            checked_number(getattr(self.intrinsics, key), f"{key} of sensor {self.name}", -1e7, 1e7)
+        for value in self.pose.translation:
+            checked_number(value, f"a translation of sensor {self.name}, in mm", -FARTHEST_MM, FARTHEST_MM)
 
 
 @dataclass(frozen=True)
@@ -93,6 +121,10 @@ class Box:
     low: tuple[float, float, float]
     high: tuple[float, float, float]
 
+    def __post_init__(self) -> None:
+        for value in (*self.low, *self.high):
+            checked_number(value, "a corner of the volume, in mm", -FARTHEST_MM, FARTHEST_MM)
+
     @property
     def diagonal_mm(self) -> float:
         """Length of the space diagonal, in mm."""
@@ -119,6 +151,10 @@ class Calibration:
     volume: Box
     valid_from: datetime
     origin: str
+
+    def __post_init__(self) -> None:
+        checked_time(self.valid_from, f"valid_from of the calibration of rig {self.rig.name}")
+        checked_text(self.origin, f"the origin of the calibration of rig {self.rig.name}")
 
 
 def split_pair(pair: str) -> tuple[str, str]:

@@ -56,19 +56,19 @@ def test_an_error_leaves_what_was_there(tmp_path: Path) -> None:
     out.write_text("precious")
     with pytest.raises(Conflict, match="--force"):
         write_file(out, "text", force=False)
-
-    def fail_halfway() -> None:
-        with new_file(out, force=True) as part:
-            assert part.suffix == ".csv"
-            part.write_text("half")
-            raise ZeroDivisionError
-
     with pytest.raises(ZeroDivisionError):
-        fail_halfway()
+        _half_written(out)
     assert out.read_text() == "precious"
     write_file(out, "whole \u00e4", force=True)
     assert out.read_bytes() == "whole \u00e4".encode()
     assert list(tmp_path.iterdir()) == [out]
+
+
+def _half_written(out: Path) -> None:
+    with new_file(out, force=True) as part:
+        assert part.suffix == out.suffix
+        part.write_text("half")
+        raise ZeroDivisionError
 
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
