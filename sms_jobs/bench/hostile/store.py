@@ -8,7 +8,7 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -70,9 +70,8 @@ def make_first(home: Path) -> None:
             _QUEUES,
             "w1",
             "here",
-            timedelta(hours=1),
             1,
-            home / "logs",
+            services.settings.job_log_folder,
             services.stations,
             lambda: datetime.now(UTC),
             least_room_mb=0.0,

@@ -114,10 +114,10 @@ def of_campaign(told: dict[str, list[Any]], repacked: bool) -> dict[str, list[An
     files = [
         row
         for row in told["files"]
-        if row[5] == "plate" or row[0] in used | {one[4] for one in told["acceptances"]} - foreign
+        if row[6] == "plate" or row[0] in used | {one[4] for one in told["acceptances"]} - foreign
     ]
     return {
-        "files": [row[:3] + row[4:] if repacked and row[0].endswith(".h5") else row for row in files],
+        "files": [row[:3] + row[5:] if repacked and row[0].endswith(".h5") else row for row in files],
         "campaigns": [row for row in told["campaigns"] if row[0] == "plate"],
         "states": [row for row in told["states"] if row[0] == "plate"],
         "calibrations": [row[1:] for row in told["calibrations"] if row[2] in used],
