@@ -139,7 +139,7 @@ def test_a_campaign_comes_to_another_home_as_it_was(
     before, after = everything(full.catalogue), everything(empty.catalogue)
     assert of_campaign(after, repacked) == of_campaign(before, repacked)
     # Nothing else came, and all is well there.
-    assert {row[5] for row in after["files"]} == {"plate", None}
+    assert {row[6] for row in after["files"]} == {"plate", None}
     checked = verification.check_known(empty.catalogue, empty.archive, checker=empty.checker)
     assert [one.finding for one in checked if one.finding] == []
     assert list(verification.check_unknown(empty.catalogue, empty.archive)) == []
