@@ -12,13 +12,22 @@ from sqlalchemy import select
 from support.archives import Clock, emptied, everything, registered, run_jobs, runner
 
 from sms_jobs import bootstrap
-from sms_jobs.archive import Archive, Checker
+from sms_jobs.archive import Archive, Checker, InputReference
 from sms_jobs.catalogue import search
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow, LoadStateRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.instruments.simulated.rig import SimulatedRig
-from sms_jobs.jobs import acceptances, inquiry, portable, portable_import, recovery, reindexing, repair
+from sms_jobs.jobs import (
+    acceptances,
+    calibration_choice,
+    inquiry,
+    portable,
+    portable_import,
+    recovery,
+    reindexing,
+    repair,
+)
 from sms_jobs.jobs.estimates import estimate
 from sms_jobs.jobs.foreseen import foreseen_reuse
 from sms_jobs.jobs.importing import import_measurement
@@ -329,6 +338,27 @@ def test_other_sensors_are_refused(catalogue: Catalogue, archive: Archive, clock
     register_campaign(catalogue, archive, elsewhere, None, clock())
     with pytest.raises(InvalidInput, match="is of rig small-virtual-rig, and campaign elsewhere"):
         acceptances.accept(catalogue, archive, 1, "elsewhere", clock())
+
+
+def test_a_session_does_not_begin_with_what_it_gave(
+    catalogue: Catalogue, archive: Archive, clock: Clock
+) -> None:
+    calibration, campaign = real_test("session", states=1)
+    register_campaign(catalogue, archive, campaign, None, clock())
+    register_campaign(catalogue, archive, replace(campaign, name="test"), None, clock())
+    record(catalogue, archive, campaign, "S00", 15, clock)
+    register_calibration(catalogue, archive, calibration, clock())
+    (path, content), *_ = [
+        (row[0], row[2]) for row in everything(catalogue)["files"] if row[1] == "measurement"
+    ]
+    given = InputReference("session", "measurement", path, content)
+    later = other(calibration, 1)
+    register_calibration(catalogue, archive, later, clock(), inputs=(given,), accepted=True)
+    with catalogue.reading() as session:
+        for name, number in (("session", 1), ("test", 2)):
+            used = calibration_choice.chosen(session, Subject(name), clock())
+            assert used is not None
+            assert used.number == number
 
 
 def test_two_plans_of_one_text_share_what_is_the_same_and_no_more(
