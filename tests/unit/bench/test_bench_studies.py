@@ -38,7 +38,7 @@ def test_a_study_is_written_as_picture_and_numbers(home: Path) -> None:
 
 
 STORED = Path(__file__).resolve().parents[3] / "docs" / "studies"
-QUICK = ("half-and-half", "large-rotation", "table-6", "two-returns")
+QUICK = ("glossy-surface", "half-and-half", "large-rotation", "table-6", "two-returns")
 
 
 @pytest.mark.long  # 60 s
