@@ -59,7 +59,7 @@ class Shell:
 
     def __init__(self, folder: Path) -> None:
         told = {
-            "COLUMNS": "100",
+            "COLUMNS": "120",
             "NO_COLOR": "1",
             "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
         }
