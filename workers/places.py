@@ -35,8 +35,8 @@ _STOPPED_S = 15.0
 _SILENT_S = 20.0
 _SILENT_AT_THE_END_S = 8.0
 """A place that runs no job beats every two seconds, and the nursery every second."""
-_BIRTH_S = 120.0
-"""How long the nursery may load kinds, on whatever machine."""
+_IDLE_S = 60.0
+"""A nursery that loads kinds uses the processor."""
 _ASK_AGAIN_S = 2.0
 _DEATH_S = 2.0
 """A process that is killed ends at once, unless a disk holds it."""
@@ -67,6 +67,7 @@ class Places:
         self._asked_at: dict[int, float] = {}
         self._stopped: Stillness[int] = Stillness(_LONGEST_STEP_S)
         self._silent: Stillness[int] = Stillness(_LONGEST_STEP_S)
+        self._idle: Stillness[int] = Stillness(_LONGEST_STEP_S)
         self._busy: frozenset[int] | None = None
         self._draining = False
         self._lock = threading.Lock()
@@ -180,8 +181,10 @@ class Places:
             self._start_nursery(now)
             return
         if NURSERY not in self._processes:
-            if now - self._asked_at[NURSERY] > _BIRTH_S:
-                logger.error("the kinds were not loaded within %.0f s; starting again", _BIRTH_S)
+            # On a machine that is busy enough, loading takes as long as it takes.
+            work = {nursery.pid: _processor_s(nursery.pid)}
+            if self._idle.look(work, now)[nursery.pid] > _IDLE_S:
+                logger.error("process %d has stopped loading kinds; starting another", nursery.pid)
                 nursery.kill()
             return
         for number, line in enumerate(self._lines[1:]):
@@ -239,6 +242,14 @@ def _is_stopped(process: psutil.Process) -> bool:
         return bool(process.status() == psutil.STATUS_STOPPED)
     except psutil.NoSuchProcess:
         return False
+
+
+def _processor_s(pid: int) -> float:
+    try:
+        used = psutil.Process(pid).cpu_times()
+    except psutil.NoSuchProcess:
+        return 0.0
+    return float(used.user + used.system)
 
 
 def _send(process: psutil.Process, number: signal.Signals) -> None:
