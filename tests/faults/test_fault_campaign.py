@@ -97,10 +97,10 @@ def test_every_fault_once(place: Place) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize(("restarts", "read_only_s"), [(4, 10.0), (50, 600.0)], ids=["short", "whole"])
 def test_outages_of_database_and_archive_cost_no_job_anything(
-    place: Place, restarts: int, read_only_s: float
+    place: Place, tmp_path: Path, restarts: int, read_only_s: float
 ) -> None:
-    # With the budget that is the default: an outage is no crash.
-    place = replace(place, settings={"SMS_CRASH_BUDGET": "3", "SMS_WORKERS": "2"})
+    # With the budget that is the default: an outage is no crash. The catalogue's disk stays as it is.
+    place = replace(place, home=tmp_path / "home", settings={"SMS_CRASH_BUDGET": "3", "SMS_WORKERS": "2"})
     if not place.may_be_filled:
         pytest.skip("only root may mount a file system")
     prepare(place, states=40)

@@ -165,7 +165,6 @@ class FaultCampaign:
             known["database connections cut"] = self.cut_connections
         if self.place.may_be_filled:
             known["disk full"] = self.fill_disk
-            known["disk read-only"] = lambda: self.make_read_only(2.0)
         return known
 
     @contextmanager
