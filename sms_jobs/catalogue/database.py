@@ -24,12 +24,14 @@ from sqlalchemy.exc import (
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
 
+from sms_jobs.catalogue import readable
 from sms_jobs.errors import (
     CatalogueBusy,
     CatalogueDamaged,
     CatalogueEmpty,
     CommitInDoubt,
     ConfigurationError,
+    Conflict,
     InvalidInput,
     ServerUnreachable,
     SmsError,
@@ -88,6 +90,7 @@ class Catalogue:
     def __init__(self, url: str, *, create: bool = False) -> None:
         self.engine = _engine(url, create)
         self._writing = self.engine.execution_options(**{_WRITING: True})
+        self._readable = readable.file_to_read(self.engine)
 
     @property
     def dialect(self) -> str:
@@ -101,7 +104,11 @@ class Catalogue:
     @contextmanager
     def reading(self) -> Iterator[Session]:
         """Open a session that sees one consistent state and writes nothing."""
-        with self._explained(), Session(self.engine, expire_on_commit=False) as session:
+        with (
+            self._explained(),
+            readable.unchanged(self._readable),
+            Session(self.engine, expire_on_commit=False) as session,
+        ):
             yield session
 
     @contextmanager
@@ -119,6 +126,10 @@ class Catalogue:
         CommitInDoubt
             The server went away while it committed.
         """
+        if self._readable is not None:
+            raise Conflict(
+                f"this account may only read the catalogue {self.describe()}; do this as its owner"
+            )
         with self._explained(), Session(self._writing, expire_on_commit=False) as session:
             yield session
             try:
@@ -195,7 +206,9 @@ def _engine(url: str, create: bool) -> Engine:
                 raise ConfigurationError(
                     "database_url of SQLite takes no options: leave out what is behind '?'"
                 )
-            _require_file(parsed.database, create)
+            path = _required_file(parsed.database, create)
+            if path.exists() and not os.access(path, os.W_OK):
+                return readable.engine_to_read(parsed, path)
             engine = create_engine(parsed, connect_args={"timeout": _PATIENCE_OF_READERS_MS / 1e3})
             event.listen(engine, "connect", _prepare_sqlite)
             event.listen(engine, "begin", _begin_sqlite)
@@ -229,7 +242,7 @@ def _refuse_value(context: ExceptionContext) -> None:
         ) from error
 
 
-def _require_file(database: str | None, create: bool) -> None:
+def _required_file(database: str | None, create: bool) -> Path:
     if not database:
         raise ConfigurationError("database_url must name a file, like sqlite:////var/sms/catalogue.sqlite")
     path = Path(database)
@@ -249,6 +262,7 @@ def _require_file(database: str | None, create: bool) -> None:
     if not create and path.stat().st_size == 0:
         # To open it would make it a database.
         raise CatalogueEmpty(f"the catalogue {path} is empty; run 'sms init'")
+    return path
 
 
 def _prepare_sqlite(connection: Any, _record: Any) -> None:
