@@ -234,7 +234,7 @@ class KillCampaign:
         files = select(FileRow.job_id, func.count()).group_by(FileRow.job_id)
         with catalogue.reading() as session:
             jobs = session.execute(select(JobRow.id, JobRow.state)).all()
-            ends, made = (dict(session.execute(q).tuples().all()) for q in (succeeded, files))
+            ends, made = (dict(session.execute(q).all()) for q in (succeeded, files))
         done = {job_id for job_id, state in jobs if state is JobState.SUCCEEDED}
         self._outcome.lost = [i for i, _ in jobs if i not in done or not made.get(i)]
         self._outcome.twice = [i for i, _ in jobs if ends.get(i, 0) > 1 or made.get(i, 0) > 1]
