@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
+from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,6 +35,8 @@ Force = Annotated[bool, typer.Option("--force", help="Replace a file that is the
 Out = Annotated[
     Path | None, typer.Option("--out", "-o", help="File to write: .csv for numbers, .png for a picture.")
 ]
+
+_MOST_PIECES = 100_000
 
 
 def gauges(
@@ -183,6 +186,12 @@ def section(
     ends = (_point(start, "--from"), _point(end, "--to"))
     if ends[0] == ends[1]:
         raise InvalidInput(f"the section begins and ends at {start}; give two different points")
+    pieces = hypot(ends[1][0] - ends[0][0], ends[1][1] - ends[0][1]) / step
+    if not pieces <= _MOST_PIECES:
+        raise InvalidInput(
+            f"the section from {start} to {end} has {pieces:.3g} pieces of {step:g} mm, and may have "
+            f"{_MOST_PIECES}: make it shorter, or --step larger"
+        )
     with bootstrap.services(home) as services:
         with services.catalogue.reading() as session:
             view = search.file_view(session, file)

@@ -69,7 +69,7 @@ def _refuse_excess(value: Any, where: tuple[int | str, ...], content: Any, place
     elif is_excessive(value):
         name, _ = _place(where, content)
         raise ConfigurationError(
-            f"{places.at(where)}: {name} cannot be {value}: give a finite number of usual size"
+            f"{places.at(where)}: {name} should be a finite number of usual size, not {value}"
         )
 
 

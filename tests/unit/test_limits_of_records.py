@@ -71,7 +71,7 @@ def test_times_need_a_zone() -> None:
 @pytest.mark.parametrize("number", ["9" * 400, "9223372036854775808", "1e16", "1e308"])
 def test_a_plan_with_an_endless_number_is_refused_by_its_key(number: str) -> None:
     text = example_campaign().replace("load_n = 20_000", f"load_n = {number}")
-    with pytest.raises(ConfigurationError, match=r"plan\.toml, line \d+: states\[S01\].load_n cannot be"):
+    with pytest.raises(ConfigurationError, match=r"plan\.toml, line \d+: states\[S01\].load_n should be"):
         parse_campaign(text, "plan.toml")
 
 

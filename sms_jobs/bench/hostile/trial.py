@@ -205,6 +205,9 @@ def _called(main: Any, one: Try) -> tuple[int | None, str]:
         code = end.code if isinstance(end.code, int) else 0 if end.code is None else 1
     except TooLongError:
         code = None
+    except KeyboardInterrupt:
+        # It came before the command had begun to listen for it, or after it had ended.
+        code = 130 if one.endless else 1
     except BaseException as error:  # noqa: BLE001 - nothing but an exit may leave the command
         print(f"Traceback: {type(error).__name__}: {error!r}", file=err)
         code = 1
