@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import sqlite3
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,11 +20,11 @@ USAGE, NOT_FOUND, CONFLICT, CORRUPT, FAILED = 2, 3, 4, 6, 5
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return every file below a folder; the write-ahead log of SQLite may come and go."""
+    """Return every file below a folder but locks; the write-ahead log of SQLite may come and go."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and not path.name.endswith(("-wal", "-shm"))
+        if path.is_file() and not path.name.endswith(("-wal", "-shm", ".lock"))
     }
 
 
@@ -177,6 +179,11 @@ def test_files_that_are_truncated_or_newer(made: Path, tmp_path: Path) -> None:
     path.write_bytes(whole)
     with h5py.File(path, "a") as dataset:
         dataset.attrs["format_version"] = 99
+    newer = path.read_bytes()
+    with closing(sqlite3.connect(home / "catalogue.sqlite")) as catalogue, catalogue:
+        # As a newer version would have entered it.
+        recorded = (len(newer), hashlib.sha256(newer).hexdigest(), file["id"])
+        catalogue.execute("UPDATE file SET size_bytes = ?, sha256 = ? WHERE id = ?", recorded)
     refused(home, CONFLICT, "data", "show", str(file["id"]), words=("99", "newer"))
     path.unlink()
     refused(home, CORRUPT, "data", "show", str(file["id"]), words=(file["path"], "missing"))

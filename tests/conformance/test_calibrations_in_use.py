@@ -28,6 +28,7 @@ from sms_jobs.jobs import (
     reindexing,
     repair,
 )
+from sms_jobs.jobs.chosen import named
 from sms_jobs.jobs.estimates import estimate
 from sms_jobs.jobs.foreseen import foreseen_reuse
 from sms_jobs.jobs.importing import import_measurement
@@ -116,7 +117,7 @@ def reused(
     with catalogue.writing() as session:
         again = submit(session, campaign, SHAPES, clock()).job_ids
         assert foreseen_reuse(session, again) == set(again)
-        assert estimate(session, again, clock(), 1).reused == len(again)
+        assert estimate(session, named(again), clock(), 1).reused == len(again)
     runner(catalogue, archive, clock).run_queued()
     with catalogue.reading() as session:
         assert all(session.get_one(JobRow, job).reused_from for job in again)
