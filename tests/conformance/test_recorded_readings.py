@@ -96,6 +96,11 @@ def check_questions(catalogue: Catalogue) -> None:
     assert {tuple(one.values.values()) for one in asked} == {(1.187, 1.2, 21.5, moments[1])}
 
 
+def without_sums(files: list[Any]) -> list[Any]:
+    """Leave out the SHA-256 of the bytes, which no migration knows."""
+    return [row[:4] + row[5:] for row in files]
+
+
 def test_results_are_found_by_time_and_load_of_their_recording(
     deployment: Deployment, catalogue: Catalogue, recorded: Archive, clock: Clock
 ) -> None:
@@ -115,10 +120,11 @@ def test_results_are_found_by_time_and_load_of_their_recording(
     with catalogue.writing() as session:
         configuration = schema.configuration()
         configuration.attributes["connection"] = session.connection()
-        command.downgrade(configuration, "0010")
+        command.downgrade(configuration, "0011")
     schema.upgrade(catalogue)
     migrated = everything(catalogue)
-    assert (migrated["readings"], migrated["files"]) == (before["readings"], before["files"])
+    assert migrated["readings"] == before["readings"]
+    assert without_sums(migrated["files"]) == without_sums(before["files"])
     work_again(catalogue, clock)
     # Recorded again, old and new results are each of their own recording.
     record(catalogue, recorded, clock, "S01", (1.25, 22.0))
