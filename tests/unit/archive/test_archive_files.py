@@ -280,7 +280,8 @@ def test_a_flipped_bit_anywhere_in_the_frames_is_found_out(
     damaged(archive, sealed, flip)
     with pytest.raises(ArchiveCorrupt):
         archive.verify(sealed.path, sealed.content_hash)
-    with archive.open(sealed) as dataset:
+    # As one that is too large to have all of its bytes read before.
+    with archive.open(replace(sealed, sha256="")) as dataset:
         stack = dataset.read("measurement", Measurement).frames
         with pytest.raises(ArchiveCorrupt):
             stack.rows(0, 150)
