@@ -135,8 +135,8 @@ def test_a_state_is_recorded_and_processed(home: Path) -> None:
 
 
 def has_begun(home: Path) -> bool:
-    """Tell whether a worker is ready, whatever it serves."""
-    return any(" ready." in log.read_text("utf-8") for log in (home / "logs").glob("worker-*.log"))
+    """Tell whether a process of a worker listens, whatever it serves."""
+    return any("Connected to" in log.read_text("utf-8") for log in (home / "logs").glob("worker-*.log"))
 
 
 def test_a_killed_worker_loses_no_complete_frame(home: Path) -> None:

@@ -87,7 +87,7 @@ def test_a_mask_image_becomes_text(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="paint what counts white"):
         region_of_mask(path)
     path.write_bytes(b"no image")
-    with pytest.raises(InvalidInput, match="no image that can be read"):
+    with pytest.raises(InvalidInput, match="is no image, or is damaged"):
         region_of_mask(path)
     with pytest.raises(NotFound, match=r"missing\.png"):
         region_of_mask(tmp_path / "missing.png")
