@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime
-from math import inf, nan
+from datetime import UTC, datetime, timedelta
+from math import inf, nan, nextafter
 from pathlib import Path
 
 import pytest
@@ -14,9 +14,9 @@ from sms_jobs.errors import ConfigurationError, InvalidInput
 from sms_jobs.formats.configuration import example_campaign, parse_campaign
 from sms_jobs.metrology.geometry.camera import Intrinsics
 from sms_jobs.records.campaign import LoadState, Specimen
-from sms_jobs.records.numbers import is_excessive
+from sms_jobs.records.numbers import LARGEST, is_excessive
 from sms_jobs.records.sensors import Box, SensorFormat
-from sms_jobs.records.times import parsed_time
+from sms_jobs.records.times import EARLIEST, LATEST, parsed_time
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 
@@ -32,6 +32,19 @@ def test_numbers_with_which_nothing_can_be_computed(value: float) -> None:
         replace(sensor, intrinsics=Intrinsics(value, 900.0, 64.0, 64.0))
     with pytest.raises(InvalidInput, match="corner of the volume"):
         Box((0.0, 0.0, 0.0), (1.0, 1.0, value))
+
+
+def test_limits_are_allowed_themselves_and_told_from_what_is_just_beyond() -> None:
+    for value in (LARGEST, -LARGEST):
+        assert LoadState("S00", load_n=value).load_n == value
+    with pytest.raises(InvalidInput, match=r"load_n of state S00 is 1000000000000000\.1, and should be"):
+        LoadState("S00", load_n=nextafter(LARGEST, inf))
+    with pytest.raises(InvalidInput, match=r"load_n of state S00 is -1000000000000000\.1, and should be"):
+        LoadState("S00", load_n=nextafter(-LARGEST, -inf))
+    with pytest.raises(InvalidInput, match="load_n of state S00 is a whole number of 1329 bits"):
+        LoadState("S00", load_n=10**400)
+    last = LATEST - timedelta(microseconds=1)
+    assert [LoadState("S00", time=moment).time for moment in (EARLIEST, last)] == [EARLIEST, last]
 
 
 def test_names_and_sizes() -> None:
