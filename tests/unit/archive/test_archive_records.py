@@ -17,11 +17,15 @@ from hypothesis import strategies as st
 from sms_jobs.archive import Archive, Provenance
 from sms_jobs.archive.codec import layout_of, plain_to_json, record_classes, record_from_parts
 from sms_jobs.errors import ArchiveCorrupt
+from sms_jobs.metrology.geometry.camera import Intrinsics
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
 from sms_jobs.records.measurement import ArrayStack, FrameStack, FringeSequence, Measurement
+from sms_jobs.records.numbers import LARGEST
 from sms_jobs.records.quantity import QUANTITY, Quantity
 from sms_jobs.records.scene import Cylinder, HalvesApart, Plane, Rigid, Scene, TopHat
-from sms_jobs.records.sensors import Rig
+from sms_jobs.records.sensors import LONGEST_FOCAL_PX, Rig
+from sms_jobs.records.texts import NAME_LETTERS, REMARK_LETTERS, harmless
+from sms_jobs.records.times import EARLIEST, LATEST
 
 LENGTHS = {"row": 5, "column": 7, "frame": 6, "point": 4, "vertex": 9, "face": 3, "corner": 3}
 # How the instruments of a rig are wired stays in its file, and has laws that chance does not keep.
@@ -68,6 +72,8 @@ def example(hint: Any, rng: np.random.Generator, meta: Any = None) -> Any:
         values = {f.name: example(hints[f.name], rng, f.metadata.get(QUANTITY)) for f in fields(hint)}
         if hint is FringeSequence:
             values["exposures"] = tuple(np.abs(values["exposures"]).tolist())
+        if hint is Intrinsics:
+            values["fx"], values["fy"] = 1.0, LONGEST_FOCAL_PX
         made = hint(**values)
         # An artefact must be one of those that its campaign describes, which chance does not know.
         return replace(made, artefact=None) if isinstance(made, LoadState) else made
@@ -76,7 +82,9 @@ def example(hint: Any, rng: np.random.Generator, meta: Any = None) -> Any:
     if hint is datetime:
         zone = timezone(timedelta(hours=int(rng.integers(-11, 12))))
         return datetime(2026, 1, 1, 12, 0, int(rng.integers(60)), 123_456, tzinfo=zone)
-    simple = {int: int(rng.integers(3, 9)), float: float(rng.normal()), str: f"S{rng.integers(10**9)}"}
+    # As long as the name of a sensor may be.
+    name = f"S{rng.integers(10**7):07}"
+    simple = {int: int(rng.integers(3, 9)), float: float(rng.normal()), str: name}
     return {**simple, bool: True, type(None): None}[hint]
 
 
@@ -136,7 +144,20 @@ def test_empty_lists_of_points_are_stored_too(tmp_path: Path, monkeypatch: pytes
         assert_same(dataset.read("matches", type(matches)), matches)
 
 
+def texts(most: int) -> st.SearchStrategy[str]:
+    letters = st.characters(codec="utf-8").filter(lambda letter: harmless(letter) == letter)
+    lines = st.lists(st.text(letters, max_size=16), max_size=3).map("\r\n".join)
+    return st.one_of(lines, st.just("\N{SNOWMAN}" * most))
+
+
+# What a scene describes is not limited; what is planned and read is.
 floats = st.floats(allow_nan=False, width=64)
+numbers = st.floats(-LARGEST, LARGEST) | st.sampled_from([-LARGEST, LARGEST])
+LAST = LATEST - timedelta(microseconds=1)
+times = st.one_of(
+    st.datetimes(EARLIEST.replace(tzinfo=None), LAST.replace(tzinfo=None), timezones=st.just(UTC)),
+    st.sampled_from([EARLIEST, LAST]),
+)
 motions = st.one_of(
     st.builds(HalvesApart, gap_mm=floats),
     st.builds(Rigid, rotation_rad=st.tuples(floats, floats, floats)),
@@ -149,15 +170,15 @@ surfaces = st.one_of(
 states = st.builds(
     LoadState,
     label=st.from_regex(r"S[0-9]{2}", fullmatch=True),
-    load_n=st.none() | floats,
-    time=st.none() | st.datetimes(timezones=st.just(UTC)),
-    channels=st.dictionaries(st.text(max_size=8), floats, max_size=3),
+    load_n=st.none() | numbers,
+    time=st.none() | times,
+    channels=st.dictionaries(texts(NAME_LETTERS), numbers, max_size=3),
     deformation=st.lists(motions, max_size=2).map(tuple),
 )
 campaigns = st.builds(
     Campaign,
     name=st.just("test"),
-    specimen=st.builds(Specimen, name=st.text(), material=st.text()),
+    specimen=st.builds(Specimen, name=texts(NAME_LETTERS), material=texts(REMARK_LETTERS)),
     rig=st.just("rig"),
     states=st.lists(states, min_size=1, max_size=3, unique_by=lambda s: s.label).map(tuple),
     pairs=st.just(("C1P1",)),
