@@ -147,16 +147,16 @@ class ArchiveCare(RuleBasedStateMachine):
             if records:
                 recorded = measurement(self.rng, 8, 6)
                 sealed = self.archive.seal_dataset({MEASUREMENT: recorded}, came_from)
-                yield SealedOutput(subject, sealed, {}, recorded.recorded_at)
+                yield SealedOutput(subject, sealed, {}, recorded.recorded_at, {})
                 continue
             sealed = self.archive.seal_dataset({"cloud": point_cloud(self.rng)}, came_from)
-            yield SealedOutput(subject, sealed, numbers, None)
+            yield SealedOutput(subject, sealed, numbers, None, {})
             came_from = Provenance(**{**vars(came_from), "statistics": {}})
             text = str(self.rng.random())
             page = self.archive.seal_document(
                 "page.txt", "text/plain", lambda path, text=text: path.write_text(text), came_from
             )
-            yield SealedOutput(subject, page, {}, None)
+            yield SealedOutput(subject, page, {}, None, {})
 
     # --- what goes wrong ------------------------------------------------------------------------------
 
