@@ -69,7 +69,6 @@ def run(services: Services) -> None:
         ["cpu", "rig-bench"],
         "w1",
         "here",
-        timedelta(hours=1),
         1,
         home / "logs",
         services.stations,
