@@ -89,8 +89,8 @@ class LoadState:
 
     def __post_init__(self) -> None:
         checked_name(self.label, "state")
-        checked_number(self.load_n, f"load_n of state {self.label}")
-        checked_number(self.displacement_mm, f"displacement_mm of state {self.label}")
+        for key in ("load_n", "displacement_mm", "measured_load_n", "measured_displacement_mm"):
+            checked_number(getattr(self, key), f"{key} of state {self.label}")
         if self.time is not None:
             checked_time(self.time, f"time of state {self.label}")
         for name, value in self.channels.items():

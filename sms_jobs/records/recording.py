@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from math import fsum, isfinite
+from math import fsum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.measurement import FrameStack, FringeSequence
+from sms_jobs.records.numbers import is_excessive
 from sms_jobs.records.quantity import array
 
 PER_FRAME = ("frame",)
@@ -79,14 +80,17 @@ class Recording:
     )
 
     def readings(self) -> dict[str, float]:
-        """Return what held while it was recorded, by name: the mean of what was read before and after it."""
+        """Return what held while it was recorded, by name: the mean of what was read before and after it.
+
+        What an instrument says when it is overloaded, such as 9.9e37, is no reading.
+        """
         found = {
             name: 0.5 * (value + self.channels_after.get(name, value))
             for name, value in self.channels_before.items()
         }
         if self.stage_rad is not None:
             found |= zip(STAGE_CHANNELS, self.stage_rad, strict=True)
-        return {name: value for name, value in found.items() if isfinite(value)}
+        return {name: value for name, value in found.items() if not is_excessive(value)}
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta
 from math import inf, nan, nextafter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sms_jobs.cli.commands import COMMANDS
@@ -15,6 +16,7 @@ from sms_jobs.formats.configuration import example_campaign, parse_campaign
 from sms_jobs.metrology.geometry.camera import Intrinsics
 from sms_jobs.records.campaign import LoadState, Specimen
 from sms_jobs.records.numbers import LARGEST, is_excessive
+from sms_jobs.records.recording import Recording, Verdict, as_recorded
 from sms_jobs.records.sensors import Box, SensorFormat
 from sms_jobs.records.times import EARLIEST, LATEST, parsed_time
 from sms_jobs.virtual_rig.campaigns import small_plate
@@ -26,6 +28,8 @@ def test_numbers_with_which_nothing_can_be_computed(value: float) -> None:
     sensor = calibration.rig.sensors[0]
     with pytest.raises(InvalidInput, match="load_n of state S00"):
         LoadState("S00", load_n=value)
+    with pytest.raises(InvalidInput, match="measured_load_n of state S00"):
+        LoadState("S00", measured_load_n=value)
     with pytest.raises(InvalidInput, match="channel gauge of state S00"):
         LoadState("S00", channels={"gauge": value})
     with pytest.raises(InvalidInput, match="fx of sensor C1"):
@@ -45,6 +49,16 @@ def test_limits_are_allowed_themselves_and_told_from_what_is_just_beyond() -> No
         LoadState("S00", load_n=10**400)
     last = LATEST - timedelta(microseconds=1)
     assert [LoadState("S00", time=moment).time for moment in (EARLIEST, last)] == [EARLIEST, last]
+
+
+def test_what_an_overloaded_instrument_says_is_no_reading() -> None:
+    before = {"load_n": 9.9e37, "gauge": 1.0, "broken": nan}
+    after = {"load_n": 5.0, "gauge": 3.0}
+    frames = {"numbers": np.arange(3), "times_s": np.arange(3.0)}
+    recording = Recording("hall", Verdict(0.8, 0.0, 0.3), 0, 1, before, after, **frames)
+    assert recording.readings() == {"gauge": 2.0}
+    state = as_recorded(LoadState("S00", load_n=5.0), recording.readings())
+    assert (state.known_load_n, state.channels) == (5.0, {"gauge": 2.0})
 
 
 def test_names_and_sizes() -> None:

@@ -76,8 +76,7 @@ def axes(states: Sequence[LoadState]) -> tuple[Axis, ...]:
             readings["applied displacement [mm]"][state.label] = state.known_displacement_mm
         for name, value in sorted(state.channels.items()):
             readings.setdefault(name, {})[state.label] = value
-    known = {n: {s: v for s, v in values.items() if isfinite(v)} for n, values in readings.items()}
-    found = [Axis(n, values) for n, values in known.items() if len(set(values.values())) > 1]
+    found = [Axis(n, values) for n, values in readings.items() if len(set(values.values())) > 1]
     order = Axis("state", {s.label: float(place) for place, s in enumerate(states)}, names=True)
     return (*found, order)
 
