@@ -147,6 +147,7 @@ class JobLives(JobModel):
                 Sealed(f"{subject}/{held.kind}-{held.job_id}-{held.attempt}.h5", "0", 1, DATASET_MEDIA_TYPE),
                 {},
                 self.now if len(subjects) > 1 else None,
+                {},
             )
             for subject in subjects
         ]
