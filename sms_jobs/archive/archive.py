@@ -25,7 +25,7 @@ from sms_jobs.archive.provenance import (
     Provenance,
     Recorded,
     Sealed,
-    digest,
+    digest_of,
     provenance_from_json,
     provenance_to_json,
 )
@@ -46,11 +46,6 @@ are compared when they are read.
 """
 _OF_A_NETWORK_DISK = ".nfs"
 """Begins the names of files that are removed while somebody still reads them; they go by themselves."""
-
-
-def _digest_of(about: Mapping[str, Any]) -> str:
-    """Return what covers all that is said beside a document."""
-    return digest(json.dumps(about, sort_keys=True, separators=(",", ":"), ensure_ascii=False))
 
 
 class Archive:
@@ -142,7 +137,7 @@ class Archive:
                 "content_hash": sealed.content_hash,
                 "provenance": json.loads(provenance_to_json(provenance)),
             }
-            about["sha256"] = _digest_of(about)
+            about["sha256"] = digest_of(about)
             # First, so that no document is ever without its provenance.
             with sealing(self.root, path.with_name(layout.sidecar(path.name)), job) as beside:
                 beside.write_text(json.dumps(about, indent=1), encoding="utf-8")
@@ -275,7 +270,7 @@ class Archive:
             version = int(about["format_version"])
             told = about["provenance"], str(about["content_hash"]), str(about["media_type"])
             # Files of older programs have none.
-            whole = about.pop("sha256", None) in (None, _digest_of(about))
+            whole = about.pop("sha256", None) in (None, digest_of(about))
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise ArchiveCorrupt(f"the provenance of {path} cannot be read; restore {beside}") from error
         if not whole:
@@ -415,10 +410,6 @@ class Archive:
     def is_of_job(self, path: str, job_id: str) -> bool:
         """Tell whether a job sealed a file."""
         return layout.may_be_of(path.rsplit("/", 1)[-1], job_id) and self._job_of(path) == job_id
-
-    def attempt_of(self, path: str, job_id: str) -> int:
-        """Return which attempt of a job sealed a file, or was writing it."""
-        return layout.attempt_of(path, job_id)
 
     def leftovers(self, job_id: str, within: Subject | None = None) -> tuple[str, ...]:
         """Return every file, sealed or still being written, of a job's attempts so far, in order of path.

@@ -151,3 +151,8 @@ def provenance_from_json(text: str | bytes, path: str) -> Provenance:
 def digest(text: str | bytes) -> str:
     """Return the SHA-256 of a text in UTF-8, or of bytes, in hexadecimal."""
     return hashlib.sha256(text.encode() if isinstance(text, str) else text).hexdigest()
+
+
+def digest_of(about: Mapping[str, Any]) -> str:
+    """Return what covers all that is said beside a document."""
+    return digest(json.dumps(about, sort_keys=True, separators=(",", ":"), ensure_ascii=False))

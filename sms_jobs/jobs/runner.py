@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 from sqlalchemy.orm import Session
 
 import sms_jobs
-from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
+from sms_jobs.archive import Archive, InputReference, Provenance, Sealed, layout
 from sms_jobs.archive.place import require_usable, says_full, says_unusable
 from sms_jobs.catalogue.campaigns import Definitions
 from sms_jobs.catalogue.database import Catalogue
@@ -271,7 +271,7 @@ class Runner:
             indexed = indexing.paths_of(session, held.job_id)
         for path in self.archive.leftovers(held.job_id, held.subject):
             # One that was given up and does not know it must not take away what a newer one writes.
-            if path not in indexed and self.archive.attempt_of(path, held.job_id) < held.attempt:
+            if path not in indexed and layout.attempt_of(path, held.job_id) < held.attempt:
                 logger.warning("job %s: discarding %s of an earlier attempt", held.job_id, path)
                 self.archive.discard(path)
 

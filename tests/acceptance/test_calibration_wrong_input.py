@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from support.command import sms
+from support.command import inside
 
 from sms_jobs import bootstrap
 from sms_jobs.jobs.registration import register_campaign
@@ -53,7 +53,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ids=lambda value: " ".join(value) if isinstance(value, list) else str(value),
 )
 def test_a_command_that_cannot_be_done(home: Path, code: int, arguments: list[str], words: list[str]) -> None:
-    done = sms(*arguments, "--home", str(home))
+    done = inside(*arguments, "--home", str(home))
     assert done.returncode == code, done.stderr
     assert done.stdout == ""
     assert "Traceback" not in done.stderr

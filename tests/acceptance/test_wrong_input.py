@@ -11,7 +11,7 @@ from pathlib import Path
 
 import h5py
 import pytest
-from support.command import answer, sms
+from support.command import answer, inside
 from support.homes import make_home
 
 FOLDER = Path(__file__).parent / "wrong_inputs"
@@ -41,7 +41,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def refused(made: Path, code: int, *arguments: str, words: tuple[str, ...]) -> None:
     """Run a command that must be refused in one sentence, with nothing changed."""
     before = contents(made)
-    done = sms(*arguments, "--home", str(made))
+    done = inside(*arguments, "--home", str(made))
     assert done.returncode == code, done.stderr
     assert done.stdout == ""
     assert "Traceback" not in done.stderr
@@ -115,7 +115,7 @@ def test_a_command_that_cannot_be_done(made: Path, code: int, arguments: list[st
 def test_two_campaigns_of_one_name(made: Path, tmp_path: Path) -> None:
     home = shutil.copytree(made, tmp_path / "home")
     plan = tmp_path / "plan.toml"
-    plan.write_text(sms("campaign", "create", "--example").stdout)
+    plan.write_text(inside("campaign", "create", "--example").stdout)
     name = answer("campaign", "create", str(plan), "--home", str(home))["campaign"]
     refused(home, CONFLICT, "campaign", "create", str(plan), words=(name, "already"))
     assert len(answer("calibration", "list", "--home", str(home))) == 2
@@ -123,7 +123,7 @@ def test_two_campaigns_of_one_name(made: Path, tmp_path: Path) -> None:
 
 def test_a_home_that_is_not_there(tmp_path: Path) -> None:
     for command in (["status"], ["campaign", "list"], ["up"], ["job", "list"], ["db", "upgrade"]):
-        done = sms(*command, "--home", str(tmp_path / "nowhere"))
+        done = inside(*command, "--home", str(tmp_path / "nowhere"))
         assert done.returncode == USAGE
         assert "sms init" in done.stderr
     assert list(tmp_path.iterdir()) == []
@@ -133,7 +133,7 @@ def test_a_home_that_cannot_be_written(tmp_path: Path) -> None:
     # Below a file no folder can be made, not even by root.
     (tmp_path / "file").touch()
     for command in (["init", "--home"], ["demo", "--out"]):
-        done = sms(*command, str(tmp_path / "file" / "home"))
+        done = inside(*command, str(tmp_path / "file" / "home"))
         assert done.returncode == USAGE
         assert "cannot be made" in done.stderr
         assert "Traceback" not in done.stderr
@@ -157,13 +157,13 @@ def test_a_setting_that_cannot_be_used(made: Path, tmp_path: Path) -> None:
     ]:
         (home / "sms.toml").write_text(text)
         refused(home, USAGE, "status", words=words)
-        assert "tiger" not in sms("status", "--home", str(home)).stderr
+        assert "tiger" not in inside("status", "--home", str(home)).stderr
 
 
 def test_a_database_that_does_not_answer(made: Path) -> None:
     # Port 1 of this machine: nobody listens there.
     environment = {"SMS_DATABASE_URL": "postgresql+psycopg://sms:geheim@127.0.0.1:1/sms"}
-    done = sms("status", "--home", str(made), environment=environment)
+    done = inside("status", "--home", str(made), environment=environment)
     assert done.returncode == 7
     assert "does not answer" in done.stderr
     assert "geheim" not in done.stderr

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from support.sealing import JOB, files_below, provenance, regions
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, layout
 from sms_jobs.archive.layout import temporary_name
 
 
@@ -21,7 +21,7 @@ def test_the_attempt_is_known_of_what_is_sealed_and_of_what_is_being_written(tmp
         for path in (sealed.path, document.path):
             name = temporary_name(Path(path).name, JOB)
             (archive.path(path).parent / name).touch()
-    found = [archive.attempt_of(path, JOB) for path in archive.leftovers(JOB)]
+    found = [layout.attempt_of(path, JOB) for path in archive.leftovers(JOB)]
     # A dataset, a document, and one of each that is being written.
     assert sorted(found) == [1] * 4 + [2] * 4 + [12] * 4
     assert len(files_below(archive)) == 15  # with what stands beside the documents

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -9,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -18,7 +19,7 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
-from sms_jobs.cli.main import app
+from sms_jobs.cli.main import app, main
 
 SMS = [sys.executable, "-W", "error::DeprecationWarning:sms_jobs", "-m", "sms_jobs.cli.main"]
 
@@ -36,6 +37,28 @@ def sms(
         stdin=subprocess.DEVNULL,
         check=False,
     )
+
+
+def inside(
+    *arguments: str, environment: Mapping[str, str] | None = None, timeout: float = 300.0
+) -> subprocess.CompletedProcess[str]:
+    """Run one command to its end in this process, as its entry point does: errors and exit code included."""
+    printed, told, code = io.StringIO(), io.StringIO(), 0
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        _within(timeout),
+        redirect_stdout(printed),
+        redirect_stderr(told),
+    ):
+        patch.setattr(sys, "argv", ["sms", *arguments])
+        patch.setattr(sys, "stdin", io.StringIO())
+        for name, value in {"COLUMNS": "200", **(environment or {})}.items():
+            patch.setenv(name, value)
+        try:
+            main()
+        except SystemExit as ended:
+            code = ended.code if isinstance(ended.code, int) else 0
+    return subprocess.CompletedProcess(arguments, code, printed.getvalue(), told.getvalue())
 
 
 def answer(*arguments: str, environment: Mapping[str, str] | None = None, timeout: float = 300.0) -> Any:

@@ -162,6 +162,6 @@ def test_a_state_of_a_session_is_recorded_with_its_artefact(tmp_path: Path) -> N
         "operator",
     )
     sealed = Archive(tmp_path).seal_dataset({"measurement": made}, provenance)
-    with Archive(tmp_path).open(sealed.path) as dataset:
+    with Archive(tmp_path).open(sealed) as dataset:
         assert dataset.read("measurement", Measurement).simulation == made.simulation
     assert default_subjects(KIND, session) == tuple(Subject("session", s.label) for s in session.states)
