@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from sqlalchemy import delete, func, insert, select, text, update
-from support.command import answer, service, sms
+from support.command import answer, inside, service
 from support.deployments import Deployment
 from support.homes import make_home
 from support.jobs import NOW, claim, submit_pipeline
@@ -202,19 +202,19 @@ def test_work_goes_on_in_the_copied_catalogue(home: Path, fresh_postgresql_url: 
 
     with service(home):
         run(embedded, "job", "submit", "simulate", "-c", "plate", "--wait")
-        refused = sms("db", "copy", fresh_postgresql_url, "--home", str(home))
+        refused = inside("db", "copy", fresh_postgresql_url, "--home", str(home))
         assert (refused.returncode, "the service runs" in refused.stderr) == (4, True)
     # Some jobs are still to be run: they are to be run after the move, with what was recorded before it.
     jobs = run(embedded, "job", "submit", "reconstruct", "-c", "plate")["jobs"]
     secret = fresh_postgresql_url.replace("sms@", "sms:open-sesame@")
-    told = sms("db", "copy", "--json", "--home", str(home), environment={"SMS_COPY_TO_URL": secret})
+    told = inside("db", "copy", "--json", "--home", str(home), environment={"SMS_COPY_TO_URL": secret})
     assert told.returncode == 0, told.stderr
     assert "open-sesame" not in told.stdout + told.stderr
     grown = {"SMS_DATABASE_URL": fresh_postgresql_url, "SMS_BROKER_URL": redis_url}
     with service(home, grown):
         assert run(grown, "job", "wait", *jobs)["jobs"] == {"succeeded": len(jobs)}
     assert run(embedded, "status")["jobs"]["queued"] > 0  # the old catalogue is as it was
-    assert sms("archive", "verify", "--home", str(home), environment=grown).returncode == 0
+    assert inside("archive", "verify", "--home", str(home), environment=grown).returncode == 0
 
     back = f"sqlite:///{home / 'back.sqlite'}"
     run(grown, "db", "copy", back)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from support.archives import PLAN, Clock, emptied, everything, registered, run_jobs, work_again
-from support.command import sms
+from support.command import inside
 from support.deployments import Deployment
 from support.sealing import calibration, provenance
 
@@ -131,7 +131,7 @@ def test_what_is_not_to_be_trusted_is_refused_with_a_reason(
     others = set(told) - {measured[0], moved, document.path, made[0]}
     assert {told[path].outcome for path in others} == {"indexed"}
     environment = deployment.environment
-    done = sms("archive", "reindex", "--home", str(deployment.home), environment=environment)
+    done = inside("archive", "reindex", "--home", str(deployment.home), environment=environment)
     assert done.returncode == 6, done.stderr
     assert "refused" in done.stdout
 

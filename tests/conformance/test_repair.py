@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from support.archives import Clock, everything, registered, run_jobs
-from support.command import sms
+from support.command import inside
 from support.deployments import Deployment
 
 from sms_jobs.archive import Archive
@@ -87,7 +87,7 @@ def test_nothing_is_lost_and_what_can_be_mended_is(
         "sms job submit reconstruct -c plate --state S01 --pair "
     )
     # Planning has changed nothing, and the command alone does not either.
-    done = sms("archive", "repair", "--home", str(deployment.home), environment=deployment.environment)
+    done = inside("archive", "repair", "--home", str(deployment.home), environment=deployment.environment)
     assert done.returncode == 6, done.stderr
     assert on_disk(made) == contents
     assert repair.apply(catalogue, made, plan, clock()) == []

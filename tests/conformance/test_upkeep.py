@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import closing
 
 from sqlalchemy import text
-from support.command import sms
+from support.command import inside
 from support.deployments import Deployment
 from support.homes import make_home
 
@@ -34,7 +34,7 @@ def test_what_has_been_filled_is_looked_at(catalogue: Catalogue) -> None:
 
 def test_a_supervisor_lets_the_database_look(deployment: Deployment) -> None:
     make_home(deployment.home, deployment.environment)
-    ended = sms("up", "--until-idle", "--home", str(deployment.home), environment=deployment.environment)
+    ended = inside("up", "--until-idle", "--home", str(deployment.home), environment=deployment.environment)
     assert ended.returncode == 0, ended.stderr
     with closing(deployment.catalogue()) as catalogue:
         assert "campaign" in looked_at(catalogue)

@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from support.command import answer, service, sms
+from support.command import answer, inside, service
 from support.deployments import Deployment
 from support.homes import make_home
 
@@ -25,7 +25,7 @@ def run(deployment: Deployment, *arguments: str) -> object:
 
 
 def findings(deployment: Deployment, *options: str) -> tuple[int, str]:
-    done = sms(
+    done = inside(
         "archive", "verify", *options, "--home", str(deployment.home), environment=deployment.environment
     )
     return done.returncode, done.stdout

@@ -15,7 +15,7 @@ import psutil
 import pytest
 import sqlalchemy
 from sqlalchemy import update
-from support.command import SMS, sms
+from support.command import SMS, inside
 from support.deployments import Deployment
 from support.jobs import NOW, claim, submit_pipeline
 
@@ -169,7 +169,7 @@ def test_they_are_served_on_loopback_alone(lived_in: Deployment) -> None:
         with pytest.raises(urllib.error.HTTPError, match="404"):
             get(url.replace("/metrics", "/../etc/passwd"))
         port = url.rpartition(":")[2].removesuffix("/metrics")
-        refused = sms("metrics", "--port", port, "--home", str(lived_in.home))
+        refused = inside("metrics", "--port", port, "--home", str(lived_in.home))
         assert (refused.returncode, f"port {port}" in refused.stderr) == (4, True)
 
 
@@ -198,7 +198,7 @@ def test_a_catalogue_that_is_away_is_a_number(
 
 def test_once_prints_and_tells_no_secret(lived_in: Deployment) -> None:
     secret = {"SMS_BROKER_URL": "redis://:open-sesame@127.0.0.1:1/0"}
-    done = sms("metrics", "--once", "--home", str(lived_in.home), environment=secret)
+    done = inside("metrics", "--once", "--home", str(lived_in.home), environment=secret)
     assert (done.returncode, done.stderr) == (0, "")
     assert read(done.stdout)["sms_catalogue_up"] == 1
     assert "open-sesame" not in done.stdout

@@ -53,6 +53,8 @@ from sms_jobs.virtual_rig.campaigns import small_plate
 QUEUES = ["cpu", "io", "acquisition"]
 STATES = [state.label for state in small_plate("plate")[1].states[:2]]
 DAMAGES = ["data", "provenance", "cut", "lost"]
+# Where a row of `everything` about a file has its source, its campaign, state and pair, and its job.
+SOURCE, ABOUT, JOB = 1, slice(6, 9), 9
 
 
 class ArchiveCare(RuleBasedStateMachine):
@@ -297,12 +299,14 @@ class ArchiveCare(RuleBasedStateMachine):
         """Leave out what files cannot tell: jobs that failed, and those whose files were collected.
 
         Nor do they tell that a definition or a decision was sealed again; the order of these does not count.
+        Of results that of those about one thing counts: an older one may have been indexed by a repair after
+        newer ones about another.
         """
         if table == "files":
-            return sorted(rows, key=lambda row: (row[8] is not None, "" if row[8] else row[0]))
+            return sorted(rows, key=lambda row: (row[SOURCE], *row[ABOUT]) if row[JOB] else row[:1])
         if table not in ("jobs", "dependencies"):
             return rows
-        makers = {row[8] for row in before["files"]} - self.failed_jobs
+        makers = {row[JOB] for row in before["files"]} - self.failed_jobs
         return [row for row in rows if row[0] in makers]
 
     @invariant()

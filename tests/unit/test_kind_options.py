@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from support.command import sms
+from support.command import inside
 
 from sms_jobs.cli.kind_options import parameter_rows, split_words
 from sms_jobs.errors import InvalidInput
@@ -43,8 +43,8 @@ def test_every_parameter_of_every_kind_says_what_it_means(kind: object) -> None:
 
 
 def test_help_after_a_kind_shows_its_parameters() -> None:
-    shown = sms("job", "submit", "reconstruct", "--help")
+    shown = inside("job", "submit", "reconstruct", "--help")
     assert shown.returncode == 0
     for option in ("--priority", "--method", "--returns", "temporal-unwrapping"):
         assert option in shown.stdout
-    assert "--method" not in sms("job", "submit", "--help").stdout.partition("Options")[2]
+    assert "--method" not in inside("job", "submit", "--help").stdout.partition("Options")[2]

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.command import answer, sms
+from support.command import answer, inside
 
 WRONG = Path(__file__).parent / "wrong_calibrations"
 SINCE = "2026-05-04T10:00:00+02:00"
@@ -19,7 +19,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A home with calibration 1 of rig desk, from a file in SLStudio's layout."""
     folder = tmp_path_factory.mktemp("interchange")
     home = folder / "home"
-    assert sms("init", "--home", str(home)).returncode == 0
+    assert inside("init", "--home", str(home)).returncode == 0
     storage = cv2.FileStorage(str(folder / "desk.xml"), cv2.FILE_STORAGE_WRITE)
     for name, focal in (("Kc", 2195.0), ("Kp", 2601.0)):
         storage.write(name, np.array([[focal, 0.0, 843.5], [0.0, focal, 675.5], [0.0, 0.0, 1.0]]))
@@ -61,10 +61,10 @@ def test_what_goes_out_is_known_when_it_comes_back(made: Path, tmp_path: Path) -
 
 def test_the_thesiss_parameters_become_a_calibration_of_their_own(made: Path, tmp_path: Path) -> None:
     out = tmp_path / "desk.xml"
-    done = sms("calibration", "export", "1", "--as", "thesis-xml", "--out", str(out), "--home", str(made))
+    done = inside("calibration", "export", "1", "--as", "thesis-xml", "--out", str(out), "--home", str(made))
     assert done.returncode == 0, done.stderr
     assert "C1: distortion carried over within" in done.stderr
-    done = sms("calibration", "import", str(out), "--rig", "thesis", "--home", str(made))
+    done = inside("calibration", "import", str(out), "--rig", "thesis", "--home", str(made))
     assert done.returncode == 0, done.stderr
     assert "of rig thesis (C1 P1) is entered" in done.stderr
     (listed,) = answer("calibration", "list", "--rig", "thesis", "--home", str(made))
@@ -91,24 +91,24 @@ def test_a_second_calibration_of_a_rig_waits_for_a_word(made: Path, tmp_path: Pa
     out, at = tmp_path / "next.json", ("--home", str(made))
     answer("calibration", "export", "1", "--as", "opencv-json", "--out", str(out), *at)
     later = ("--valid-from", "2026-05-05T10:00:00+02:00")
-    told = " ".join(sms("calibration", "import", str(out), *later, *at).stderr.split())
+    told = " ".join(inside("calibration", "import", str(out), *later, *at).stderr.split())
     number = told.split()[1]
     assert f"inactive, since the rig has another in use: 'sms calibration accept {number}' takes it" in told
     (waiting,) = answer("calibration", "list", "--inactive", *at)
     assert (str(waiting["id"]), waiting["in_use"], waiting["campaigns"]) == (number, False, [])
-    listed = sms("calibration", "list", "--rig", "desk", *at)
+    listed = inside("calibration", "list", "--rig", "desk", *at)
     assert "inactive" in listed.stdout
     assert f"calibration {number} is inactive; 'sms calibration accept {number}'" in listed.stderr
-    accepted = sms("calibration", "accept", number, *at)
+    accepted = inside("calibration", "accept", number, *at)
     assert f"calibration {number} is used for rig desk from 2026-05-05" in " ".join(accepted.stderr.split())
     assert answer("calibration", "accept", number, *at)["new"] is False
     assert answer("calibration", "list", "--inactive", *at) == []
     assert answer("calibration", "withdraw", number, *at)["in_use"] is False
-    assert sms("calibration", "accept", number, "-c", "nobody", *at).returncode == 3
+    assert inside("calibration", "accept", number, "-c", "nobody", *at).returncode == 3
     larger = tmp_path / "larger.json"
     larger.write_text(out.read_text().replace("1688", "1700"))
     before = contents(made)
-    refused = sms("calibration", "import", str(larger), *at)
+    refused = inside("calibration", "import", str(larger), *at)
     assert refused.returncode == 4
     assert "C1 (1700 x 1352 px)" in " ".join(refused.stderr.split())
     assert "a rig with other sensors needs a name of its own" in " ".join(refused.stderr.split())
@@ -130,7 +130,7 @@ def test_a_second_calibration_of_a_rig_waits_for_a_word(made: Path, tmp_path: Pa
 )
 def test_wrong_input_changes_nothing(arguments: tuple[str, ...], code: int, words: str, made: Path) -> None:
     before = contents(made)
-    done = sms("calibration", *arguments, "--home", str(made))
+    done = inside("calibration", *arguments, "--home", str(made))
     assert done.returncode == code, done.stderr
     assert words in " ".join(done.stderr.split())
     assert done.stderr.count("error:") == 1
@@ -140,8 +140,8 @@ def test_wrong_input_changes_nothing(arguments: tuple[str, ...], code: int, word
 
 
 def test_the_help_has_examples() -> None:
-    assert "Example: sms calibration import intrinsics.yml" in sms("calibration", "import", "--help").stdout
-    assert "Example: sms calibration accept 3" in sms("calibration", "accept", "--help").stdout
+    for name, example in (("import", "intrinsics.yml"), ("accept", "3")):
+        assert f"Example: sms calibration {name} {example}" in inside("calibration", name, "--help").stdout
 
 
 def test_the_plan_of_a_campaign_is_kept_letter_by_letter(made: Path, tmp_path: Path) -> None:
@@ -150,5 +150,5 @@ def test_the_plan_of_a_campaign_is_kept_letter_by_letter(made: Path, tmp_path: P
     path = tmp_path / "plate.xml"
     path.write_bytes(text.encode())
     assert answer("campaign", "create", str(path), "--home", str(made))["pairs"] == ["C1P1", "C2P1"]
-    assert sms("campaign", "show", "plate-tension", "--plan", "--home", str(made)).stdout == text
+    assert inside("campaign", "show", "plate-tension", "--plan", "--home", str(made)).stdout == text
     assert answer("campaign", "show", "plate-tension", "--home", str(made))["plan"] == text

@@ -65,9 +65,10 @@ def stereo(pairs: list[tuple[BoardPoints, BoardPoints]], size: tuple[int, int]) 
     return left, float(found[0])
 
 
-def test_every_simulated_pair_of_dots_is_found() -> None:
+@pytest.mark.parametrize("poses", [range(0, 21, 4), pytest.param(range(21), marks=pytest.mark.long)], ids=len)
+def test_every_simulated_pair_of_dots_is_found(poses: range) -> None:
     pairs = []
-    for pose in range(21):
+    for pose in poses:
         first, second = (find_board(grey(f"dots_stereo/dot_{pose:02d}_{side}.jpeg"), DOTS) for side in (0, 1))
         assert (first.reason, second.reason) == ("", "")
         assert min(first.markers_seen, second.markers_seen) == 3
