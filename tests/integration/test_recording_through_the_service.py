@@ -12,6 +12,7 @@ import psutil
 import pytest
 from sqlalchemy import select
 from support.command import answer, service, sms, wait_until
+from support.spools import complete_frames
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive
@@ -102,7 +103,7 @@ def measurements(home: Path) -> dict[str, Measurement]:
 
 def spooled(home: Path) -> int:
     """Return how many complete frames of the second projector are in a spool."""
-    return sum(Spooled(p).complete for p in (home / "spool").glob("*/C1P2.*.frames"))
+    return complete_frames(home, "C1P2")
 
 
 @pytest.mark.long

@@ -71,7 +71,6 @@ def claims(catalogue: Catalogue, worker: str) -> list[datetime]:
         return list(session.scalars(select(EventRow.at).where(EventRow.state == JobState.RUNNING, claimed)))
 
 
-@pytest.mark.long
 def test_a_campaign_outlives_the_restart_of_either_host(
     fresh_postgresql_url: str, redis_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
