@@ -104,12 +104,14 @@ class CommitInDoubt(ServerUnreachable):
 class StorageFull(SmsError):
     """The disk that holds the archive or the catalogue has no room left."""
 
+    exit_code = 7
     retryable = True
 
 
 class StorageUnusable(SmsError):
     """The disk or share that holds the archive is read-only, gone, failing, or forbidden to this account."""
 
+    exit_code = 7
     retryable = True
 
 

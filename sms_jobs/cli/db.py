@@ -14,7 +14,7 @@ from sms_jobs import bootstrap
 from sms_jobs import settings as settings_file
 from sms_jobs.catalogue import copying, schema, upkeep
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.cli import output
+from sms_jobs.cli import output, writing
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.jobs import backups
 from sms_jobs.jobs.backups import Progress
@@ -114,6 +114,7 @@ def backup(
     Example: sms db backup /mnt/backup/sms
     """
     with bootstrap.services(home) as services:
+        writing.new_folder(folder)
         steps = backups.back_up(
             services.catalogue, services.archive, services.settings, folder, datetime.now(UTC), shares
         )

@@ -75,6 +75,7 @@ def pack(
     with bootstrap.services(home) as services:
         with services.catalogue.reading() as session:
             parts = portable.chosen(session, wanted, now)
+        writing.new_folder(to)
         done = portable.begin(to, wanted, parts)
         files: list[CrateFile] = []
         with output.byte_bar() as bar, Checker() as checker:

@@ -15,7 +15,7 @@ from sms_jobs.bench.hostile.values import SECRET
 _CODES = frozenset({0, 2, 3, 4, 5, 6, 7, 124, 130})
 _REFUSALS = frozenset({2, 3, 4, 7})
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
-_PASSED_OVER = ("logs", "messages", "catalogue.sqlite")
+_PASSED_OVER = ("logs", ".logs", "messages", "catalogue.sqlite", ".planning-")
 """Of the home; what commands may write although they were refused."""
 
 
@@ -53,6 +53,7 @@ class Watch:
         """Return the files of the archive that the catalogue does not know."""
         root = self.place / "home" / "archive"
         found = {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()}
+        found = {name for name in found if not name.startswith(".logs/")}
         known = self.books.paths()
         return sorted(found - known - {f"{path}.provenance.json" for path in known})
 
