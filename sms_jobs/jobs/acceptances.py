@@ -26,6 +26,7 @@ from sms_jobs.catalogue.models import (
 )
 from sms_jobs.catalogue.valid_calibrations import Sensors
 from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.jobs.entering import enter_file, entered_or_discarded
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import Campaign
@@ -49,18 +50,7 @@ def seal(archive: Archive, acceptance: Acceptance, path: str, now: datetime) -> 
 
 def enter(session: Session, acceptance: Acceptance, sealed: Sealed, now: datetime) -> None:
     """Index a sealed decision about a calibration that the catalogue knows."""
-    file = FileRow(
-        source=ACCEPTANCE,
-        path=sealed.path,
-        content_hash=sealed.content_hash,
-        size_bytes=sealed.size_bytes,
-        sha256=sealed.sha256,
-        media_type=sealed.media_type,
-        created_at=now,
-    )
-    session.add(file)
-    session.flush()
-    decide(session, acceptance, now, file.id)
+    decide(session, acceptance, now, enter_file(session, sealed, ACCEPTANCE, now).id)
 
 
 def decide(session: Session, acceptance: Acceptance, at: datetime, file_id: int) -> None:
@@ -197,13 +187,10 @@ def accept(
             # A clock that was set back must not make the earlier decision the later one.
             now = max(now, last.decided_at + timedelta(microseconds=1))
     acceptance = Acceptance(view.rig, content, campaign, in_use)
-    sealed = seal(archive, acceptance, view.path, now)
-    try:
+    with entered_or_discarded(archive) as made:
+        made.append(seal(archive, acceptance, view.path, now))
         with catalogue.writing() as session:
-            enter(session, acceptance, sealed, now)
-    except BaseException:
-        archive.discard(sealed.path)
-        raise
+            enter(session, acceptance, made[0], now)
     return True
 
 

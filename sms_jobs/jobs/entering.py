@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import datetime
+
+from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive, Sealed
+from sms_jobs.catalogue.models import FileRow
 from sms_jobs.errors import CommitInDoubt
 
 
@@ -25,3 +29,33 @@ def entered_or_discarded(archive: Archive) -> Iterator[list[Sealed]]:
         for one in sealed:
             archive.discard(one.path)
         raise
+
+
+def enter_file(
+    session: Session,
+    sealed: Sealed,
+    source: str,
+    at: datetime,
+    *,
+    campaign_id: int | None = None,
+    state_id: int | None = None,
+    pair: str | None = None,
+    job_id: str | None = None,
+) -> FileRow:
+    """Enter what is on record of a sealed file, by which its readers know it again; return its row."""
+    row = FileRow(
+        source=source,
+        path=sealed.path,
+        content_hash=sealed.content_hash,
+        size_bytes=sealed.size_bytes,
+        sha256=sealed.sha256,
+        media_type=sealed.media_type,
+        created_at=at,
+        campaign_id=campaign_id,
+        state_id=state_id,
+        pair=pair,
+        job_id=job_id,
+    )
+    session.add(row)
+    session.flush()
+    return row

@@ -31,7 +31,7 @@ from sms_jobs.catalogue.models import (
 from sms_jobs.catalogue.valid_calibrations import note_time
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.importers.readings import Reading
-from sms_jobs.jobs.entering import entered_or_discarded
+from sms_jobs.jobs.entering import enter_file, entered_or_discarded
 from sms_jobs.jobs.registration import index_definition, seal_definition
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import MEASUREMENT
@@ -213,21 +213,10 @@ def _index(session: Session, subject: Subject, sealed: Sealed, recorded_at: date
 def _file(session: Session, subject: Subject, sealed: Sealed, now: datetime, source: str) -> FileRow:
     campaign_id = campaigns.campaign_id(session, subject.campaign)
     label = subject.state or ""
-    file = FileRow(
-        source=source,
-        path=sealed.path,
-        content_hash=sealed.content_hash,
-        size_bytes=sealed.size_bytes,
-        sha256=sealed.sha256,
-        media_type=sealed.media_type,
-        created_at=now,
-        campaign_id=campaign_id,
-        state_id=campaigns.state_ids(session, campaign_id, [label])[label],
-        pair=subject.pair,
+    state_id = campaigns.state_ids(session, campaign_id, [label])[label]
+    return enter_file(
+        session, sealed, source, now, campaign_id=campaign_id, state_id=state_id, pair=subject.pair
     )
-    session.add(file)
-    session.flush()
-    return file
 
 
 def with_states(campaign: Campaign, labels: Iterable[str]) -> Campaign:

@@ -25,6 +25,7 @@ from sms_jobs.catalogue.models import (
 )
 from sms_jobs.errors import ArchiveCorrupt
 from sms_jobs.jobs import calibration_choice
+from sms_jobs.jobs.entering import enter_file
 from sms_jobs.jobs.lifecycle import Claim
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, RECORDING, DatasetOutput, Kind, Output
 from sms_jobs.records.campaign import Subject
@@ -134,21 +135,16 @@ def add_outputs(
     states = campaigns.state_ids(session, held.campaign_id, labels)
     for output in outputs:
         state_id = None if output.subject.state is None else states[output.subject.state]
-        file = FileRow(
-            source=kind.makes or kind.name,
-            path=output.file.path,
-            content_hash=output.file.content_hash,
-            size_bytes=output.file.size_bytes,
-            sha256=output.file.sha256,
-            media_type=output.file.media_type,
-            created_at=now,
+        file = enter_file(
+            session,
+            output.file,
+            kind.makes or kind.name,
+            now,
             campaign_id=held.campaign_id,
             state_id=state_id,
             pair=output.subject.pair,
             job_id=held.job_id,
         )
-        session.add(file)
-        session.flush()
         if output.recorded_at is None:
             session.add(ResultRow(file_id=file.id, kind=kind.name, kind_version=kind.version))
         else:

@@ -21,7 +21,7 @@ from sms_jobs.catalogue import campaigns, lineage, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CalibrationRow, FileRow, ProvenanceRow
 from sms_jobs.jobs import acceptances
-from sms_jobs.jobs.entering import entered_or_discarded
+from sms_jobs.jobs.entering import enter_file, entered_or_discarded
 from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION
@@ -83,19 +83,8 @@ def seal_definition(archive: Archive, definition: CampaignDefinition, now: datet
 
 def index_definition(session: Session, name: str, sealed: Sealed, now: datetime) -> int:
     """Index the sealed definition of a campaign that the catalogue knows; return the number of the file."""
-    file = FileRow(
-        source=CAMPAIGN,
-        path=sealed.path,
-        content_hash=sealed.content_hash,
-        size_bytes=sealed.size_bytes,
-        sha256=sealed.sha256,
-        media_type=sealed.media_type,
-        created_at=now,
-        campaign_id=campaigns.campaign_id(session, name),
-    )
-    session.add(file)
-    session.flush()
-    return file.id
+    number = campaigns.campaign_id(session, name)
+    return enter_file(session, sealed, CAMPAIGN, now, campaign_id=number).id
 
 
 @dataclass(frozen=True)
@@ -208,17 +197,7 @@ def _index(
     )
     if known is not None:
         return known, True
-    file = FileRow(
-        source=CALIBRATION,
-        path=sealed.path,
-        content_hash=sealed.content_hash,
-        size_bytes=sealed.size_bytes,
-        sha256=sealed.sha256,
-        media_type=sealed.media_type,
-        created_at=now,
-    )
-    session.add(file)
-    session.flush()
+    file = enter_file(session, sealed, CALIBRATION, now)
     for given in inputs:
         source = session.scalars(select(FileRow.id).where(FileRow.path == given.path)).one()
         session.add(ProvenanceRow(output_id=file.id, role=given.role, input_id=source))

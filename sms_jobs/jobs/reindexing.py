@@ -41,6 +41,7 @@ from sms_jobs.catalogue.models import (
 from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput, SmsError
 from sms_jobs.jobs import acceptances, past_jobs
 from sms_jobs.jobs.acceptances import ACCEPTANCE
+from sms_jobs.jobs.entering import enter_file
 from sms_jobs.jobs.past_definitions import PastDefinitions
 from sms_jobs.jobs.registration import CAMPAIGN
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, RECORDING
@@ -347,22 +348,16 @@ def _file_row(session: Session, one: Found, source: str) -> FileRow:
     campaign_id, state_id, pair = (
         (None, None, None) if source in (CALIBRATION, ACCEPTANCE) else _place(session, one.provenance.subject)
     )
-    row = FileRow(
-        source=source,
-        path=one.sealed.path,
-        content_hash=one.sealed.content_hash,
-        size_bytes=one.sealed.size_bytes,
-        sha256=one.sealed.sha256,
-        media_type=one.sealed.media_type,
-        created_at=one.provenance.created_at,
+    return enter_file(
+        session,
+        one.sealed,
+        source,
+        one.provenance.created_at,
         campaign_id=campaign_id,
         state_id=state_id,
         pair=pair,
         job_id=one.provenance.job_id or None,
     )
-    session.add(row)
-    session.flush()
-    return row
 
 
 def _place(session: Session, subject: Subject) -> tuple[int, int | None, str | None]:

@@ -7,7 +7,6 @@ import socket
 from dataclasses import replace
 from datetime import datetime
 
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 import sms_jobs
@@ -15,7 +14,7 @@ from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, Provenance, Sealed, la
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, StatisticRow
-from sms_jobs.jobs.entering import entered_or_discarded
+from sms_jobs.jobs.entering import enter_file, entered_or_discarded
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.surfaces import SURFACE, ReferenceSurface
 
@@ -88,18 +87,7 @@ def _seal(
 def _index(
     session: Session, campaign: str, sealed: Sealed, statistics: dict[str, float], now: datetime
 ) -> int:
-    file = FileRow(
-        source=SURFACE,
-        path=sealed.path,
-        content_hash=sealed.content_hash,
-        size_bytes=sealed.size_bytes,
-        sha256=sealed.sha256,
-        media_type=sealed.media_type,
-        created_at=now,
-        campaign_id=campaigns.campaign_id(session, campaign),
-    )
-    session.add(file)
-    session.flush()
+    number = campaigns.campaign_id(session, campaign)
+    file = enter_file(session, sealed, SURFACE, now, campaign_id=number)
     session.add_all(StatisticRow(file_id=file.id, name=n, value=v) for n, v in statistics.items())
-    number: int = session.scalars(select(FileRow.id).where(FileRow.path == sealed.path)).one()
-    return number
+    return file.id
