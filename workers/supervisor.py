@@ -21,7 +21,7 @@ from sqlalchemy import exists, select
 
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import upkeep
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.models import JobRow, WorkerRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs import limits, recovery, schedules
 from sms_jobs.jobs.limits import Limits, Watch
@@ -43,6 +43,7 @@ _BEAT_EVERY_S = ALIVE_WITHIN.total_seconds() / 3
 _ANALYSE_EVERY_S = 3600.0
 _PATIENCE_WITH_BROKER_S = 5.0
 _QUEUE_READY_EVERY_S = 30.0
+_REGISTER_AGAIN_S = 1.0
 _PATIENCE_WITH_JOBS_S = 600.0
 """How long jobs that run may take to end when the service is told to."""
 
@@ -82,8 +83,8 @@ class Supervisor:
         """Serve until a signal asks to stop, or, if wished, until no job is left that can run."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._ask_to_stop)
-        while not self._done(self._register):
-            time.sleep(_TICK_S)
+        while not self._registered():
+            time.sleep(_REGISTER_AGAIN_S)
             if self._stop_asked:
                 return
         publisher = Publisher(self._app, self._services.catalogue, self._settings.workers)
@@ -99,19 +100,28 @@ class Supervisor:
             self._stop()
             publisher.join(timeout=_PATIENCE_WITH_BROKER_S)
 
-    def _register(self) -> None:
-        with self._services.catalogue.writing() as session:
-            recovery.register_worker(
-                session,
-                self.worker_id,
-                socket.gethostname(),
-                os.getpid(),
-                self._served,
-                self._settings.workers,
-                datetime.now(UTC),
-                origin=self._origin,
-                lease=timedelta(seconds=self._settings.lease_s),
-            )
+    def _registered(self) -> bool:
+        """Enter this worker; False where that may go better later. What does not pass ends the service."""
+        try:
+            with self._services.catalogue.writing() as session:
+                if session.get(WorkerRow, self.worker_id) is None:  # or nobody heard that it was entered
+                    recovery.register_worker(
+                        session,
+                        self.worker_id,
+                        socket.gethostname(),
+                        os.getpid(),
+                        self._served,
+                        self._settings.workers,
+                        datetime.now(UTC),
+                        origin=self._origin,
+                        lease=timedelta(seconds=self._settings.lease_s),
+                    )
+        except SmsError as error:
+            if not error.retryable:
+                raise
+            logger.warning("%s", error)
+            return False
+        return True
 
     def _serve(self, until_idle: bool) -> None:
         beat_at = recover_at = analyse_at = queue_ready_at = 0.0

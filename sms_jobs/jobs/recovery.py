@@ -121,11 +121,6 @@ def recover(
     silent
         Others, as its `Witness` has found them.
 
-    Parameters
-    ----------
-    leases_count
-        False just after the database was away: nobody could renew a lease meanwhile.
-
     Returns
     -------
     Ids of the jobs that were lost.
