@@ -16,7 +16,7 @@ from support.homes import make_home
 from sms_jobs import bootstrap
 
 AS_ANOTHER = """
-import json, os, sys
+import encodings.ascii, json, os, sys
 import sms_jobs.cli.main as entry
 from sms_jobs.bench.hostile import trial
 trial.load_everything()  # while the interpreter's own folder can be read
@@ -92,8 +92,11 @@ def test_who_may_only_read_can_read(home: Path, open_elsewhere: bool) -> None:
     assert any("plate" in line for line in told)
 
 
-def test_who_may_only_read_is_told_so(home: Path) -> None:
+@pytest.mark.parametrize("command", [["queue", "pause", "cpu"], ["up"]], ids=" ".join)
+def test_who_may_only_read_is_told_so(home: Path, command: list[str]) -> None:
+    (home / "messages" / "queue").mkdir(parents=True, exist_ok=True)
+    (home / "messages" / "control").mkdir(exist_ok=True)
     read_only(home)
-    told = answers(home, [["queue", "pause", "cpu"]])
+    told = answers(home, [command])
     assert '{"code": 4}' in told
     assert "may only read the catalogue" in told[-1]
