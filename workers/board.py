@@ -31,9 +31,9 @@ class Board:
     def __init__(self, descriptor: int) -> None:
         self._memory = mmap.mmap(descriptor, os.fstat(descriptor).st_size)
 
-    def enter(self, line: int) -> None:
-        """Take a line for this process."""
-        _LINE.pack_into(self._memory, _at(line), os.getpid(), 0)
+    def enter(self, line: int, pid: int) -> None:
+        """Give a line to a process."""
+        _LINE.pack_into(self._memory, _at(line), pid, 0)
 
     def beat(self, line: int) -> bool:
         """Give a sign of life; False when the line is another's by now."""

@@ -33,7 +33,7 @@ def main() -> None:
     gc.collect()
     gc.freeze()
     board = Board(board_descriptor)
-    board.enter(NURSERY)
+    board.enter(NURSERY, os.getpid())
     children: dict[int, int] = {}
     wishes = sys.stdin.fileno()
     while board.beat(NURSERY):
@@ -59,6 +59,8 @@ def _fork(board: Board, line: int, lifeline: int, wishes: int) -> int:
     if child == 0:
         os.dup2(os.open(os.devnull, os.O_RDONLY), wishes)
         place.serve(board, line, lifeline)
+    # It says so itself, too; one that is stopped before it could would be known to nobody.
+    board.enter(line, child)
     return child
 
 

@@ -38,7 +38,7 @@ def serve(board: Board, line: int, lifeline: int) -> NoReturn:
     """
     status = 1
     try:
-        board.enter(line)
+        board.enter(line, os.getpid())
         logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(process)d %(message)s")
         cv2.setNumThreads(SETTINGS.threads)
         threading.Thread(target=_end_with_supervisor, args=(lifeline,), daemon=True).start()

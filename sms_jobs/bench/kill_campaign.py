@@ -119,7 +119,6 @@ class KillCampaign:
         self._environment = os.environ | dict(environment) | own
         self._places = places
         self._rng = rng
-        self._seen: dict[int, psutil.Process] = {}
         self._outcome = Outcome()
 
     def run(self, hits: Sequence[Hit], say: Callable[[str], None]) -> Outcome:
@@ -213,14 +212,15 @@ class KillCampaign:
 
     def _there(self, supervisor: psutil.Process) -> list[psutil.Process]:
         """Return the places; those whose nursery was killed are nobody's children any more."""
-        for nursery in supervisor.children():
-            self._seen |= {place.pid: place for place in nursery.children()}
-        self._seen = {
-            pid: place
-            for pid, place in self._seen.items()
-            if place.is_running() and place.status() != psutil.STATUS_ZOMBIE
-        }
-        return list(self._seen.values())
+        nurseries = supervisor.children()
+        return [p for p in psutil.process_iter() if p not in nurseries and self._is_of_nursery(p)]
+
+    def _is_of_nursery(self, process: psutil.Process) -> bool:
+        with suppress(psutil.NoSuchProcess, psutil.AccessDenied):
+            # What has died and nobody has buried yet has no command any more.
+            if "sms_jobs.workers.nursery" in process.cmdline():
+                return bool(process.environ().get("SMS_HOME") == str(self._home))
+        return False
 
     def _settle(self, catalogue: Catalogue) -> None:
         _wait(lambda: not _count(catalogue, *ACTIVE), "the jobs did not end")

@@ -86,4 +86,4 @@ def submitted(catalogue: Catalogue) -> str:
 
 def ended(catalogue: Catalogue) -> bool:
     with catalogue.reading() as session:
-        return set(inquiry.counts(session)) == {JobState.SUCCEEDED}
+        return set(inquiry.counts(session)) == {JobState.SUCCEEDED.value}
