@@ -151,15 +151,22 @@ class Places:
                     self._processes[line] = psutil.Process(pid)
 
     def _wake_stopped(self, now: float) -> None:
-        stopped = {line: p.pid for line, p in self._processes.items() if _is_stopped(p)}
+        there = self._all_there()
+        stopped = {line: p.pid for line, p in there.items() if _is_stopped(p)}
         for line, for_s in self._stopped.look(stopped, now).items():
-            process = self._processes[line]
+            process = there[line]
             if for_s > _STOPPED_S:
                 logger.error("process %d was stopped and does not go on; killing it", process.pid)
                 _send(process, signal.SIGKILL)
             elif for_s > _WAKE_AFTER_S:
                 logger.warning("process %d was stopped; letting it go on", process.pid)
                 _send(process, signal.SIGCONT)
+
+    def _all_there(self) -> dict[int, psutil.Process]:
+        """Return the processes by their lines, a nursery that still loads kinds among them."""
+        if NURSERY not in self._processes and self._nursery is not None and self._nursery.poll() is None:
+            return self._processes | {NURSERY: psutil.Process(self._nursery.pid)}
+        return self._processes
 
     def _end_silent(self, now: float) -> None:
         busy = self._busy

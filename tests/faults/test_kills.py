@@ -79,6 +79,15 @@ def test_places_that_hang_are_replaced(home: Path) -> None:
         catalogue.close()
 
 
+def test_a_nursery_that_is_stopped_while_it_loads_is_woken(home: Path) -> None:
+    make_home(home, {})
+    with service(home, {"SMS_WORKERS": "1"}) as supervisor:
+        # It has not said yet that it is there: to load kinds takes it a second.
+        (nursery,) = wait_until(supervisor.children)
+        nursery.suspend()
+        wait_until(lambda: [p for n in supervisor.children() for p in n.children()], timeout=LONGEST_STALL_S)
+
+
 def submitted(catalogue: Catalogue) -> str:
     with catalogue.writing() as session:
         return submit(session, "plate", [Request("simulate")], datetime.now(UTC)).job_ids[0]
