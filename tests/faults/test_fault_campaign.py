@@ -40,8 +40,8 @@ def disk(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Path,
     """A folder, and whether it is a file system of its own that may be filled up."""
     folder = tmp_path / "disk"
     folder.mkdir()
-    # A thousand jobs leave a gigabyte.
-    size = "1500m" if request.node.get_closest_marker("long") else "60m"
+    # A thousand jobs leave a gigabyte, and a machine that is quick does some thousand more meanwhile.
+    size = "4000m" if request.node.get_closest_marker("long") else "60m"
     mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "none", str(folder)]
     mounted = os.geteuid() == 0 and subprocess.run(mount, capture_output=True, check=False).returncode == 0
     try:
