@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.board_adjustments import board_problem
 
 from sms_jobs.metrology.calibration.board_views import BoardView
 from sms_jobs.metrology.calibration.bundle_adjustment import adjust
-from sms_jobs.metrology.calibration.bundle_problem import BundleBoard, BundleOptions
+from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
 from sms_jobs.metrology.calibration.bundle_result import Adjustment
-from sms_jobs.metrology.calibration.initial_problem import board_problem
 from sms_jobs.metrology.calibration.initialisation import InitialCalibration, initialise
 from sms_jobs.metrology.calibration.sensor_refinement import RefinedSensor, SeenPoints, refine_sensor
 from sms_jobs.metrology.geometry.camera import Intrinsics, project
@@ -82,13 +82,7 @@ def plainly_adjusted(
 ) -> Adjustment:
     """Adjust all sensors together by plain least squares, no point refused, the board taken as exact."""
     alike = [BoardView(v.sensor, v.pose, v.point, v.pixel, np.full(len(v.pixel), 0.1)) for v in views]
-    problem = board_problem(
-        initial,
-        alike,
-        [BundleBoard("board", 0.0, 0.0)],
-        projectors=projectors,
-        fixed=dict.fromkeys(initial.sensors, fixed),
-    )
+    problem = board_problem(initial, alike, projectors, fixed)
     return adjust(problem, BundleOptions(huber=np.inf, reject=np.inf))
 
 
