@@ -18,7 +18,6 @@ from math import pi
 from typing import Any
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
@@ -93,22 +92,7 @@ def _uniform_modulation(z: Complexes, densities: Floats, damping: float) -> Floa
 
 
 def distortion(response: Response, phase: Floats, density: float, steps: int) -> Complexes:
-    """Return by which factor phase stepping falsifies B exp(i phase), (...) as the true phase is.
-
-    Parameters as of `phase_ripple`, which is its angle.
-    """
-    amplitudes = response.at_density(density)
-    z = np.zeros(np.shape(phase), np.complex128)
-    for n, amplitude in enumerate(amplitudes, start=1):
-        if (n - 1) % steps == 0:
-            z += amplitude * np.exp(1j * (n - 1) * phase)
-        if (n + 1) % steps == 0:
-            z += amplitude * np.exp(-1j * (n + 1) * phase)
-    return np.asarray(z / amplitudes[0])
-
-
-def phase_ripple(response: Response, phase: Floats, density: float, steps: int) -> Floats:
-    """Return by how much the phase that stepping finds exceeds the true one, in rad.
+    """Return by which factor phase stepping falsifies B exp(i phase); its angle is the phase's ripple.
 
     Parameters
     ----------
@@ -123,10 +107,17 @@ def phase_ripple(response: Response, phase: Floats, density: float, steps: int) 
 
     Notes
     -----
-    arg(1 + sum over n of r_n exp(i (n - 1) phi) for n = 1 (mod q), exp(-i (n + 1) phi) for n = -1 (mod q)):
-    the harmonics that q steps cannot tell from the fringes.
+    1 + sum over n of r_n exp(i (n - 1) phi) for n = 1 (mod q), exp(-i (n + 1) phi) for n = -1 (mod q): the
+    harmonics that q steps cannot tell from the fringes.
     """
-    return np.asarray(np.angle(distortion(response, phase, density, steps)))
+    amplitudes = response.at_density(density)
+    z = np.zeros(np.shape(phase), np.complex128)
+    for n, amplitude in enumerate(amplitudes, start=1):
+        if (n - 1) % steps == 0:
+            z += amplitude * np.exp(1j * (n - 1) * phase)
+        if (n + 1) % steps == 0:
+            z += amplitude * np.exp(-1j * (n + 1) * phase)
+    return np.asarray(z / amplitudes[0])
 
 
 def gradient_ripple(response: Response, omega: Floats, densities: Sequence[int], steps: int) -> Floats:
@@ -278,75 +269,3 @@ def diagnose_response(
         z = _undistorted(measured, omega, densities, steps, response)
         omega = _refit(z, omega, densities)
     return response
-
-
-def linearised(
-    frames: NDArray[Any],
-    densities: Sequence[int],
-    steps: int,
-    omega: Floats,
-    response: Response,
-    full_scale: int,
-) -> NDArray[Any]:
-    """Return frames as a linear projector would have given them.
-
-    Parameters
-    ----------
-    frames
-        (densities * steps, ...), grey levels of one orientation, of pixels with one return.
-    densities, steps
-        Of the sequence, without the density 0.
-    omega
-        (...), phase gradient in rad as unwrapping finds it; pixels where it is NaN stay as they are.
-    response
-        Of the projector.
-    full_scale
-        Grey level at which the camera saturates; such levels stay as they are.
-
-    Returns
-    -------
-    Of the shape and type of `frames`.
-
-    Notes
-    -----
-    The harmonics from 2 on, B sum r_n exp(-d n^2 t^2) cos(n theta), are looked up by the phase that omega
-    predicts, rid of its own ripple, and taken away; the darkest level of a fringe stays. Looked up by the
-    grey level instead, the inverse of a power law would raise the noise without limit at its dark end.
-    """
-    flat = frames.reshape(len(frames), -1).astype(np.float64)
-    t = np.array(densities, dtype=np.float64)
-    true = corrected_gradient(response, np.ravel(omega), densities, steps)
-    with np.errstate(invalid="ignore"):
-        z = _undistorted(_fundamental(flat, densities, steps), true, densities, steps, response)
-    modulation = _uniform_modulation(z, t, response.damping)
-    for i, density in enumerate(densities):
-        amplitudes = np.concatenate([[0.0, 0.0], response.at_density(density)[1:]])
-        amplitudes[0] = -chebyshev.chebval(-1.0, amplitudes)
-        for k in range(steps):
-            cosine = np.cos(true * density + 2.0 * pi * k / steps)
-            flat[i * steps + k] -= modulation * chebyshev.chebval(cosine, amplitudes)
-    levels = frames.reshape(flat.shape)
-    kept = (levels >= full_scale) | np.isnan(true)
-    found = np.where(kept, levels, np.clip(np.rint(np.nan_to_num(flat)), 0.0, full_scale - 1.0))
-    return np.asarray(found.astype(frames.dtype).reshape(frames.shape))
-
-
-def level_to_send(response: Response, brightness: Floats) -> Floats:
-    """Return what to send the projector for a wanted brightness: the correction at its source.
-
-    Parameters
-    ----------
-    response
-        Found with patterns of visibility 1.
-    brightness
-        (...), 0 (darkest) .. 1 (brightest that it can do).
-
-    Returns
-    -------
-    (...), 0 .. 1. Unlike `linearised` it costs no noise and holds for several returns in a pixel.
-    """
-    cosine = np.linspace(-1.0, 1.0, 2049)
-    levels = chebyshev.chebval(cosine, np.concatenate([[0.0], response.harmonics]))
-    levels = np.maximum.accumulate(levels)
-    shown = (levels - levels[0]) / (levels[-1] - levels[0])
-    return np.asarray(np.interp(brightness, shown, 0.5 * (1.0 + cosine)))
