@@ -300,47 +300,6 @@ def label_special_poses(
     return best[2], best[3]
 
 
-def bar_angle(home: Floats, turned: Floats) -> float:
-    """Return the angle between the bar in two poses, 0 .. pi in rad, from (2, 3) centres of spheres 1 and 2.
-
-    Thesis Eq. (2.21)-(2.23).
-    """
-    b0, b = home[1] - home[0], turned[1] - turned[0]
-    # The arc tangent is exact near 0 and pi, where the cosine of (2.23) is flat.
-    return atan2(float(np.linalg.norm(np.cross(b0, b))), float(b0 @ b))
-
-
-def expected_bar_angle(pan: float, tilt: float) -> float:
-    """Return the angle between the bar at home and at (pan, tilt), 0 .. pi; all in rad.
-
-    Thesis Eq. (2.24), cos(kappa) = cos(pan) cos(tilt). Swapped spheres are seen at pi - kappa, so that this
-    angle tells nothing near pi / 2: `number_by_prediction` decides, and this is a check.
-    """
-    return float(np.arccos(np.clip(cos(pan) * cos(tilt), -1.0, 1.0)))
-
-
-def number_by_prediction(predicted: Floats, centres: Floats) -> tuple[bool, float]:
-    """Say whether two spheres are swapped against their predicted centres.
-
-    Parameters
-    ----------
-    predicted, centres
-        (2, 3) in mm.
-
-    Returns
-    -------
-    swapped
-        True when the first of `centres` is sphere 2.
-    margin
-        By how much the sum of the two distances is less than the other way round, in mm; at most twice
-        the bar's length.
-    """
-    straight, crossed = (
-        float(np.linalg.norm(predicted - order, axis=1).sum()) for order in (centres, centres[::-1])
-    )
-    return crossed < straight, abs(crossed - straight)
-
-
 def special_poses(angles: Floats, usable: NDArray[np.bool_] | None = None) -> tuple[int, int, int]:
     """Choose the home pose, a pan pose and a tilt pose from a list.
 
