@@ -1,8 +1,8 @@
 """Exposures that keep every pixel in the camera's range, on surfaces whose brightness spans more than that.
 
-From a few quick white frames either a set of exposures is chosen, whose frames are merged pixel by pixel, or
-the projector's brightness is lowered where it would dazzle (thesis section 8.2). No fringe pattern is
-brighter than white at any pixel, so what keeps white in range keeps the fringes in range.
+From the brightness of white at every pixel either a set of exposures is chosen, whose frames are merged pixel
+by pixel, or the projector's brightness is lowered where it would dazzle (thesis section 8.2). No fringe
+pattern is brighter than white at any pixel, so what keeps white in range keeps the fringes in range.
 """
 
 from __future__ import annotations
@@ -20,34 +20,6 @@ Floats = NDArray[np.float64]
 
 HEADROOM = 0.9
 """Part of full scale that white is brought to: the rest is for noise and for what the pre-exposure missed."""
-
-
-def white_brightness(whites: NDArray[Any], exposures: Sequence[float], full_scale: int) -> Floats:
-    """Return the grey level of white at exposure 1 from a bracket of white frames.
-
-    Parameters
-    ----------
-    whites
-        (exposures, rows, columns), white frames.
-    exposures
-        Of each frame, in any unit, above 0.
-    full_scale
-        Grey level from which on a frame is saturated.
-
-    Returns
-    -------
-    (rows, columns), the least-squares slope sum e I / sum e^2 over the frames that are not saturated;
-    infinite where all are.
-    """
-    e = np.array(exposures, dtype=np.float64)
-    if len(whites) != len(e) or (e <= 0.0).any():
-        raise InvalidInput(
-            f"{len(whites)} white frames need as many exposures above 0, not {tuple(exposures)}"
-        )
-    weight = np.where(whites < full_scale, e[:, None, None], 0.0)
-    power = np.sum(weight * weight, axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(power > 0.0, np.sum(weight * whites, axis=0) / power, np.inf)
 
 
 def exposure_set(

@@ -19,7 +19,6 @@ from sms_jobs.metrology.phase.exposure import (
     exposure_set,
     merge_exposures,
     projector_dimming,
-    white_brightness,
 )
 from sms_jobs.metrology.phase.patterns import phase_gradient
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
@@ -85,7 +84,9 @@ def bracket() -> tuple[tuple[float, ...], NDArray[np.float64]]:
     """Return the exposures that three white frames suggest, and the brightness at exposure 1."""
     tried = (0.5, 0.1, 0.02)
     whites = np.stack([recorded(shiny()[1], e).texture() for e in tried])
-    brightness = white_brightness(whites, tried, FULL_SCALE)
+    index = best_exposure(whites, tried, FULL_SCALE)
+    white = np.take_along_axis(whites, index[None].astype(np.intp), axis=0)[0]
+    brightness = np.where(white < FULL_SCALE, white / np.array(tried)[index], np.inf)
     return exposure_set(brightness[shiny()[2]], FULL_SCALE), brightness
 
 
@@ -129,14 +130,6 @@ def test_a_dimmed_projector_brings_a_highlight_into_range() -> None:
     assert np.std(score(found, found.modulation)) == pytest.approx(1.0, abs=0.15)
 
 
-def test_brightness_comes_from_the_frames_in_range() -> None:
-    true = np.array([[10.0, 100.0, 1000.0, 1e7]])
-    exposures = (1.0, 10.0, 100.0)
-    whites = np.minimum(np.rint(true * np.array(exposures)[:, None, None]), 4095).astype(np.uint16)
-    found = white_brightness(whites, exposures, 4095)
-    np.testing.assert_allclose(found, [[10.0, 100.0, 1000.0, np.inf]])
-
-
 def test_exposures_cover_every_brightness_within_the_ratio(rng: np.random.Generator) -> None:
     brightness = np.exp(rng.uniform(np.log(1.0), np.log(1e4), 5000))
     chosen = np.array(exposure_set(brightness, 4095, ratio=4.0, ignored=0.0, most=20))
@@ -176,8 +169,6 @@ def test_dimming_is_smooth_and_never_above_what_is_allowed(rng: np.random.Genera
 def test_what_cannot_be_chosen_is_refused() -> None:
     with pytest.raises(InvalidInput, match="shorten the pre-exposure"):
         exposure_set(np.full(3, np.inf), 4095)
-    with pytest.raises(InvalidInput, match="exposures above 0"):
-        white_brightness(np.zeros((2, 1, 1)), (1.0, 0.0), 4095)
 
 
 def test_gloss_is_brightest_where_the_surface_mirrors() -> None:
