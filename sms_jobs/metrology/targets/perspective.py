@@ -10,11 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
-
 Floats: TypeAlias = NDArray[np.float64]
 
-_EDGE_POINTS = 24
 _DEGREES = ((60, 5), (30, 3), (14, 2))  # the bend's degree, by the least number of points that it needs
 
 
@@ -200,40 +197,6 @@ def centre_bias_of_view(view: PlaneView, centres: Floats, diameters: Floats) -> 
     )
     shift *= (0.5 * np.asarray(diameters, np.float64))[:, None] ** 2 / 8.0
     return np.asarray(straight + (jacobian @ shift[:, :, None])[:, :, 0])
-
-
-def centre_bias_of_camera(intrinsics: Intrinsics, pose: Pose, points: Floats, diameters: Floats) -> Floats:
-    """Return `centre_bias` for a calibrated camera, its whole distortion included.
-
-    Points of each circle's edge are projected and an ellipse is fitted to them.
-
-    Parameters
-    ----------
-    intrinsics, pose
-        Of the camera; the pose maps the board's frame into the camera's.
-    points
-        (n, 3), centres on the board, in mm; z = 0.
-    diameters
-        (n,), in mm.
-
-    Returns
-    -------
-    (n, 2), centres of the ellipses minus images of the centres, in px.
-    """
-    turn = np.linspace(0.0, 2.0 * np.pi, _EDGE_POINTS, endpoint=False)
-    edge = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=-1)
-    radius = 0.5 * np.asarray(diameters, np.float64)
-    seen = project(intrinsics, pose, points[:, None, :] + radius[:, None, None] * edge)
-    middle = seen.mean(axis=1, keepdims=True)
-    size = np.abs(seen - middle).max(axis=(1, 2), keepdims=True)
-    x, y = np.moveaxis((seen - middle) / size, -1, 0)
-    design = np.stack([x * x, x * y, y * y, x, y], axis=-1)
-    normal = np.swapaxes(design, 1, 2) @ design
-    a, b, c, d, e = np.linalg.solve(normal, design.sum(axis=1)[:, :, None])[:, :, 0].T
-    # The centre of a x^2 + b xy + c y^2 + d x + e y = 1 is where its gradient vanishes.
-    pole = np.stack([b * e - 2.0 * c * d, b * d - 2.0 * a * e], axis=-1) / (4.0 * a * c - b * b)[:, None]
-    centre = middle[:, 0] + size[:, 0] * pole
-    return np.asarray(centre - project(intrinsics, pose, points))
 
 
 def ellipse_matrices(view: PlaneView, centres: Floats, diameters: Floats) -> Floats:

@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
 from sms_jobs.metrology.targets.circles import find_circles, semi_axes
 from sms_jobs.metrology.targets.ellipse_fit import FITTED, fit_ellipses
 from sms_jobs.metrology.targets.patterns import BoardPattern
 from sms_jobs.metrology.targets.perspective import (
     centre_bias,
-    centre_bias_of_camera,
     centre_bias_of_view,
     fit_plane_view,
     through_homography,
@@ -227,24 +225,3 @@ def test_the_lens_has_its_share_of_the_bias(draughtsman: Any) -> None:
     # terms of fourth order are r^2 / f^2 of those of second, 3e-4.
     assert np.abs(got - bias).max() < 5e-3
     assert np.abs(straight - bias).max() > 0.03
-
-
-def test_a_calibrated_camera_knows_the_bias() -> None:
-    camera = Intrinsics(600.0, 610.0, 250.0, 200.0, -0.25, 0.1, 1e-3, -2e-3, 0.0)
-    turn = cv2.Rodrigues(np.array([0.5, -0.3, 0.2]))[0]
-    pose = Pose.from_arrays(turn, np.array([-30.0, -25.0, 160.0]))
-    points = np.column_stack([every_place(BOARD), np.zeros(63)])
-    got = centre_bias_of_camera(camera, pose, points, np.full(63, 5.0))
-    for point, bias in zip(points[::7], got[::7], strict=True):
-        edge = np.column_stack([edge_of(point[:2], 5.0), np.zeros(60)])
-        wanted = ellipse_centre(project(camera, pose, edge)) - project(camera, pose, point[None])[0]
-        # 24 points and 60 fit the same ellipse but for the lens's third order, r^3 f'' / f ~ 1e-4 px.
-        np.testing.assert_allclose(bias, wanted, atol=1e-5)
-    # Without distortion the pole of the line at infinity is the same thing.
-    ideal = Intrinsics(600.0, 610.0, 250.0, 200.0)
-    homography = ideal.matrix() @ np.column_stack([turn[:, :2], pose.translation])
-    np.testing.assert_allclose(
-        centre_bias_of_camera(ideal, pose, points, np.full(63, 5.0)),
-        centre_bias(homography, points[:, :2], np.full(63, 5.0)),
-        atol=1e-9,
-    )
