@@ -329,11 +329,6 @@ def pipeline_subjects(kind: Kind[Any], campaign: Campaign) -> tuple[Subject, ...
     return default_subjects(kind, campaign)
 
 
-def whole_test(campaign: Campaign) -> tuple[Subject, ...]:
-    """Return the campaign itself if it is a test, whatever measures it; a calibration session is none."""
-    return (Subject(campaign.name),) if tested_states(campaign) else ()
-
-
 __all__ = [
     "CALIBRATION",
     "MEASUREMENT",
@@ -363,5 +358,4 @@ __all__ = [
     "rig_queue",
     "tested_states",
     "tuples",
-    "whole_test",
 ]
