@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 from sms_jobs.errors import SmsError, WaitTimedOut
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.records.operations import Reading
-
-Value = TypeVar("Value", contravariant=True)
 
 POLLS_EVERY_S = 0.05
 
@@ -69,22 +67,6 @@ class Device(Protocol):
 
     def stop(self) -> None:
         """Stop whatever it does, at once; may be called from another thread."""
-        ...
-
-
-class Movable(Device, Protocol[Value]):
-    """A device that is brought somewhere."""
-
-    def set(self, value: Value) -> Status:
-        """Begin to go there."""
-        ...
-
-
-class Triggerable(Device, Protocol):
-    """A device that does something on a trigger."""
-
-    def trigger(self) -> Status:
-        """Begin to do it."""
         ...
 
 
