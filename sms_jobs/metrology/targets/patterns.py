@@ -64,35 +64,6 @@ class DotBoard(Protocol):
 
 
 @dataclass(frozen=True)
-class BoardPattern:
-    """A board of dots, with or without markers.
-
-    Attributes
-    ----------
-    columns, rows
-        Number of dots along each direction, columns to the right and rows downwards seen from the front.
-    pitch_mm, dot_diameter_mm
-        Distance of neighbours, and diameter of an ordinary dot.
-    markers
-        Places (column, row) of the markers: origin, x, y; None for a board without markers.
-    marker, marker_diameter_mm, marker_hole_mm
-        What markers are; a diameter of 0 is unknown, and a marker is then taken to be as wide as a dot.
-    ink
-        Whether dots are darker or brighter than the ground.
-    """
-
-    columns: int
-    rows: int
-    pitch_mm: float
-    dot_diameter_mm: float
-    markers: tuple[Place, Place, Place] | None = None
-    marker: Literal["ring", "larger-dot"] = "ring"
-    marker_diameter_mm: float = 0.0
-    marker_hole_mm: float = 0.0
-    ink: Literal["dark", "bright"] = "dark"
-
-
-@dataclass(frozen=True)
 class BoardPoints:
     """The points of a board that were found in an image.
 

@@ -20,7 +20,7 @@ from sms_jobs.metrology.geometry.camera import Intrinsics, project
 from sms_jobs.metrology.geometry.transforms import compose, transform
 from sms_jobs.metrology.targets.boards import find_board
 from sms_jobs.metrology.targets.chessboards import find_chessboard
-from sms_jobs.metrology.targets.patterns import BoardPattern
+from sms_jobs.records.artefacts import CircleBoard
 
 FOLDER = Path(__file__).resolve().parents[4] / "shared" / "data" / "calibration"
 
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 # DICe's simulated board; the dots' diameter is not published and is 0.281 of the pitch in the images.
-DOTS = BoardPattern(14, 10, 7.0, 1.97, ((2, 7), (11, 7), (2, 2)))
+DOTS = CircleBoard(14, 10, 7.0, 1.97, ((2, 7), (11, 7), (2, 2)))
 
 
 def grey(path: Path) -> NDArray[np.uint8]:

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from sms_jobs.metrology.targets.patterns import BoardPattern
+from sms_jobs.records.artefacts import CircleBoard
 
 Floats = NDArray[np.float64]
 SAMPLES = 4  # along a side of a pixel, of an edge that the lens has blurred before
@@ -78,7 +78,7 @@ Ink = Callable[[Floats], Floats]
 """Signed distance in mm from the nearest edge, negative in the ink, of points (n, 2) in mm."""
 
 
-def dots(board: BoardPattern, hidden: frozenset[tuple[int, int]] = frozenset()) -> Ink:
+def dots(board: CircleBoard, hidden: frozenset[tuple[int, int]] = frozenset()) -> Ink:
     """Return the ink of a board of dots, some of which are not there."""
     markers = set() if board.markers is None else set(board.markers)
 

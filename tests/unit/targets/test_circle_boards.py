@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.targets.boards import find_board
 from sms_jobs.metrology.targets.lattice import lattice_places
-from sms_jobs.metrology.targets.patterns import BoardPattern, BoardPoints, board_points
+from sms_jobs.metrology.targets.patterns import BoardPoints, board_points
 from sms_jobs.records.artefacts import CircleBoard
 
 Floats = NDArray[np.float64]
-RINGS = BoardPattern(9, 7, 10.0, 5.0, ((2, 5), (6, 5), (2, 1)), "ring", 5.0, 2.0)
-LARGER = BoardPattern(9, 7, 10.0, 4.0, ((1, 1), (6, 1), (1, 5)), "larger-dot", 6.0)
-PLAIN = BoardPattern(9, 7, 10.0, 5.0)
+RINGS = CircleBoard(9, 7, 10.0, 5.0, ((2, 5), (6, 5), (2, 1)), "ring", 5.0, 2.0)
+LARGER = CircleBoard(9, 7, 10.0, 4.0, ((1, 1), (6, 1), (1, 5)), "larger-dot", 6.0)
+PLAIN = CircleBoard(9, 7, 10.0, 5.0)
 NOISE = 3.0
 
 

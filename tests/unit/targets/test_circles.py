@@ -14,22 +14,22 @@ from scipy.special import ndtr
 
 from sms_jobs.metrology.targets.circles import find_circles, semi_axes
 from sms_jobs.metrology.targets.ellipse_fit import FITTED, fit_ellipses
-from sms_jobs.metrology.targets.patterns import BoardPattern
 from sms_jobs.metrology.targets.perspective import (
     centre_bias,
     centre_bias_of_view,
     fit_plane_view,
     through_homography,
 )
+from sms_jobs.records.artefacts import CircleBoard
 
 Floats = NDArray[np.float64]
-BOARD = BoardPattern(9, 7, 10.0, 5.0, ((2, 5), (6, 5), (2, 1)), "ring", 5.0, 2.0)
+BOARD = CircleBoard(9, 7, 10.0, 5.0, ((2, 5), (6, 5), (2, 1)), "ring", 5.0, 2.0)
 # A strong lens and a strong tilt: the bias is a tenth of a pixel.
 HOMOGRAPHY = np.array([[3.9, -1.0, 120.0], [1.2, 3.5, 60.0], [5e-4, 8e-4, 1.0]])
 NOISE = 4.0
 
 
-def every_place(board: BoardPattern) -> Floats:
+def every_place(board: CircleBoard) -> Floats:
     row, column = np.indices((board.rows, board.columns))
     return np.column_stack([column.ravel(), row.ravel()]) * board.pitch_mm
 
@@ -43,7 +43,7 @@ def matched(found: Floats, wanted: Floats) -> tuple[NDArray[np.int64], Floats]:
 
 @pytest.mark.parametrize(("blur", "slope"), [(0.5, (0.0, 0.0)), (0.9, (0.5, -0.4)), (1.5, (0.0, 0.3))])
 def test_centres_are_those_of_the_ellipses(draughtsman: Any, blur: float, slope: tuple[float, float]) -> None:
-    plain = BoardPattern(9, 7, 10.0, 5.0)
+    plain = CircleBoard(9, 7, 10.0, 5.0)
     view = draughtsman.view_of(300, 400, (40.0, 30.0), 3.2, turn=0.3, tilt=(0.5, 0.3))
     image = draughtsman.draw(view, draughtsman.dots(plain), blur=blur, slope=slope)
     found = find_circles(image)
@@ -61,7 +61,7 @@ def test_centres_are_those_of_the_ellipses(draughtsman: Any, blur: float, slope:
 
 def test_shape_and_contrast_are_measured(draughtsman: Any) -> None:
     view = draughtsman.view_of(160, 200, (40.0, 30.0), 4.0, turn=0.4, tilt=(0.0, 0.8), focal=1e5)
-    one = BoardPattern(9, 7, 10.0, 6.0)
+    one = CircleBoard(9, 7, 10.0, 6.0)
     found = find_circles(draughtsman.draw(view, draughtsman.dots(one), dark=30.0, bright=180.0))
     axes, angle = found.axes()
     # Far away: a circle of 12 px radius, shortened across the tilted axis, which is the image's x.
@@ -73,7 +73,7 @@ def test_shape_and_contrast_are_measured(draughtsman: Any) -> None:
 
 
 def test_predicted_scatter_is_the_scatter(draughtsman: Any, rng: np.random.Generator) -> None:
-    plain = BoardPattern(9, 7, 10.0, 5.0)
+    plain = CircleBoard(9, 7, 10.0, 5.0)
     view = draughtsman.view_of(300, 400, (40.0, 30.0), 3.2, turn=0.3, tilt=(0.5, 0.3))
     image = draughtsman.draw(view, draughtsman.dots(plain))
     centres = every_place(plain)

@@ -12,8 +12,9 @@ from sms_jobs.metrology.geometry.projector_pixels import projector_pixels
 from sms_jobs.metrology.phase.temporal_unwrapping import unwrap
 from sms_jobs.metrology.targets.boards import find_board
 from sms_jobs.metrology.targets.chessboards import find_chessboard
-from sms_jobs.metrology.targets.patterns import BoardPattern, BoardPoints
+from sms_jobs.metrology.targets.patterns import BoardPoints
 from sms_jobs.metrology.targets.projector_points import carry_to_projector
+from sms_jobs.records.artefacts import CircleBoard
 
 FOLDER = Path(__file__).resolve().parents[4] / "shared" / "data" / "calibration"
 FRINGES = FOLDER.parent / "fringe" / "slstudio_skull"
@@ -24,9 +25,9 @@ pytestmark = pytest.mark.skipif(
 
 # DICe's simulated board: three rings, counted inclusively in its file. The dots' diameter is not published;
 # in the images it is 0.281 of the pitch.
-DOTS = BoardPattern(14, 10, 7.0, 1.97, ((2, 7), (11, 7), (2, 2)))
+DOTS = CircleBoard(14, 10, 7.0, 1.97, ((2, 7), (11, 7), (2, 2)))
 # BoofCV's printed board, in units of its own: no markers.
-REGULAR = BoardPattern(10, 8, 2.5, 1.5)
+REGULAR = CircleBoard(10, 8, 2.5, 1.5)
 STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-9)
 RADIAL = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
 
