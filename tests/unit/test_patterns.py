@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sms_jobs.metrology.geometry.camera import pixel_grid
+from sms_jobs.metrology.geometry.projector_pixels import projector_pixels
 from sms_jobs.metrology.phase.patterns import (
     fringe_harmonics,
     fringe_intensity,
     fringe_pattern,
     phase_gradient,
-    projector_pixels,
     span_px,
 )
 
@@ -49,11 +49,10 @@ def test_two_orientations_find_the_projector_pixel(
     x: float, y: float, orientations: tuple[float, float]
 ) -> None:
     pixel = np.array([x, y])
-    first, second = (phase_gradient(pixel, COLUMNS, ROWS, o) for o in orientations)
+    omega = np.array([phase_gradient(pixel, COLUMNS, ROWS, o) for o in orientations])[:, None, None]
+    found, _ = projector_pixels(omega, np.zeros((2, 1, 1), np.float32), orientations, COLUMNS, ROWS)
     # Some ten roundings of numbers up to 40 px.
-    np.testing.assert_allclose(
-        projector_pixels(first, second, COLUMNS, ROWS, orientations), pixel, atol=1e-12
-    )
+    np.testing.assert_allclose(found[:, 0, 0], pixel, atol=1e-12)
 
 
 @pytest.mark.parametrize("steps", [3, 4, 5])

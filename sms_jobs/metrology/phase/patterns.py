@@ -57,34 +57,6 @@ def phase_gradient(pixels: Floats, columns: int, rows: int, orientation_rad: flo
     return np.asarray((a * x + b * y) * (2.0 * pi / span_px(columns, rows, orientation_rad)))
 
 
-def projector_pixels(
-    first: Floats, second: Floats, columns: int, rows: int, orientations_rad: tuple[float, float]
-) -> Floats:
-    """Return the projector pixels at which two phase gradients of different orientations meet.
-
-    Parameters
-    ----------
-    first, second
-        (...), omega in rad for each of the two orientations.
-    columns, rows
-        Size of the projector's image, in pixels.
-    orientations_rad
-        The two orientations; they must not be parallel.
-
-    Returns
-    -------
-    (..., 2), projector pixel coordinates (x, y): the inverse of `phase_gradient`.
-    """
-    inverse = np.linalg.inv(np.array([direction(o) for o in orientations_rad]))
-    along = [
-        omega * (span_px(columns, rows, orientation) / (2.0 * pi))
-        for omega, orientation in zip((first, second), orientations_rad, strict=True)
-    ]
-    x = inverse[0, 0] * along[0] + inverse[0, 1] * along[1] - 0.5 + columns / 2.0
-    y = inverse[1, 0] * along[0] + inverse[1, 1] * along[1] - 0.5 + rows / 2.0
-    return np.stack([x, y], axis=-1)
-
-
 def fringe_intensity(omega: Floats, density: int, step: int, steps: int, visibility: float = 1.0) -> Floats:
     """Return the brightness of a fringe pattern, 0 .. 1 of the projector's full brightness.
 
