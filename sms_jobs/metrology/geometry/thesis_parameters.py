@@ -14,7 +14,7 @@ Everything else is carried over exactly.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import asin, atan2, hypot, pi
+from math import asin, atan2, hypot
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -106,14 +106,6 @@ def pixels_from_plane(plane: ImagePlane, points: Floats) -> Floats:
     length = np.array(plane.length_mm)
     offset = 0.5 if plane.pitch == "L/N" else 0.0
     return np.asarray((np.asarray(points) / length + 0.5) * plane.intervals() - offset)
-
-
-def plane_from_phase(plane: ImagePlane, omega: Floats) -> Floats:
-    """Return projector plane coordinates (..., 2) in mm of phase gradients (..., 2) in rad per fringe.
-
-    Thesis Eq. (1.20): xi = omega L / (2 pi).
-    """
-    return np.asarray(np.asarray(omega) / (2.0 * pi) * np.array(plane.length_mm))
 
 
 def distortion_correction(parameters: ThesisParameters, points: Floats) -> Floats:

@@ -16,7 +16,6 @@ from sms_jobs.metrology.geometry.thesis_parameters import (
     distortion_correction,
     normalised_from_plane,
     pixels_from_plane,
-    plane_from_phase,
     plane_from_pixels,
     pose_from_thesis,
     sensor_from_thesis,
@@ -66,8 +65,8 @@ def test_a_projectors_phase_and_its_pixels_meet_in_the_plane() -> None:
     pixels = np.array([[0.0, 0.0], [17.0, 400.0], [1023.0, 767.0]])
     omega = np.stack([phase_gradient(pixels, 1024, 768, a) for a in (0.0, pi / 2)], axis=-1)
     by_pixels = plane_from_pixels(plane, pixels)
-    # Rounding of millimetres: both ways are (x + 1/2 - N/2) L / N.
-    np.testing.assert_allclose(plane_from_phase(plane, omega), by_pixels, atol=1e-13)
+    # Thesis Eq. (1.20), xi = omega L / (2 pi); rounding of millimetres: both ways are (x + 1/2 - N/2) L / N.
+    np.testing.assert_allclose(omega / (2.0 * pi) * plane.length_mm, by_pixels, atol=1e-13)
 
 
 def test_angles_come_back_from_the_rotation(rng: np.random.Generator) -> None:
