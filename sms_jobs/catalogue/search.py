@@ -204,11 +204,6 @@ def _calibration_views(
     ]
 
 
-def calibration_of_file(session: Session, file_id: int) -> int:
-    """Return the number of the calibration that lies in a file."""
-    return session.scalars(select(CalibrationRow.id).where(CalibrationRow.file_id == file_id)).one()
-
-
 def views_with(
     session: Session, ids: Sequence[int], extra: Sequence[ColumnElement[Any]]
 ) -> Iterator[tuple[FileView, tuple[Any, ...]]]:

@@ -150,12 +150,6 @@ def waits_for_device(now: Any) -> ColumnElement[bool]:
     return exists().where(wanted.job_id == JobRow.id, LockRow.device == wanted.device, _alive(now))
 
 
-def needs_devices() -> ColumnElement[bool]:
-    """Return whether a row of `job` needs any device."""
-    wanted = aliased(JobDeviceRow)
-    return exists().where(wanted.job_id == JobRow.id)
-
-
 def take_needed(session: Session, job_id: str, fence: int, now: datetime) -> bool:
     """Take what a job that is being claimed needs; False when somebody was faster, and nothing was taken."""
     try:

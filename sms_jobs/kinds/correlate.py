@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +49,6 @@ from sms_jobs.records.fields import (
 )
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Calibration, split_pair
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _PIXEL_REASONS = {
     displacement.OUTSIDE_REGION: Reason.OUTSIDE_REGION,

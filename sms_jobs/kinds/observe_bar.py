@@ -63,7 +63,6 @@ from sms_jobs.records.observations import BarObservation
 from sms_jobs.records.sensors import Calibration, Sensor, SensorFormat, split_pair
 
 _SPECIAL = ("home", "pan", "tilt")
-_SPHERES = (1, 2)
 
 Floats = NDArray[np.float64]
 

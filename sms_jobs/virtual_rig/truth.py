@@ -23,8 +23,6 @@ from sms_jobs.virtual_rig.rays import Specimen, first_hit, specimen_in, surface_
 Floats: TypeAlias = NDArray[np.float64]
 Flags: TypeAlias = NDArray[np.bool_]
 
-COMPONENTS = ("xx", "yy", "xy")
-
 
 @dataclass(frozen=True)
 class Shape:

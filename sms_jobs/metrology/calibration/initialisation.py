@@ -23,7 +23,6 @@ from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, projec
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_matrix, transform
 
 Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _SWEEPS = 6
 _NEWTON_STEPS = 3
