@@ -16,7 +16,7 @@ NOTHING = "–"
 
 @dataclass(frozen=True)
 class Markup:
-    """HTML that is safe as it stands; plain text becomes this by `text`."""
+    """HTML that is safe as it stands; the functions below make it of plain text."""
 
     html: str
 
@@ -27,11 +27,6 @@ class Given(float):
 
 Cell = str | float | int | None | Markup
 """Of a table: text is escaped, numbers are rounded to four digits, None is a dash."""
-
-
-def text(plain: str) -> Markup:
-    """Escape plain text."""
-    return Markup(escape(plain))
 
 
 def code(plain: str, title: str = "") -> Markup:

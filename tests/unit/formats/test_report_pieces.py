@@ -14,8 +14,8 @@ from sms_jobs.formats.report.html import (
     facts,
     figure,
     number,
+    paragraph,
     table,
-    text,
 )
 from sms_jobs.formats.report.page import Section, page
 
@@ -44,7 +44,7 @@ def test_everything_plain_is_escaped() -> None:
     evil = "<b>\"'&"
     safe = "&lt;b&gt;&quot;&#x27;&amp;"
     parts = [
-        text(evil),
+        paragraph(evil),
         code(evil, title=evil),
         table([evil], [[evil]]),
         facts([(evil, evil)]),
