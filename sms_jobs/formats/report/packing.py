@@ -75,20 +75,6 @@ def pack_sigma(sigma: NDArray[np.float32]) -> PackedSigma:
     return PackedSigma(low, step, _text(_differences(number)))
 
 
-def unpack(packed: Packed, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return what a page shows of packed values, (rows, columns), NaN for none."""
-    high, low = np.frombuffer(_bytes(packed.text), np.uint8).reshape(2, *shape).astype(np.uint16)
-    number = np.cumsum((high << 8) | low, axis=1, dtype=np.uint16)
-    return np.where(number > 0, packed.low + (number - 1.0) * packed.step, np.nan)
-
-
-def unpack_sigma(packed: PackedSigma, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return what a page shows of packed standard deviations, (rows, columns), NaN for none."""
-    found = np.frombuffer(_bytes(packed.text), np.uint8).reshape(shape)
-    number = np.cumsum(found, axis=1, dtype=np.uint8)
-    return np.where(number > 0, packed.low * np.exp((number - 1.0) * packed.step), np.nan)
-
-
 def _differences(number: NDArray[np.uint16] | NDArray[np.uint8]) -> NDArray[np.uint16] | NDArray[np.uint8]:
     """Return what each number is above the one before it in its row, modulo its bits."""
     found = number.copy()
@@ -102,7 +88,3 @@ def _planes(number: NDArray[np.uint16] | NDArray[np.uint8]) -> NDArray[np.uint8]
 
 def _text(array: NDArray[np.uint8] | NDArray[np.uint16]) -> str:
     return base64.b64encode(zlib.compress(array.tobytes(), _LEVEL)).decode("ascii")
-
-
-def _bytes(text: str) -> bytes:
-    return zlib.decompress(base64.b64decode(text))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import base64
+import zlib
+
 import numpy as np
 import pytest
 
-from sms_jobs.formats.report.packing import LARGEST, pack, pack_sigma, unpack, unpack_sigma
+from sms_jobs.formats.report.packing import LARGEST, Packed, PackedSigma, pack, pack_sigma
 
 SHAPE = (40, 30)
 
@@ -14,6 +17,23 @@ def field(rng: np.random.Generator) -> np.ndarray:
     values = rng.normal(3.0, 2.0, SHAPE).astype(np.float32)
     values[rng.random(SHAPE) < 0.3] = np.nan
     return values
+
+
+def unpacked(text: str) -> np.ndarray:
+    return np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8)
+
+
+def unpack(packed: Packed, shape: tuple[int, int]) -> np.ndarray:
+    """Return what a page shows of packed values, (rows, columns), NaN for none."""
+    high, low = unpacked(packed.text).reshape(2, *shape).astype(np.uint16)
+    number = np.cumsum((high << 8) | low, axis=1, dtype=np.uint16)
+    return np.where(number > 0, packed.low + (number - 1.0) * packed.step, np.nan)
+
+
+def unpack_sigma(packed: PackedSigma, shape: tuple[int, int]) -> np.ndarray:
+    """Return what a page shows of packed standard deviations, (rows, columns), NaN for none."""
+    number = np.cumsum(unpacked(packed.text).reshape(shape), axis=1, dtype=np.uint8)
+    return np.where(number > 0, packed.low * np.exp((number - 1.0) * packed.step), np.nan)
 
 
 def test_a_field_without_deviations_keeps_sixteen_bits(rng: np.random.Generator) -> None:
