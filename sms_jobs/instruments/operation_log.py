@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.records.operations import Operation
@@ -16,11 +14,6 @@ from sms_jobs.records.operations import Operation
 DONE = "done"
 _KEPT = 10_000
 _logger = logging.getLogger(__name__)
-
-
-def json_line(operation: Operation) -> str:
-    """Return an operation as a line of JSON, with its time in UTC."""
-    return json.dumps({**asdict(operation), "time": operation.time.isoformat()}, ensure_ascii=False)
 
 
 class OperationLog:
