@@ -11,8 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.phase.gray_code import gray_pattern
-
 ROWS, COLUMNS = 24, 40
 PROJECTOR = 800
 MEAN, MODULATION = 110.0, 70.0
@@ -52,6 +50,11 @@ def fringes(
                 frames.append(texture() * (MEAN + MODULATION * wave))
     found = np.stack(frames)
     return found + rng.normal(0.0, noise, found.shape) if noise else found
+
+
+def gray_pattern(stripe: Any, bit: int, bits: int) -> Any:
+    """Return whether pattern `bit` of `bits`, 0 the coarsest, is bright: a bit of stripe xor stripe / 2."""
+    return ((np.asarray(stripe) ^ (np.asarray(stripe) >> 1)) >> (bits - 1 - bit)) & 1 == 1
 
 
 def gray_frames(bits: int) -> NDArray[np.float64]:

@@ -22,11 +22,6 @@ UNREAD = -1
 LARGEST_BITS = 16
 
 
-def gray_pattern(stripe: Any, bit: int, bits: int) -> Any:
-    """Return whether pattern `bit` of `bits`, 0 the coarsest, is bright: a bit of stripe xor stripe / 2."""
-    return ((np.asarray(stripe) ^ (np.asarray(stripe) >> 1)) >> (bits - 1 - bit)) & 1 == 1
-
-
 def read_stripes(
     frames: NDArray[Any], threshold: NDArray[Any], doubt: float | NDArray[Any]
 ) -> NDArray[np.int32]:

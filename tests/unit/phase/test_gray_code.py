@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from support.foreign_frames import gray_pattern
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.phase.gray_code import UNREAD, gradient_of_stripes, gray_pattern, read_stripes
+from sms_jobs.metrology.phase.gray_code import UNREAD, gradient_of_stripes, read_stripes
 from sms_jobs.metrology.phase.temporal_unwrapping import unwrap, unwrapping_plan
 
 COLUMNS = 1920
