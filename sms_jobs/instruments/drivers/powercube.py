@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from sms_jobs.errors import DeviceFault, LimitExceeded, LinkLost
+from sms_jobs.errors import DeviceFault, LimitExceeded
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.codecs import powercube as m5
 from sms_jobs.instruments.codecs.powercube import Command, Message, Move, Parameter, State
@@ -18,8 +18,6 @@ from sms_jobs.records.serial_links import SerialLink
 
 Value = TypeVar("Value")
 
-ADDRESSES = range(1, 32)
-_POLLS_EVERY_S = 0.05
 _REACHED_RAD = 1e-3
 
 _EXPLANATIONS = (
@@ -60,16 +58,6 @@ class ModuleFacts:
         return f"PowerCube {self.module}: serial number {self.serial_number}, firmware {self.version:04x}"
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Range of a module in rad, and its highest velocity (rad/s) and acceleration (rad/s^2)."""
-
-    minimum_rad: float
-    maximum_rad: float
-    velocity_rad_s: float
-    acceleration_rad_s2: float
-
-
 class PowerCubes:
     """PowerCubes on one serial link, named by their addresses.
 
@@ -85,20 +73,8 @@ class PowerCubes:
         checksum: m5.Checksum = "maker",
     ) -> None:
         self.device = device
-        self._clock = clock
         self._checksum = checksum
         self._conversation = Conversation(device, transport, clock, m5.PowerCubeDecoder(), link)
-
-    def scan(self, addresses: Iterable[int] = ADDRESSES) -> tuple[ModuleFacts, ...]:
-        """Return the modules that answer; those that do not are asked once only."""
-        found = []
-        for module in addresses:
-            try:
-                self._ask(module, m5.get(Parameter.VERSION), "its version", retries=0)
-            except LinkLost:
-                continue
-            found.append(self.facts(module))
-        return tuple(found)
 
     def facts(self, module: int) -> ModuleFacts:
         """Return serial number and firmware version of a module."""
@@ -136,14 +112,6 @@ class PowerCubes:
         """Stop all modules at once; nobody answers."""
         self._broadcast(Command.HALT)
 
-    def reset_all(self) -> None:
-        """Reset all modules; nobody answers."""
-        self._broadcast(Command.RESET)
-
-    def home_all(self) -> None:
-        """Home all modules; nobody answers."""
-        self._broadcast(Command.HOME)
-
     def start_all(self) -> None:
         """Start the moves of all modules that wait for the common signal; nobody answers."""
         self._broadcast(Command.START)
@@ -160,20 +128,6 @@ class PowerCubes:
         self._set(module, m5.set_float(Parameter.RAMP_VELOCITY, velocity_rad_s), "its ramp velocity")
         self._set(module, m5.set_float(Parameter.RAMP_ACCELERATION, acceleration_rad_s2), "its ramp")
 
-    def limits(self, module: int) -> Limits:
-        """Return what a module may do."""
-        return Limits(
-            *(
-                self._get(module, parameter, m5.float_value)
-                for parameter in (
-                    Parameter.MINIMUM_POSITION,
-                    Parameter.MAXIMUM_POSITION,
-                    Parameter.MAXIMUM_VELOCITY,
-                    Parameter.MAXIMUM_ACCELERATION,
-                )
-            )
-        )
-
     def set_limits(self, module: int, minimum_rad: float, maximum_rad: float) -> None:
         """Restrict the range of a module."""
         self._set(module, m5.set_float(Parameter.MINIMUM_POSITION, minimum_rad), "its lower limit")
@@ -186,48 +140,6 @@ class PowerCubes:
     def move_step(self, module: int, position_rad: float, seconds: float) -> float:
         """Begin to move so as to arrive after a time; return where the module is, in rad."""
         return self._move(module, m5.move_step(position_rad, round(1000.0 * seconds)), position_rad)
-
-    def wait_for_motion(self, modules: Sequence[int], timeout_s: float) -> None:
-        """Wait until none of the modules moves.
-
-        Raises
-        ------
-        DeviceFault
-            One reports an error, upon which all are halted, or moves longer than the time.
-        """
-        self._wait(modules, timeout_s, lambda state: State.MOTION not in state, "is still moving")
-
-    def wait_for_home(self, modules: Sequence[int], timeout_s: float) -> None:
-        """Wait until all modules are homed.
-
-        Raises
-        ------
-        DeviceFault
-            As of `wait_for_motion`, or the home position is not found.
-        """
-        done = State.HOME_OK | State.RAMP_END
-        self._wait(modules, timeout_s, lambda state: done in state, "has not found its home position")
-
-    def _wait(
-        self, modules: Sequence[int], timeout_s: float, done: Callable[[State], bool], trouble: str
-    ) -> None:
-        deadline = self._clock.monotonic() + timeout_s
-        waiting = list(modules)
-        while waiting:
-            for module in tuple(waiting):
-                state = self.state(module)
-                if explain(state):
-                    self.halt_all()
-                    raise DeviceFault(f"module {module} of '{self.device}' stopped: {explain(state)}")
-                if done(state):
-                    waiting.remove(module)
-            if waiting and self._clock.monotonic() > deadline:
-                raise DeviceFault(
-                    f"module {waiting[0]} of '{self.device}' {trouble} after {timeout_s:.3g} s: see that "
-                    "nothing blocks it, then reset and home it"
-                )
-            if waiting:
-                self._clock.sleep(_POLLS_EVERY_S)
 
     def _move(self, module: int, data: bytes, position_rad: float) -> float:
         reply = self._ask(module, data, f"a move to {position_rad:.4f} rad")
@@ -261,7 +173,7 @@ class PowerCubes:
                 "file"
             )
 
-    def _ask(self, module: int, data: bytes, what: str, *, retries: int | None = None) -> Message:
+    def _ask(self, module: int, data: bytes, what: str) -> Message:
         # A reply repeats the command, and the parameter or mode where there is one.
         head = data[:2]
 
@@ -269,7 +181,7 @@ class PowerCubes:
             return message.from_module and message.module == module and message.data[: len(head)] == head
 
         frame = m5.encode(Message(module, data), self._checksum)
-        return self._conversation.ask(frame, answers, f"{what} (module {module})", retries=retries)
+        return self._conversation.ask(frame, answers, f"{what} (module {module})")
 
     def _broadcast(self, command: Command) -> None:
         self._conversation.tell(m5.encode(Message(m5.BROADCAST, bytes((command,))), self._checksum))

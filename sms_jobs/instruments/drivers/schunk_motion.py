@@ -75,10 +75,6 @@ class SchunkMotion:
         """Stop along the ramp."""
         self._succeed(protocol.request(module, Command.STOP), "a stop")
 
-    def fast_stop(self, module: int) -> None:
-        """Stop at once; the module then reports an error that must be acknowledged."""
-        self._succeed(protocol.request(module, Command.FAST_STOP), "a fast stop")
-
     def acknowledge(self, module: int) -> None:
         """Acknowledge an error."""
         self._succeed(protocol.request(module, Command.ACKNOWLEDGE), "an acknowledgement")

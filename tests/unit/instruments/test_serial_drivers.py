@@ -39,6 +39,19 @@ def cubes(*faults: Fault) -> tuple[PowerCubes, SimulatedClock]:
     return PowerCubes("stage", MemoryWire(line, clock), clock, LINK), clock
 
 
+def wait(modules: PowerCubes, clock: SimulatedClock) -> None:
+    """Wait until both modules stand; the pause is that of the stage."""
+    while any(State.MOTION in modules.state(module) for module in (11, 12)):
+        clock.sleep(0.05)
+
+
+def home(modules: PowerCubes, clock: SimulatedClock) -> None:
+    for module in (11, 12):
+        modules.home(module)
+    wait(modules, clock)
+    assert all(State.HOME_OK in modules.state(module) for module in (11, 12))
+
+
 def test_a_simulated_module_answers_as_a_real_one() -> None:
     device = SimulatedPowerCubes(axes())
     # Home of module 11: a plain acknowledgement repeats the command and says 64 (hexadecimal), with the reply
@@ -53,25 +66,24 @@ def test_a_simulated_module_answers_as_a_real_one() -> None:
     assert device.receive(bytes.fromhex("02 04 01 10 82 07 03"), 0.0) == []
 
 
-def test_scanning_finds_the_modules_that_are_there() -> None:
+def test_modules_say_what_they_are() -> None:
     modules, _ = cubes()
-    found = modules.scan()
-    assert [facts.module for facts in found] == [11, 12]
-    assert str(found[0]) == "PowerCube 11: serial number 21011, firmware 2512"
+    assert str(modules.facts(11)) == "PowerCube 11: serial number 21011, firmware 2512"
+    with pytest.raises(LinkLost):
+        modules.facts(13)
 
 
 def test_homing_moving_and_waiting() -> None:
     modules, clock = cubes()
     with pytest.raises(DeviceFault, match="it was not homed: home it first"):
         modules.move_ramp(11, 0.5)
-    modules.home_all()
-    modules.wait_for_home([11, 12], timeout_s=10.0)
+    home(modules, clock)
     modules.set_profile(11, 0.5, 1.0)
     began = clock.monotonic()
     modules.move_ramp(11, 1.0)
     modules.move_step(12, -0.5, 1.5)
     assert State.MOTION in modules.state(11)
-    modules.wait_for_motion([11, 12], timeout_s=10.0)
+    wait(modules, clock)
     # A distance d at velocity v and acceleration a takes d / v + v / a = 2.5 s; polling adds 0.05 s.
     assert clock.monotonic() - began == pytest.approx(2.5, abs=0.2)
     assert modules.position(11) == pytest.approx(1.0, abs=radians(0.04))
@@ -80,8 +92,7 @@ def test_homing_moving_and_waiting() -> None:
 
 def test_modules_wait_for_the_common_start() -> None:
     modules, clock = cubes()
-    modules.home_all()
-    modules.wait_for_home([11, 12], timeout_s=10.0)
+    home(modules, clock)
     for module in (11, 12):
         modules.synchronise(module, wait_for_start=True)
         modules.move_ramp(module, 0.5)
@@ -91,39 +102,35 @@ def test_modules_wait_for_the_common_start() -> None:
     assert all(State.MOTION in modules.state(module) for module in (11, 12))
 
 
-def test_limits_are_read_set_and_kept() -> None:
-    modules, _ = cubes()
-    modules.home_all()
-    modules.wait_for_home([11, 12], timeout_s=10.0)
+def test_limits_are_set_and_kept() -> None:
+    modules, clock = cubes()
+    home(modules, clock)
     modules.set_limits(11, -0.5, 0.75)
-    limits = modules.limits(11)
-    assert (limits.minimum_rad, limits.maximum_rad) == (-0.5, 0.75)  # exact in float32
-    with pytest.raises(LimitExceeded, match=r"module 11 .* 1\.0000 rad: it stands beyond its soft limit"):
-        modules.move_ramp(11, 1.0)
-    modules.reset(11)
-    modules.move_ramp(11, 0.7)
+    for beyond in ("0.7501", "-0.5001"):
+        with pytest.raises(
+            LimitExceeded, match=f"module 11 .* {beyond} rad: it stands beyond its soft limit"
+        ):
+            modules.move_ramp(11, float(beyond))
+        modules.reset(11)
+    modules.move_ramp(11, 0.75)  # exact in float32
 
 
-def test_an_error_stops_all_and_a_reset_clears_it() -> None:
-    modules, _ = cubes(Fault("tow-error", at=1))
-    modules.home_all()
-    modules.wait_for_home([11, 12], timeout_s=10.0)
+def test_an_error_has_a_sentence_and_a_reset_clears_it() -> None:
+    modules, clock = cubes(Fault("tow-error", at=1))
+    home(modules, clock)
     modules.move_ramp(11, 1.0)
     modules.move_ramp(12, 1.5)
-    with pytest.raises(DeviceFault, match="module 11 of 'stage' stopped: its tow limit was exceeded"):
-        modules.wait_for_motion([11, 12], timeout_s=10.0)
+    while not explain(modules.state(11)):
+        clock.sleep(0.05)
+    assert "its tow limit was exceeded" in explain(modules.state(11))
+    assert State.MOTION in modules.state(12)
+    modules.halt_all()
     assert State.HALTED in modules.state(12)
-    modules.reset_all()
+    modules.reset(11)
     assert not explain(modules.state(11))
     modules.move_ramp(11, 1.0)
-    modules.wait_for_motion([11], timeout_s=10.0)
-
-
-def test_a_home_that_is_not_found_ends_after_its_time() -> None:
-    modules, _ = cubes(Fault("never-homed", axis="tilt"))
-    modules.home_all()
-    with pytest.raises(DeviceFault, match="module 12 of 'stage' has not found its home position after 5 s"):
-        modules.wait_for_home([11, 12], timeout_s=5.0)
+    wait(modules, clock)
+    assert modules.position(11) == pytest.approx(1.0, abs=radians(0.04))
 
 
 def test_every_error_bit_has_a_sentence() -> None:
