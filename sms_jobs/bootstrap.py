@@ -91,7 +91,7 @@ def services(home: Path | None = None) -> Iterator[Services]:
     ------
     ConfigurationError
         There is no home, or its catalogue is older than this version needs.
-    FormatTooNew
+    OtherFormat
         Its catalogue is newer.
     CatalogueDamaged
         It is damaged, or empty or gone although the archive holds files.

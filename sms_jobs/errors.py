@@ -80,7 +80,7 @@ class CatalogueDamaged(SmsError):
     exit_code = 6
 
 
-class FormatTooNew(SmsError):
+class OtherFormat(SmsError):
     """A file, message or catalogue was written by a newer version than this one reads."""
 
     exit_code = 4

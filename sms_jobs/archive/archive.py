@@ -30,7 +30,7 @@ from sms_jobs.archive.provenance import (
     provenance_to_json,
 )
 from sms_jobs.archive.sealing import copy_file, make_folders, safe_file, sealing, sha256_of, sync
-from sms_jobs.errors import ArchiveCorrupt, ConfigurationError, FormatTooNew, InvalidInput
+from sms_jobs.errors import ArchiveCorrupt, ConfigurationError, InvalidInput, OtherFormat
 from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import CampaignDefinition, Subject
 from sms_jobs.records.sensors import Calibration
@@ -241,7 +241,7 @@ class Archive:
         ArchiveCorrupt
             When it is missing, or another one than is on record: at once where its size, its texts or the
             digests of its arrays differ, and when an array is read that differs from its digest.
-        FormatTooNew
+        OtherFormat
             When it was written by a newer version.
         """
         path = self.path(file.path)
@@ -275,11 +275,7 @@ class Archive:
             raise ArchiveCorrupt(f"the provenance of {path} cannot be read; restore {beside}") from error
         if not whole:
             raise ArchiveCorrupt(f"the provenance of {path} was altered; restore {beside}")
-        if version > hdf5.FORMAT_VERSION:
-            raise FormatTooNew(
-                f"{path} has format version {version}, this program reads up to {hdf5.FORMAT_VERSION}; "
-                "install a newer sms_jobs"
-            )
+        hdf5.require_version(path, version)
         return provenance_from_json(json.dumps(told[0]), path), *told[1:]
 
     def verify_provenance(self, path: str, content_hash: str) -> None:
@@ -298,7 +294,7 @@ class Archive:
         ------
         ArchiveCorrupt
             When its contents are not those that it says were sealed.
-        FormatTooNew
+        OtherFormat
             When it was written by a newer version.
         """
         if layout.is_dataset(path):
@@ -404,7 +400,7 @@ class Archive:
                 with self.open_unrecorded(path) as dataset:
                     return dataset.provenance
             return self.document_provenance(layout.without_sidecar(path))
-        except (ArchiveCorrupt, FormatTooNew):
+        except (ArchiveCorrupt, OtherFormat):
             return None
 
     def is_of_job(self, path: str, job_id: str) -> bool:

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 
 from sms_jobs.archive.dataset import check_dataset
-from sms_jobs.errors import ArchiveCorrupt, FormatTooNew
+from sms_jobs.errors import ArchiveCorrupt, OtherFormat
 
 START_SECONDS = 60.0
 BYTES_PER_SECOND = 5e6
@@ -32,7 +32,7 @@ def serve() -> None:
         answer = {"code": 0, "message": ""}
         try:
             check_dataset(Path(asked["file"]), asked["where"], asked["content_hash"])
-        except (ArchiveCorrupt, FormatTooNew) as error:
+        except (ArchiveCorrupt, OtherFormat) as error:
             answer = {"code": error.exit_code, "message": str(error)}
         sys.stdout.write(json.dumps(answer) + "\n")
         sys.stdout.flush()
@@ -59,7 +59,7 @@ class Checker:
         ------
         ArchiveCorrupt
             When the file does not have that content hash, or the check crashed or never ended.
-        FormatTooNew
+        OtherFormat
             When it was written by a newer version.
         """
         if not file.is_file():
@@ -83,7 +83,7 @@ class Checker:
             raise ArchiveCorrupt(f"reading {where} ended with code {code}; restore it from a backup")
         answer = json.loads(line)
         if answer["code"]:
-            kind = FormatTooNew if answer["code"] == FormatTooNew.exit_code else ArchiveCorrupt
+            kind = OtherFormat if answer["code"] == OtherFormat.exit_code else ArchiveCorrupt
             raise kind(answer["message"])
 
     def _begun(self) -> subprocess.Popen[bytes]:

@@ -18,7 +18,7 @@ from sms_jobs.archive.codec import class_named, layout_of, record_from_parts
 from sms_jobs.archive.hashing import ArrayDigest, RecordDigest, SlabHash, block_checks, manifest_from
 from sms_jobs.archive.limits import refuse_excess
 from sms_jobs.archive.provenance import Provenance, digest, provenance_from_json
-from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput, NotFound
+from sms_jobs.errors import ArchiveCorrupt, InvalidInput, NotFound
 from sms_jobs.records.campaign import Subject
 
 R = TypeVar("R")
@@ -120,11 +120,7 @@ def _opened(file: Path, where: str) -> Iterator[h5py.File]:
             version = int(opened.attrs.get("format_version", 0))
         if not known:
             raise ArchiveCorrupt(f"{where} is an HDF5 file, but not one of this archive")
-        if version > hdf5.FORMAT_VERSION:
-            raise FormatTooNew(
-                f"{where} has format version {version}, this program reads up to {hdf5.FORMAT_VERSION}; "
-                "install a newer sms_jobs"
-            )
+        hdf5.require_version(where, version)
         yield opened
 
 
@@ -284,7 +280,7 @@ def open_dataset(
     ------
     ArchiveCorrupt
         When it is missing, truncated, not a file of the archive, or another one than was sealed.
-    FormatTooNew
+    OtherFormat
         When it was written by a newer version.
     """
     if size_bytes is not None and file.is_file() and file.stat().st_size != size_bytes:

@@ -1,6 +1,6 @@
 """Where files lie in the archive, and what their names say.
 
-`<campaign>/<state>/<pair>/<kind>-<time>-<job>-<attempt>.h5`, without the parts that the subject does not
+`<campaign>/<state>/<view>/<kind>-<time>-<job>-<attempt>.h5`, without the parts that the subject does not
 have; `<job>` is the beginning of the job's id. A document adds its own name: `...-<attempt>-<filename>`,
 and has its provenance beside it in `...-<attempt>-<filename>.provenance.json`. A file that is being written
 is called `.<name>.<whole job id>.tmp`. Folders that begin with a dot hold no part of the archive.
@@ -47,8 +47,8 @@ def folder(subject: Subject) -> PurePosixPath:
     parts = [checked_name(subject.campaign, "campaign")]
     if subject.state is not None:
         parts.append(checked_name(subject.state, "state"))
-    if subject.pair is not None:
-        parts.append(checked_name(subject.pair, "pair"))
+    if subject.view is not None:
+        parts.append(checked_name(subject.view, "view"))
     return PurePosixPath(*parts)
 
 

@@ -24,7 +24,8 @@ from sms_jobs.metrology.calibration.bundle_problem import (
 )
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, ray_directions
 from sms_jobs.metrology.geometry.transforms import transform
-from sms_jobs.records.sensors import Role, Sensor
+from sms_jobs.records.sensors import Sensor
+from sms_jobs.records.views import Role
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 
 Floats = NDArray[np.float64]
@@ -48,7 +49,7 @@ class Wanted:
     angles
         (pan, tilt) in degrees of each bar pose.
     points
-        On each sphere, for each pair.
+        On each sphere, for each view.
     camera_pixels
         Width and height of the cameras' images.
     phase_sigma_px, dot_sigma_px

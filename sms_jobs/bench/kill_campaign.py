@@ -141,8 +141,8 @@ class KillCampaign:
             bootstrap.initialise(self._home)
             with bootstrap.services(self._home) as services:
                 calibration, campaign = small_plate("plate")
-                # One pair, so that each job leaves one file.
-                campaign = replace(campaign, pairs=campaign.pairs[:1])
+                # One view, so that each job leaves one file.
+                campaign = replace(campaign, views=campaign.views[:1])
                 now = datetime.now(UTC)
                 register_campaign(services.catalogue, services.archive, campaign, calibration, now)
                 return Catalogue(services.settings.catalogue_url)

@@ -1,6 +1,6 @@
 """A catalogue with as many files as are wanted, made by the database itself, and the questions asked of it.
 
-Tuples of four files each (measurement, reconstruct, correlate, strain) with a job and statistics, 4 pairs a
+Tuples of four files each (measurement, reconstruct, correlate, strain) with a job and statistics, 4 views a
 state, 100 states a campaign, 5 campaigns a calibration. At odd states load and temperature were recorded with
 the measurement. Values scatter by multiplication modulo a prime.
 """
@@ -45,9 +45,10 @@ from sms_jobs.catalogue.models import (
     Table,
 )
 from sms_jobs.records.job import JobState
+from sms_jobs.records.views import view_of
 
 KINDS = ("measurement", "reconstruct", "correlate", "strain")
-PAIRS = ("C1P1", "C1P2", "C2P1", "C2P2")
+VIEWS = ("C1P1", "C1P2", "C2P1", "C2P2")
 STATES = 100
 """In a campaign."""
 CAMPAIGNS = 5
@@ -55,7 +56,7 @@ CAMPAIGNS = 5
 BEGUN = datetime(2020, 1, 1, tzinfo=UTC)
 PARAMETERS = frozenset({"gauge_length_mm", "method"})
 
-_STATE = len(KINDS) * len(PAIRS)
+_STATE = len(KINDS) * len(VIEWS)
 _CAMPAIGN = _STATE * STATES
 _MOMENTS = 40
 _CALIBRATIONS = 10_000
@@ -72,7 +73,7 @@ DOCUMENTED = (
     "strain where load_kN > 1400 and max_principal > 1e-3 and calibration = 3",
     "measurement where campaign = c00007 and state in (S01, S02) and time >= 2020-05-01",
     "strain where max_principal > 1999.9e-6",
-    "strain where maximum_principal_microstrain between 1500 and 1600 and pair = C1P2",
+    "strain where maximum_principal_microstrain between 1500 and 1600 and view = C1P2",
     "reconstruct where median_sigma_um > 49.99 or valid_fraction < 0.0001",
     "measurement where channel.temp_c > 30 and camera = C2",
     "strain where param.gauge_length_mm = 30 and not valid_fraction < 0.5",
@@ -256,7 +257,9 @@ def _files(files: _Filling) -> None:
             "recorded_at": _at(n - n % len(KINDS), 25_000),
             "campaign_id": n // _CAMPAIGN + 1,
             "state_id": n // _STATE + 1,
-            "pair": _chosen(n // len(KINDS), PAIRS),
+            "view": _chosen(n // len(KINDS), VIEWS),
+            "camera": _chosen(n // len(KINDS), tuple(view_of(v).camera for v in VIEWS)),
+            "projector": _chosen(n // len(KINDS), tuple(view_of(v).projector for v in VIEWS)),
             "job_id": _job(n),
         },
     )
@@ -265,7 +268,7 @@ def _files(files: _Filling) -> None:
         lambda n: {
             "file_id": n + _CALIBRATIONS,
             "state_id": n // _STATE + 1,
-            "pair": _chosen(n // len(KINDS), PAIRS),
+            "view": _chosen(n // len(KINDS), VIEWS),
             "recorded_at": _at(n, 25_000),
         },
         _is_kind("measurement"),

@@ -1,6 +1,6 @@
 """A catalogue with as many jobs as are wanted that have not ended, and a past of their kinds.
 
-Tuples of four jobs each that need one another, 2 pairs a state, 500 states a campaign; the first of each is
+Tuples of four jobs each that need one another, 2 views a state, 500 states a campaign; the first of each is
 queued and the others wait. Ids are random, as those of real jobs are.
 """
 
@@ -35,8 +35,8 @@ KINDS = ("simulate", "reconstruct", "correlate", "strain")
 SECONDS = {"simulate": 4.0, "reconstruct": 10.0, "correlate": 20.0, "strain": 2.0}
 """What each kind has taken."""
 QUEUES = {"simulate": "acquisition", "reconstruct": "cpu", "correlate": "cpu", "strain": "cpu"}
-PAIRS = ("C1P1", "C1P2")
-_STATE = len(KINDS) * len(PAIRS)
+VIEWS = ("C1P1", "C1P2")
+_STATE = len(KINDS) * len(VIEWS)
 CAMPAIGN = _STATE * 500
 """Jobs of a campaign; the last has fewer."""
 WORKER = "w0000001"
@@ -118,19 +118,19 @@ def _jobs(
 def _row(place: int, numbers: Sequence[int], at: datetime, chance: random.Random) -> dict[str, Any]:
     campaign, of_campaign = divmod(place, CAMPAIGN)
     state, of_state = divmod(of_campaign, _STATE)
-    pair, of_pair = divmod(of_state, len(KINDS))
-    kind = KINDS[of_pair]
+    view, of_view = divmod(of_state, len(KINDS))
+    kind = KINDS[of_view]
     return {
         "id": f"{chance.getrandbits(64):016x}",
         "kind": kind,
         "kind_version": 1,
         "campaign_id": numbers[campaign],
-        "subject": f"{name_of(campaign)}/S{state:03d}/{PAIRS[pair]}",
+        "subject": f"{name_of(campaign)}/S{state:03d}/{VIEWS[view]}",
         "parameters": {},
         "queue": QUEUES[kind],
         "position": int(at.timestamp() * 1e6),
         "repeatable": True,
-        "state": JobState.WAITING if of_pair else JobState.QUEUED,
+        "state": JobState.WAITING if of_view else JobState.QUEUED,
         "submitted_at": at,
     }
 

@@ -50,14 +50,14 @@ def reconstructed(
     threads: int,
     states: Sequence[str] = (),
 ) -> tuple[Shelf, Subject]:
-    """Record and reconstruct a campaign's first pair at rest and at some states; return the last tuple.
+    """Record and reconstruct a campaign's first view at rest and at some states; return the last tuple.
 
     The campaign's last state alone if none is given.
     """
     shelf = Shelf(campaign, threads)
     deformed = tuple(states) or (campaign.states[-1].label,)
     for label in (campaign.reference.label, *deformed):
-        subject = Subject(campaign.name, label, campaign.pairs[0])
+        subject = Subject(campaign.name, label, campaign.views[0])
         say(f"recording and reconstructing {subject}")
         shelf.records[CALIBRATION, subject] = {"calibration": calibration}
         shelf.run(simulate.KIND, Subject(campaign.name, label), simulate.KIND.parameters())
@@ -65,4 +65,4 @@ def reconstructed(
         frames = np.stack([recorded.frames.frame(i) for i in range(recorded.frames.shape[0])])
         shelf.records[MEASUREMENT, subject] = {"measurement": replace(recorded, frames=ArrayStack(frames))}
         shelf.run(reconstruct.KIND, subject, reconstruct.KIND.parameters())
-    return shelf, Subject(campaign.name, deformed[-1], campaign.pairs[0])
+    return shelf, Subject(campaign.name, deformed[-1], campaign.views[0])

@@ -1,4 +1,4 @@
-"""Clouds of a ball bar before a wall, as a pair of the virtual rig would measure them in each pose."""
+"""Clouds of a ball bar before a wall, as a view of the virtual rig would measure them in each pose."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from sms_jobs.archive import Archive, layout
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow
-from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, SmsError
+from sms_jobs.errors import ArchiveCorrupt, OtherFormat, SmsError
 from sms_jobs.jobs import recovery, reuse
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.registration import register_campaign
@@ -63,9 +63,9 @@ def prepare(folder: Path) -> None:
 def registered(
     catalogue: Catalogue, archive: Archive, calibration: Calibration, campaign: Campaign
 ) -> Campaign:
-    """Make a catalogue with the first pair and the first two states of a campaign, and a worker `bench`."""
+    """Make a catalogue with the first view and the first two states of a campaign, and a worker `bench`."""
     schema.upgrade(catalogue)
-    campaign = replace(campaign, states=campaign.states[:2], pairs=campaign.pairs[:1])
+    campaign = replace(campaign, states=campaign.states[:2], views=campaign.views[:1])
     register_campaign(catalogue, archive, campaign, calibration, now())
     with catalogue.writing() as session:
         recovery.register_worker(session, "bench", "here", 1, ["cpu", "io", "acquisition"], 1, now())
@@ -125,7 +125,7 @@ class _Reads:
                 return "changed"
             try:
                 return "same" if _values(self._archive, file) == self._good[file.path] else "changed"
-            except (ArchiveCorrupt, FormatTooNew):
+            except (ArchiveCorrupt, OtherFormat):
                 return "noticed"
 
 

@@ -181,7 +181,7 @@ def newest_file(session: Session, source: str, subject: Subject, media_type: str
         query = query.join(LoadStateRow, LoadStateRow.id == FileRow.state_id).where(
             LoadStateRow.label == subject.state
         )
-    query = query.where(FileRow.pair.is_(None) if subject.pair is None else FileRow.pair == subject.pair)
+    query = query.where(FileRow.view.is_(None) if subject.view is None else FileRow.view == subject.view)
     return session.scalar(query)
 
 

@@ -63,7 +63,7 @@ def prepare(target: Catalogue) -> None:
     ------
     Conflict
         There are rows in it, or tables of something else.
-    ConfigurationError, FormatTooNew
+    ConfigurationError, OtherFormat
         Its schema is not the one that this version works with.
     """
     if schema.current_revision(target) is None:

@@ -133,9 +133,9 @@ def find_page(
 
 
 def restricted(
-    query: Query, *, kind: str | None, campaign: str | None, state: str | None, pair: str | None
+    query: Query, *, kind: str | None, campaign: str | None, state: str | None, view: str | None
 ) -> Query:
-    """Return a query for those files alone that are of a kind, campaign, state and pair as well.
+    """Return a query for those files alone that are of a kind, campaign, state and view as well.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def restricted(
         raise InvalidInput(
             f"the query asks for {query.kind.text} and --kind for {kind}; leave one of them out"
         )
-    given = {"campaign": campaign, "state": state, "pair": pair}
+    given = {"campaign": campaign, "state": state, "view": view}
     parts: list[Condition] = [
         Comparison(Name(name, UNWRITTEN), Operator.EQUAL, Value(text, text, UNWRITTEN))
         for name, text in given.items()

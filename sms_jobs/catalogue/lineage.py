@@ -83,19 +83,19 @@ def note_recordings(session: Session, file: FileRow) -> None:
         file.recorded_at = session.scalar(select(func.max(FileRow.recorded_at)).where(*given))
         return
     inputs = (
-        select(FileRow.pair, FileRow.recorded_at, ReadingRow.name, ReadingRow.value)
+        select(FileRow.view, FileRow.recorded_at, ReadingRow.name, ReadingRow.value)
         .join(ProvenanceRow, ProvenanceRow.input_id == FileRow.id)
         .outerjoin(ReadingRow, ReadingRow.file_id == FileRow.id)
         .where(*given, FileRow.state_id == file.state_id, FileRow.recorded_at.is_not(None))
         .order_by(ProvenanceRow.role)
     )
     times: set[datetime | None] = set()
-    of_pairs: dict[str | None, dict[str, float]] = {}
-    # Several results of one pair tell of one recording.
-    for pair, at, name, value in session.execute(inputs):
+    of_views: dict[str | None, dict[str, float]] = {}
+    # Several results of one view tell of one recording.
+    for view, at, name, value in session.execute(inputs):
         times.add(at)
         if name is not None:
-            of_pairs.setdefault(pair, {})[name] = value
+            of_views.setdefault(view, {})[name] = value
     file.recorded_at = max((at for at in times if at is not None), default=None)
-    readings = mean_readings(list(of_pairs.values()))
+    readings = mean_readings(list(of_views.values()))
     session.add_all(ReadingRow(file_id=file.id, name=name, value=value) for name, value in readings.items())

@@ -16,10 +16,11 @@ from sqlalchemy import (
     UniqueConstraint,
     desc,
 )
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, validates
 
 from sms_jobs.catalogue.columns import String, Text, Told, UtcDateTime
 from sms_jobs.records.job import JobState
+from sms_jobs.records.views import view_of
 
 BigId = BigInteger().with_variant(Integer(), "sqlite")
 JobStateColumn = Enum(
@@ -116,7 +117,7 @@ class FileRow(Table):
 
     __tablename__ = "file"
     __table_args__ = (
-        Index(None, "campaign_id", "source", "state_id", "pair", "id"),
+        Index(None, "campaign_id", "source", "state_id", "view", "id"),
         # In these, all that is equal lies in the order of ids, so that the newest are found first.
         Index(None, "campaign_id", "source", "id"),
         Index(None, "source", "id"),
@@ -135,8 +136,18 @@ class FileRow(Table):
     """When the last of the recordings that it shows was begun; see `catalogue.lineage`."""
     campaign_id: Mapped[int | None] = mapped_column(ForeignKey("campaign.id"))
     state_id: Mapped[int | None] = mapped_column(ForeignKey("load_state.id"), index=True)
-    pair: Mapped[str | None] = mapped_column(String(16))
+    view: Mapped[str | None] = mapped_column(String(16))
+    camera: Mapped[str | None] = mapped_column(String(8))
+    """The reference camera of the view."""
+    projector: Mapped[str | None] = mapped_column(String(8))
     job_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), index=True)
+
+    @validates("view")
+    def _name_its_sensors(self, _: str, view: str | None) -> str | None:
+        seen = None if view is None else view_of(view)
+        self.camera = None if seen is None else seen.camera
+        self.projector = seen.projector if seen is not None and seen.projectors else None
+        return view
 
 
 class CalibrationRow(Table):
@@ -176,13 +187,13 @@ class CalibrationUseRow(Table):
 
 
 class MeasurementRow(Table):
-    """What one pair recorded at one state."""
+    """What one view recorded at one state."""
 
     __tablename__ = "measurement"
-    __table_args__ = (Index(None, "state_id", "pair", "recorded_at"),)
+    __table_args__ = (Index(None, "state_id", "view", "recorded_at"),)
     file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
     state_id: Mapped[int] = mapped_column(ForeignKey("load_state.id"))
-    pair: Mapped[str] = mapped_column(String(16))
+    view: Mapped[str] = mapped_column(String(16))
     recorded_at: Mapped[datetime] = mapped_column(index=True)
 
 

@@ -166,7 +166,6 @@ def _specimen() -> ColumnElement[Any]:
 
 @cache
 def _built_in(dialect: str) -> dict[str, Field]:
-    at = (func.instr if dialect == "sqlite" else func.strpos)(FileRow.pair, literal("P"))
     campaign = _of(CampaignRow.id == FileRow.campaign_id, CampaignRow.name)
     version = _of(ResultRow.file_id == FileRow.id, ResultRow.kind_version)
     created = Source(select(FileRow.id), FileRow.created_at.expression)
@@ -175,9 +174,9 @@ def _built_in(dialect: str) -> dict[str, Field]:
         Field("kind", "text", FileRow.source.expression),
         Field("campaign", "campaign", campaign),
         _state("state", LoadStateRow.label, "text"),
-        Field("pair", "text", FileRow.pair.expression),
-        Field("camera", "text", func.substr(FileRow.pair, 1, at - 1)),
-        Field("projector", "text", func.substr(FileRow.pair, at)),
+        Field("view", "text", FileRow.view.expression),
+        Field("camera", "text", FileRow.camera.expression),
+        Field("projector", "text", FileRow.projector.expression),
         _read("load_n", LoadStateRow.load_n),
         _read("displacement_mm", LoadStateRow.displacement_mm),
         _state("planned_load_n", LoadStateRow.planned_load_n, "number"),

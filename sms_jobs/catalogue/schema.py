@@ -15,7 +15,7 @@ from sqlalchemy.schema import SchemaItem
 import sms_jobs
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import Table
-from sms_jobs.errors import CatalogueEmpty, ConfigurationError, FormatTooNew
+from sms_jobs.errors import CatalogueEmpty, ConfigurationError, OtherFormat
 
 if TYPE_CHECKING:
     from alembic.config import Config
@@ -61,8 +61,8 @@ def upgrade(catalogue: Catalogue, revision: str = "head") -> None:
 
     Raises
     ------
-    FormatTooNew
-        The catalogue was made by a newer version of the program.
+    OtherFormat
+        The catalogue was made by a newer version of the program, or before the first release.
     """
     from alembic import command
 
@@ -78,8 +78,8 @@ def require_current(catalogue: Catalogue) -> None:
 
     Raises
     ------
-    FormatTooNew
-        The catalogue was made by a newer version of the program.
+    OtherFormat
+        The catalogue was made by a newer version of the program, or before the first release.
     CatalogueEmpty
         It has no tables.
     ConfigurationError
@@ -116,8 +116,14 @@ def _is_compared(dialect: str, thing: SchemaItem, *_: object) -> bool:
 
 
 def _refuse_newer(catalogue: Catalogue, found: str | None) -> None:
-    if found is not None and found not in revisions():
-        raise FormatTooNew(
+    known = revisions()
+    if found is not None and found < known[0]:
+        raise OtherFormat(
+            f"the catalogue {catalogue.describe()} has revision {found}, from before the first release; this "
+            f"version reads {known[0]} and later: begin anew with 'sms init' in another home"
+        )
+    if found is not None and found not in known:
+        raise OtherFormat(
             f"the catalogue {catalogue.describe()} has revision {found}, newer than {newest_revision()}, the "
             "newest that this version knows; install a newer sms-jobs"
         )

@@ -51,7 +51,7 @@ def find_files(
     source: str | None = None,
     campaign: str | None = None,
     state: str | None = None,
-    pair: str | None = None,
+    view: str | None = None,
     limit: int = 50,
 ) -> list[FileView]:
     """Return measurements, results and calibrations, the newest first."""
@@ -62,8 +62,8 @@ def find_files(
         query = query.where(FileRow.campaign_id == campaigns.campaign_id(session, campaign))
     if state is not None:
         query = query.where(LoadStateRow.label == state)
-    if pair is not None:
-        query = query.where(FileRow.pair == pair)
+    if view is not None:
+        query = query.where(FileRow.view == view)
     return [_view(*row) for row in session.execute(query)]
 
 
@@ -224,7 +224,7 @@ def _views() -> Select[FileRow, str, str]:
 
 
 def _view(row: FileRow, campaign: str | None, state: str | None) -> FileView:
-    subject = "/".join(part for part in (campaign, state, row.pair) if part is not None)
+    subject = "/".join(part for part in (campaign, state, row.view) if part is not None)
     return FileView(
         id=row.id,
         source=row.source,

@@ -141,8 +141,8 @@ class ValidCalibrations:
 
         Where nothing is measured yet, it is the time that the plan says, or now.
         """
-        if subject.state is not None and subject.pair is not None:
-            measured = self._measured.get((subject.state, subject.pair))
+        if subject.state is not None and subject.view is not None:
+            measured = self._measured.get((subject.state, subject.view))
             return measured or self._planned.get(subject.state) or self._now
         times = [t for (label, _), t in self._measured.items() if subject.state in (None, label)]
         planned = [t for label, t in self._planned.items() if subject.state in (None, label)]
@@ -155,14 +155,14 @@ class ValidCalibrations:
 
 
 def _measured(session: Session, campaign_id: int, state: str | None) -> dict[tuple[str, str], datetime]:
-    """Return when the newest measurement of each tuple was made, by label and pair.
+    """Return when the newest measurement of each tuple was made, by label and view.
 
     One that was simulated without a time counts as made when it was entered: that does not change either.
     """
     query = (
         select(
             LoadStateRow.label,
-            MeasurementRow.pair,
+            MeasurementRow.view,
             MeasurementRow.recorded_at,
             LoadStateRow.time,
             FileRow.created_at,
@@ -175,8 +175,8 @@ def _measured(session: Session, campaign_id: int, state: str | None) -> dict[tup
     if state is not None:
         query = query.where(LoadStateRow.label == state)
     return {
-        (label, pair): recorded if recorded != UNTIMED else planned or entered
-        for label, pair, recorded, planned, entered in session.execute(query)
+        (label, view): recorded if recorded != UNTIMED else planned or entered
+        for label, view, recorded, planned, entered in session.execute(query)
     }
 
 

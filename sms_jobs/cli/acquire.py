@@ -74,7 +74,7 @@ def run(
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Record states, every pair, and say whether the recordings can be used.
+    """Record states, every view, and say whether the recordings can be used.
 
     They are recorded where the rig is connected, see 'sms rig', one after the other. Exit code 5 when one
     needs an operator. Before a pose for which an artefact is placed by hand it waits for Enter.

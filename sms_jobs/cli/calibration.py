@@ -206,7 +206,7 @@ def compare(
         return
     output.print_facts({"verdict": found.verdict, "because": found.reason, "tolerance [um]": 1e3 * tolerance})
     output.print_table(
-        ["pair", "points move, rms [um]", "largest [um]", "aligned rms [um]", "aligned largest [um]"],
+        ["view", "points move, rms [um]", "largest [um]", "aligned rms [um]", "aligned largest [um]"],
         [
             (
                 f"{p.camera}{p.projector}",
@@ -230,7 +230,7 @@ def compare(
 @app.command()
 def check(
     tuples: Annotated[
-        list[str], typer.Argument(help="Tuples campaign/state/pair whose shape has been measured.")
+        list[str], typer.Argument(help="Tuples campaign/state/view whose shape has been measured.")
     ],
     baseline_mm: Annotated[
         float,

@@ -113,7 +113,7 @@ def import_(
 ) -> None:
     """Bring in a calibration that was made elsewhere.
 
-    Reads what 'sms calibration export' writes, and files of OpenCV with one camera or a pair, as OpenCV's
+    Reads what 'sms calibration export' writes, and files of OpenCV with one camera or two, as OpenCV's
     samples, SLStudio, SLMaster and others write them; the world is then the frame of the first sensor. What
     the file does not say has to be added. Nothing is changed unless everything is right.
 

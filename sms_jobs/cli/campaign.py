@@ -64,7 +64,7 @@ def create(
         )
     if as_json:
         output.print_json(
-            {"campaign": campaign.name, "states": len(campaign.states), "pairs": campaign.pairs}
+            {"campaign": campaign.name, "states": len(campaign.states), "views": campaign.views}
         )
         return
     if campaign.scene is not None:
@@ -72,7 +72,7 @@ def create(
     else:
         following = f"sms acquire run {campaign.name} --dry-run"
     output.say(
-        f"campaign {campaign.name} has {len(campaign.states)} states and {len(campaign.pairs)} pairs; "
+        f"campaign {campaign.name} has {len(campaign.states)} states and {len(campaign.views)} views; "
         f"next: {following}"
     )
 
@@ -94,14 +94,14 @@ def list_(
         output.print_json_list(rows)
         return
     output.print_table(
-        ["campaign", "specimen", "rig", "states", "pairs", "created", "jobs"],
+        ["campaign", "specimen", "rig", "states", "views", "created", "jobs"],
         [
             (
                 r.campaign,
                 r.specimen,
                 r.rig,
                 r.states,
-                r.pairs,
+                r.views,
                 r.created_at,
                 ", ".join(f"{n} {s}" for s, n in r.jobs.items()),
             )
@@ -122,7 +122,7 @@ def show(
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Show a campaign's states and pairs.
+    """Show a campaign's states and views.
 
     Example: sms campaign show wing-fatigue; sms campaign show wing-fatigue --plan > again.toml
     """
@@ -146,7 +146,7 @@ def show(
             "campaign": campaign.name,
             "specimen": campaign.specimen.name,
             "rig": campaign.rig + ("" if campaign.scene is None else " (virtual)"),
-            "pairs": ", ".join(campaign.pairs),
+            "views": ", ".join(campaign.views),
             "fringes": f"{campaign.sequence.densities} x {campaign.sequence.steps} steps, "
             f"{campaign.sequence.frames} frames",
             "created": row.created_at,

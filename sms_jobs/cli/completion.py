@@ -1,4 +1,4 @@
-"""What the shell offers on Tab: campaigns, states, pairs, kinds and job ids of the home."""
+"""What the shell offers on Tab: campaigns, states, views, kinds and job ids of the home."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def state_labels(context: typer.Context, incomplete: str) -> list[str]:
     return _offer(context, incomplete, lambda session: [s.label for s in _campaign(session, context).states])
 
 
-def pair_names(context: typer.Context, incomplete: str) -> list[str]:
-    """Offer the pairs of the campaign that is named on the line."""
-    return _offer(context, incomplete, lambda session: list(_campaign(session, context).pairs))
+def view_names(context: typer.Context, incomplete: str) -> list[str]:
+    """Offer the views of the campaign that is named on the line."""
+    return _offer(context, incomplete, lambda session: list(_campaign(session, context).views))
 
 
 def job_ids(context: typer.Context, incomplete: str) -> list[tuple[str, str]]:

@@ -78,7 +78,7 @@ def find(
         ),
     ] = None,
     state: Annotated[str | None, typer.Option(help="Only of this state.")] = None,
-    pair: Annotated[str | None, typer.Option(help="Only of this pair.")] = None,
+    view: Annotated[str | None, typer.Option(help="Only of this view.")] = None,
     limit: Limit = 50,
     after: After = None,
     columns: Columns = None,
@@ -92,7 +92,7 @@ def find(
 
     Example: sms data find 'strain where load_kN > 1400 and max_principal > 1e-3' -c wing-fatigue
     """
-    asked = restricted(parse(query or ""), kind=kind, campaign=campaign, state=state, pair=pair)
+    asked = restricted(parse(query or ""), kind=kind, campaign=campaign, state=state, view=view)
     found_files.tell(home, lambda _: asked, Wanted(limit, after, columns, form, out, force, as_json))
 
 

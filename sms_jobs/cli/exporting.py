@@ -96,7 +96,7 @@ def export(
         ),
     ] = None,
     state: Annotated[str | None, typer.Option(help="With --kind: only of this state.")] = None,
-    pair: Annotated[str | None, typer.Option(help="With --kind: only of this pair.")] = None,
+    view: Annotated[str | None, typer.Option(help="With --kind: only of this view.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
     home: Home = None,
     as_json: Json = False,
@@ -111,7 +111,7 @@ def export(
     """
     wanted = _Wanted(form, record, _split(fields), force)
     with bootstrap.services(home) as services:
-        views = _views(services, file, kind, campaign, state, pair)
+        views = _views(services, file, kind, campaign, state, view)
         if len(views) > 1 and out is not None and not out.is_dir():
             raise InvalidInput(f"{len(views)} files are to be written and {out} is no folder; make it first")
         written = [path for view in views for path in _export(services, view, out, wanted)]
@@ -135,28 +135,28 @@ def _views(
     kind: str | None,
     campaign: str | None,
     state: str | None,
-    pair: str | None,
+    view: str | None,
 ) -> list[FileView]:
     """Return the file that was named, or the newest of a kind of each subject."""
     if (file is None) == (kind is None):
         raise InvalidInput("name one file, as in 'sms data export 42', or choose by --kind and --campaign")
     with services.catalogue.reading() as session:
         if file is not None:
-            if (campaign, state, pair) != (None, None, None):
-                raise InvalidInput("--campaign, --state and --pair choose with --kind, not beside a file")
+            if (campaign, state, view) != (None, None, None):
+                raise InvalidInput("--campaign, --state and --view choose with --kind, not beside a file")
             return [search.file_view(session, file)]
         if campaign is None:
             raise InvalidInput("--kind needs --campaign: of which campaign is the result wanted?")
         found = search.find_files(
-            session, source=kind, campaign=campaign, state=state, pair=pair, limit=_MOST_FILES
+            session, source=kind, campaign=campaign, state=state, view=view, limit=_MOST_FILES
         )
-    datasets = [view for view in found if view.media_type == DATASET_MEDIA_TYPE]
+    datasets = [one for one in found if one.media_type == DATASET_MEDIA_TYPE]
     newest: dict[str, list[FileView]] = {}
-    for view in sorted(datasets or found, key=lambda view: view.id, reverse=True):
-        alike = newest.setdefault(view.subject, [])
+    for one in sorted(datasets or found, key=lambda one: one.id, reverse=True):
+        alike = newest.setdefault(one.subject, [])
         # Of documents, all that the newest job made.
-        if not alike or (not datasets and alike[0].job_id == view.job_id):
-            alike.append(view)
+        if not alike or (not datasets and alike[0].job_id == one.job_id):
+            alike.append(one)
     if not newest:
         raise NotFound(
             f"campaign {campaign} has no such result of kind {kind}; 'sms data find -c {campaign}' shows all"

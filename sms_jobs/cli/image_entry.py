@@ -123,7 +123,7 @@ class EnteredImages:
         return ImageCamera(full_scale, gain, read_noise)
 
     def _one(self, one: Inspected, camera: ImageCamera) -> dict[str, Any]:
-        subject = Subject(self.campaign, one.found.state, one.found.pair)
+        subject = Subject(self.campaign, one.found.state, one.found.view)
         digest = image_hash(one, self.settings.given())
         known = known_of(self.services.catalogue, self.services.archive, subject, digest)
         if known.status == "there":

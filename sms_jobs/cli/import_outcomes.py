@@ -64,7 +64,7 @@ def row_of(one: Inspected, outcome: str, detail: str) -> dict[str, Any]:
     facts = next(iter(one.facts.values()), None)
     return {
         "state": one.found.state,
-        "pair": one.found.pair,
+        "view": one.found.view,
         "frames": len(set(one.found.files)),
         "size": None if facts is None else f"{facts.columns} x {facts.rows}",
         "outcome": outcome,
@@ -95,13 +95,13 @@ def tell(
         )
     else:
         output.print_table(
-            ["state", "pair", "frames", "size [px]", "outcome", "detail"],
+            ["state", "view", "frames", "size [px]", "outcome", "detail"],
             [tuple({**row, "detail": _short(row)}.values()) for row in outcome.rows],
             empty="there is nothing to import",
         )
         for row in outcome.rows:
             if row["outcome"] == "refused":
-                output.say(f"refused: {row['state']}/{row['pair']}: {row['detail']}")
+                output.say(f"refused: {row['state']}/{row['view']}: {row['detail']}")
         for remark in outcome.remarks:
             output.say(f"note: {remark}")
         for one in left_out[:TOLD]:

@@ -154,10 +154,10 @@ def _check(
         raise InvalidInput(f"campaign {name} is no calibration session: import into another")
     if board is not None and board not in existing.session.artefacts.values():
         raise InvalidInput(f"session {name} shows another board: leave --board out, or make another session")
-    unknown = [p for p in arrangement.pairs if p not in existing.pairs]
+    unknown = [p for p in arrangement.views if p not in existing.views]
     if unknown:
         raise InvalidInput(
-            f"session {name} has no camera {', '.join(unknown)} by itself; it has {', '.join(existing.pairs)}"
+            f"session {name} has no camera {', '.join(unknown)} by itself; it has {', '.join(existing.views)}"
         )
     known = {s.label for s in existing.states}
     added = [label for label in arrangement.states if label not in known]
@@ -175,6 +175,6 @@ def _known(existing: Campaign) -> Mapping[str, SensorFormat]:
 def _preview(text: str, arrangement: Arrangement) -> None:
     output.say(f"pattern   {text}")
     for one in arrangement.tuples[:TOLD]:
-        output.say(f"  {one.white}  pose {one.state}, camera {one.pair}")
+        output.say(f"  {one.white}  pose {one.state}, camera {one.view}")
     if len(arrangement.tuples) > TOLD:
         output.say(f"  and {len(arrangement.tuples) - TOLD} more")

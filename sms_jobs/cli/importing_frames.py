@@ -57,7 +57,8 @@ from sms_jobs.formats.importers.layout import FrameLayout, layout_of, load_layou
 from sms_jobs.jobs.importing import amend_campaign, import_measurement, known_of, with_states
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
-from sms_jobs.records.sensors import Calibration, split_pair
+from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.views import view_of
 
 
 @dataclass(frozen=True)
@@ -80,10 +81,10 @@ def frames(
     layout: Annotated[Path | None, typer.Option(help="Layout file (TOML); see docs/import.md.")] = None,
     pattern: Annotated[
         str | None,
-        typer.Option(help="File names, as {state}/{pair}/frame_{number}.bmp; * for anything."),
+        typer.Option(help="File names, as {state}/{view}/frame_{number}.bmp; * for anything."),
     ] = None,
     state: Annotated[str | None, typer.Option(help="State, where the names do not say it.")] = None,
-    pair: Annotated[str | None, typer.Option(help="Pair, where the names do not say it.")] = None,
+    view: Annotated[str | None, typer.Option(help="View, as C1P1, where the names do not say it.")] = None,
     densities: Annotated[
         str | None, typer.Option(help="Fringes across the projector, in order of recording: '16 1'.")
     ] = None,
@@ -136,10 +137,10 @@ def frames(
 ) -> None:
     """Import folders of fringe frames: TIFF, PNG, BMP, JPEG, PNM or raw.
 
-    What the options do not say is guessed, shown, and asked about. Each state and pair is taken as a whole or
+    What the options do not say is guessed, shown, and asked about. Each state and view is taken as a whole or
     not at all; what is in the archive already is not entered again.
 
-    Example: sms import frames scans --campaign skull --rig desk --densities '16 1' --steps 3 --pair C1P1
+    Example: sms import frames scans --campaign skull --rig desk --densities '16 1' --steps 3 --view C1P1
 
     Example: sms import frames scans -c skull --print-layout > layout.toml; sms import frames scans -c skull
     --layout layout.toml --yes
@@ -149,7 +150,7 @@ def frames(
     given: dict[str, Any] = {
         "pattern": pattern,
         "state": state,
-        "pair": pair,
+        "view": view,
         "frames": shown,
         "order": order,
         "sequence.densities": _numbers(densities, "--densities", int),
@@ -228,7 +229,7 @@ def _preview(listing: Listing, guess: Guess, layout: FrameLayout, arrangement: A
     complete = next((t for t in arrangement.tuples if not t.faults), None)
     if complete is not None:
         told = list(roles_told(layout, complete))
-        output.say(f"frames of {complete.state}/{complete.pair}:")
+        output.say(f"frames of {complete.state}/{complete.view}:")
         for name, what in told if len(told) <= 2 * TOLD else [*told[:TOLD], ("...", ""), *told[-3:]]:
             output.say(f"  {name}  {what}")
 
@@ -265,13 +266,13 @@ class _Import:
                 rig=task.rig,
                 states=tuple(LoadState(label, time=task.recorded_at) for label in arrangement.labels)
                 or (LoadState("S00"),),
-                pairs=arrangement.pairs or ("C1P1",),
+                views=arrangement.views or ("C1P1",),
                 sequence=layout.sequence,
             )
-        unknown = [p for p in arrangement.pairs if p not in known.pairs]
+        unknown = [p for p in arrangement.views if p not in known.views]
         if unknown:
             raise InvalidInput(
-                f"campaign {known.name} has no pair {', '.join(unknown)}; it has {', '.join(known.pairs)}"
+                f"campaign {known.name} has no view {', '.join(unknown)}; it has {', '.join(known.views)}"
             )
         if layout.sequence != known.sequence:
             raise InvalidInput(
@@ -323,7 +324,7 @@ class _Import:
             known = {s.name: s for s in dataset.read("calibration", Calibration).rig.sensors}
         told: dict[str, None] = {}
         for one in good:
-            camera = split_pair(one.found.pair)[0]
+            camera = view_of(one.found.view).camera
             about, sensor = next(iter(one.facts.values())), known.get(camera)
             if sensor and (about.columns, about.rows) != (sensor.columns, sensor.rows):
                 remark = (
@@ -345,7 +346,7 @@ class _Import:
 
     def _enter(self, camera: CameraModel, one: Inspected, dry_run: bool) -> dict[str, Any]:
         task, catalogue, archive = self.task, self.services.catalogue, self.services.archive
-        subject = Subject(task.campaign, one.found.state, one.found.pair)
+        subject = Subject(task.campaign, one.found.state, one.found.view)
         digest = source_hash(one, self.layout)
         known = known_of(catalogue, archive, subject, digest)
         if known.status == "there":

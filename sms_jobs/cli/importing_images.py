@@ -112,13 +112,13 @@ def _wanted(
             specimen=Specimen(specimen or name),
             rig=rig,
             states=tuple(map(LoadState, arrangement.labels)) or (LoadState("S00"),),
-            pairs=arrangement.pairs or ("C1",),
+            views=arrangement.views or ("C1",),
         )
-    unknown = [p for p in arrangement.pairs if p not in existing.pairs]
+    unknown = [p for p in arrangement.views if p not in existing.views]
     if unknown:
         raise InvalidInput(
             f"campaign {name} has no camera {', '.join(unknown)} by itself; it has "
-            f"{', '.join(existing.pairs)}"
+            f"{', '.join(existing.views)}"
         )
     wanted = with_states(existing, arrangement.labels)
     added = [s.label for s in wanted.states[len(existing.states) :]]
@@ -133,6 +133,6 @@ def _preview(text: str, arrangement: Arrangement) -> None:
     output.say(f"pattern   {text}")
     output.say(f"reference {arrangement.states[0]}")
     for one in arrangement.tuples[:TOLD]:
-        output.say(f"  {one.white}  state {one.state}, camera {one.pair}")
+        output.say(f"  {one.white}  state {one.state}, camera {one.view}")
     if len(arrangement.tuples) > TOLD:
         output.say(f"  and {len(arrangement.tuples) - TOLD} more")

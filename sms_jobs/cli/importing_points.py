@@ -20,7 +20,8 @@ from sms_jobs.formats.importers.boards import BOARD
 from sms_jobs.jobs.importing import import_observations
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
-from sms_jobs.records.sensors import SensorFormat, sensors_of
+from sms_jobs.records.sensors import SensorFormat
+from sms_jobs.records.views import view_of
 
 _SIZE = re.compile(r"(\d{1,5})x(\d{1,5})")
 
@@ -29,7 +30,7 @@ def points(
     file: Annotated[Path, typer.Argument(help="Table (CSV) of points; see docs/import.md.")],
     campaign: CampaignName,
     rig: Annotated[str, typer.Option(help="Rig that is calibrated.")],
-    pair: Annotated[str, typer.Option(help="Camera and projector that saw the board, C1P1, or C1 alone.")],
+    view: Annotated[str, typer.Option(help="Camera and projector that saw the board, C1P1, or C1 alone.")],
     size: Annotated[
         list[str], typer.Option(help="Image size of each sensor in px, as C1=1280x960; repeat for the other.")
     ],
@@ -49,18 +50,18 @@ def points(
 
     They stand where the job kind observe-board would have put them: calibrate-boards goes on with them.
 
-    Example: sms import points corners.csv -c june --rig desk --pair C1P1 --size C1=1280x960 --size
+    Example: sms import points corners.csv -c june --rig desk --view C1P1 --size C1=1280x960 --size
     P1=1024x768
     """
     at = time_given(recorded_at) or datetime.now(UTC)
-    table = read_points(file, pair, sigma_px)
-    sensors = _sensors(pair, size)
+    table = read_points(file, view, sigma_px)
+    sensors = _sensors(view, size)
     made = Campaign(
         name=campaign,
         specimen=Specimen(BOARD),
         rig=rig,
         states=tuple(LoadState(label, time=at, artefact=BOARD) for label in table.observations),
-        pairs=(pair,),
+        views=(view,),
         session=CalibrationSession({BOARD: table.board}, sensors),
     )
     with bootstrap.services(home) as services:
@@ -74,7 +75,7 @@ def points(
     _tell(table, campaign, dry_run, as_json)
 
 
-def _sensors(pair: str, sizes: list[str]) -> tuple[SensorFormat, ...]:
+def _sensors(view: str, sizes: list[str]) -> tuple[SensorFormat, ...]:
     found: dict[str, SensorFormat] = {}
     for text in sizes:
         name, _, rest = text.partition("=")
@@ -82,7 +83,7 @@ def _sensors(pair: str, sizes: list[str]) -> tuple[SensorFormat, ...]:
         if match is None or int(match[1]) < 1 or int(match[2]) < 1:
             raise InvalidInput(f"--size should be as in C1=1280x960, not '{text}'")
         found[name] = SensorFormat(name, int(match[1]), int(match[2]))
-    wanted = sensors_of(pair)
+    wanted = view_of(view).sensors
     if set(found) != set(wanted):
         raise InvalidInput(f"give --size of {' and '.join(wanted)}, not of {', '.join(found) or 'none'}")
     return tuple(found[name] for name in wanted)

@@ -61,9 +61,9 @@ def submit(
         list[str] | None,
         typer.Option(help="Only this state; can be repeated.", autocompletion=completion.state_labels),
     ] = None,
-    pair: Annotated[
+    view: Annotated[
         list[str] | None,
-        typer.Option(help="Only this pair; can be repeated.", autocompletion=completion.pair_names),
+        typer.Option(help="Only this view; can be repeated.", autocompletion=completion.view_names),
     ] = None,
     parameter: Annotated[
         list[str] | None,
@@ -97,7 +97,7 @@ def submit(
         raise InvalidInput("--dry-run submits nothing that --wait could wait for; give one of them")
     kind, settings = split_words(kind)
     parameters = given_parameters([*settings, *(parameter or [])])
-    requests = requested(kind, parameters, tuple(state or ()), tuple(pair or ()))
+    requests = requested(kind, parameters, tuple(state or ()), tuple(view or ()))
     with bootstrap.services(home) as services:
         done, ahead = _planned(services, campaign, requests, priority, not no_cache, dry_run)
         counted = {name: done.kinds.count(name) for name in dict.fromkeys(done.kinds)}
@@ -380,11 +380,11 @@ def _items(mapping: Any) -> list[tuple[str, Any]]:
 
 
 def requested(
-    kinds: Sequence[str], parameters: dict[str, Any], states: tuple[str, ...], pairs: tuple[str, ...]
+    kinds: Sequence[str], parameters: dict[str, Any], states: tuple[str, ...], views: tuple[str, ...]
 ) -> list[Request]:
     """Give each kind its parameters: all to a single one, by `KIND.` to one of several."""
     if len(kinds) == 1:
-        return [Request(kinds[0], parameters, states, pairs)]
+        return [Request(kinds[0], parameters, states, views)]
     stray = [name for name in parameters if name.partition(".")[0] not in kinds]
     if stray and PIPELINE not in kinds:
         raise InvalidInput(
@@ -396,7 +396,7 @@ def requested(
         given = {name.partition(".")[2]: value for name, value in own.items()}
         if kind == PIPELINE:
             given = {n: v for n, v in parameters.items() if n.partition(".")[0] not in kinds}
-        requests.append(Request(kind, given, states, pairs))
+        requests.append(Request(kind, given, states, views))
     return requests
 
 

@@ -33,7 +33,7 @@ def show(
 ) -> None:
     """Show the states of a test: what is recorded, how good it is, and what is known of it already.
 
-    The last columns are the largest displacement, in mm, and the largest principal strain of all pairs.
+    The last columns are the largest displacement, in mm, and the largest principal strain of all views.
 
     Example: sms acquire show wing-fatigue --watch
     """
@@ -63,9 +63,9 @@ def _table(rows: Iterable[tuple[object, ...]]) -> Table:
 
 
 def _row(state: StateProgress) -> tuple[object, ...]:
-    verdict = f"{state.pairs} good" if state.pairs else ""
+    verdict = f"{state.views} good" if state.views else ""
     if state.doubtful:
-        verdict = f"{state.doubtful} of {state.pairs} doubtful"
+        verdict = f"{state.doubtful} of {state.views} doubtful"
     processing = [f"{state.processing} to do"] if state.processing else []
     processing += [f"{state.failed} failed"] if state.failed else []
     return (

@@ -55,7 +55,7 @@ def add(
     ] = "once",
     grace: Annotated[float, typer.Option(help="Seconds after which a time counts as missed.", min=1.0)] = 300,
     state: Annotated[list[str] | None, typer.Option(help="Only this state; can be repeated.")] = None,
-    pair: Annotated[list[str] | None, typer.Option(help="Only this pair; can be repeated.")] = None,
+    view: Annotated[list[str] | None, typer.Option(help="Only this view; can be repeated.")] = None,
     parameter: Annotated[
         list[str] | None,
         typer.Option("--set", help="NAME=VALUE of the kind, or KIND.NAME=VALUE; can be repeated."),
@@ -77,7 +77,7 @@ def add(
         raise InvalidInput(f"say when: one of --cron, --at, --every and --after, not {len(given)} of them")
     ((form, what),) = given.items()
     expression = parse_expression(f"{form} {what}", zone or local_zone())
-    requests = requested(kinds, given_parameters(parameter or []), tuple(state or ()), tuple(pair or ()))
+    requests = requested(kinds, given_parameters(parameter or []), tuple(state or ()), tuple(view or ()))
     order = Order(campaign, tuple(requests), priority, not no_cache)
     now = datetime.now(UTC)
     with bootstrap.services(home) as services:

@@ -66,7 +66,7 @@ def simulate(
         for calibration, campaign in found:
             register_campaign(services.catalogue, services.archive, campaign, calibration, datetime.now(UTC))
     facts = [
-        {"campaign": campaign.name, "states": len(campaign.states), "pairs": list(campaign.pairs)}
+        {"campaign": campaign.name, "states": len(campaign.states), "views": list(campaign.views)}
         for _, campaign in found
     ]
     if as_json:
@@ -78,7 +78,7 @@ def simulate(
         return
     for _, campaign in found:
         output.say(
-            f"created campaign {campaign.name}: {len(campaign.states)} states, {', '.join(campaign.pairs)}; "
+            f"created campaign {campaign.name}: {len(campaign.states)} states, {', '.join(campaign.views)}; "
             f"'sms job submit simulate pipeline -c {campaign.name}' measures it"
         )
 

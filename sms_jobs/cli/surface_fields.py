@@ -50,7 +50,7 @@ def gauges(
             "the states that have the names of gauges, as 'sms import gauges' enters them."
         ),
     ] = None,
-    pair: Annotated[str | None, typer.Option(help="Only of this pair.")] = None,
+    view: Annotated[str | None, typer.Option(help="Only of this view.")] = None,
     out: Out = None,
     force: Force = False,
     home: Home = None,
@@ -69,7 +69,7 @@ def gauges(
 
     given = None if readings is None else read_gauge_file(readings)
     with bootstrap.services(home) as services:
-        virtual = _virtual(services, campaign, pair)
+        virtual = _virtual(services, campaign, view)
         real = _entered(services, campaign, {row.gauge for row in virtual}) if given is None else given
     rows = compared(virtual, real)
     if out is not None:
@@ -78,8 +78,8 @@ def gauges(
         output.print_json({"campaign": campaign, "gauges": rows})
         return
     output.print_table(
-        ["state", "pair", "gauge", "virtual [µε]", "sigma [µε]", "pixels", "real [µε]", "difference [µε]"],
-        [(r.state, r.pair, r.gauge, *_rounded(r), _in(r.real), _in(r.difference)) for r in rows],
+        ["state", "view", "gauge", "virtual [µε]", "sigma [µε]", "pixels", "real [µε]", "difference [µε]"],
+        [(r.state, r.view, r.gauge, *_rounded(r), _in(r.real), _in(r.difference)) for r in rows],
         empty=f"no virtual gauges of campaign {campaign}",
     )
     differences = [r.difference for r in rows if r.difference is not None]
@@ -96,12 +96,12 @@ def _in(strain: float | None) -> str | None:
     return None if strain is None else f"{_MICROSTRAIN * strain:.1f}"
 
 
-def _virtual(services: Services, campaign: str, pair: str | None) -> list[GaugeRow]:
-    """Return the newest readings of every state and pair, in order."""
+def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeRow]:
+    """Return the newest readings of every state and view, in order."""
     from sms_jobs.formats.profiles import GaugeRow
 
     with services.catalogue.reading() as session:
-        files = search.find_files(session, source="gauges", campaign=campaign, pair=pair, limit=_MOST_STATES)
+        files = search.find_files(session, source="gauges", campaign=campaign, view=view, limit=_MOST_STATES)
     newest: dict[str, FileView] = {}
     for file in files:
         newest.setdefault(file.subject, file)
@@ -150,10 +150,10 @@ def _table_of(rows: Sequence[GaugeRow]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
-        ["state", "pair", "gauge", "virtual_microstrain", "sigma_microstrain", "pixels", "real_microstrain"]
+        ["state", "view", "gauge", "virtual_microstrain", "sigma_microstrain", "pixels", "real_microstrain"]
     )
     for r in rows:
-        writer.writerow([r.state, r.pair, r.gauge, *_rounded(r), _in(r.real)])
+        writer.writerow([r.state, r.view, r.gauge, *_rounded(r), _in(r.real)])
     return text.getvalue()
 
 
@@ -239,7 +239,7 @@ def _shape_of(services: Services, parents: Sequence[Ancestor], file: str) -> np.
     """Return where the pixels of a result are, by the shape that it was made from."""
     shape = next((p.file for p in parents if p.role == "reference"), None)
     if shape is None:
-        raise InvalidInput(f"file {file} does not say where its pixels are; choose a result of a pair")
+        raise InvalidInput(f"file {file} does not say where its pixels are; choose a result of a view")
     with services.archive.open(shape) as dataset:
         return dataset.read("cloud", PointCloud).xyz
 

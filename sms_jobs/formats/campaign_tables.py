@@ -23,7 +23,8 @@ from sms_jobs.records import scene as scenes
 from sms_jobs.records.campaign import Campaign, LoadState, ParameterValue, Specimen
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, Gloss, ProjectorResponse, Scene, Speckle
-from sms_jobs.records.sensors import Calibration, Rig, Role, Sensor, sensors_of, split_pair
+from sms_jobs.records.sensors import Calibration, Rig, Sensor
+from sms_jobs.records.views import role_of, view_of
 
 ALWAYS = datetime(1970, 1, 1, tzinfo=UTC)
 """From when the exact calibration of a virtual rig is valid, unless its file says otherwise."""
@@ -146,7 +147,7 @@ class _Sensor(Table):
 
     def record(self) -> Sensor:
         intrinsics = Intrinsics(**{f.name: getattr(self, f.name) for f in fields(Intrinsics)})
-        role = Role.CAMERA if self.name.startswith("C") else Role.PROJECTOR
+        role = role_of(self.name)
         return Sensor(self.name, role, self.columns, self.rows, intrinsics, self._pose())
 
 
@@ -263,7 +264,7 @@ class CampaignTable(Table):
     rig: str
     specimen: _Specimen
     states: tuple[_State, ...]
-    pairs: tuple[str, ...] | None = None
+    views: tuple[str, ...] | None = None
     sequence: _Sequence = _Sequence()
     scene: _Scene | None = None
     session: SessionTable | None = None
@@ -272,7 +273,7 @@ class CampaignTable(Table):
     def plan(self) -> CampaignPlan:
         """Return the records, checked against each other."""
         scene = self._scene()
-        pairs = self._checked_pairs(None if scene is None else scene.rig)
+        views = self._checked_views(None if scene is None else scene.rig)
         states = tuple(record for s in self.states for record in s.records())
         if self.session is not None and self.session.stage_poses is not None:
             states += self.session.stage_poses.states(virtual=scene is not None)
@@ -282,13 +283,13 @@ class CampaignTable(Table):
             specimen=Specimen(self.specimen.name, self.specimen.material, self.specimen.description),
             rig=self.rig,
             states=states,
-            pairs=pairs,
+            views=views,
             sequence=self.sequence.record(),
             scene=scene,
             processing={kind: dict(parameters) for kind, parameters in self.processing.items()},
             session=None
             if self.session is None
-            else self.session.record(states, pairs, None if scene is None else scene.rig, volume),
+            else self.session.record(states, views, None if scene is None else scene.rig, volume),
         )
         for state in campaign.states:
             if scene is None and state.deformation:
@@ -328,21 +329,21 @@ class CampaignTable(Table):
             origin="exact parameters of the virtual rig",
         )
 
-    def _checked_pairs(self, rig: Rig | None) -> tuple[str, ...]:
-        """Return the pairs that measure, each once and of sensors that exist."""
-        if rig is not None and not rig.pairs():
+    def _checked_views(self, rig: Rig | None) -> tuple[str, ...]:
+        """Return the views that measure, each once and of sensors that exist."""
+        if rig is not None and not rig.views():
             raise InvalidInput(
                 "the scene needs at least one camera and one projector under [[scene.sensors]]"
             )
-        if rig is not None and self.pairs is None:
-            return rig.pairs()
-        if not self.pairs:
-            raise InvalidInput("pairs is missing or empty: name those that measure, such as ['C1P1', 'C1P2']")
-        for pair in self.pairs:
-            # What no scene describes may be a camera alone; a virtual rig projects.
-            for name in sensors_of(pair) if rig is None else split_pair(pair):
-                if rig is not None:
-                    rig.sensor(name)
-        if len(set(self.pairs)) < len(self.pairs):
-            raise InvalidInput(f"pairs names one pair twice: {', '.join(self.pairs)}")
-        return self.pairs
+        if rig is not None and self.views is None:
+            return rig.views()
+        if not self.views:
+            raise InvalidInput("views is missing or empty: name those that measure, such as ['C1P1', 'C1P2']")
+        for view in map(view_of, self.views):
+            if rig is not None:
+                # What no scene describes may be a camera alone; a virtual rig projects.
+                rig.sensor(view.camera)
+                rig.sensor(view.projector)
+        if len(set(self.views)) < len(self.views):
+            raise InvalidInput(f"views names one view twice: {', '.join(self.views)}")
+        return self.views

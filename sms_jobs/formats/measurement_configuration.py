@@ -8,7 +8,7 @@ filename
 specimen
     The table [specimen].
 hardware
-    `rig`; the activated sensors by their indices in `cameras` and `projectors`, or `pairs`; the `scene` of a
+    `rig`; the activated sensors by their indices in `cameras` and `projectors`, or `views`; the `scene` of a
     virtual rig.
 acquisition
     `densities` and `orientations_deg` of [sequence]; `states`, the deformation sequence.
@@ -31,6 +31,7 @@ from typing import Any
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.formats.interchange.xml_elements import Element, parse_xml
 from sms_jobs.formats.interchange.xml_values import Path, Places, value_of
+from sms_jobs.records.views import Role, View, sensor_name
 
 _WHOLE: dict[str, Path] = {
     "specimen": ("specimen",),
@@ -42,7 +43,7 @@ _WHOLE: dict[str, Path] = {
 
 _PARTS: dict[str, dict[str, Path]] = {
     "filename": {"campaign": ("name",)},
-    "hardware": {"rig": ("rig",), "pairs": ("pairs",)},
+    "hardware": {"rig": ("rig",), "views": ("views",)},
     "acquisition": {
         "densities": ("sequence", "densities"),
         "orientations_deg": ("sequence", "orientations_deg"),
@@ -118,7 +119,7 @@ def _take_apart(section: Element, content: dict[str, Any], places: Places) -> No
             for key, value in scene.items():
                 _put(content, ("scene", key), value)
         elif section.name == "hardware" and child.name in ("cameras", "projectors"):
-            seen[child.name] = (child, value_of(child, places, f"{name}/{child.name}", ("pairs",)))
+            seen[child.name] = (child, value_of(child, places, f"{name}/{child.name}", ("views",)))
             continue
         else:
             known = ", ".join(
@@ -133,13 +134,13 @@ def _take_apart(section: Element, content: dict[str, Any], places: Places) -> No
 
 
 def _activate(section: Element, seen: dict[str, Any], content: dict[str, Any], places: Places) -> None:
-    """Make pairs of the activated cameras and projectors: every camera with every projector."""
-    if "pairs" in content or not {"cameras", "projectors"} <= seen.keys():
+    """Make views of the activated cameras and projectors: every camera with every projector."""
+    if "views" in content or not {"cameras", "projectors"} <= seen.keys():
         raise places.refused(
-            section, "sms/hardware", "needs either cameras and projectors, or pairs, and not both"
+            section, "sms/hardware", "needs either cameras and projectors, or views, and not both"
         )
     names: dict[str, list[str]] = {}
-    for kind, letter in (("cameras", "C"), ("projectors", "P")):
+    for kind, role in (("cameras", Role.CAMERA), ("projectors", Role.PROJECTOR)):
         child, indices = seen[kind]
         listed = indices if isinstance(indices, list) else [indices]
         for index in listed:
@@ -149,9 +150,9 @@ def _activate(section: Element, seen: dict[str, Any], content: dict[str, Any], p
                     f"sms/hardware/{kind}",
                     f"should hold the indices of {kind}, such as 1 2, not '{index}'",
                 )
-        names[kind] = [f"{letter}{index}" for index in listed]
-    content["pairs"] = [
-        camera + projector for camera in names["cameras"] for projector in names["projectors"]
+        names[kind] = [sensor_name(role, index) for index in listed]
+    content["views"] = [
+        str(View(camera, (projector,))) for camera in names["cameras"] for projector in names["projectors"]
     ]
 
 

@@ -23,7 +23,7 @@ class GaugeRow:
     """A virtual gauge at a state beside the real one; strains are ratios, None where there is none."""
 
     state: str
-    pair: str
+    view: str
     gauge: str
     virtual: float | None
     sigma: float | None
@@ -56,8 +56,8 @@ def draw_gauges(rows: Sequence[GaugeRow]) -> bytes:
     figure = new_figure(7.0, 4.2)
     axes = figure.add_subplot()
     states = list(dict.fromkeys(row.state for row in rows))
-    for number, (gauge, pair) in enumerate(dict.fromkeys((row.gauge, row.pair) for row in rows)):
-        own = [r for r in rows if (r.gauge, r.pair) == (gauge, pair) and r.virtual is not None]
+    for number, (gauge, view) in enumerate(dict.fromkeys((row.gauge, row.view) for row in rows)):
+        own = [r for r in rows if (r.gauge, r.view) == (gauge, view) and r.virtual is not None]
         place = [states.index(r.state) for r in own]
         colour = f"C{number % 10}"
         axes.errorbar(
@@ -67,7 +67,7 @@ def draw_gauges(rows: Sequence[GaugeRow]) -> bytes:
             fmt="o-",
             color=colour,
             capsize=3,
-            label=f"{gauge} ({pair})",
+            label=f"{gauge} ({view})",
         )
         real = [(states.index(r.state), 1e6 * r.real) for r in own if r.real is not None]
         if real:

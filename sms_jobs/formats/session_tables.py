@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from math import radians
 from typing import Annotated, Literal, TypeAlias
 
@@ -15,7 +14,8 @@ from sms_jobs.metrology.geometry.stage_poses import AngleRange, uniform_poses
 from sms_jobs.records.artefacts import Artefact, BallBar, Chessboard, CircleBoard, Place
 from sms_jobs.records.campaign import CalibrationSession, LoadState, checked_name
 from sms_jobs.records.scene import PanTilt, Rigid
-from sms_jobs.records.sensors import Rig, SensorFormat, sensors_of
+from sms_jobs.records.sensors import Rig, SensorFormat
+from sms_jobs.records.views import place_of, role_of, view_of
 
 LONGEST_SIDE_PX = 20_000
 
@@ -27,12 +27,14 @@ _Artefact: TypeAlias = Annotated[Artefact, flat(*ARTEFACTS, tag="shape")]
 
 def sensor_name(name: str) -> str:
     """Return the name of a sensor; refuse any but C1, C2, ... and P1, P2, ..."""
-    if not re.fullmatch(r"[CP][1-9][0-9]{0,2}", name):
+    try:
+        role_of(name)
+    except InvalidInput as error:
         raise PydanticCustomError(
             "sensor_name",
             "should be C1, C2, ... for a camera or P1, P2, ... for a projector, not '{name}'",
             {"name": name},
-        )
+        ) from error
     return name
 
 
@@ -106,7 +108,7 @@ class SessionTable(Table):
         return self.artefacts.get(name or "", next(iter(self.artefacts.values())))
 
     def record(
-        self, states: tuple[LoadState, ...], pairs: tuple[str, ...], rig: Rig | None, scene: Volume | None
+        self, states: tuple[LoadState, ...], views: tuple[str, ...], rig: Rig | None, scene: Volume | None
     ) -> CalibrationSession:
         """Return the session, checked against its states and against the virtual rig if there is one.
 
@@ -121,7 +123,7 @@ class SessionTable(Table):
         volume = self.volume or scene
         return CalibrationSession(
             artefacts=dict(self.artefacts),
-            sensors=self._formats(pairs, rig),
+            sensors=self._formats(views, rig),
             volume=None if volume is None else volume.record(),
             board_in_world=_rigid(self.board_in_world),
             starts_from=self.starts_from,
@@ -140,7 +142,7 @@ class SessionTable(Table):
                     "stiff: move them by rigid and pan-tilt alone"
                 )
 
-    def _formats(self, pairs: tuple[str, ...], rig: Rig | None) -> tuple[SensorFormat, ...]:
+    def _formats(self, views: tuple[str, ...], rig: Rig | None) -> tuple[SensorFormat, ...]:
         """Return the sizes of the images of all sensors, cameras first."""
         if rig is not None:
             if self.sensors:
@@ -153,14 +155,14 @@ class SessionTable(Table):
             raise InvalidInput(
                 f"two sensors of the session have one name: {', '.join(s.name for s in self.sensors)}"
             )
-        for pair in pairs:
-            for name in sensors_of(pair):
+        for view in views:
+            for name in view_of(view).sensors:
                 if name not in found:
                     raise InvalidInput(
-                        f"the session does not say how many pixels {name} of pair {pair} has: add it under "
+                        f"the session does not say how many pixels {name} of view {view} has: add it under "
                         "[[session.sensors]]"
                     )
-        return tuple(sorted(found.values(), key=lambda s: (s.name[0], int(s.name[1:]))))
+        return tuple(sorted(found.values(), key=lambda s: place_of(s.name)))
 
 
 def check_artefact(name: str, artefact: Artefact) -> None:

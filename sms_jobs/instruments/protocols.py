@@ -18,12 +18,12 @@ class Recorder(Protocol):
     """Cameras and projectors that record together."""
 
     def record(
-        self, pair: str, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None
+        self, view: str, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None
     ) -> Measurement:
-        """Project a sequence with the pair's projector and record it with its camera.
+        """Project a sequence with the view's projector and record it with its camera.
 
         `dimming`, the size of the projector's image, is what every pattern is multiplied by, white too.
-        The frames may be taken while they are asked for. Raises `InvalidInput` for a pair that the rig
+        The frames may be taken while they are asked for. Raises `InvalidInput` for a view that the rig
         does not have.
         """
         ...

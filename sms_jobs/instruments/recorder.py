@@ -42,7 +42,7 @@ from sms_jobs.instruments.spool import Spooled, SpooledFrames, SpoolHeader, Spoo
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.recording import InterruptedRecording, Recording, Verdict
 from sms_jobs.records.scene import Simulation
-from sms_jobs.records.sensors import split_pair
+from sms_jobs.records.views import view_of
 
 FRAME_TIMEOUT_S = 5.0
 _TRIES = 3
@@ -78,7 +78,7 @@ class ConnectedRig:
     video
         What brings the picture to a projector.
     simulation
-        What a pair truly sees now; None for real instruments.
+        What a view truly sees now; None for real instruments.
     described
         What each sensor said of itself when it was connected, by name.
     """
@@ -101,21 +101,21 @@ class ConnectedRig:
 
 def record_state(
     rig: ConnectedRig,
-    pairs: Sequence[str],
+    views: Sequence[str],
     sequence: FringeSequence,
     spool: Path,
     limits: Limits,
     progress: Callable[[float, str], None],
     texture_exposure: float = 1.0,
 ) -> None:
-    """Record every pair of a state into the spool; pairs that are there already are left alone.
+    """Record every view of a state into the spool; views that are there already are left alone.
 
     Parameters
     ----------
-    pairs
+    views
         Such as C1P1, in order of their projectors.
     spool
-        Folder of the job; it holds one file a pair afterwards, see `finished` and `recorded`.
+        Folder of the job; it holds one file a view afterwards, see `finished` and `recorded`.
     progress
         Told a fraction and a few words; may raise to stop the recording, which leaves the projectors dark.
     texture_exposure
@@ -124,7 +124,7 @@ def record_state(
     Raises
     ------
     InvalidInput
-        When the rig does not have a sensor of a pair, or a channel that has to be read.
+        When the rig does not have a sensor of a view, or a channel that has to be read.
     InstrumentError
         When an instrument gives up; complete frames stay in the spool.
     StorageFull
@@ -133,7 +133,7 @@ def record_state(
     limits.require_channels(rig.name, rig.channels)
     spool.mkdir(parents=True, exist_ok=True)
     _set_aside_interrupted(spool)
-    by_projector = _by_projector(rig, [p for p in pairs if not is_finished(spool, p)])
+    by_projector = _by_projector(rig, [p for p in views if not is_finished(spool, p)])
     _require_room(rig, by_projector, sequence.frames + 1, spool)
     with ExitStack() as stack:
         for projector in rig.projectors.values():
@@ -154,14 +154,14 @@ def record_state(
                     break
 
 
-def is_finished(spool: Path, pair: str) -> bool:
-    """Say whether a whole set of a pair is in the spool."""
-    return _facts_path(spool, pair).is_file()
+def is_finished(spool: Path, view: str) -> bool:
+    """Say whether a whole set of a view is in the spool."""
+    return _facts_path(spool, view).is_file()
 
 
-def recorded(spool: Path, pair: str, sequence: FringeSequence) -> tuple[Measurement, Recording]:
+def recorded(spool: Path, view: str, sequence: FringeSequence) -> tuple[Measurement, Recording]:
     """Return a finished set; its frames are read from the spool as they are asked for."""
-    facts = json.loads(_facts_path(spool, pair).read_text(encoding="utf-8"))
+    facts = json.loads(_facts_path(spool, view).read_text(encoding="utf-8"))
     file = Spooled(spool / facts["file"])
     told = file.header.about
     numbers, times = file.numbers_and_times(file.complete)
@@ -188,10 +188,10 @@ def recorded(spool: Path, pair: str, sequence: FringeSequence) -> tuple[Measurem
     )
 
 
-def interrupted(spool: Path, pair: str, sequence: FringeSequence) -> list[InterruptedRecording]:
-    """Return the sets of a pair that broke off after one complete frame or more, in order."""
+def interrupted(spool: Path, view: str, sequence: FringeSequence) -> list[InterruptedRecording]:
+    """Return the sets of a view that broke off after one complete frame or more, in order."""
     found = []
-    for path in _files(spool, pair):
+    for path in _files(spool, view):
         file = Spooled(path)
         count = min(file.complete, sequence.frames)
         if path.suffix == _INTERRUPTED and count:
@@ -318,10 +318,10 @@ class _Set:
         moved: list[str],
     ) -> list[str]:
         """Judge a camera's set and mark it as finished; return what is wrong with it."""
-        pair = camera + self.projector
-        path = _newest(self.spool, pair)
+        view = camera + self.projector
+        path = _newest(self.spool, view)
         verdict = judged(Spooled(path), self.sequence, saturated)
-        doubts = [f"{pair}: {words}" for words in (*wanting(verdict, limits), *moved)]
+        doubts = [f"{view}: {words}" for words in (*wanting(verdict, limits), *moved)]
         facts = {
             "file": path.name,
             "verdict": vars(replace(verdict, doubts=tuple(doubts))),
@@ -329,7 +329,7 @@ class _Set:
             "recordings": self.attempt,
             "channels": channels,
         }
-        marker = _facts_path(self.spool, pair)
+        marker = _facts_path(self.spool, view)
         beside = marker.with_suffix(".new")
         beside.write_text(json.dumps(facts), encoding="utf-8")
         before = json.loads(marker.read_text(encoding="utf-8"))["file"] if marker.is_file() else None
@@ -374,15 +374,15 @@ class _Writer:
             self._file.close()
 
 
-def _by_projector(rig: ConnectedRig, pairs: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return the cameras of each projector, both in the order of the pairs."""
+def _by_projector(rig: ConnectedRig, views: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return the cameras of each projector, both in the order of the views."""
     found: dict[str, tuple[str, ...]] = {}
-    for pair in pairs:
-        camera, projector = split_pair(pair)
+    for view in map(view_of, views):
+        camera, projector = view.camera, view.projector
         for name, known in ((camera, rig.cameras), (projector, rig.projectors)):
             if name not in known:
                 raise InvalidInput(
-                    f"rig {rig.name} has no {name} for the pair {pair}; it has "
+                    f"rig {rig.name} has no {name} for the view {view}; it has "
                     f"{', '.join([*rig.cameras, *rig.projectors])}"
                 )
         found[projector] = (*found.get(projector, ()), camera)
@@ -411,20 +411,20 @@ def _set_aside_interrupted(spool: Path) -> None:
             path.rename(path.with_suffix(_INTERRUPTED))
 
 
-def _facts_path(spool: Path, pair: str) -> Path:
-    return spool / f"{pair}.json"
+def _facts_path(spool: Path, view: str) -> Path:
+    return spool / f"{view}.json"
 
 
-def _files(spool: Path, pair: str) -> list[Path]:
-    return sorted(spool.glob(f"{pair}.[0-9]*"))
+def _files(spool: Path, view: str) -> list[Path]:
+    return sorted(spool.glob(f"{view}.[0-9]*"))
 
 
-def _new_path(spool: Path, pair: str) -> Path:
-    return spool / f"{pair}.{len(_files(spool, pair)) + 1:03d}{_FRAMES}"
+def _new_path(spool: Path, view: str) -> Path:
+    return spool / f"{view}.{len(_files(spool, view)) + 1:03d}{_FRAMES}"
 
 
-def _newest(spool: Path, pair: str) -> Path:
-    return _files(spool, pair)[-1]
+def _newest(spool: Path, view: str) -> Path:
+    return _files(spool, view)[-1]
 
 
 def _quietly(what: Callable[[], None]) -> None:

@@ -26,8 +26,8 @@ from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.instruments import Instruments, SerialChannel, Stage, TriggerController, VideoSplitter
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import RigFile, VirtualCamera, VirtualProjector
-from sms_jobs.records.sensors import split_pair
 from sms_jobs.records.serial_links import SIMULATED
+from sms_jobs.records.views import view_of
 
 Wired = TypeVar("Wired", Stage, TriggerController, VideoSplitter, SerialChannel)
 
@@ -46,7 +46,7 @@ class StateRehearsal:
     recording_s
         All sets, from the first pattern to the last reading of a channel.
     frames
-        Of all pairs, the white ones too.
+        Of all views, the white ones too.
     raw_bytes, set_bytes
         Of these frames, and of those of the projector that has most.
     problem
@@ -68,7 +68,7 @@ class StateRehearsal:
 
 def rehearse(
     rig: RigFile,
-    pairs: Sequence[str],
+    views: Sequence[str],
     sequence: FringeSequence,
     poses: Sequence[StagePose | None],
     texture_exposure: float = 1.0,
@@ -80,7 +80,7 @@ def rehearse(
 
     Parameters
     ----------
-    pairs
+    views
         All of whose sensors the rig has.
     poses
         Of the stage; None where nothing moves.
@@ -88,16 +88,15 @@ def rehearse(
     Raises
     ------
     InvalidInput
-        When the rig does not have a sensor of a pair.
+        When the rig does not have a sensor of a view.
     """
     silent = _simulated(rig)
-    recording_s = _sets(rig, silent, pairs, sequence, texture_exposure)
-    frames = len(pairs) * (sequence.frames + 1)
+    recording_s = _sets(rig, silent, views, sequence, texture_exposure)
+    frames = len(views) * (sequence.frames + 1)
     sizes = {c.name: c.rows * c.columns for c in rig.cameras}
     sets: Counter[str] = Counter()
-    for pair in pairs:
-        camera, projector = split_pair(pair)
-        sets[projector] += (sequence.frames + 1) * sizes[camera] * BYTES_A_PIXEL
+    for view in map(view_of, views):
+        sets[view.projector] += (sequence.frames + 1) * sizes[view.camera] * BYTES_A_PIXEL
     return tuple(
         StateRehearsal(moving_s, recording_s, frames, sets.total(), max(sets.values()), problem)
         for moving_s, problem in _moves(rig, silent, poses)
@@ -107,7 +106,7 @@ def rehearse(
 def _sets(
     rig: RigFile,
     silent: RigFile,
-    pairs: Sequence[str],
+    views: Sequence[str],
     sequence: FringeSequence,
     texture_exposure: float,
 ) -> float:
@@ -123,7 +122,7 @@ def _sets(
         begun = clock.monotonic()
         spool = Path(folder) / "spool"
         record_state(
-            timed, pairs, sequence, spool, Limits(lit_fraction=0.0, recordings=1), _nobody, texture_exposure
+            timed, views, sequence, spool, Limits(lit_fraction=0.0, recordings=1), _nobody, texture_exposure
         )
         return clock.monotonic() - begun
 

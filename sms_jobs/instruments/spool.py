@@ -1,4 +1,4 @@
-"""Frames on their way from a camera to the archive: one plain file a pair on a local disk.
+"""Frames on their way from a camera to the archive: one plain file a view on a local disk.
 
 A frame is one record of fixed length, written with one call and guarded by a checksum, so that whatever
 happens to the process every complete frame can be read again. Compressing, hashing and checking are done
@@ -53,7 +53,7 @@ class SpoolHeader:
 
 
 class SpoolWriter:
-    """Writes the frames of one pair; what was written survives the process."""
+    """Writes the frames of one view; what was written survives the process."""
 
     def __init__(self, path: Path, header: SpoolHeader) -> None:
         """Begin a new file; raise `FileExistsError` where there is one."""

@@ -30,7 +30,8 @@ from sms_jobs.jobs.entering import enter_file, entered_or_discarded
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.sensors import Rig, sensors_of
+from sms_jobs.records.sensors import Rig
+from sms_jobs.records.views import role_of, view_of
 
 ACCEPTANCE = "acceptance"
 """The source of files that say whether a calibration is used."""
@@ -133,8 +134,8 @@ def _sensors_of(campaign: Campaign) -> Sensors:
     """Return what a campaign says of its sensors: of a virtual rig all, of others what their names tell."""
     if campaign.scene is not None:
         return valid_calibrations.sensors_of(campaign.scene.rig)
-    names = dict.fromkeys(name for pair in campaign.pairs for name in sensors_of(pair))
-    told = {n: {"role": "camera" if n.startswith("C") else "projector"} for n in names}
+    names = dict.fromkeys(name for view in campaign.views for name in view_of(view).sensors)
+    told = {n: {"role": role_of(n).value} for n in names}
     sizes = () if campaign.session is None else campaign.session.sensors
     return told | {s.name: {**told.get(s.name, {}), "columns": s.columns, "rows": s.rows} for s in sizes}
 

@@ -35,7 +35,7 @@ from sms_jobs.archive.sealing import sync
 from sms_jobs.catalogue import copying, schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow
-from sms_jobs.errors import ArchiveCorrupt, Conflict, FormatTooNew, InvalidInput, NotFound, StorageFull
+from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, NotFound, OtherFormat, StorageFull
 from sms_jobs.jobs import host_folders
 from sms_jobs.settings import FILE_NAME, Settings
 
@@ -275,7 +275,7 @@ def _brought(row: FileRow, source: Archive, target: Archive, there: bool) -> tup
         return False, f"{fault} (in {source.root}); the copy in {target.root} is good" if fault else ""
     try:
         target.bring(row, source)
-    except (ArchiveCorrupt, FormatTooNew) as error:
+    except (ArchiveCorrupt, OtherFormat) as error:
         also = f", and the copy in {target.root} is damaged too" if rotten else ""
         return False, f"{error} (in {source.root}){also}"
     except OSError as error:
@@ -291,7 +291,7 @@ def _fault(archive: Archive, row: FileRow) -> str:
         archive.verify_bytes(row)
         if not layout.is_dataset(row.path):
             archive.verify_provenance(row.path, row.content_hash)
-    except (ArchiveCorrupt, FormatTooNew) as error:
+    except (ArchiveCorrupt, OtherFormat) as error:
         return str(error)
     except OSError as error:
         if error.errno not in _UNREADABLE:

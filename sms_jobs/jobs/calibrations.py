@@ -29,7 +29,8 @@ from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps, PointCloud
 from sms_jobs.records.measurement import UNTIMED, FringeSequence
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.sensors import Box, Calibration, Rig, split_pair
+from sms_jobs.records.sensors import Box, Calibration, Rig
+from sms_jobs.records.views import view_of
 
 _HIDDEN_BY_DRIFT = Reason.LARGE_RAY_GAP | Reason.OUT_OF_VOLUME
 """Reasons for which a pixel is refused when a sensor has moved: a drift must not hide itself."""
@@ -169,11 +170,11 @@ def _began(catalogue: Catalogue, campaign: str, calibration: Calibration) -> dat
 
 
 def deviation_from(rig: Rig, calibration: Calibration) -> dict[str, float]:
-    """Return by how much points of each pair are off, rms over the volume in mm, if `rig` is the truth."""
+    """Return by how much points of each view are off, rms over the volume in mm, if `rig` is the truth."""
     found = compare_calibrations(
         {s.name: (s.intrinsics, s.pose) for s in rig.sensors},
         {s.name: (s.intrinsics, s.pose) for s in calibration.rig.sensors},
-        [split_pair(p) for p in rig.pairs()],
+        _of_fringes(rig),
         _corners(calibration.volume),
         tolerance_mm=calibration.volume.diagonal_mm,
     )
@@ -199,12 +200,17 @@ def compare(
     return compared(old, new, tolerance_mm)
 
 
+def _of_fringes(rig: Rig) -> list[tuple[str, str]]:
+    """Return every camera with every projector."""
+    return [(view.camera, view.projector) for view in map(view_of, rig.views())]
+
+
 def measuring_pairs(rig: Rig) -> list[tuple[str, str]]:
     """Return the pairs of sensors that measure points: of camera and projector, else of cameras.
 
     Raises `InvalidInput` for a rig of one sensor.
     """
-    pairs = [split_pair(p) for p in rig.pairs()] or [*combinations((s.name for s in rig.sensors), 2)]
+    pairs = _of_fringes(rig) or [*combinations((s.name for s in rig.sensors), 2)]
     if not pairs:
         raise InvalidInput(
             f"rig {rig.name} has one sensor, which measures no points by itself: see its parameters in 'sms "
@@ -269,8 +275,8 @@ def check(
     NotFound
         The tuple has no shape yet, or no calibration is valid for it.
     """
-    if subject.pair is None or subject.state is None:
-        raise InvalidInput(f"'{subject}' is no tuple; write campaign/state/pair, such as wing/S01/C1P2")
+    if subject.view is None or subject.state is None:
+        raise InvalidInput(f"'{subject}' is no tuple; write campaign/state/view, such as wing/S01/C1P2")
     with catalogue.reading() as session:
         row = campaigns.campaign_row(session, subject.campaign)
         orientations = campaigns.definition(row).sequence
@@ -291,13 +297,13 @@ def check(
     return CalibrationCheck(
         str(subject),
         number,
-        drift_of(known, subject.pair, orientations, phase, cloud, baseline_mm, false_alarm, threads),
+        drift_of(known, subject.view, orientations, phase, cloud, baseline_mm, false_alarm, threads),
     )
 
 
 def drift_of(
     known: KnownCalibration,
-    pair: str,
+    view: str,
     sequence: FringeSequence,
     phase: PhaseMaps,
     cloud: PointCloud,
@@ -306,7 +312,7 @@ def drift_of(
     threads: int,
 ) -> DriftCheck:
     """Return what `check` does, of a measurement and a calibration that are at hand."""
-    names = list(split_pair(pair))
+    names = list(view_of(view).sensors)
     camera, projector = (known.calibration.rig.sensor(n) for n in names)
     refused = (cloud.reason & ~np.uint32(_HIDDEN_BY_DRIFT)) != 0
     omega = np.where(refused, np.nan, phase.omega)

@@ -35,22 +35,22 @@ class StateProgress:
     recording
         State of the job that records it; empty before there is one, "recorded" once it lies in the archive.
     recorded_at
-        When its last pair was archived.
-    pairs, doubtful
+        When its last view was archived.
+    views, doubtful
         How many are recorded, and how many of these are doubted.
     channels
-        What was read before its sets, by name: of the last pair.
+        What was read before its sets, by name: of the last view.
     processing, failed
         Jobs that are to process it and have not ended, and that ended without success.
     displacement_mm, strain
-        Largest displacement and largest principal strain of all pairs; None before they are computed.
+        Largest displacement and largest principal strain of all views; None before they are computed.
     """
 
     label: str
     load_n: float | None
     recording: str
     recorded_at: datetime | None
-    pairs: int
+    views: int
     doubtful: int
     channels: dict[str, float]
     processing: int
@@ -68,7 +68,7 @@ def progress_of(session: Session, name: str) -> list[StateProgress]:
 
 @dataclass
 class _Found:
-    """The newest file of a source and pair."""
+    """The newest file of a source and view."""
 
     created_at: datetime
     statistics: dict[str, float] = field(default_factory=dict)
@@ -83,12 +83,12 @@ class _Jobs:
 
 
 def _newest_files(session: Session, campaign_id: int) -> defaultdict[str, dict[tuple[str, str], _Found]]:
-    """Return by state, source and pair what the newest file says."""
+    """Return by state, source and view what the newest file says."""
     rows = session.execute(
         select(
             LoadStateRow.label,
             FileRow.source,
-            FileRow.pair,
+            FileRow.view,
             FileRow.id,
             FileRow.created_at,
             StatisticRow.name,
@@ -99,18 +99,18 @@ def _newest_files(session: Session, campaign_id: int) -> defaultdict[str, dict[t
         .where(
             FileRow.campaign_id == campaign_id,
             FileRow.source.in_((MEASUREMENT, *_LARGEST)),
-            FileRow.pair.is_not(None),
+            FileRow.view.is_not(None),
         )
         .order_by(FileRow.id)
     )
     found: defaultdict[str, dict[tuple[str, str], _Found]] = defaultdict(dict)
     newest: dict[tuple[str, str, str], int] = {}
     for label, source, of, file_id, created_at, name, value in rows:
-        pair = of or ""
-        if newest.get((label, source, pair)) != file_id:
-            newest[label, source, pair] = file_id
-            found[label][source, pair] = _Found(created_at)
-        found[label][source, pair].statistics[name] = value
+        view = of or ""
+        if newest.get((label, source, view)) != file_id:
+            newest[label, source, view] = file_id
+            found[label][source, view] = _Found(created_at)
+        found[label][source, view].statistics[name] = value
     return found
 
 

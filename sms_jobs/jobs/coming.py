@@ -55,7 +55,7 @@ class Graph:
         The jobs, and by id the jobs among them that it needs.
     by_frames
         Kinds that work on measurements alone, and so on frames: what takes results of others has one image
-        of each pair to go through.
+        of each view to go through.
     """
 
     jobs: tuple[Coming, ...]

@@ -20,7 +20,7 @@ from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.optical_instruments import RigFile
-from sms_jobs.records.sensors import split_pair
+from sms_jobs.records.views import view_of
 
 _RECENT = 50
 """So many of the rig's last measurements tell how well its frames are packed."""
@@ -97,7 +97,7 @@ def dry_run(
     rehearsed: dict[str, StateRehearsal] = {}
     if not missing:
         poses = [_pose(s) for s in states]
-        found = rehearse(rig, campaign.shape_pairs, campaign.sequence, poses, parameters.texture_exposure)
+        found = rehearse(rig, campaign.shape_views, campaign.sequence, poses, parameters.texture_exposure)
         rehearsed = {s.label: r for s, r in zip(states, found, strict=True)}
         missing += [f"{label}: {r.problem}" for label, r in rehearsed.items() if r.problem]
     # A set that is recorded again lies beside the one that it replaces.
@@ -131,9 +131,9 @@ def _missing_sensors(rig: RigFile, campaign: Campaign) -> Iterator[str]:
     """Tell which sensors the rig lacks, or has with another size."""
     sizes = {c.name: (c.columns, c.rows) for c in rig.cameras}
     sizes |= {p.name: (p.columns, p.rows) for p in rig.projectors}
-    if not campaign.shape_pairs:
+    if not campaign.shape_views:
         yield f"campaign {campaign.name} has no projector, and cameras alone are not recorded"
-    names = dict.fromkeys(name for pair in campaign.shape_pairs for name in split_pair(pair))
+    names = dict.fromkeys(name for view in campaign.shape_views for name in view_of(view).sensors)
     for name in names:
         if name not in sizes:
             yield f"the file of rig {rig.name} has no {name}; it has {', '.join(sizes) or 'none'}"
@@ -173,13 +173,13 @@ def _packed(session: Session, rig: RigFile) -> float | None:
     """Return what recordings of a rig took in the archive, as a fraction of their raw frames."""
     sizes = {c.name: c.rows * c.columns * BYTES_A_PIXEL for c in rig.cameras}
     rows = session.execute(
-        select(FileRow.size_bytes, FileRow.pair, CampaignRow.id)
+        select(FileRow.size_bytes, FileRow.view, CampaignRow.id)
         .join(CampaignRow, CampaignRow.id == FileRow.campaign_id)
         .join(RigRow, RigRow.id == CampaignRow.rig_id)
         .join(JobRow, JobRow.id == FileRow.job_id)
         .where(
             RigRow.name == rig.name,
-            FileRow.pair.is_not(None),
+            FileRow.view.is_not(None),
             FileRow.source == MEASUREMENT,
             JobRow.kind == KIND.name,
         )
@@ -191,8 +191,8 @@ def _packed(session: Session, rig: RigFile) -> float | None:
         for row in session.scalars(select(CampaignRow).where(CampaignRow.id.in_({r[2] for r in rows})))
     }
     raw = packed = 0
-    for size_bytes, pair, campaign_id in rows:
-        camera = split_pair(pair or "")[0]
+    for size_bytes, view, campaign_id in rows:
+        camera = view_of(view).camera
         raw += frames[campaign_id] * sizes.get(camera, 0)
         packed += size_bytes if camera in sizes else 0
     return packed / raw if raw else None

@@ -39,7 +39,7 @@ def enter_file(
     *,
     campaign_id: int | None = None,
     state_id: int | None = None,
-    pair: str | None = None,
+    view: str | None = None,
     job_id: str | None = None,
 ) -> FileRow:
     """Enter what is on record of a sealed file, by which its readers know it again; return its row."""
@@ -53,7 +53,7 @@ def enter_file(
         created_at=at,
         campaign_id=campaign_id,
         state_id=state_id,
-        pair=pair,
+        view=view,
         job_id=job_id,
     )
     session.add(row)

@@ -26,14 +26,14 @@ class _Content:
 
     source: str
     state: str | None
-    pair: str | None
+    view: str | None
     content_hash: str
 
     def meets(self, source: str, subject: Subject) -> bool:
         return (
             self.source == source
             and subject.state in (None, self.state)
-            and subject.pair in (None, self.pair)
+            and subject.view in (None, self.view)
         )
 
 
@@ -183,13 +183,13 @@ def _made(session: Session, makers: Mapping[str, str]) -> dict[str, tuple[_Conte
     files: dict[str, list[_Content]] = defaultdict(list)
     for some in parts(sorted(set(makers.values()))):
         rows = session.execute(
-            select(FileRow.job_id, FileRow.source, LoadStateRow.label, FileRow.pair, FileRow.content_hash)
+            select(FileRow.job_id, FileRow.source, LoadStateRow.label, FileRow.view, FileRow.content_hash)
             .outerjoin(LoadStateRow, LoadStateRow.id == FileRow.state_id)
             .where(FileRow.job_id.in_(some), FileRow.media_type == DATASET_MEDIA_TYPE)
             .order_by(FileRow.id.desc())
         )
-        for job_id, source, state, pair, content in rows:
-            files[job_id or ""].append(_Content(source, state, pair, content))
+        for job_id, source, state, view, content in rows:
+            files[job_id or ""].append(_Content(source, state, view, content))
     return {name: tuple(files[job_id]) for name, job_id in makers.items()}
 
 

@@ -19,6 +19,7 @@ from sms_jobs.jobs.coming import Coming
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import JobState
 from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.views import view_of
 
 _REMEMBERED = 200
 """Jobs of a kind, the latest, that an estimate looks back on."""
@@ -27,7 +28,7 @@ _SEQUENCE = TypeAdapter(FringeSequence)
 
 @dataclass(frozen=True)
 class _Size:
-    """What the work of a job grows with: pixels of all its pairs and states, and frames of each."""
+    """What the work of a job grows with: pixels of all its views and states, and frames of each."""
 
     pixels: int
     frames: int
@@ -118,15 +119,15 @@ class History:
 
 @dataclass(frozen=True)
 class _Images:
-    """The images of a campaign: pixels of a pair's camera, frames of a measurement, number of states."""
+    """The images of a campaign: pixels of a view's camera, frames of a measurement, number of states."""
 
     pixels: Mapping[str, int]
     frames: int
     states: int
 
     def size(self, subject: Subject) -> _Size | None:
-        if subject.pair is not None:
-            pixels = self.pixels.get(subject.pair, 0)
+        if subject.view is not None:
+            pixels = self.pixels.get(subject.view, 0)
         else:
             pixels = sum(self.pixels.values()) * (self.states if subject.state is None else 1)
         return _Size(pixels, self.frames) if pixels and self.frames else None
@@ -135,11 +136,11 @@ class _Images:
 def _images(session: Session, campaign_id: int) -> _Images | None:
     definition = CampaignRow.definition
     row = session.execute(
-        select(definition["pairs"], definition["sequence"]).where(CampaignRow.id == campaign_id)
+        select(definition["views"], definition["sequence"]).where(CampaignRow.id == campaign_id)
     ).one_or_none()
     if row is None:
         return None
-    pairs, sequence = row
+    views, sequence = row
     pixels = {
         name: sensor["columns"] * sensor["rows"]
         for used in valid_calibrations.used_for_campaign(session, campaign_id)
@@ -147,8 +148,7 @@ def _images(session: Session, campaign_id: int) -> _Images | None:
     }
     states = session.scalar(select(func.count()).where(LoadStateRow.campaign_id == campaign_id)) or 0
     frames = _SEQUENCE.validate_python(sequence).frames
-    # A campaign of images alone has cameras in place of pairs.
-    return _Images({pair: pixels.get(pair.partition("P")[0], 0) for pair in pairs}, frames, states)
+    return _Images({view: pixels.get(view_of(view).camera, 0) for view in views}, frames, states)
 
 
 def _between(begun: datetime | None, ended: datetime | None) -> float:

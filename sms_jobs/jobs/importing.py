@@ -83,7 +83,7 @@ def _measurements(session: Session, subject: Subject) -> list[str]:
             FileRow.source == MEASUREMENT,
             CampaignRow.name == subject.campaign,
             LoadStateRow.label == subject.state,
-            FileRow.pair == subject.pair,
+            FileRow.view == subject.view,
         )
         .order_by(FileRow.id.desc())
     )
@@ -154,12 +154,12 @@ def import_observations(
     parameters: Mapping[str, Any],
     now: datetime,
 ) -> None:
-    """Seal and index what another program saw of the board of a session of one pair: all of it, or nothing.
+    """Seal and index what another program saw of the board of a session of one view: all of it, or nothing.
 
     It stands where `observe-board` would have put it, without a job.
     """
     kind = kind_named(OBSERVE_BOARD)
-    subjects = [Subject(campaign.name, label, campaign.pairs[0]) for label in observations]
+    subjects = [Subject(campaign.name, label, campaign.views[0]) for label in observations]
     with entered_or_discarded(archive) as sealed:
         for subject, observation in zip(subjects, observations.values(), strict=True):
             records = {OBSERVATION: observation}
@@ -202,7 +202,7 @@ def _index(session: Session, subject: Subject, sealed: Sealed, recorded_at: date
     file = _file(session, subject, sealed, now, MEASUREMENT)
     session.add(
         MeasurementRow(
-            file_id=file.id, state_id=file.state_id, pair=subject.pair or "", recorded_at=recorded_at
+            file_id=file.id, state_id=file.state_id, view=subject.view or "", recorded_at=recorded_at
         )
     )
     lineage.note_recording(session, file, recorded_at, {})
@@ -215,7 +215,7 @@ def _file(session: Session, subject: Subject, sealed: Sealed, now: datetime, sou
     label = subject.state or ""
     state_id = campaigns.state_ids(session, campaign_id, [label])[label]
     return enter_file(
-        session, sealed, source, now, campaign_id=campaign_id, state_id=state_id, pair=subject.pair
+        session, sealed, source, now, campaign_id=campaign_id, state_id=state_id, view=subject.view
     )
 
 
@@ -289,7 +289,7 @@ def amend_campaign(
     Raises
     ------
     InvalidInput
-        Something else would change: name, rig, pairs, fringes, or the order of the states.
+        Something else would change: name, rig, views, fringes, or the order of the states.
     Conflict
         The campaign is not `before` any more; nothing is changed.
     """

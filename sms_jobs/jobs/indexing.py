@@ -118,8 +118,8 @@ def _produced(session: Session, edge: Row[Any]) -> int | None:
         # A job may make documents for people besides: jobs need datasets.
         FileRow.media_type == DATASET_MEDIA_TYPE,
     )
-    if subject.pair is not None:
-        query = query.where(FileRow.pair == subject.pair)
+    if subject.view is not None:
+        query = query.where(FileRow.view == subject.view)
     if subject.state is not None:
         query = query.join(LoadStateRow, LoadStateRow.id == FileRow.state_id).where(
             LoadStateRow.label == subject.state
@@ -142,7 +142,7 @@ def add_outputs(
             now,
             campaign_id=held.campaign_id,
             state_id=state_id,
-            pair=output.subject.pair,
+            view=output.subject.view,
             job_id=held.job_id,
         )
         if output.recorded_at is None:
@@ -152,7 +152,7 @@ def add_outputs(
                 MeasurementRow(
                     file_id=file.id,
                     state_id=state_id,
-                    pair=output.subject.pair,
+                    view=output.subject.view,
                     recorded_at=output.recorded_at,
                 )
             )

@@ -329,7 +329,7 @@ class CampaignView:
     specimen: str
     rig: str
     states: int
-    pairs: int
+    views: int
     created_at: datetime
     jobs: dict[str, int]
 
@@ -342,7 +342,7 @@ def list_campaigns(session: Session, limit: int) -> list[CampaignView]:
             CampaignRow.name,
             SpecimenRow.name,
             RigRow.name,
-            CampaignRow.definition["pairs"],
+            CampaignRow.definition["views"],
             CampaignRow.created_at,
         )
         .join(SpecimenRow, SpecimenRow.id == CampaignRow.specimen_id)
@@ -367,8 +367,8 @@ def list_campaigns(session: Session, limit: int) -> list[CampaignView]:
         )
         states |= dict(session.execute(of_each).all())
     return [
-        CampaignView(name, specimen, rig, states.get(number, 0), len(pairs), created, jobs[number])
-        for number, name, specimen, rig, pairs, created in rows
+        CampaignView(name, specimen, rig, states.get(number, 0), len(views), created, jobs[number])
+        for number, name, specimen, rig, views, created in rows
     ]
 
 

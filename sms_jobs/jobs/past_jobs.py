@@ -144,11 +144,11 @@ def make_reusable(session: Session, campaign: Campaign, provenance: Provenance) 
 
 
 def _is_complete(session: Session, campaign: Campaign, subject: Subject, provenance: Provenance) -> bool:
-    """Say whether a job that covers several pairs, such as a recording, has a file of each."""
+    """Say whether a job that covers several views, such as a recording, has a file of each."""
     if provenance.subject == subject:
         return True
-    query = select(func.count(FileRow.pair.distinct())).where(FileRow.job_id == provenance.job_id)
-    return session.scalar(query) == len(campaign.pairs)
+    query = select(func.count(FileRow.view.distinct())).where(FileRow.job_id == provenance.job_id)
+    return session.scalar(query) == len(campaign.views)
 
 
 def _parameters(kind: Kind[Any], given: Mapping[str, Any]) -> Parameters | None:

@@ -30,7 +30,7 @@ PIPELINE = "pipeline"
 
 @dataclass(frozen=True)
 class Request:
-    """A kind, or the whole pipeline, with parameters, for some or all states and pairs of a campaign.
+    """A kind, or the whole pipeline, with parameters, for some or all states and views of a campaign.
 
     Attributes
     ----------
@@ -38,14 +38,14 @@ class Request:
         Name of a kind, or `PIPELINE`.
     parameters
         By name; for the pipeline, by `kind.name`.
-    states, pairs
+    states, views
         Empty for all.
     """
 
     kind: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
     states: tuple[str, ...] = ()
-    pairs: tuple[str, ...] = ()
+    views: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def plan(
     Raises
     ------
     InvalidInput
-        A kind, parameter, state or pair does not exist, or a kind can do nothing in this campaign.
+        A kind, parameter, state or view does not exist, or a kind can do nothing in this campaign.
     NotFound
         A job would need a result that neither exists nor is part of the plan.
     """
@@ -180,7 +180,7 @@ def _expand(campaign: Campaign, requests: Sequence[Request]) -> dict[str, _Wante
         by_kind = _by_kind(request.parameters, kinds)
         for name, kind in kinds.items():
             # A part of a campaign has no report of the whole.
-            if kind.scope is Scope.CAMPAIGN and (request.states or request.pairs):
+            if kind.scope is Scope.CAMPAIGN and (request.states or request.views):
                 continue
             own = replace(request, kind=name, parameters=by_kind.get(name, {}))
             wanted[name] = _Wanted(kind, own, pipeline[name])
@@ -190,11 +190,11 @@ def _expand(campaign: Campaign, requests: Sequence[Request]) -> dict[str, _Wante
 def _check_places(campaign: Campaign, request: Request) -> None:
     for label in request.states:
         campaign.state(label)
-    unknown = set(request.pairs) - set(campaign.pairs)
+    unknown = set(request.views) - set(campaign.views)
     if unknown:
         raise InvalidInput(
-            f"campaign {campaign.name} has no pair {', '.join(sorted(unknown))}; "
-            f"it has {', '.join(campaign.pairs)}"
+            f"campaign {campaign.name} has no view {', '.join(sorted(unknown))}; "
+            f"it has {', '.join(campaign.views)}"
         )
 
 
@@ -203,8 +203,8 @@ def _cannot(kind: Kind[Any], campaign: Campaign, others: Iterable[str]) -> str:
     count = len(campaign.states)
     return (
         f"{kind.name} has nothing to do in campaign {campaign.name}, which has {count} "
-        f"{'state' if count == 1 else 'states'} measured by {', '.join(campaign.pairs)}"
-        f"{'' if campaign.shape_pairs else ' without a projector'}; "
+        f"{'state' if count == 1 else 'states'} measured by {', '.join(campaign.views)}"
+        f"{'' if campaign.shape_views else ' without a projector'}; "
         f"its pipeline is {', '.join(others) or 'empty'}"
     )
 
@@ -223,12 +223,12 @@ def _by_kind(parameters: Mapping[str, Any], kinds: Mapping[str, Kind[Any]]) -> d
 
 
 def _selected(wanted: _Wanted) -> list[Subject]:
-    states, pairs = wanted.request.states, wanted.request.pairs
+    states, views = wanted.request.states, wanted.request.views
     return [
         subject
         for subject in wanted.subjects
         if (not states or subject.state is None or subject.state in states)
-        and (not pairs or subject.pair is None or subject.pair in pairs)
+        and (not views or subject.view is None or subject.view in views)
     ]
 
 
@@ -253,7 +253,7 @@ def covering(kind: Kind[Any], subject: Subject) -> Subject:
     """Return the subject of the job of a kind whose outputs include one about `subject`."""
     if kind.scope is Scope.CAMPAIGN:
         return Subject(subject.campaign)
-    return replace(subject, pair=None) if kind.scope is Scope.STATE else subject
+    return replace(subject, view=None) if kind.scope is Scope.STATE else subject
 
 
 def _ordered(jobs: Mapping[_Key, None], producers: Mapping[_Key, Mapping[_Key, None]]) -> list[_Key]:

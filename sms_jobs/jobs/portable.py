@@ -122,7 +122,7 @@ def chosen(session: Session, wanted: Wanted, now: datetime) -> list[Part]:
 
 def _tuples(campaign: CampaignRow) -> list[Subject]:
     told = campaigns.definition(campaign)
-    return [Subject(told.name, state.label, pair) for state in told.states for pair in told.pairs]
+    return [Subject(told.name, state.label, view) for state in told.states for view in told.views]
 
 
 def _acceptances(session: Session, calibrations: Sequence[int], owners: Sequence[int]) -> list[FileRow]:

@@ -24,12 +24,12 @@ _OPEN = (JobState.QUEUED, JobState.RUNNING, JobState.LOST, JobState.NEEDS_OPERAT
 
 @dataclass(frozen=True)
 class PairVerdict:
-    """What is known of one recorded pair.
+    """What is known of one recorded view.
 
     Attributes
     ----------
     subject
-        The tuple, `campaign/state/pair`.
+        The tuple, `campaign/state/view`.
     statistics
         Those of its recording, by name.
     """
@@ -39,12 +39,12 @@ class PairVerdict:
 
 
 def verdicts(session: Session, chosen: Chosen) -> list[PairVerdict]:
-    """Return what is known of the pairs that some jobs have recorded, in order."""
+    """Return what is known of the views that some jobs have recorded, in order."""
     rows = session.execute(
         select(
             CampaignRow.name,
             LoadStateRow.label,
-            FileRow.pair,
+            FileRow.view,
             FileRow.id,
             StatisticRow.name,
             StatisticRow.value,
@@ -57,8 +57,8 @@ def verdicts(session: Session, chosen: Chosen) -> list[PairVerdict]:
         .order_by(FileRow.id)
     )
     found: dict[int, PairVerdict] = {}
-    for campaign, label, pair, file_id, name, value in rows:
-        subject = str(Subject(campaign, label, pair))
+    for campaign, label, view, file_id, name, value in rows:
+        subject = str(Subject(campaign, label, view))
         found.setdefault(file_id, PairVerdict(subject, {})).statistics[name] = value
     return list(found.values())
 
@@ -74,7 +74,7 @@ class OpenRecording:
     reason
         Why it stands where it does.
     finished
-        Pairs that are in the spool as a whole.
+        Views that are in the spool as a whole.
     doubts
         What is doubted about them.
     """
@@ -191,10 +191,10 @@ def state_value(state: LoadState, channel: str) -> float:
 
 
 def forget_doubtful(spool: Path) -> list[str]:
-    """Have the doubtful sets of a job recorded again; their frames stay. Return their pairs."""
-    doubtful = [pair for pair, facts in _facts(spool).items() if facts["verdict"]["doubts"]]
-    for pair in doubtful:
-        (spool / f"{pair}.json").unlink()
+    """Have the doubtful sets of a job recorded again; their frames stay. Return their views."""
+    doubtful = [view for view, facts in _facts(spool).items() if facts["verdict"]["doubts"]]
+    for view in doubtful:
+        (spool / f"{view}.json").unlink()
     return doubtful
 
 

@@ -38,7 +38,7 @@ from sms_jobs.catalogue.models import (
     ResultRow,
     StatisticRow,
 )
-from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput, SmsError
+from sms_jobs.errors import ArchiveCorrupt, InvalidInput, OtherFormat, SmsError
 from sms_jobs.jobs import acceptances, past_jobs
 from sms_jobs.jobs.acceptances import ACCEPTANCE
 from sms_jobs.jobs.entering import enter_file
@@ -166,7 +166,7 @@ def examined(archive: Archive, checker: Checker, path: str) -> Found | Reindexed
         return archive.examine(path, checker)
     except ArchiveCorrupt as error:
         return Reindexed("refused", path, _size(archive, path), str(error))
-    except FormatTooNew as error:
+    except OtherFormat as error:
         return Reindexed("too-new", path, _size(archive, path), str(error))
     except InvalidInput as error:
         # A link that leads out of the archive.
@@ -345,7 +345,7 @@ def _enter(session: Session, archived: _Archived, one: Found) -> None:
 
 
 def _file_row(session: Session, one: Found, source: str) -> FileRow:
-    campaign_id, state_id, pair = (
+    campaign_id, state_id, view = (
         (None, None, None) if source in (CALIBRATION, ACCEPTANCE) else _place(session, one.provenance.subject)
     )
     return enter_file(
@@ -355,7 +355,7 @@ def _file_row(session: Session, one: Found, source: str) -> FileRow:
         one.provenance.created_at,
         campaign_id=campaign_id,
         state_id=state_id,
-        pair=pair,
+        view=view,
         job_id=one.provenance.job_id or None,
     )
 
@@ -369,16 +369,16 @@ def _place(session: Session, subject: Subject) -> tuple[int, int | None, str | N
             LoadStateRow.campaign_id == campaign_id, LoadStateRow.label == subject.state
         )
     )
-    return campaign_id, state_id, subject.pair
+    return campaign_id, state_id, subject.view
 
 
 def _describe_output(session: Session, archive: Archive, one: Found, file: FileRow) -> None:
-    if file.source == MEASUREMENT and file.state_id is not None and file.pair is not None:
+    if file.source == MEASUREMENT and file.state_id is not None and file.view is not None:
         with archive.open(one.sealed) as dataset:
             at = dataset.read(MEASUREMENT, Measurement).recorded_at
             recorded = RECORDING in dataset.names
             readings = dataset.read(RECORDING, Recording).readings() if recorded else {}
-        session.add(MeasurementRow(file_id=file.id, state_id=file.state_id, pair=file.pair, recorded_at=at))
+        session.add(MeasurementRow(file_id=file.id, state_id=file.state_id, view=file.view, recorded_at=at))
         lineage.note_recording(session, file, at, readings)
         valid_calibrations.note_time(session, file.state_id, at)
     else:

@@ -128,7 +128,7 @@ def _command(session: Session, file: FileRow) -> str | None:
     campaign = session.get_one(CampaignRow, job.campaign_id).name
     words = ["sms job submit", job.kind, "-c", campaign]
     _, *rest = job.subject.split("/")
-    for option, name in zip(("--state", "--pair"), rest, strict=False):
+    for option, name in zip(("--state", "--view"), rest, strict=False):
         words += [option, name]
     processing = campaigns.definition(campaigns.campaign_row(session, campaign)).processing
     default = kind.parameters.model_validate(processing.get(job.kind, {})).model_dump(mode="json")

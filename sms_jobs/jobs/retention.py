@@ -99,7 +99,7 @@ def superseded(session: Session, kinds: Collection[str] = ()) -> list[Removable]
                 newer.source == older.source,
                 newer.campaign_id == older.campaign_id,
                 newer.state_id.is_not_distinct_from(older.state_id),
-                newer.pair.is_not_distinct_from(older.pair),
+                newer.view.is_not_distinct_from(older.view),
                 newer.media_type == older.media_type,
                 newer.id > older.id,
                 newer.job_id != older.job_id,

@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.models import FileRow, JobRow
-from sms_jobs.errors import ArchiveCorrupt, FormatTooNew
+from sms_jobs.errors import ArchiveCorrupt, OtherFormat
 from sms_jobs.kinds.kind import Kind
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import JobState
@@ -124,6 +124,6 @@ def damage(archive: Archive, earlier: Earlier) -> str:
     for file in earlier.files:
         try:
             archive.verify_bytes(file)
-        except (ArchiveCorrupt, FormatTooNew) as error:
+        except (ArchiveCorrupt, OtherFormat) as error:
             return str(error)
     return ""

@@ -46,7 +46,7 @@ class Order:
     def from_json(cls, stored: Mapping[str, Any]) -> Order:
         """Read it back."""
         requests = tuple(
-            Request(r["kind"], dict(r["parameters"]), tuple(r["states"]), tuple(r["pairs"]))
+            Request(r["kind"], dict(r["parameters"]), tuple(r["states"]), tuple(r["views"]))
             for r in stored["requests"]
         )
         return cls(stored["campaign"], requests, stored["priority"], stored["use_cache"])

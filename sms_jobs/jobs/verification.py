@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from sms_jobs.archive import Archive, Checker, layout
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow
-from sms_jobs.errors import ArchiveCorrupt, FormatTooNew, InvalidInput
+from sms_jobs.errors import ArchiveCorrupt, InvalidInput, OtherFormat
 from sms_jobs.records.job import ACTIVE
 
 Problem: TypeAlias = Literal["missing", "corrupt", "too-new", "unknown", "unfinished", "stray"]
@@ -132,7 +132,7 @@ def _of_file(
             archive.verify_provenance(path, content_hash)
     except ArchiveCorrupt as error:
         return Finding("corrupt", path, str(error))
-    except FormatTooNew as error:
+    except OtherFormat as error:
         return Finding("too-new", path, str(error))
     return None
 

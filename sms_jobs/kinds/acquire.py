@@ -1,4 +1,4 @@
-"""Acquire: one measurement of every pair at a state, with the instruments of the rig.
+"""Acquire: one measurement of every view at a state, with the instruments of the rig.
 
 It happens once: what was recorded cannot be asked for again when the load has gone. Interrupted, the job
 waits for an operator; resumed, it records what is missing and nothing else.
@@ -116,7 +116,7 @@ class Order:
 
     Attributes
     ----------
-    pairs, sequence
+    views, sequence
         All of them, projector by projector; images of cameras alone are not recorded here.
     angles_rad
         Where a stage has to bring an artefact: pan and tilt; None where nothing moves.
@@ -126,7 +126,7 @@ class Order:
         What part of the image may at least be asked to be lit: the spheres of a bar fill little of it.
     """
 
-    pairs: tuple[str, ...]
+    views: tuple[str, ...]
     sequence: FringeSequence
     angles_rad: tuple[float, float] | None
     setting: Setting | None
@@ -148,18 +148,18 @@ def order(campaign: Campaign, subject: Subject) -> Order:
         setting = Setting(scene, state.label, state.deformation, state.planned())
     shown = None if campaign.session is None else campaign.session.artefacts.get(state.artefact or "")
     fills = _SPHERES_FILL if isinstance(shown, BallBar) else 1.0
-    return Order(campaign.shape_pairs, campaign.sequence, stage_angles(state), setting, fills)
+    return Order(campaign.shape_views, campaign.sequence, stage_angles(state), setting, fills)
 
 
 def all_states(campaign: Campaign) -> tuple[Subject, ...]:
     """Return every state, of specimens and artefacts alike, where a projector lights them."""
-    if not campaign.shape_pairs:
+    if not campaign.shape_views:
         return ()
     return tuple(Subject(campaign.name, s.label) for s in campaign.states)
 
 
 def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> Iterator[Output]:
-    """Record every pair of a state that is not in the spool yet, and yield them all.
+    """Record every view of a state that is not in the spool yet, and yield them all.
 
     Raises
     ------
@@ -183,13 +183,13 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
     spool, sequence = station.spool, task.sequence
     limits = parameters.limits()
     limits = replace(limits, lit_fraction=min(limits.lit_fraction, task.fills))
-    finished_before = [pair for pair in task.pairs if is_finished(spool, pair)]
+    finished_before = [view for view in task.views if is_finished(spool, view)]
     with connected(station.rig, task.setting, inputs.threads) as rig:
         if task.angles_rad is not None:
             _bring_stage(rig, task.angles_rad, inputs.subject, progress)
         record_state(
             rig,
-            task.pairs,
+            task.views,
             sequence,
             spool,
             limits,
@@ -197,22 +197,22 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
             parameters.texture_exposure,
         )
     # What an operator saw and let stand is not doubted again.
-    new = [pair for pair in task.pairs if pair not in finished_before]
-    doubts = [d for pair in new for d in recorded(spool, pair, sequence)[1].verdict.doubts]
+    new = [view for view in task.views if view not in finished_before]
+    doubts = [d for view in new for d in recorded(spool, view, sequence)[1].verdict.doubts]
     if doubts and parameters.doubtful == "ask":
         raise InstrumentError(
             f"{'; '.join(doubts)}: `sms acquire resume` keeps it, with --retake it is recorded again"
         )
-    for number, pair in enumerate(task.pairs):
-        progress(0.8 + 0.2 * number / len(task.pairs), f"archiving {pair}")
-        measurement, recording = recorded(spool, pair, sequence)
-        broken = {f"interrupted_{n}": r for n, r in enumerate(interrupted(spool, pair, sequence), start=1)}
+    for number, view in enumerate(task.views):
+        progress(0.8 + 0.2 * number / len(task.views), f"archiving {view}")
+        measurement, recording = recorded(spool, view, sequence)
+        broken = {f"interrupted_{n}": r for n, r in enumerate(interrupted(spool, view, sequence), start=1)}
         yield DatasetOutput(
-            Subject(inputs.subject.campaign, inputs.subject.state, pair),
+            Subject(inputs.subject.campaign, inputs.subject.state, view),
             {"measurement": measurement, "recording": recording, **broken},
             _statistics(recording),
         )
-    progress(1.0, "; ".join(doubts) or f"recorded {len(task.pairs)} pairs")
+    progress(1.0, "; ".join(doubts) or f"recorded {len(task.views)} views")
 
 
 def _bring_stage(
@@ -260,7 +260,7 @@ def whole_rig(campaign: Campaign, subject: Subject) -> tuple[str, ...]:
 
 KIND = Kind(
     name="acquire",
-    summary="record every pair of a state with the instruments of the rig",
+    summary="record every view of a state with the instruments of the rig",
     version=1,
     scope=Scope.STATE,
     parameters=AcquireParameters,

@@ -1,7 +1,7 @@
 """Align: the views of other campaigns laid on those of this one by the texture that both saw at rest.
 
 Thesis section 6.2.3: a specimen larger than the measured volume is tested with the rig in one position after
-the other. Each position is a campaign with states and pairs of the same names; the rig's frame moves with it.
+the other. Each position is a campaign with states and views of the same names; the rig's frame moves with it.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class ViewsParameters(Parameters):
     views: tuple[str, ...] = Field(
         min_length=1,
         description="names of the campaigns in which the rig stood elsewhere, parted by commas or spaces; "
-        "their states and pairs have the names that they have here",
+        "their states and views have the names that they have here",
     )
 
     @field_validator("views", mode="before")
@@ -115,9 +115,9 @@ def _further_needs(campaign: Campaign, subject: Subject, parameters: AlignParame
 
 
 def _needs_of(campaign: Campaign, name: str) -> Iterable[Need]:
-    """Yield the texture and the shape at rest of one pair of each camera in a campaign."""
-    for camera, pairs in cameras(campaign, Subject(name)).items():
-        at_rest = Subject(name, campaign.reference.label, pairs[0])
+    """Yield the texture and the shape at rest of one view of each camera in a campaign."""
+    for camera, views in cameras(campaign, Subject(name)).items():
+        at_rest = Subject(name, campaign.reference.label, views[0])
         yield Need(f"texture {camera} {name}", MEASUREMENT, at_rest)
         yield Need(f"shape {camera} {name}", "reconstruct", at_rest)
 

@@ -52,7 +52,7 @@ def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     yield Need("measurement", MEASUREMENT, subject)
     yield Need("shape", "reconstruct", subject)
     if subject.state != campaign.reference.label:
-        reference = Subject(subject.campaign, campaign.reference.label, subject.pair)
+        reference = Subject(subject.campaign, campaign.reference.label, subject.view)
         yield Need("reference", MEASUREMENT, reference)
         yield Need("displacement", "correlate", subject)
         yield Need("strain", "strain", subject)

@@ -78,8 +78,8 @@ def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> 
 def _read_bars(inputs: Inputs, plan: SessionPlan) -> Bars:
     found: dict[str, list[BarObservation]] = {}
     for pose in plan.poses:
-        for pair in plan.pairs:
-            role = role_of(OBSERVE_BAR, pose.label, pair)
+        for view in plan.views:
+            role = role_of(OBSERVE_BAR, pose.label, view)
             if role in inputs.datasets:
                 found.setdefault(pose.label, []).append(inputs.read(role, OBSERVATION, BarObservation))
     return found

@@ -1,4 +1,4 @@
-"""Calibrate from boards: every sensor of a rig from what pairs saw of a board in several poses.
+"""Calibrate from boards: every sensor of a rig from what views saw of a board in several poses.
 
 From nothing, each sensor is first found by itself and all are brought into one world, that of the first
 board. On site, the last calibration is the start: lenses are known to what it knew of them, and where the
@@ -103,11 +103,11 @@ def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
 
 
 def read_boards(inputs: Inputs, plan: SessionPlan) -> Boards:
-    """Return what pairs observed of boards, by pose."""
+    """Return what views observed of boards, by pose."""
     found: dict[str, list[BoardObservation]] = {}
     for pose in plan.poses:
-        for pair in plan.pairs:
-            role = role_of(OBSERVE_BOARD, pose.label, pair)
+        for view in plan.views:
+            role = role_of(OBSERVE_BOARD, pose.label, view)
             if role in inputs.datasets:
                 found.setdefault(pose.label, []).append(inputs.read(role, OBSERVATION, BoardObservation))
     return found

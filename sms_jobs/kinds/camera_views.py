@@ -20,22 +20,22 @@ _DIAGONAL = [0, 3, 5]
 
 @dataclass(frozen=True)
 class CameraView:
-    """Points of one camera, merged by inverse variance over its pairs.
+    """Points of one camera, merged by inverse variance over its views.
 
     Attributes
     ----------
     xyz
-        (3, rows, columns) in mm, NaN where no pair has a point.
+        (3, rows, columns) in mm, NaN where no view has a point.
     covariance
         (6, rows, columns) in mm^2.
     labels
         (rows, columns), continuous pieces; 0 for none.
     reason
-        (rows, columns), why there is no point: what any of the pairs has against it.
+        (rows, columns), why there is no point: what any of the views has against it.
     """
 
     camera: str
-    pairs: tuple[str, ...]
+    views: tuple[str, ...]
     xyz: NDArray[np.float64]
     covariance: NDArray[np.float64]
     labels: NDArray[np.int32]
@@ -47,15 +47,15 @@ class CameraView:
 
 
 def cloud_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    """Return the points of every pair at a state."""
-    for pair in campaign.shape_pairs:
-        yield Need(f"shape {pair}", "reconstruct", Subject(subject.campaign, subject.state, pair))
+    """Return the points of every view at a state."""
+    for view in campaign.shape_views:
+        yield Need(f"shape {view}", "reconstruct", Subject(subject.campaign, subject.state, view))
 
 
 def camera_views(inputs: Inputs) -> Iterator[CameraView]:
     """Yield the view of each camera; the context of the kind is `merge.cameras`."""
-    for camera, pairs in inputs.context.items():
-        clouds = [inputs.read(f"shape {pair}", "cloud", PointCloud) for pair in pairs]
+    for camera, views in inputs.context.items():
+        clouds = [inputs.read(f"shape {view}", "cloud", PointCloud) for view in views]
         merged = merge_by_variance([c.xyz for c in clouds], [c.covariance for c in clouds])
         missing = merged.contributors == 0
         reason = np.zeros(missing.shape, np.uint32)
@@ -63,4 +63,4 @@ def camera_views(inputs: Inputs) -> Iterator[CameraView]:
         sigma = np.sqrt(merged.covariance[_DIAGONAL].sum(axis=0))
         labels = continuous_labels(merged.value, sigma, threads=inputs.threads)
         reason[(labels == 0) & ~missing] |= np.uint32(Reason.OUTSIDE_REGION)
-        yield CameraView(camera, pairs, merged.value, merged.covariance, labels, reason)
+        yield CameraView(camera, views, merged.value, merged.covariance, labels, reason)

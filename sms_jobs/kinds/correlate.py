@@ -1,4 +1,4 @@
-"""Correlate: from two states of a pair to the displacement of every point seen in the reference image."""
+"""Correlate: from two states of a view to the displacement of every point seen in the reference image."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from sms_jobs.records.fields import (
     Regions,
 )
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.sensors import Calibration, split_pair
+from sms_jobs.records.sensors import Calibration
 
 _PIXEL_REASONS = {
     displacement.OUTSIDE_REGION: Reason.OUTSIDE_REGION,
@@ -59,7 +59,7 @@ _PIXEL_REASONS = {
 
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    reference = Subject(subject.campaign, campaign.reference.label, subject.pair)
+    reference = Subject(subject.campaign, campaign.reference.label, subject.view)
     yield Need("calibration", CALIBRATION, subject)
     yield Need("reference_measurement", MEASUREMENT, reference)
     yield Need("measurement", MEASUREMENT, subject)
@@ -73,7 +73,7 @@ def _further_needs(campaign: Campaign, subject: Subject, parameters: CorrelatePa
     place = labels.index(subject.state) if subject.state in labels else 0
     if parameters.reference == "first" or place < 2:
         return
-    before = Subject(subject.campaign, labels[place - 1], subject.pair)
+    before = Subject(subject.campaign, labels[place - 1], subject.view)
     yield Need("previous_measurement", MEASUREMENT, before)
     yield Need("previous_shape", "reconstruct", before)
     yield Need("previous", "correlate", before)
@@ -85,8 +85,7 @@ def _reference_label(campaign: Campaign, subject: Subject) -> str:
 
 def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> Iterator[Output]:
     """Match the textures region by region and look the displacement up in both states' shapes."""
-    camera, _ = split_pair(inputs.subject.pair or "")
-    sensor = inputs.read("calibration", "calibration", Calibration).rig.sensor(camera)
+    sensor = inputs.read("calibration", "calibration", Calibration).rig.sensor(inputs.view.camera)
     before = read_state(inputs, "reference", "reference_measurement", sensor, parameters, of_interest=True)
     after = read_state(inputs, "deformed", "measurement", sensor, parameters, of_interest=False)
     interior = interior_of(before.regions.labels, parameters)

@@ -62,7 +62,7 @@ class CorrelateImagesParameters(MatchingParameters):
 
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    reference = Subject(subject.campaign, campaign.reference.label, subject.pair)
+    reference = Subject(subject.campaign, campaign.reference.label, subject.view)
     yield Need("reference", MEASUREMENT, reference)
     yield Need("measurement", MEASUREMENT, subject)
 
@@ -88,14 +88,14 @@ def run(inputs: Inputs, parameters: CorrelateImagesParameters, progress: Progres
             f"the region of interest '{parameters.region_of_interest}' leaves no pixel of {inputs.subject}, "
             f"whose image has {shape[1]} x {shape[0]} px; give outlines that lie in it"
         )
-    pair = [_texture(m, inside, parameters) for m in (before, after)]
+    images = [_texture(m, inside, parameters) for m in (before, after)]
     plain = np.zeros(shape, dtype=bool)
     if parameters.outline == "texture":
-        level, noise = pair[0]
+        level, noise = images[0]
         plain = ~textured_pixels(level, noise.floor + noise.slope * level, parameters.subset_radius_px)
     labels = (inside & ~plain).astype(np.int32)
     progress(0.1, f"{np.count_nonzero(labels)} of {labels.size} pixels show the specimen")
-    grid = _matched(pair, labels, parameters, inputs.threads)
+    grid = _matched(images, labels, parameters, inputs.threads)
     progress(0.8, summary(grid.matches.ending))
     matches = matches_record(grid, labels)
     value, variance = blend_matches(
@@ -111,7 +111,7 @@ def run(inputs: Inputs, parameters: CorrelateImagesParameters, progress: Progres
     variance[:, reason != 0] = np.nan
     scale = parameters.mm_per_px
     field = PlanarDisplacement(
-        (inputs.subject.pair or "").partition("P")[0],  # a camera alone is no pair
+        inputs.view.camera,
         inputs.context,
         parameters.subset_radius_px,
         scale,
@@ -136,13 +136,13 @@ def _texture(
 
 
 def _matched(
-    pair: Sequence[tuple[NDArray[np.float64], Noise]],
+    images: Sequence[tuple[NDArray[np.float64], Noise]],
     labels: NDArray[np.int32],
     parameters: CorrelateImagesParameters,
     threads: int,
 ) -> GridMatches:
     """Match the points of a grid."""
-    (before, noise), (after, noise_after) = pair
+    (before, noise), (after, noise_after) = images
     return match_grid(
         prepare_images(before, after, labels, (noise, noise_after), parameters.interpolation),
         after,

@@ -98,7 +98,7 @@ class _View:
 
 
 def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    """Return the points of every pair, and the reference surface of the campaign."""
+    """Return the points of every view, and the reference surface of the campaign."""
     yield from cloud_needs(campaign, subject)
     yield Need(SURFACE, SURFACE, Subject(subject.campaign))
 
@@ -186,7 +186,7 @@ def _field(
     limits = (parameters.lower_mm, parameters.upper_mm, parameters.coverage_factor)
     verdict = verdicts(deviation, sigma, *limits)
     return DeviationField(
-        view.camera, view.pairs, *limits, deviation, sigma, verdict, xyz, covariance, reason
+        view.camera, view.views, *limits, deviation, sigma, verdict, xyz, covariance, reason
     )
 
 

@@ -30,7 +30,8 @@ from sms_jobs.metrology.phase.response import corrected_gradient
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.diagnosis import ResponseDiagnosis
 from sms_jobs.records.measurement import Measurement
-from sms_jobs.records.sensors import Calibration, split_pair
+from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.views import view_of
 
 Floats = NDArray[np.float64]
 
@@ -72,7 +73,7 @@ def _moved(
     true: Floats,
 ) -> Floats:
     """Return by how much the ripple in omega moves the points of some pixels, (3, points) in mm."""
-    camera, projector = (calibration.rig.sensor(name) for name in split_pair(subject.pair or ""))
+    camera, projector = (calibration.rig.sensor(name) for name in view_of(subject.view).sensors)
     rays = np.ascontiguousarray(ray_directions(camera.intrinsics, camera.pose, sample.pixels)[None])
     rays.setflags(write=False)  # as the table of a camera is: kernels are compiled for one kind of array
     model = Projector(projector.intrinsics, projector.pose, projector.columns, projector.rows)
@@ -94,7 +95,7 @@ def _diagnosis(
     moved: Floats,
     ripple: Floats,
 ) -> ResponseDiagnosis:
-    camera, projector = split_pair(subject.pair or "")
+    camera, projector = view_of(subject.view).sensors
     responses = sample.responses
     return ResponseDiagnosis(
         camera,

@@ -76,11 +76,11 @@ class ExportParameters(Parameters):
 
 def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     """Return the merged result of the state, those of cameras alone, and each camera's texture at rest."""
-    views = cameras(campaign, subject)
-    if views:
+    seen = cameras(campaign, subject)
+    if seen:
         yield Need("merged", "merge", subject)
-    for camera, pairs in views.items():
-        own = Subject(subject.campaign, campaign.reference.label, pairs[0])
+    for camera, views in seen.items():
+        own = Subject(subject.campaign, campaign.reference.label, views[0])
         yield Need(f"texture {camera}", MEASUREMENT, own)
     for camera in campaign.cameras_alone:
         own = Subject(subject.campaign, subject.state, camera)
@@ -105,7 +105,7 @@ def run(inputs: Inputs, parameters: ExportParameters, progress: Progress) -> Ite
 def _surface(
     inputs: Inputs, parameters: ExportParameters, name: str, progress: Progress
 ) -> Iterator[DocumentOutput]:
-    """Write the surface that all pairs of a camera and a projector have measured."""
+    """Write the surface that all views of a camera and a projector have measured."""
     textures = {camera: _texture(inputs, f"texture {camera}") for camera in inputs.context}
     mesh = _with_texture(inputs, textures)
     formats = parameters.formats or USUAL

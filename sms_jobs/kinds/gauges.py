@@ -35,7 +35,7 @@ from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.planar import PlanarDisplacement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import AT_ORIGIN
-from sms_jobs.records.sensors import has_projector
+from sms_jobs.records.views import view_of
 
 
 class GaugesParameters(Parameters):
@@ -73,11 +73,11 @@ class GaugesParameters(Parameters):
 
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    if not has_projector(subject.pair or ""):
+    if not view_of(subject.view).measures_shape:
         yield Need("displacement", "correlate-images", subject)
         return
     yield Need("displacement", "correlate", subject)
-    yield Need("reference", "reconstruct", Subject(subject.campaign, campaign.reference.label, subject.pair))
+    yield Need("reference", "reconstruct", Subject(subject.campaign, campaign.reference.label, subject.view))
 
 
 def specimen_pose(campaign: Campaign, subject: Subject) -> Pose:
@@ -87,7 +87,7 @@ def specimen_pose(campaign: Campaign, subject: Subject) -> Pose:
 
 def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Iterator[Output]:
     """Fit the stored displacement under each gauge; nothing is correlated again."""
-    on_surface = has_projector(inputs.subject.pair or "")
+    on_surface = inputs.view.measures_shape
     found = (_on_surface if on_surface else _in_image)(inputs, parameters, progress)
     names = tuple(described_gauge(text).name for text in parameters.gauge)
     readings = GaugeReadings(

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.views import View, view_of
 
 R = TypeVar("R")
 
@@ -138,6 +139,11 @@ class Inputs:
     threads: int = 1
     station: Station | None = None
 
+    @property
+    def view(self) -> View:
+        """How the tuple is seen; raises `InvalidInput` for a job about more than a tuple."""
+        return view_of(self.subject.view)
+
     def read(self, role: str, name: str, record: type[R]) -> R:
         """Read one record of the dataset in `role`."""
         return self.datasets[role].read(name, record)
@@ -216,7 +222,7 @@ class Kind(Generic[P]):
         Overrides the subjects that follow from the scope, e.g. to leave out the reference state. A kind
         that can do nothing in a campaign has none there.
     pipeline_subjects
-        Those of its subjects that the pipeline covers, where it is not all of them: what a pair with a
+        Those of its subjects that the pipeline covers, where it is not all of them: what a view with a
         projector measures better, images need not give.
     context
         The part of the campaign's definition that the outputs depend on; hashed into the reuse key.
@@ -271,8 +277,8 @@ def tested_states(campaign: Campaign) -> tuple[LoadState, ...]:
 
 
 def tuples(campaign: Campaign) -> tuple[Subject, ...]:
-    """Return every tuple whose shape can be measured: specimens alone, states in order, pairs in order."""
-    return _tuples(campaign, campaign.shape_pairs)
+    """Return every tuple whose shape can be measured: specimens alone, states in order, views in order."""
+    return _tuples(campaign, campaign.shape_views)
 
 
 def deformed_tuples(campaign: Campaign) -> tuple[Subject, ...]:
@@ -282,7 +288,7 @@ def deformed_tuples(campaign: Campaign) -> tuple[Subject, ...]:
 
 def deformed_images(campaign: Campaign) -> tuple[Subject, ...]:
     """Return every tuple of a specimen but those of the reference state, with a projector or without."""
-    return _deformed(campaign, _tuples(campaign, campaign.pairs))
+    return _deformed(campaign, _tuples(campaign, campaign.views))
 
 
 def deformed_images_alone(campaign: Campaign) -> tuple[Subject, ...]:
@@ -290,8 +296,8 @@ def deformed_images_alone(campaign: Campaign) -> tuple[Subject, ...]:
     return _deformed(campaign, _tuples(campaign, campaign.cameras_alone))
 
 
-def _tuples(campaign: Campaign, pairs: tuple[str, ...]) -> tuple[Subject, ...]:
-    return tuple(Subject(campaign.name, s.label, p) for s in tested_states(campaign) for p in pairs)
+def _tuples(campaign: Campaign, views: tuple[str, ...]) -> tuple[Subject, ...]:
+    return tuple(Subject(campaign.name, s.label, p) for s in tested_states(campaign) for p in views)
 
 
 def _deformed(campaign: Campaign, subjects: tuple[Subject, ...]) -> tuple[Subject, ...]:
@@ -300,7 +306,7 @@ def _deformed(campaign: Campaign, subjects: tuple[Subject, ...]) -> tuple[Subjec
 
 def deformed_states(campaign: Campaign) -> tuple[Subject, ...]:
     """Return every state of a campaign but its reference, if shapes are measured there."""
-    return every_deformed_state(campaign) if campaign.shape_pairs else ()
+    return every_deformed_state(campaign) if campaign.shape_views else ()
 
 
 def every_deformed_state(campaign: Campaign) -> tuple[Subject, ...]:
@@ -314,7 +320,7 @@ def default_subjects(kind: Kind[Any], campaign: Campaign) -> tuple[Subject, ...]
         return tuple(kind.subjects(campaign))
     if kind.scope is Scope.TUPLE:
         return tuples(campaign)
-    states = tested_states(campaign) if campaign.shape_pairs else ()
+    states = tested_states(campaign) if campaign.shape_views else ()
     if kind.scope is Scope.STATE:
         return tuple(Subject(campaign.name, s.label) for s in states)
     return (Subject(campaign.name),) if states else ()

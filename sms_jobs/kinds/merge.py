@@ -1,4 +1,4 @@
-"""Merge: the pairs of each camera into one field, and all cameras into one surface (thesis section 5.2.3)."""
+"""Merge: the views of each camera into one field, and all cameras into one surface (thesis section 5.2.3)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import DisplacementField, MergedField, Mesh, PointCloud, Regions, StrainField
 from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.sensors import split_pair
+from sms_jobs.records.views import view_of
 
 Floats: TypeAlias = NDArray[np.float64]
 Mask: TypeAlias = NDArray[np.bool_]
@@ -56,33 +56,33 @@ class MergeParameters(Parameters):
 
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    for pair in campaign.shape_pairs:
-        own = Subject(subject.campaign, subject.state, pair)
-        yield Need(f"displacement {pair}", "correlate", own)
-        yield Need(f"strain {pair}", "strain", own)
-        reference = Subject(subject.campaign, campaign.reference.label, pair)
-        yield Need(f"reference {pair}", "reconstruct", reference)
+    for view in campaign.shape_views:
+        own = Subject(subject.campaign, subject.state, view)
+        yield Need(f"displacement {view}", "correlate", own)
+        yield Need(f"strain {view}", "strain", own)
+        reference = Subject(subject.campaign, campaign.reference.label, view)
+        yield Need(f"reference {view}", "reconstruct", reference)
 
 
 def cameras(campaign: Campaign, subject: Subject) -> dict[str, tuple[str, ...]]:
-    """Return the pairs of each camera that measures shape, in the campaign's order."""
+    """Return the views of each camera that measures shape, in the campaign's order."""
     found: dict[str, tuple[str, ...]] = {}
-    for pair in campaign.shape_pairs:
-        camera, _ = split_pair(pair)
-        found[camera] = (*found.get(camera, ()), pair)
+    for view in campaign.shape_views:
+        camera = view_of(view).camera
+        found[camera] = (*found.get(camera, ()), view)
     return found
 
 
 def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iterator[Output]:
-    """Merge the pairs of every camera, then join the cameras' surfaces."""
+    """Merge the views of every camera, then join the cameras' surfaces."""
     records: dict[str, Any] = {}
     surfaces: list[tuple[Floats, NDArray[np.int32]]] = []
     values: list[Floats] = []
     parts: dict[str, float] = {}
-    for number, (camera, pairs) in enumerate(inputs.context.items()):
-        field, measurable = _merged_camera(inputs, camera, pairs)
-        strain = _merged_strain(inputs, pairs)
-        labels = combine_labels([inputs.read(f"displacement {p}", "regions", Regions).labels for p in pairs])
+    for number, (camera, views) in enumerate(inputs.context.items()):
+        field, measurable = _merged_camera(inputs, camera, views)
+        strain = _merged_strain(inputs, views)
+        labels = combine_labels([inputs.read(f"displacement {p}", "regions", Regions).labels for p in views])
         labels[field.reason != Reason.VALID] = 0
         pixels, faces = triangulate_image(labels, parameters.mesh_step_px)
         row, column = pixels.T
@@ -90,7 +90,7 @@ def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iter
         parts |= _parts(field, measurable)
         surfaces.append((field.xyz[:, row, column].T, faces))
         values.append(_vertex_values(field, strain)[:, row, column])
-        progress(0.8 * (number + 1) / len(inputs.context), f"merged {', '.join(pairs)}")
+        progress(0.8 * (number + 1) / len(inputs.context), f"merged {', '.join(views)}")
     vertices, faces, source, vertex = join_meshes(surfaces)
     at_vertices = [values[k][:, vertex[source == k]] for k in range(len(values))]
     names, units = zip(*_VALUES, strict=True)
@@ -99,13 +99,13 @@ def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iter
     yield DatasetOutput(inputs.subject, {**records, "mesh": mesh}, _statistics(records, mesh) | parts)
 
 
-def _merged_camera(inputs: Inputs, camera: str, pairs: tuple[str, ...]) -> tuple[MergedField, Mask]:
-    """Merge displacement, and the shape where there is displacement, over the pairs of one camera.
+def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple[MergedField, Mask]:
+    """Merge displacement, and the shape where there is displacement, over the views of one camera.
 
-    Beside them stands where any of the pairs has a shape.
+    Beside them stands where any of the views has a shape.
     """
-    moved = [inputs.read(f"displacement {p}", "displacement", DisplacementField) for p in pairs]
-    clouds = [inputs.read(f"reference {p}", "cloud", PointCloud) for p in pairs]
+    moved = [inputs.read(f"displacement {p}", "displacement", DisplacementField) for p in views]
+    clouds = [inputs.read(f"reference {p}", "cloud", PointCloud) for p in views]
     displacement = _merged([d.displacement for d in moved], [d.covariance for d in moved])
     shape = merge_by_variance(
         [np.where(d.reason == Reason.VALID, c.xyz, np.nan) for d, c in zip(moved, clouds, strict=True)],
@@ -116,7 +116,7 @@ def _merged_camera(inputs: Inputs, camera: str, pairs: tuple[str, ...]) -> tuple
     reason[missing] = np.bitwise_or.reduce([d.reason for d in moved])[missing]
     field = MergedField(
         camera,
-        pairs,
+        views,
         displacement.discrepancy_rms,
         displacement.value,
         shape.value,
@@ -128,9 +128,9 @@ def _merged_camera(inputs: Inputs, camera: str, pairs: tuple[str, ...]) -> tuple
     return field, np.logical_or.reduce([c.reason == Reason.VALID for c in clouds])
 
 
-def _merged_strain(inputs: Inputs, pairs: tuple[str, ...]) -> Merged:
-    """Merge the strain (xx, yy, xy) of the pairs of one camera; their tangent planes are the same."""
-    fields = [inputs.read(f"strain {p}", "strain", StrainField) for p in pairs]
+def _merged_strain(inputs: Inputs, views: tuple[str, ...]) -> Merged:
+    """Merge the strain (xx, yy, xy) of the views of one camera; their tangent planes are the same."""
+    fields = [inputs.read(f"strain {p}", "strain", StrainField) for p in views]
     variances = []
     for field in fields:
         packed = np.zeros((6, *field.reason.shape))
@@ -140,7 +140,7 @@ def _merged_strain(inputs: Inputs, pairs: tuple[str, ...]) -> Merged:
 
 
 def _merged(values: Sequence[Floats], covariances: Sequence[NDArray[np.floating]]) -> Merged:
-    """Merge what pairs of one camera say of its texture, whose errors they share in part."""
+    """Merge what views of one camera say of its texture, whose errors they share in part."""
     return merge_by_variance(values, covariances, correlation_of_pairs(values, covariances))
 
 
@@ -164,7 +164,7 @@ def _parts(field: MergedField, measurable: Mask) -> dict[str, float]:
 
 
 def _statistics(fields: dict[str, MergedField], mesh: Mesh) -> dict[str, float]:
-    """Return what people search by; a discrepancy only where pairs overlap."""
+    """Return what people search by; a discrepancy only where views overlap."""
     statistics = {"vertices": float(len(mesh.vertices)), "faces": float(len(mesh.faces))}
     for camera, field in fields.items():
         if np.isfinite(field.discrepancy_rms_mm):
@@ -176,7 +176,7 @@ def _statistics(fields: dict[str, MergedField], mesh: Mesh) -> dict[str, float]:
 
 KIND = Kind(
     name="merge",
-    summary="pairs of a camera merged by inverse variance, and all cameras joined into one surface",
+    summary="views of a camera merged by inverse variance, and all cameras joined into one surface",
     version=4,
     scope=Scope.STATE,
     parameters=MergeParameters,

@@ -43,10 +43,10 @@ class MeshParameters(Parameters):
 
 
 def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    """Return the points of every pair, and a measurement of each camera for its texture."""
+    """Return the points of every view, and a measurement of each camera for its texture."""
     yield from cloud_needs(campaign, subject)
-    for camera, pairs in cameras(campaign, subject).items():
-        own = Subject(subject.campaign, subject.state, pairs[0])
+    for camera, views in cameras(campaign, subject).items():
+        own = Subject(subject.campaign, subject.state, views[0])
         yield Need(f"texture {camera}", MEASUREMENT, own)
 
 

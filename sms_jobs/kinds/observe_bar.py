@@ -36,7 +36,7 @@ from sms_jobs.kinds.sessions import (
     bar_states,
     blur_name,
     board_states,
-    every_pair,
+    every_view,
     sensor_format,
     session_of,
 )
@@ -60,7 +60,8 @@ from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.observations import BarObservation
-from sms_jobs.records.sensors import Calibration, Sensor, SensorFormat, split_pair
+from sms_jobs.records.sensors import Calibration, Sensor, SensorFormat
+from sms_jobs.records.views import view_of
 
 _SPECIAL = ("home", "pan", "tilt")
 
@@ -89,7 +90,7 @@ class ObserveBarParameters(Parameters):
 
 @dataclass(frozen=True)
 class BarShown:
-    """What a pair is shown: a bar, at which angles, and at which angles the special poses stand."""
+    """What a view is shown: a bar, at which angles, and at which angles the special poses stand."""
 
     name: str
     bar: BallBar
@@ -113,7 +114,7 @@ def special_labels(campaign: Campaign) -> tuple[str, ...]:
 def bar_shown(campaign: Campaign, subject: Subject) -> BarShown:
     """Return what a tuple of a session shows."""
     session = session_of(campaign)
-    _, projector = split_pair(subject.pair or "")
+    projector = view_of(subject.view).projector
     state = campaign.state(subject.state or "")
     name = state.artefact or ""
     bar = session.artefacts[name]
@@ -123,7 +124,7 @@ def bar_shown(campaign: Campaign, subject: Subject) -> BarShown:
 
 
 def _subjects(campaign: Campaign) -> Iterable[Subject]:
-    return every_pair(campaign, bar_states(campaign))
+    return every_view(campaign, bar_states(campaign))
 
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
@@ -136,7 +137,7 @@ def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     state = campaign.state(subject.state or "")
     if subject.state not in labels and angles(state) is not None:
         for role, label in zip(_SPECIAL, labels, strict=False):
-            yield Need(role, OBSERVE_BAR, Subject(campaign.name, label, subject.pair))
+            yield Need(role, OBSERVE_BAR, Subject(campaign.name, label, subject.view))
 
 
 def run(inputs: Inputs, parameters: ObserveBarParameters, progress: Progress) -> Iterator[Output]:
@@ -144,7 +145,7 @@ def run(inputs: Inputs, parameters: ObserveBarParameters, progress: Progress) ->
     shown: BarShown = inputs.context
     measurement = inputs.read("measurement", "measurement", Measurement)
     start = inputs.read("start", "calibration", Calibration)
-    camera_name, projector_name = split_pair(inputs.subject.pair or "")
+    camera_name, projector_name = inputs.view.camera, inputs.view.projector
     camera, projector = start.rig.sensor(camera_name), start.rig.sensor(projector_name)
     maps = projector_maps(inputs.subject, measurement, shown.projector, inputs.threads, progress)
     predicted, region = None, None

@@ -27,7 +27,7 @@ from sms_jobs.kinds.sessions import (
     OBSERVATION,
     OBSERVE_BOARD,
     board_states,
-    every_pair,
+    every_view,
     sensor_format,
     session_of,
 )
@@ -39,7 +39,8 @@ from sms_jobs.records.artefacts import Artefact, Chessboard, CircleBoard
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.observations import BoardObservation
-from sms_jobs.records.sensors import SensorFormat, sensors_of
+from sms_jobs.records.sensors import SensorFormat
+from sms_jobs.records.views import view_of
 
 
 class ObserveBoardParameters(Parameters):
@@ -48,7 +49,7 @@ class ObserveBoardParameters(Parameters):
 
 @dataclass(frozen=True)
 class BoardShown:
-    """What a pair is shown: a board, and the sizes of the images in which it is looked for.
+    """What a view is shown: a board, and the sizes of the images in which it is looked for.
 
     There is no projector for a camera alone.
     """
@@ -63,12 +64,12 @@ def board_shown(campaign: Campaign, subject: Subject) -> BoardShown:
     """Return what a tuple of a session shows."""
     session = session_of(campaign)
     name = campaign.state(subject.state or "").artefact or ""
-    sensors = [sensor_format(session, sensor) for sensor in sensors_of(subject.pair or "")]
+    sensors = [sensor_format(session, sensor) for sensor in view_of(subject.view).sensors]
     return BoardShown(name, session.artefacts[name], sensors[0], sensors[1] if len(sensors) > 1 else None)
 
 
 def _subjects(campaign: Campaign) -> Iterable[Subject]:
-    return every_pair(campaign, board_states(campaign))
+    return every_view(campaign, board_states(campaign))
 
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
@@ -107,7 +108,7 @@ def _no_projector(count: int) -> ProjectorPoints:
 
 
 def _observation(shown: BoardShown, found: BoardPoints, carried: ProjectorPoints) -> BoardObservation:
-    """Return the points that all sensors of the pair have, and why others were refused."""
+    """Return the points that all sensors of the view have, and why others were refused."""
     kept = np.ones(len(found.place), bool) if shown.projector is None else np.isfinite(carried.sigma)
     refused = dict(found.refused)
     for why, count in carried.refused.items():

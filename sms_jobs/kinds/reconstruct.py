@@ -48,7 +48,8 @@ from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import PhaseMaps, PointCloud, ReturnMaps
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.sensors import Calibration, Role, split_pair
+from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.views import Role
 
 # Of good pixels 0.2 % fail by noise: four that touch each other do so once in many million images.
 _SMALLEST_GAP = 4
@@ -81,7 +82,7 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     """Unwrap and triangulate a tuple slab by slab, and say of every pixel whether it can be trusted."""
     measurement = inputs.read("measurement", "measurement", Measurement)
     calibration = inputs.read("calibration", "calibration", Calibration)
-    camera_name, projector_name = split_pair(inputs.subject.pair or "")
+    camera_name, projector_name = inputs.view.camera, inputs.view.projector
     camera = calibration.rig.sensor(camera_name)
     projector = calibration.rig.sensor(projector_name)
     if (camera.role, projector.role) != (Role.CAMERA, Role.PROJECTOR):

@@ -77,16 +77,16 @@ def shown_states(campaign: Campaign, most: int) -> tuple[LoadState, ...]:
 def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     """Return everything that the report shows; errors where the truth is known."""
     found: dict[str, Need] = {}
-    if campaign.shape_pairs:
+    if campaign.shape_views:
         found["calibration"] = Need("calibration", CALIBRATION, Subject(campaign.name))
     for state in tested_states(campaign):
-        for pair in campaign.pairs:
-            recorded = role(MEASUREMENT, state.label, pair)
-            found[recorded] = Need(recorded, MEASUREMENT, Subject(campaign.name, state.label, pair))
+        for view in campaign.views:
+            recorded = role(MEASUREMENT, state.label, view)
+            found[recorded] = Need(recorded, MEASUREMENT, Subject(campaign.name, state.label, view))
     for chapter in chapters():
         found |= {need.role: need for need in chapter.needs(campaign)}
     for each in tuples(campaign) if campaign.scene is not None else ():
-        assessed = role(ASSESS, each.state or "", each.pair or "")
+        assessed = role(ASSESS, each.state or "", each.view or "")
         found[assessed] = Need(assessed, ASSESS, each)
     return found.values()
 

@@ -76,9 +76,9 @@ def present(campaign: Campaign) -> tuple[Chapter, ...]:
     return tuple(c for c in chapters() if next(iter(c.needs(campaign)), None) is not None)
 
 
-def role(source: str, state: str, pair: str = "") -> str:
-    """Return the role of an input of a report: `<kind>/<state>/<pair>`."""
-    return "/".join(part for part in (source, state, pair) if part)
+def role(source: str, state: str, view: str = "") -> str:
+    """Return the role of an input of a report: `<kind>/<state>/<view>`."""
+    return "/".join(part for part in (source, state, view) if part)
 
 
 def defaults_of_kinds() -> dict[str, Mapping[str, Any]]:

@@ -217,8 +217,8 @@ class ReportPages:
     def _recorded_at(self) -> Mapping[str, datetime]:
         """Return when the reference state was recorded; the others say so themselves."""
         label = self._campaign.reference.label
-        for pair in self._campaign.pairs:
-            name = role(MEASUREMENT, label, pair)
+        for view in self._campaign.views:
+            name = role(MEASUREMENT, label, view)
             if name in self._inputs.datasets:
                 return {label: self._inputs.read(name, "measurement", Measurement).recorded_at}
         return {}
@@ -228,9 +228,9 @@ class ReportPages:
         diagonal = self._inputs.read("calibration", "calibration", Calibration).volume.diagonal_mm
         found: dict[tuple[str, str], Assessment] = {}
         for each in tuples(self._campaign):
-            state, pair = each.state or "", each.pair or ""
-            found[(state, pair)] = _without_images(
-                self._inputs.read(role(ASSESS, state, pair), "assessment", Assessment)
+            state, view = each.state or "", each.view or ""
+            found[(state, view)] = _without_images(
+                self._inputs.read(role(ASSESS, state, view), "assessment", Assessment)
             )
         words = html.paragraph(
             "The rig is virtual, so the truth is known: errors are measured minus true over all valid "

@@ -23,12 +23,12 @@ def _needs(campaign: Campaign) -> Iterable[Need]:
         yield Need(role(MEASUREMENT, reference, camera), MEASUREMENT, at_rest)
     for each in deformed_images_alone(campaign):
         for kind in ("correlate-images", "strain-images"):
-            yield Need(role(kind, each.state or "", each.pair or ""), kind, each)
+            yield Need(role(kind, each.state or "", each.view or ""), kind, each)
 
 
 def _gauges(campaign: Campaign) -> Iterable[Need]:
     for each in deformed_images_alone(campaign):
-        yield Need(role(GAUGES, each.state or "", each.pair or ""), GAUGES, each)
+        yield Need(role(GAUGES, each.state or "", each.view or ""), GAUGES, each)
 
 
 def _reference(inputs: Inputs, campaign: Campaign, sampling: Sampling) -> Iterator[View]:

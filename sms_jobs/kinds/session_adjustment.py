@@ -38,11 +38,12 @@ from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertai
 from sms_jobs.records.measurement import UNTIMED
 from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.scene import Rigid
-from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor, sensors_of
+from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.views import Role, role_of, view_of
 
 Floats = NDArray[np.float64]
 Boards = Mapping[str, Sequence[BoardObservation]]
-"""What pairs observed of a board, by pose."""
+"""What views observed of a board, by pose."""
 Bars = Mapping[str, Sequence[BarObservation]]
 
 _OUTER = 6  # parameters of a sensor that place it
@@ -93,7 +94,7 @@ def refusals(refused: Iterable[Refusal]) -> dict[str, int]:
 
 
 def board_views(boards: Boards) -> list[BoardView]:
-    """Return what every sensor saw of the board in each pose; what several pairs saw of it is averaged."""
+    """Return what every sensor saw of the board in each pose; what several views saw of it is averaged."""
     views = []
     for pose, observations in boards.items():
         seen: dict[str, list[tuple[BoardObservation, Floats, Floats]]] = {}
@@ -129,7 +130,7 @@ def start_of_rig(plan: SessionPlan, sensors: Mapping[str, tuple[Intrinsics, Pose
     """Return the rig of a session with inner parameters and poses by the names of its sensors."""
     found = []
     for size in plan.session.sensors:
-        role = Role.CAMERA if size.name.startswith("C") else Role.PROJECTOR
+        role = role_of(size.name)
         found.append(Sensor(size.name, role, size.columns, size.rows, *sensors[size.name]))
     return Rig(plan.rig, tuple(found))
 
@@ -283,7 +284,7 @@ def _corners(box: Box) -> tuple[Floats, Floats]:
 
 
 def middle_centres(seen: Sequence[BarObservation]) -> Floats:
-    """Return the middle of where pairs saw the spheres, (2, 3); NaN for one that none saw."""
+    """Return the middle of where views saw the spheres, (2, 3); NaN for one that none saw."""
     centres = np.stack([one.centre for one in seen])
     known = np.isfinite(centres.sum(axis=2))
     middle = np.full((2, 3), np.nan)
@@ -367,7 +368,7 @@ def quality_of(
         bar_length_error_mm={b.pose: b.error_mm for b in held_out.bars},
         board_rms_px={b.pose: _both(b.camera_rms_px, b.projector_rms_px) for b in held_out.boards},
         found=_found(plan, found, boards),
-        pairs=tuple("".join(pair) for pair in pairs),
+        views=tuple("".join(pair) for pair in pairs),
         place=place,
         expected_sigma=np.stack(sigma) if sigma else np.empty((0, len(place))),
         residual_sensor=np.repeat([p.sensor for p, _, _ in points], [k.sum() for k in known]).astype(
@@ -388,7 +389,7 @@ def _found(plan: SessionPlan, found: Adjustment, boards: Boards) -> dict[str, fl
     for length in found.nuisance:
         numbers[f"{length.name} [{length.unit}]"] = length.value
         numbers[f"{length.name}, sigma [{length.unit}]"] = length.sigma
-    for camera in dict.fromkeys(sensors_of(pair)[0] for pair in plan.pairs):
+    for camera in dict.fromkeys(view_of(view).camera for view in plan.views):
         blurs = [o.blur_px for seen in boards.values() for o in seen if o.camera == camera]
         known = [b for b in blurs if np.isfinite(b)]
         if known:
@@ -397,7 +398,7 @@ def _found(plan: SessionPlan, found: Adjustment, boards: Boards) -> dict[str, fl
 
 
 def expected_sigma(rig: Rig, found: Adjustment, pair: tuple[str, str], place: Floats) -> Floats:
-    """Return the deviation (n,) in mm that the calibration gives points; NaN out of a pair's sight."""
+    """Return the deviation (n,) in mm that the calibration gives points; NaN out of their sight."""
     covariance = point_covariance(found, *pair, place)
     sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
     for name in pair:

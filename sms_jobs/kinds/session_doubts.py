@@ -14,9 +14,9 @@ _FLAT = 0.02
 
 
 def alike_numbered(bars: Bars) -> tuple[Bars, tuple[str, ...]]:
-    """Return observations in which all pairs number a pose's spheres alike, and a sentence for each changed.
+    """Return observations in which all views number a pose's spheres alike, and a sentence for each changed.
 
-    Each pair's centres are compared with those of the first pair that saw both spheres.
+    Each view's centres are compared with those of the first view that saw both spheres.
     """
     found: dict[str, list[BarObservation]] = {}
     told = []

@@ -11,7 +11,8 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Need
 from sms_jobs.records.artefacts import Artefact, BallBar
 from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Subject
-from sms_jobs.records.sensors import SensorFormat, sensors_of
+from sms_jobs.records.sensors import SensorFormat
+from sms_jobs.records.views import view_of
 
 OBSERVE_BOARD = "observe-board"
 CALIBRATE_BOARDS = "calibrate-boards"
@@ -50,7 +51,7 @@ class SessionPlan:
         Of the campaign and the rig.
     began
         Time of the first pose, if known.
-    poses, pairs
+    poses, views
         In order.
     """
 
@@ -59,11 +60,11 @@ class SessionPlan:
     began: datetime | None
     session: CalibrationSession
     poses: tuple[SessionPose, ...]
-    pairs: tuple[str, ...]
+    views: tuple[str, ...]
 
     def measuring_pairs(self) -> tuple[tuple[str, str], ...]:
         """Return the pairs of sensors that measure points: cameras with projectors, or cameras alone."""
-        told = [sensors_of(pair) for pair in self.pairs]
+        told = [view_of(view).sensors for view in self.views]
         alone = [sensors[0] for sensors in told if len(sensors) == 1]
         return (*((s[0], s[1]) for s in told if len(s) == 2), *combinations(alone, 2))
 
@@ -85,7 +86,7 @@ def session_plan(campaign: Campaign, subject: Subject) -> SessionPlan:
         for state in campaign.states
         if state.artefact is not None
     )
-    return SessionPlan(campaign.name, campaign.rig, campaign.states[0].time, session, poses, campaign.pairs)
+    return SessionPlan(campaign.name, campaign.rig, campaign.states[0].time, session, poses, campaign.views)
 
 
 def angles(state: LoadState) -> tuple[float, float] | None:
@@ -114,20 +115,20 @@ def bar_states(campaign: Campaign) -> tuple[LoadState, ...]:
     return tuple(s for s in campaign.states if isinstance(shown(campaign, s), BallBar))
 
 
-def every_pair(campaign: Campaign, states: Iterable[LoadState]) -> tuple[Subject, ...]:
+def every_view(campaign: Campaign, states: Iterable[LoadState]) -> tuple[Subject, ...]:
     """Return the tuples of some states."""
-    return tuple(Subject(campaign.name, s.label, p) for s in states for p in campaign.pairs)
+    return tuple(Subject(campaign.name, s.label, p) for s in states for p in campaign.views)
 
 
 def observations_of(campaign: Campaign, kind: str, states: Iterable[LoadState]) -> Iterable[Need]:
-    """Return the need for what every pair observed in some states."""
-    for subject in every_pair(campaign, states):
-        yield Need(role_of(kind, subject.state or "", subject.pair or ""), kind, subject)
+    """Return the need for what every view observed in some states."""
+    for subject in every_view(campaign, states):
+        yield Need(role_of(kind, subject.state or "", subject.view or ""), kind, subject)
 
 
-def role_of(kind: str, state: str, pair: str) -> str:
+def role_of(kind: str, state: str, view: str) -> str:
     """Return the role of an observation among the inputs of a calibration."""
-    return f"{kind}/{state}/{pair}"
+    return f"{kind}/{state}/{view}"
 
 
 def blur_name(camera: str) -> str:

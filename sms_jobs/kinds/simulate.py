@@ -1,4 +1,4 @@
-"""Simulate: one measurement of every pair at a state, rendered by the virtual rig."""
+"""Simulate: one measurement of every view at a state, rendered by the virtual rig."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from sms_jobs.kinds.kind import (
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.measurement import UNTIMED, FringeSequence, Measurement
 from sms_jobs.records.scene import Deformation, Scene
-from sms_jobs.records.sensors import split_pair
+from sms_jobs.records.views import view_of
 
 
 class SimulateParameters(Parameters):
@@ -37,7 +37,7 @@ class SimulateParameters(Parameters):
 
     adaptive: Literal["none", "exposures", "projector"] = Field(
         "none",
-        description="what a quick pre-exposure of every pair decides: nothing, the set of exposures that "
+        description="what a quick pre-exposure of every view decides: nothing, the set of exposures that "
         "keeps every pixel in the camera's range instead of that of the sequence, or where the projector is "
         "dimmed so that one exposure does",
     )
@@ -60,7 +60,7 @@ class Recipe:
         Label of the load state.
     deformation
         What that state does to the specimen.
-    pairs, sequence
+    views, sequence
         Recorded one after the other, each with the whole sequence.
     recorded_at
         The time that the measurements bear.
@@ -69,7 +69,7 @@ class Recipe:
     scene: Scene
     state: str
     deformation: tuple[Deformation, ...]
-    pairs: tuple[str, ...]
+    views: tuple[str, ...]
     sequence: FringeSequence
     recorded_at: datetime
 
@@ -92,7 +92,7 @@ def recipe(campaign: Campaign, subject: Subject) -> Recipe:
         scene_at(campaign.scene, campaign, state),
         state.label,
         state.deformation,
-        campaign.pairs,
+        campaign.views,
         campaign.sequence,
         state.time or UNTIMED,
     )
@@ -113,29 +113,29 @@ def simulated_states(campaign: Campaign) -> tuple[Subject, ...]:
 
 
 def run(inputs: Inputs, parameters: SimulateParameters, progress: Progress) -> Iterator[Output]:
-    """Record every pair of a state, one after the other; frames are made while they are stored."""
+    """Record every view of a state, one after the other; frames are made while they are stored."""
     task: Recipe = inputs.context
     rig: Recorder = SimulatedRig(task.scene, task.state, task.deformation, task.recorded_at, inputs.threads)
-    for number, pair in enumerate(task.pairs):
-        progress(number / len(task.pairs), f"recording {pair}")
-        measurement = _recorded(rig, task, pair, parameters, inputs.threads)
-        subject = Subject(inputs.subject.campaign, task.state, pair)
+    for number, view in enumerate(task.views):
+        progress(number / len(task.views), f"recording {view}")
+        measurement = _recorded(rig, task, view, parameters, inputs.threads)
+        subject = Subject(inputs.subject.campaign, task.state, view)
         yield DatasetOutput(subject, {"measurement": measurement}, _statistics(measurement))
-    progress(1.0, f"recorded {len(task.pairs)} pairs")
+    progress(1.0, f"recorded {len(task.views)} views")
 
 
 def _recorded(
-    rig: Recorder, task: Recipe, pair: str, parameters: SimulateParameters, threads: int
+    rig: Recorder, task: Recipe, view: str, parameters: SimulateParameters, threads: int
 ) -> Measurement:
-    """Record a pair, after a quick look at how bright it is where that is wanted."""
+    """Record a view, after a quick look at how bright it is where that is wanted."""
     if parameters.adaptive == "none":
-        return rig.record(pair, task.sequence)
-    projector = task.scene.rig.sensor(split_pair(pair)[1])
-    seen = outlook(rig.record(pair, QUICK), projector, threads)
+        return rig.record(view, task.sequence)
+    projector = task.scene.rig.sensor(view_of(view).projector)
+    seen = outlook(rig.record(view, QUICK), projector, threads)
     if parameters.adaptive == "exposures":
         chosen = seen.exposures(parameters.longest_exposure)
-        return rig.record(pair, replace(task.sequence, exposures=chosen))
-    return rig.record(pair, task.sequence, seen.dimming(max(task.sequence.exposures)))
+        return rig.record(view, replace(task.sequence, exposures=chosen))
+    return rig.record(view, task.sequence, seen.dimming(max(task.sequence.exposures)))
 
 
 def _statistics(measurement: Measurement) -> dict[str, float]:
@@ -154,7 +154,7 @@ def _statistics(measurement: Measurement) -> dict[str, float]:
 
 KIND = Kind(
     name="simulate",
-    summary="render every pair of a state on the virtual rig",
+    summary="render every view of a state on the virtual rig",
     version=3,
     scope=Scope.STATE,
     parameters=SimulateParameters,

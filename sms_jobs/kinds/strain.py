@@ -47,7 +47,7 @@ class StrainParameters(Parameters):
 
 def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     yield Need("displacement", "correlate", subject)
-    yield Need("reference", "reconstruct", Subject(subject.campaign, campaign.reference.label, subject.pair))
+    yield Need("reference", "reconstruct", Subject(subject.campaign, campaign.reference.label, subject.view))
 
 
 def specimen_axis(campaign: Campaign, subject: Subject) -> Vector:

@@ -22,7 +22,7 @@ from sms_jobs.records.sensors import Sensor
 
 @dataclass(frozen=True)
 class TexturedState:
-    """One state of the pair: texture, the texture's noise, shape, regions, and which pixels may be in one."""
+    """One state of the view: texture, the texture's noise, shape, regions, and which pixels may be in one."""
 
     texture: NDArray[np.floating]
     noise: Noise

@@ -75,8 +75,8 @@ class CalibrationQuality:
         Of every pose of a board, the residuals by a calibration that it took no part in.
     found
         What was found of the artefacts themselves; names carry the unit.
-    pairs
-        Pairs of sensors that measure points, C1P1 or of cameras alone C1C2, in the order of `expected_sigma`.
+    views
+        Views that measure points, C1P1 or of cameras alone C1C2, in the order of `expected_sigma`.
     place, expected_sigma
         Places in the volume, and the standard deviation that the calibration alone gives a point there.
     residual_sensor, residual_px, residual
@@ -96,10 +96,10 @@ class CalibrationQuality:
     bar_length_error_mm: dict[str, float]
     board_rms_px: dict[str, float]
     found: dict[str, float]
-    pairs: tuple[str, ...]
+    views: tuple[str, ...]
     place: NDArray[np.float64] = array("mm", "place in the volume", ("place", "component"), ("X", "Y", "Z"))
     expected_sigma: NDArray[np.float64] = array(
-        "mm", "standard deviation of a point from the calibration alone", ("pair", "place")
+        "mm", "standard deviation of a point from the calibration alone", ("view", "place")
     )
     residual_sensor: NDArray[np.int32] = array("1", "number of the sensor", ("residual",))
     residual_px: NDArray[np.float64] = array(

@@ -12,9 +12,10 @@ from sms_jobs.records.artefacts import Artefact
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.numbers import checked_number
 from sms_jobs.records.scene import Deformation, Rigid, Scene
-from sms_jobs.records.sensors import Box, SensorFormat, has_projector
+from sms_jobs.records.sensors import Box, SensorFormat
 from sms_jobs.records.texts import NAME_LETTERS, checked_text
 from sms_jobs.records.times import checked_time
+from sms_jobs.records.views import view_of
 
 ParameterValue: TypeAlias = bool | int | float | str | tuple[str, ...]
 
@@ -25,7 +26,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
 def checked_name(name: str, what: str) -> str:
-    """Return `name` when it can stand in a path and in `campaign/state/pair`; raise `InvalidInput` if not."""
+    """Return `name` when it can stand in a path and in `campaign/state/view`; raise `InvalidInput` if not."""
     if not _NAME.fullmatch(name) or ".." in name:
         raise InvalidInput(
             f"'{name}' cannot be the name of a {what}: use at most 64 letters, digits, '.', '_' or '-', "
@@ -36,22 +37,22 @@ def checked_name(name: str, what: str) -> str:
 
 @dataclass(frozen=True)
 class Subject:
-    """What a job is about: a campaign, one state of it, or one tuple `campaign/state/pair`."""
+    """What a job is about: a campaign, one state of it, or one tuple `campaign/state/view`."""
 
     campaign: str
     state: str | None = None
-    pair: str | None = None
+    view: str | None = None
 
     def __str__(self) -> str:
-        return "/".join(part for part in (self.campaign, self.state, self.pair) if part is not None)
+        return "/".join(part for part in (self.campaign, self.state, self.view) if part is not None)
 
     @classmethod
     def parse(cls, text: str) -> Subject:
-        """Read `campaign`, `campaign/state` or `campaign/state/pair`."""
+        """Read `campaign`, `campaign/state` or `campaign/state/view`."""
         parts = text.split("/")
         if not 1 <= len(parts) <= 3:
-            raise InvalidInput(f"'{text}' is not campaign/state/pair")
-        names = [checked_name(p, w) for p, w in zip(parts, ("campaign", "state", "pair"), strict=False)]
+            raise InvalidInput(f"'{text}' is not campaign/state/view")
+        names = [checked_name(p, w) for p, w in zip(parts, ("campaign", "state", "view"), strict=False)]
         return cls(*names)
 
 
@@ -167,8 +168,8 @@ class Campaign:
         Name of the rig that measures it.
     states
         In order of the test; the first is the reference.
-    pairs
-        Camera-projector pairs that measure every state, and cameras that look on alone, such as C1.
+    views
+        Camera-projector views that measure every state, and cameras that look on alone, such as C1.
     sequence
         Fringe patterns of every measurement.
     processing
@@ -183,7 +184,7 @@ class Campaign:
     specimen: Specimen
     rig: str
     states: tuple[LoadState, ...]
-    pairs: tuple[str, ...]
+    views: tuple[str, ...]
     sequence: FringeSequence = FringeSequence()
     scene: Scene | None = None
     processing: dict[str, dict[str, ParameterValue]] = field(default_factory=dict)
@@ -215,14 +216,14 @@ class Campaign:
         return self.states[0]
 
     @property
-    def shape_pairs(self) -> tuple[str, ...]:
-        """The pairs of a camera and a projector, which measure shape."""
-        return tuple(pair for pair in self.pairs if has_projector(pair))
+    def shape_views(self) -> tuple[str, ...]:
+        """The views of a camera and a projector, which measure shape."""
+        return tuple(view for view in self.views if view_of(view).measures_shape)
 
     @property
     def cameras_alone(self) -> tuple[str, ...]:
         """The cameras that have no projector here: what they measure is in the plane of their image."""
-        return tuple(pair for pair in self.pairs if not has_projector(pair))
+        return tuple(view for view in self.views if not view_of(view).measures_shape)
 
     def state(self, label: str) -> LoadState:
         """Return the state of that label; raise `InvalidInput` where there is none."""

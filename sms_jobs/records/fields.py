@@ -180,15 +180,15 @@ class MergedField:
     """Shape and displacement of one camera's view, all its projectors taken together."""
 
     camera: str
-    pairs: tuple[str, ...]
+    views: tuple[str, ...]
     discrepancy_rms_mm: float
     displacement: Double = array("mm", "displacement", VECTOR_IMAGE, XYZ)
     xyz: Double = array("mm", "position at the reference state", VECTOR_IMAGE, XYZ)
     covariance: Single = array("mm^2", "covariance of the displacement", VECTOR_IMAGE, SYMMETRIC)
-    contributors: NDArray[np.uint8] = array("1", "number of pairs that gave a value")
+    contributors: NDArray[np.uint8] = array("1", "number of views that gave a value")
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
     discrepancy: Single | None = array(
-        "mm", "rms distance between the displacements of the pairs", default=None
+        "mm", "rms distance between the displacements of the views", default=None
     )
 
 

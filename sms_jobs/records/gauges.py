@@ -14,7 +14,7 @@ _GAUGES = ("gauge",)
 
 @dataclass(frozen=True)
 class GaugeReadings:
-    """Strain under virtual gauges at one state, seen by one pair or one camera.
+    """Strain under virtual gauges at one state, seen by one view or one camera.
 
     NaN where fewer than twelve pixels lie under a gauge's grid. A camera alone knows places in its image;
     those in mm, with Y upwards from the first pixel, only where a pixel's size is known.

@@ -1,4 +1,4 @@
-"""What a pair records at a state: a fringe sequence and its frames."""
+"""What a view records at a state: a fringe sequence and its frames."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ class GrayCode:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What one pair recorded at one state.
+    """What one view recorded at one state.
 
     Attributes
     ----------

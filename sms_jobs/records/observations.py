@@ -15,7 +15,7 @@ _POINTS = ("point", "component")
 
 @dataclass(frozen=True)
 class BoardObservation:
-    """The points of a board that a pair found, in both of its images, or a camera alone in its own.
+    """The points of a board that a view found, in both of its images, or a camera alone in its own.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class BoardObservation:
 
 @dataclass(frozen=True)
 class BarObservation:
-    """Points on the spheres of a ball bar that a pair found.
+    """Points on the spheres of a ball bar that a view found.
 
     Attributes
     ----------

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from datetime import datetime
-from enum import Enum
 
 import numpy as np
 
@@ -14,10 +12,7 @@ from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
 from sms_jobs.records.numbers import checked_number
 from sms_jobs.records.texts import checked_text
 from sms_jobs.records.times import checked_time
-
-_PAIR = re.compile(r"(C[1-9][0-9]*)(P[1-9][0-9]*)")
-_CAMERA = re.compile(r"C[1-9][0-9]*")
-
+from sms_jobs.records.views import Role, View, role_of, sensor_name
 
 LONGEST_FOCAL_PX = 1e7
 FARTHEST_MM = 1e7
@@ -29,13 +24,6 @@ def _check_size(name: str, columns: int, rows: int) -> None:
     checked_text(name, "the name of a sensor", _NAME_LETTERS)
     for side, what in ((columns, "columns"), (rows, "rows")):
         checked_number(side, f"the number of {what} of sensor {name}", 1, LARGEST_SIDE_PX)
-
-
-class Role(Enum):
-    """What a sensor does with light."""
-
-    CAMERA = "camera"
-    PROJECTOR = "projector"
 
 
 @dataclass(frozen=True)
@@ -75,6 +63,11 @@ class Sensor:
 
     def __post_init__(self) -> None:
         _check_size(self.name, self.columns, self.rows)
+        if role_of(self.name) is not self.role:
+            raise InvalidInput(
+                f"sensor {self.name} is a {self.role.value}: call it {sensor_name(self.role, 1)}, "
+                f"{sensor_name(self.role, 2)}, ..."
+            )
         for key in ("fx", "fy"):
             value = getattr(self.intrinsics, key)
             checked_number(value, f"{key} of sensor {self.name}, in px", 1.0, LONGEST_FOCAL_PX)
@@ -107,11 +100,11 @@ class Rig:
         known = ", ".join(s.name for s in self.sensors)
         raise InvalidInput(f"rig {self.name} has no sensor {name}; it has {known}")
 
-    def pairs(self) -> tuple[str, ...]:
-        """Return every camera-projector pair, C1P1, C1P2, ..."""
+    def views(self) -> tuple[str, ...]:
+        """Return every view of a camera and a projector, C1P1, C1P2, ..."""
         cameras = [s.name for s in self.sensors if s.role is Role.CAMERA]
         projectors = [s.name for s in self.sensors if s.role is Role.PROJECTOR]
-        return tuple(c + p for c in cameras for p in projectors)
+        return tuple(str(View(c, (p,))) for c in cameras for p in projectors)
 
 
 @dataclass(frozen=True)
@@ -155,21 +148,3 @@ class Calibration:
     def __post_init__(self) -> None:
         checked_time(self.valid_from, f"valid_from of the calibration of rig {self.rig.name}")
         checked_text(self.origin, f"the origin of the calibration of rig {self.rig.name}")
-
-
-def split_pair(pair: str) -> tuple[str, str]:
-    """Return (camera, projector) of a pair such as C1P2; raise `InvalidInput` for anything else."""
-    found = _PAIR.fullmatch(pair)
-    if not found:
-        raise InvalidInput(f"'{pair}' is not a camera-projector pair; write it like C1P2")
-    return found[1], found[2]
-
-
-def sensors_of(pair: str) -> tuple[str, ...]:
-    """Return the sensors of a pair: camera and projector, or a camera alone; `InvalidInput` for others."""
-    return (pair,) if _CAMERA.fullmatch(pair) else split_pair(pair)
-
-
-def has_projector(pair: str) -> bool:
-    """Say whether a pair is a camera with a projector, such as C1P2, and not a camera alone, such as C1."""
-    return _PAIR.fullmatch(pair) is not None

@@ -89,7 +89,7 @@ class DeviationField:
     """
 
     camera: str
-    pairs: tuple[str, ...]
+    views: tuple[str, ...]
     lower_mm: float
     upper_mm: float
     coverage_factor: float

@@ -27,7 +27,7 @@ Flags: TypeAlias = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class TrueBoard:
-    """The points of a board as they truly stand before a pair.
+    """The points of a board as they truly stand before a view.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class TrueBoard:
 
 @dataclass(frozen=True)
 class TrueBar:
-    """The spheres of a bar as they truly stand before a pair.
+    """The spheres of a bar as they truly stand before a view.
 
     Attributes
     ----------

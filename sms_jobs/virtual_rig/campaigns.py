@@ -26,7 +26,8 @@ from sms_jobs.records.scene import (
     UniaxialStrain,
     Vector,
 )
-from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
+from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.views import role_of
 
 START = datetime(2026, 1, 5, 9, 0, tzinfo=UTC)
 HOLD = timedelta(minutes=10)
@@ -61,7 +62,7 @@ def aimed(name: str, columns: int, rows: int, lens: Lens, centre: Vector, roll_r
 
     The principal point lies a little off the middle, as it does in life.
     """
-    role = Role.CAMERA if name.startswith("C") else Role.PROJECTOR
+    role = role_of(name)
     focal = lens.focal * columns
     cx, cy = (columns - 1) / 2.0 + 0.006 * columns, (rows - 1) / 2.0 - 0.004 * columns
     intrinsics = Intrinsics(focal, 1.001 * focal, cx, cy, lens.k1, lens.k2, lens.p1, lens.p2)
@@ -258,10 +259,10 @@ def made(
     sequence: FringeSequence,
     scene: Scene,
 ) -> Made:
-    """Return a campaign on a scene, measured by all its pairs, with its exact calibration."""
+    """Return a campaign on a scene, measured by all its views, with its exact calibration."""
     rig = scene.rig
     calibration = Calibration(rig, volume, START, ORIGIN)
-    return calibration, Campaign(name, specimen, rig.name, states, rig.pairs(), sequence, scene)
+    return calibration, Campaign(name, specimen, rig.name, states, rig.views(), sequence, scene)
 
 
 def placed(rotation_rad: Vector, translation_mm: Vector) -> Pose:

@@ -13,7 +13,7 @@ from sms_jobs.metrology.deformation.merging import join_meshes
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.scene import Simulation
-from sms_jobs.records.sensors import split_pair
+from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.truth import exact_truth
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -47,17 +47,19 @@ def exact_mesh(campaign: Campaign, label: str, step_px: int, threads: int = 1) -
     InvalidInput
         The campaign is not on the virtual rig, has no projector, or has no such state.
     """
-    scene, pairs = campaign.scene, campaign.shape_pairs
-    if scene is None or not pairs:
+    scene, views = campaign.scene, campaign.shape_views
+    if scene is None or not views:
         raise InvalidInput(
             f"campaign {campaign.name} is not measured in space on the virtual rig, so its exact "
             "displacement is not known; see 'sms campaign simulate' for those that are"
         )
     state = campaign.state(label)
     surfaces, moved = [], []
-    for camera, projector in {split_pair(p)[0]: split_pair(p) for p in reversed(pairs)}.values():
+    first_of_each = {view.camera: view for view in map(view_of, reversed(views))}
+    for view in first_of_each.values():
         rest, end = (
-            Simulation(scene, camera, projector, s.deformation, s.label) for s in (campaign.reference, state)
+            Simulation(scene, view.camera, view.projector, s.deformation, s.label)
+            for s in (campaign.reference, state)
         )
         truth = exact_truth(rest, end, threads=threads)
         labels = np.where(truth.shape.seen, truth.shape.region, 0).astype(np.int32)

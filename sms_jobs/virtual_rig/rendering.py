@@ -33,7 +33,7 @@ _NOISE_ROWS = 64
 
 @dataclass(frozen=True)
 class Rendering:
-    """What one pair records of a simulated state; the fields are those of `Measurement`."""
+    """What one view records of a simulated state; the fields are those of `Measurement`."""
 
     texture: Image
     frames: SimulatedFrames
@@ -61,12 +61,12 @@ class Noise:
 def render(
     simulation: Simulation, sequence: FringeSequence, *, threads: int = 1, dimming: Singles | None = None
 ) -> Rendering:
-    """Render what a pair records of a simulated state.
+    """Render what a view records of a simulated state.
 
     Parameters
     ----------
     simulation
-        Scene, pair and deformation.
+        Scene, view and deformation.
     sequence
         The patterns that are projected.
     threads

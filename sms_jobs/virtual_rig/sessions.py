@@ -201,4 +201,4 @@ def _session(
         "last-calibration" if on_site else "nothing",
     )
     specimen = Specimen("calibration artefacts", description="board of dots with three rings; ball bar")
-    return Campaign(name, specimen, rig.name, timed, rig.pairs(), FringeSequence(), scene, session=session)
+    return Campaign(name, specimen, rig.name, timed, rig.views(), FringeSequence(), scene, session=session)

@@ -72,7 +72,7 @@ def test_again_in_the_same_folder_every_result_is_reused(first: Any, folder: Pat
 
 def test_the_archive_can_be_asked_afterwards(first: Any, folder: Path, tmp_path: Path) -> None:
     home = ("--home", str(folder))
-    (strain,) = answer("data", "find", "--kind", "strain", "--state", "S02", "--pair", "C1P1", *home)
+    (strain,) = answer("data", "find", "--kind", "strain", "--state", "S02", "--view", "C1P1", *home)
     shown = answer("data", "show", str(strain["id"]), *home)
     assert shown["records"]["strain"]["strain"]["shape"] == [3, 512, 512]
     assert shown["statistics"]

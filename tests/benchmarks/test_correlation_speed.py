@@ -18,7 +18,7 @@ SIZE = 512
 
 
 @pytest.fixture(scope="module")
-def pair() -> tuple[np.ndarray, np.ndarray]:
+def view() -> tuple[np.ndarray, np.ndarray]:
     """Return a speckle image, and itself stretched by 0.2 %, both with noise."""
     rng = np.random.default_rng(1)
     pattern = ndimage.gaussian_filter(rng.normal(size=(SIZE, SIZE)), 1.8)
@@ -30,10 +30,10 @@ def pair() -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("radius", [10, 16])
 def test_first_order_matching(
-    benchmark: BenchmarkFixture, pair: tuple[np.ndarray, np.ndarray], radius: int
+    benchmark: BenchmarkFixture, view: tuple[np.ndarray, np.ndarray], radius: int
 ) -> None:
     """Points from integer seeds, as after a search; target 20,000 points a CPU-second at radius 16."""
-    images = prepare_images(*pair, np.ones((SIZE, SIZE), np.int32))
+    images = prepare_images(*view, np.ones((SIZE, SIZE), np.int32))
     y, x = (a.ravel() for a in np.mgrid[30:480:5, 30:480:5])
     guess = np.zeros((len(x), 6))
     guess[:, 0], guess[:, 3] = np.rint(0.002 * x), 0.0
@@ -46,19 +46,19 @@ def test_first_order_matching(
     benchmark.extra_info["points per second"] = len(x) / benchmark.stats["min"]
 
 
-def test_a_grid_with_its_seeds(benchmark: BenchmarkFixture, pair: tuple[np.ndarray, np.ndarray]) -> None:
+def test_a_grid_with_its_seeds(benchmark: BenchmarkFixture, view: tuple[np.ndarray, np.ndarray]) -> None:
     """All of a correlate job's matching; seeds are to take a third of it at most."""
-    images = prepare_images(*pair, np.ones((SIZE, SIZE), np.int32))
+    images = prepare_images(*view, np.ones((SIZE, SIZE), np.int32))
     settings = MatchSettings(radius=16), GridSettings(spacing=4), SearchSettings()
     found = benchmark.pedantic(
         match_grid,
-        (images, pair[1], *settings),
+        (images, view[1], *settings),
         rounds=5,
         warmup_rounds=1,
     )
     y, x = (a.ravel() for a in np.mgrid[32:SIZE:64, 32:SIZE:64])
     start = time.process_time()
-    seed_displacements(images.reference, pair[1], images.labels, x, y, SearchSettings())
+    seed_displacements(images.reference, view[1], images.labels, x, y, SearchSettings())
     benchmark.extra_info["seeding, part of the whole"] = (time.process_time() - start) / benchmark.stats[
         "min"
     ]

@@ -18,8 +18,8 @@ NOISE = 20.0
 def frames_of(rng: np.random.Generator, amplitudes: tuple[float, ...]) -> np.ndarray:
     """Return 4 s - 2 frames; a second return is 3 to 20 bins from the first one."""
     first = rng.uniform(-pi, pi, (ROWS, COLUMNS))
-    pair = (first, first + rng.uniform(3.0, 20.0, first.shape) * 2.0 * pi / S)
-    omegas = pair[: len(amplitudes)]
+    view = (first, first + rng.uniform(3.0, 20.0, first.shape) * 2.0 * pi / S)
+    omegas = view[: len(amplitudes)]
     frames = []
     for t in range(S):
         for k in (0, 2) if t == 0 else range(4):

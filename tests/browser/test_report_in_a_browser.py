@@ -29,7 +29,7 @@ MAP = "document.querySelector('#v3')"  # of C1 at S01: two cameras at rest befor
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the report of three states, and the archive that it was made of."""
     folder = tmp_path_factory.mktemp("report")
-    of = campaign(3, material=EVIL, pairs=("C1P1", "C2P1"))
+    of = campaign(3, material=EVIL, views=("C1P1", "C2P1"))
     run_on_results(folder, report.KIND, of, Subject("plate"), size=SIZE, map_px=64, figure_width_px=240)
     return folder
 

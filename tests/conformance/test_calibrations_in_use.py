@@ -73,19 +73,19 @@ def real_test(name: str, states: int = 2) -> tuple[Calibration, Campaign]:
     labels = tuple(replace(campaign.states[0], label=f"S{n:02}", time=None) for n in range(states))
     return (
         replace(calibration, valid_from=MORNING - timedelta(days=1)),
-        replace(campaign, states=labels, pairs=campaign.pairs[:1]),
+        replace(campaign, states=labels, views=campaign.views[:1]),
     )
 
 
 def record(
     catalogue: Catalogue, archive: Archive, campaign: Campaign, label: str, minutes: float, clock: Clock
 ) -> None:
-    """Bring in what a pair recorded so many minutes after eight."""
+    """Bring in what a view recorded so many minutes after eight."""
     assert campaign.scene is not None
     at = MORNING + timedelta(minutes=minutes)
     rig = SimulatedRig(campaign.scene, label, (), at, 1)
-    subject = Subject(campaign.name, label, campaign.pairs[0])
-    measurement = rig.record(campaign.pairs[0], campaign.sequence)
+    subject = Subject(campaign.name, label, campaign.views[0])
+    measurement = rig.record(campaign.views[0], campaign.sequence)
     import_measurement(catalogue, archive, subject, measurement, f"{subject} {at}", {}, clock())
 
 

@@ -18,7 +18,7 @@ from support.jobs import NOW, claim, submit_pipeline
 from sms_jobs.catalogue import copying, schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow, FileRow, JobRow, LockRow, QueueRow, Table, WorkerRow
-from sms_jobs.errors import ConfigurationError, Conflict
+from sms_jobs.errors import ConfigurationError, Conflict, OtherFormat
 from sms_jobs.jobs import lifecycle, queues, schedules
 from sms_jobs.jobs.fire_times import parse_expression
 from sms_jobs.jobs.planning import Request
@@ -133,11 +133,13 @@ def test_a_database_of_something_else_is_refused(other: Catalogue) -> None:
 
 
 def test_another_schema_is_refused(other: Catalogue) -> None:
-    schema.upgrade(other, "0003")
-    with pytest.raises(ConfigurationError, match="sms db upgrade"):
-        copying.prepare(other)
     schema.upgrade(other)
     with other.writing() as session:
+        session.execute(text("UPDATE alembic_version SET version_num = '0101'"))
+    with pytest.raises(OtherFormat, match="newer"):
+        copying.prepare(other)
+    with other.writing() as session:
+        session.execute(text(f"UPDATE alembic_version SET version_num = '{schema.newest_revision()}'"))
         session.execute(text("ALTER TABLE queue DROP COLUMN reason"))
     with pytest.raises(ConfigurationError, match="not this version's"):
         copying.prepare(other)

@@ -56,7 +56,7 @@ class Plain:
 
     id: int
     kind: str
-    pair: str
+    view: str
     campaign: str
     state: str
     load_n: float
@@ -89,7 +89,7 @@ def everything(catalogue: Catalogue) -> list[Plain]:
             Plain(
                 file.id,
                 file.source,
-                file.pair or "",
+                file.view or "",
                 campaign,
                 state,
                 read.get(file.id, {}).get("load_n", load or 0.0),
@@ -119,7 +119,7 @@ def since(file: Plain, text: str) -> bool:
 QUESTIONS: list[tuple[str, Callable[[Plain], bool]]] = [
     ("strain", lambda f: f.kind == "strain"),
     ("strain where load_kN > 1400", lambda f: f.kind == "strain" and f.load_n > 1.4e6),
-    ("where load_MN <= 0.2 and pair = C1P2", lambda f: f.load_n <= 2e5 and f.pair == "C1P2"),
+    ("where load_MN <= 0.2 and view = C1P2", lambda f: f.load_n <= 2e5 and f.view == "C1P2"),
     (
         "where max_principal > 1e-3 or maximum_displacement_mm between 3 and 4",
         lambda f: (
@@ -129,11 +129,11 @@ QUESTIONS: list[tuple[str, Callable[[Plain], bool]]] = [
     # What has no such statistic is neither below nor not below.
     ("not valid_fraction < 0.5", lambda f: number(f, "valid_fraction") >= 0.5),
     (
-        "not (valid_fraction < 0.5 and pair = C1P1)",
-        lambda f: number(f, "valid_fraction") >= 0.5 or f.pair != "C1P1",
+        "not (valid_fraction < 0.5 and view = C1P1)",
+        lambda f: number(f, "valid_fraction") >= 0.5 or f.view != "C1P1",
     ),
-    ("where state in (S01, S02) and camera = C2", lambda f: f.state in ("S01", "S02") and f.pair[:2] == "C2"),
-    ("where projector != P1 and state ~ s1", lambda f: f.pair[2:] == "P2" and "S1" in f.state),
+    ("where state in (S01, S02) and camera = C2", lambda f: f.state in ("S01", "S02") and f.view[:2] == "C2"),
+    ("where projector != P1 and state ~ s1", lambda f: f.view[2:] == "P2" and "S1" in f.state),
     ("where channel.temp_c > 30 and temp_c < 31", lambda f: 30.0 < f.temp_c < 31.0),
     ("median_sigma_um < 1", lambda f: number(f, "median_sigma_mm") < 1e-3),
     (
@@ -298,7 +298,7 @@ def test_calibrations_are_a_column(catalogue: Catalogue) -> None:
             )
         )
         session.flush()
-        session.add(CalibrationRow(id=12, rig_id=1, file_id=9, valid_from=NOW, origin=""))
+        session.add(CalibrationRow(id=12, rig_id=1, file_id=9, valid_from=NOW, origin="", sensors={}))
         session.flush()
         session.add(CalibrationUseRow(calibration_id=12, file_id=10_001))
     found = ask(catalogue, "file between 10000 and 10002", columns=["file", "calibration"]).found
@@ -316,16 +316,16 @@ def test_what_does_not_exist_is_said(catalogue: Catalogue) -> None:
 def test_options_and_query_have_both_to_be_met(catalogue: Catalogue) -> None:
     large_catalogue.fill(catalogue, 640)
     asked = restricted(
-        parse("load_kN > 0 or load_kN <= 0"), kind="strain", campaign="c00000", state="S01", pair="C1P2"
+        parse("load_kN > 0 or load_kN <= 0"), kind="strain", campaign="c00000", state="S01", view="C1P2"
     )
     with catalogue.reading() as session:
         (found,) = find_page(session, asked, KNOWN).found
     assert found.file.subject == "c00000/S01/C1P2"
     assert list(found.values) == ["load_kN"]
     with pytest.raises(InvalidInput, match="the query asks for strain and --kind for correlate"):
-        restricted(parse("strain"), kind="correlate", campaign=None, state=None, pair=None)
+        restricted(parse("strain"), kind="correlate", campaign=None, state=None, view=None)
     with catalogue.reading() as session, pytest.raises(InvalidInput, match=r"no kind 'strian'.*'strain'"):
-        find_page(session, restricted(parse(""), kind="strian", campaign=None, state=None, pair=None), KNOWN)
+        find_page(session, restricted(parse(""), kind="strian", campaign=None, state=None, view=None), KNOWN)
 
 
 def test_queries_are_kept_under_a_name(catalogue: Catalogue) -> None:

@@ -170,7 +170,7 @@ def test_campaigns_are_listed_by_a_few_statements(
         listed = inquiry.list_campaigns(session, 50)
     jobs = {"queued": 1, "succeeded": 4, "waiting": 3}
     assert [c.campaign for c in listed] == [name_of(1), name_of(0)]
-    assert (listed[0].jobs, listed[0].states, listed[0].pairs) == (jobs, 3, 2)
+    assert (listed[0].jobs, listed[0].states, listed[0].views) == (jobs, 3, 2)
     assert len(found.statements) <= 4
     with catalogue.reading() as session:
         assert len(inquiry.list_campaigns(session, 1)) == 1

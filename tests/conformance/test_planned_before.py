@@ -20,7 +20,7 @@ from sms_jobs.records.job import JobState
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 LATER = NOW + timedelta(minutes=1)
-RECONSTRUCT = [Request("reconstruct", states=("S00",), pairs=("C1P1",))]
+RECONSTRUCT = [Request("reconstruct", states=("S00",), views=("C1P1",))]
 
 
 def drafted(catalogue: Catalogue, *requests: Request) -> Draft:
@@ -109,7 +109,7 @@ def test_a_file_that_is_gone_is_not_referred_to(catalogue: Catalogue) -> None:
             created_at=NOW,
             campaign_id=campaigns.campaign_id(session, "plate"),
             state_id=numbers["S00"],
-            pair="C1P1",
+            view="C1P1",
         )
         session.add(file)
         session.flush()

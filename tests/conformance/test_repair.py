@@ -84,7 +84,7 @@ def test_nothing_is_lost_and_what_can_be_mended_is(
     }
     assert "backup" in steps[lost, "missing"].then
     assert steps[damaged, "corrupt"].then.startswith(
-        "sms job submit reconstruct -c plate --state S01 --pair "
+        "sms job submit reconstruct -c plate --state S01 --view "
     )
     # Planning has changed nothing, and the command alone does not either.
     done = inside("archive", "repair", "--home", str(deployment.home), environment=deployment.environment)

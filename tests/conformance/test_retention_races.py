@@ -80,7 +80,7 @@ def uses(session: Session, file_id: int) -> None:
 
 def certifies(session: Session, file_id: int) -> None:
     rig = session.scalars(select(RigRow.id)).one()
-    session.add(CalibrationRow(rig_id=rig, file_id=file_id, valid_from=LATER, origin="a session"))
+    session.add(CalibrationRow(rig_id=rig, file_id=file_id, valid_from=LATER, origin="a session", sensors={}))
 
 
 def needed(catalogue: Catalogue, need: Need, file_id: int) -> bool:

@@ -11,8 +11,8 @@ from support.jobs import submit_pipeline
 
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, JobRow, OutboxRow, SavedQueryRow
-from sms_jobs.errors import FormatTooNew
+from sms_jobs.catalogue.models import JobRow, SavedQueryRow
+from sms_jobs.errors import OtherFormat
 
 
 def test_the_migrated_schema_equals_the_models(catalogue: Catalogue) -> None:
@@ -36,26 +36,30 @@ def test_upgrading_again_changes_nothing(catalogue: Catalogue) -> None:
         assert session.scalars(select(SavedQueryRow.text)).all() == ["strain"]
 
 
-def test_a_catalogue_in_use_is_taken_back_and_forth(catalogue: Catalogue) -> None:
-    jobs = submit_pipeline(catalogue)
-    with catalogue.reading() as session:
-        known_by = session.scalars(select(CampaignRow.definition_hash)).all()
+def test_a_catalogue_in_use_is_taken_down_and_made_again(catalogue: Catalogue) -> None:
+    submit_pipeline(catalogue)
     with catalogue.writing() as session:
         configuration = schema.configuration()
         configuration.attributes["connection"] = session.connection()
-        command.downgrade(configuration, "0007")
-    assert schema.current_revision(catalogue) == "0007"
+        command.downgrade(configuration, "base")
+    assert schema.current_revision(catalogue) is None
     schema.upgrade(catalogue)
     assert schema.differences_from_models(catalogue) == []
     with catalogue.reading() as session:
-        assert set(session.scalars(select(JobRow.id))) == set(jobs)
-        assert session.scalars(select(OutboxRow.queue).distinct()).all() == ["acquisition"]
-        assert session.scalars(select(CampaignRow.definition_hash)).all() == known_by != []
+        assert session.scalars(select(JobRow.id)).all() == []
+
+
+def test_a_catalogue_from_before_the_first_release_is_refused(catalogue: Catalogue) -> None:
+    with catalogue.writing() as session:
+        session.execute(text("UPDATE alembic_version SET version_num = '0016'"))
+    for refuse in (schema.require_current, schema.upgrade):
+        with pytest.raises(OtherFormat, match=r"0016, from before the first release.*'sms init'"):
+            refuse(catalogue)
 
 
 def test_a_newer_catalogue_is_refused_with_both_revisions_named(catalogue: Catalogue) -> None:
     with catalogue.writing() as session:
         session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
     for refuse in (schema.require_current, schema.upgrade):
-        with pytest.raises(FormatTooNew, match=f"9999.*{schema.newest_revision()}"):
+        with pytest.raises(OtherFormat, match=f"9999.*{schema.newest_revision()}"):
             refuse(catalogue)

@@ -195,7 +195,7 @@ def test_a_recipe_is_recorded_on_the_stage(home: Path, plan: Plan) -> None:
     # The board by hand, and the bar once: from one pose to the next it is the stage that moves.
     assert done.stderr.count("Enter records it") == 2
     shown = answer("acquire", "show", "table-3", "--home", str(home))
-    assert [(s["pairs"], s["doubtful"]) for s in shown] == [(1, 0)] * 5
+    assert [(s["views"], s["doubtful"]) for s in shown] == [(1, 0)] * 5
     _as_was_said(home, said)
 
 
@@ -212,7 +212,7 @@ def test_from_recipe_to_certified_calibration(home: Path, plan: Plan) -> None:
         assert done.stderr.count("Enter records it") == 7
         assert "S01: mount the bar on the stage" in done.stderr
         shown = answer("acquire", "show", "table-3", "--home", str(home))
-        assert [(s["pairs"], s["doubtful"]) for s in shown] == [(4, 0)] * 31
+        assert [(s["views"], s["doubtful"]) for s in shown] == [(4, 0)] * 31
         answer("job", "wait", "-c", "table-3", "--home", str(home), timeout=7200.0)
         certified = answer("calibration", "certify", "table-3", "--home", str(home))
     assert certified["new"]

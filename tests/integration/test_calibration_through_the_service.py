@@ -119,7 +119,7 @@ def test_two_calibrations_are_compared(done: tuple[Path, dict[str, Any]]) -> Non
     found = run(home, "calibration", "compare", str(3 - number), str(number))
     # Nothing is known of how well the older one was found: whether it matters is told, not whether by chance.
     assert found["comparison"]["verdict"] in ("harmless", "matters")
-    assert {p["camera"] + p["projector"] for p in found["comparison"]["pairs"]} == {"C1P1", "C1P2"}
+    assert {p["camera"] + p["projector"] for p in found["comparison"]["views"]} == {"C1P1", "C1P2"}
     assert sms("calibration", "compare", "1", "9", "--home", str(home)).returncode == NOT_FOUND
 
 

@@ -28,7 +28,7 @@ LOADS_N = (0.0, 400.0, 800.0, 1200.0, 800.0, 0.0, -300.0, -600.0, -300.0, 0.0)
 FEW_LOADS_N = (0.0, 400.0, -300.0)
 """The same in short: with one camera and one projector, and fewer things that go wrong."""
 
-PAIRS = ("C1P1", "C1P2", "C2P1", "C2P2")
+VIEWS = ("C1P1", "C1P2", "C2P1", "C2P2")
 
 CAMERAS = """
 cameras = [
@@ -92,12 +92,12 @@ class Plan:
     """A test: its loads, and the sensors before the specimen."""
 
     loads_n: tuple[float, ...]
-    pairs: tuple[str, ...]
+    views: tuple[str, ...]
     sensors: str
 
 
-WHOLE = Plan(LOADS_N, PAIRS, CAMERAS)
-SHORT = Plan(FEW_LOADS_N, PAIRS[:1], ONE_CAMERA)
+WHOLE = Plan(LOADS_N, VIEWS, CAMERAS)
+SHORT = Plan(FEW_LOADS_N, VIEWS[:1], ONE_CAMERA)
 
 
 @pytest.fixture
@@ -130,7 +130,7 @@ def home(tmp_path: Path, plan: Plan) -> Path:
         register_campaign(
             services.catalogue,
             services.archive,
-            replace(campaign, rig="bench", states=states, pairs=plan.pairs, scene=replace(scene, rig=rig)),
+            replace(campaign, rig="bench", states=states, views=plan.views, scene=replace(scene, rig=rig)),
             replace(calibration, rig=rig),
             datetime.now(UTC),
         )
@@ -192,7 +192,7 @@ def _all_measured(home: Path, plan: Plan) -> dict[str, Any]:
     """Return the statistics of every measurement: each tuple once, while its load was held."""
     files = answer("data", "find", "-c", "fatigue", "--kind", "measurement", "--home", str(home))
     assert sorted(f["subject"] for f in files) == [
-        f"fatigue/S{n:02d}/{pair}" for n in range(len(plan.loads_n)) for pair in plan.pairs
+        f"fatigue/S{n:02d}/{view}" for n in range(len(plan.loads_n)) for view in plan.views
     ]
     statistics = {
         f["subject"]: answer("data", "show", str(f["id"]), "--home", str(home))["statistics"] for f in files
@@ -250,7 +250,7 @@ def test_ten_states_are_recorded_and_reported(home: Path, plan: Plan, load_frame
     (mended,) = [text for text in logs if "hunts, attempt 1 of 2" in text and "attempt 2 of 2" not in text]
     assert "fatigue/S03" in mended
     shown = answer("acquire", "show", "fatigue", "--home", str(home))
-    assert [(s["recording"], s["pairs"], s["doubtful"]) for s in shown] == [("recorded", 4, 0)] * len(LOADS_N)
+    assert [(s["recording"], s["views"], s["doubtful"]) for s in shown] == [("recorded", 4, 0)] * len(LOADS_N)
     # Moved by 5e-4 mm a newton, and stretched by 4e-6 from the middle of 75 mm on.
     assert shown[3]["displacement_mm"] > 1200.0 * 5e-4
     assert all(s["processing"] == s["failed"] == 0 for s in shown)

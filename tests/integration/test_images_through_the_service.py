@@ -106,7 +106,7 @@ def found_of(home: Path, query: str) -> Any:
 
 def test_images_loads_and_gauges_come_in_by_name_and_by_time(done: tuple[Path, dict[str, Any]]) -> None:
     home, said = done
-    assert [(t["state"], t["pair"], t["outcome"]) for t in said["images"]["tuples"]] == [
+    assert [(t["state"], t["view"], t["outcome"]) for t in said["images"]["tuples"]] == [
         (f"{k:02}", "C1", "imported") for k in range(3)
     ]
     assert said["loads"]["states"] == said["gauges"]["states"] == ["00", "01", "02"]

@@ -49,7 +49,7 @@ def test_a_changed_parameter_computes_again_only_what_depends_on_it(plate: Path)
 def test_a_failed_job_says_why_and_the_rest_goes_on(plate: Path) -> None:
     with service(plate):
         run(plate, "job", "wait", *run(plate, "job", "submit", "simulate", "-c", "plate")["jobs"])
-        (damaged,) = run(plate, "data", "find", "--kind", "measurement", "--state", "S01", "--pair", "C1P1")
+        (damaged,) = run(plate, "data", "find", "--kind", "measurement", "--state", "S01", "--view", "C1P1")
         path = plate / "archive" / damaged["path"]
         path.write_bytes(path.read_bytes()[:5000])
         jobs = run(plate, "job", "submit", "pipeline", "-c", "plate")["jobs"]
@@ -60,4 +60,4 @@ def test_a_failed_job_says_why_and_the_rest_goes_on(plate: Path) -> None:
     counted = run(plate, "status")["jobs"]
     assert counted["failed"] >= 1
     assert counted["skipped"] >= 1
-    assert counted["succeeded"] > 3  # the reference state and the other pair
+    assert counted["succeeded"] > 3  # the reference state and the other view

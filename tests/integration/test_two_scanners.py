@@ -98,7 +98,7 @@ def campaign() -> Campaign:
     assert made.scene is not None
     second = aimed("C2", 128, 128, Lens(7.0, -0.08, 0.1, 0.0, 0.0), (200.0, 60.0, 1230.0))
     rig = Rig("hall", (made.scene.rig.sensors[0], second, *made.scene.rig.sensors[1:]))
-    return replace(made, rig="hall", pairs=rig.pairs(), scene=replace(made.scene, rig=rig))
+    return replace(made, rig="hall", views=rig.views(), scene=replace(made.scene, rig=rig))
 
 
 @pytest.fixture
@@ -153,7 +153,7 @@ def test_states_are_recorded_while_a_scanner_breaks_down(
             found = dataset.read("measurement", Measurement)
             assert campaign.scene is not None
             rig = SimulatedRig(campaign.scene, state.label, state.deformation, found.recorded_at)
-            expected = rig.record(str(dataset.subject.pair), campaign.sequence)
+            expected = rig.record(str(dataset.subject.view), campaign.sequence)
             np.testing.assert_array_equal(found.texture, expected.texture)
             for k in (0, 17, 39):
                 np.testing.assert_array_equal(found.frames.frame(k), expected.frames.frame(k))

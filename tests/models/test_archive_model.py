@@ -54,7 +54,7 @@ from sms_jobs.virtual_rig.campaigns import small_plate
 QUEUES = ["cpu", "io", "acquisition"]
 STATES = [state.label for state in small_plate("plate")[1].states[:2]]
 DAMAGES = ["data", "provenance", "cut", "lost"]
-# Where a row of `everything` about a file has its source, its type, campaign, state and pair, and its job.
+# Where a row of `everything` about a file has its source, its type, campaign, state and view, and its job.
 SOURCE, STATE, OF, JOB = 1, 7, slice(5, 9), 9
 
 
@@ -108,7 +108,7 @@ class ArchiveCare(RuleBasedStateMachine):
             assert held is not None
             inputs = indexing.resolve_inputs(session, held.job_id, self.clock())
             campaign = campaigns.definition(campaigns.campaign_row(session, "plate"))
-        outputs = list(self.outputs(held, campaign.pairs, inputs))
+        outputs = list(self.outputs(held, campaign.views, inputs))
         declared = kind_named(kind)
         key = reuse.reuse_key(
             declared,
@@ -131,9 +131,9 @@ class ArchiveCare(RuleBasedStateMachine):
             else:
                 self.besides[one.file.path] = "unknown"
 
-    def outputs(self, held: Claim, pairs: tuple[str, ...], inputs: Any) -> Iterator[SealedOutput]:
+    def outputs(self, held: Claim, views: tuple[str, ...], inputs: Any) -> Iterator[SealedOutput]:
         records = kind_named(held.kind).makes == MEASUREMENT
-        for subject in [Subject(held.subject.campaign, held.subject.state, p) for p in pairs]:
+        for subject in [Subject(held.subject.campaign, held.subject.state, p) for p in views]:
             numbers = {} if records else {"median_sigma_mm": float(self.rng.random())}
             came_from = Provenance(
                 kind=held.kind,

@@ -137,10 +137,10 @@ class JobLives(JobModel):
                 assert (job.use_cache, job.repeatable) == (True, True)
 
     def outputs(self, held: Claim) -> list[SealedOutput]:
-        """Return what a job makes: a recording, files of all pairs; every other, one."""
+        """Return what a job makes: a recording, files of all views; every other, one."""
         subjects = [held.subject]
         if kind_named(held.kind).makes == MEASUREMENT:
-            subjects = [replace(held.subject, pair=pair) for pair in campaign().pairs]
+            subjects = [replace(held.subject, view=view) for view in campaign().views]
         return [
             SealedOutput(
                 subject,

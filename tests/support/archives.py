@@ -54,10 +54,10 @@ class Clock:
 
 
 def registered(catalogue: Catalogue, archive: Archive, clock: Clock, name: str = "plate") -> None:
-    """Register a campaign of two states and one pair, so that its jobs take little time."""
+    """Register a campaign of two states and one view, so that its jobs take little time."""
     calibration, campaign = small_plate(name)
     first = replace(campaign.states[0], load_n=0.0, channels={"temperature_C": 20.5})
-    campaign = replace(campaign, states=(first, *campaign.states[1:2]), pairs=campaign.pairs[:1])
+    campaign = replace(campaign, states=(first, *campaign.states[1:2]), views=campaign.views[:1])
     register_campaign(catalogue, archive, campaign, calibration, clock(), PLAN)
 
 
@@ -115,7 +115,7 @@ def everything(catalogue: Catalogue) -> dict[str, list[Any]]:
             FileRow.media_type,
             CampaignRow.name,
             LoadStateRow.label,
-            FileRow.pair,
+            FileRow.view,
             FileRow.job_id,
             ResultRow.kind,
             ResultRow.kind_version,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sms_jobs.bench.in_memory import InMemory, unheard
 from sms_jobs.kinds import calibrate, calibrate_boards, observe_bar, observe_board, simulate
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs
-from sms_jobs.kinds.sessions import OBSERVATION, bar_states, board_states, every_pair
+from sms_jobs.kinds.sessions import OBSERVATION, bar_states, board_states, every_view
 from sms_jobs.kinds.simulate import recipe
 from sms_jobs.metrology.calibration.pair_points import meet_rays
 from sms_jobs.metrology.geometry.camera import project, ray_directions
@@ -23,7 +23,8 @@ from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.scene import Simulation
-from sms_jobs.records.sensors import Calibration, Rig, split_pair
+from sms_jobs.records.sensors import Calibration, Rig
+from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.artefact_truth import placed_points, true_board
 from sms_jobs.virtual_rig.artefacts import bar_centres
 from sms_jobs.virtual_rig.sessions import small_session
@@ -41,17 +42,17 @@ _LEAST_COSINE = 0.35
 def simulation(campaign: Campaign, subject: Subject) -> Simulation:
     """Return what the virtual rig shows a tuple of a session."""
     task = recipe(campaign, Subject(campaign.name, subject.state))
-    return Simulation(task.scene, *split_pair(subject.pair or ""), task.deformation, subject.state or "")
+    return Simulation(task.scene, *view_of(subject.view).sensors, task.deformation, subject.state or "")
 
 
 def board_observation(campaign: Campaign, subject: Subject, rng: np.random.Generator) -> BoardObservation:
-    """Return what a pair sees of a board: exact points and noise."""
+    """Return what a view sees of a board: exact points and noise."""
     truth = true_board(simulation(campaign, subject))
     seen = truth.seen
     count = int(seen.sum())
     noise = rng.standard_normal((2, count, 2))
     return BoardObservation(
-        *split_pair(subject.pair or ""),
+        *view_of(subject.view).sensors,
         campaign.state(subject.state or "").artefact or "",
         0.58,
         {},
@@ -67,7 +68,7 @@ def board_observation(campaign: Campaign, subject: Subject, rng: np.random.Gener
 def bar_observation(
     campaign: Campaign, subject: Subject, rng: np.random.Generator, points: int = 60
 ) -> BarObservation:
-    """Return what a pair sees of a bar: camera pixels on both spheres, their exact image, and noise."""
+    """Return what a view sees of a bar: camera pixels on both spheres, their exact image, and noise."""
     shown = simulation(campaign, subject)
     bar = shown.scene.surface
     assert isinstance(bar, BallBar)
@@ -130,9 +131,9 @@ class SessionInMemory:
         """Return a session with the observations of all its poses, made from the truth."""
         rng = np.random.default_rng(seed)
         made = cls(campaign)
-        for subject in every_pair(campaign, board_states(campaign)):
+        for subject in every_view(campaign, board_states(campaign)):
             made.put(observe_board.KIND.name, subject, board_observation(campaign, subject, rng))
-        for subject in every_pair(campaign, bar_states(campaign)):
+        for subject in every_view(campaign, bar_states(campaign)):
             made.put(observe_bar.KIND.name, subject, bar_observation(campaign, subject, rng, points))
         return made
 
@@ -140,20 +141,20 @@ class SessionInMemory:
         """Take an observation as the result of a job."""
         self.records[kind, str(subject)] = {OBSERVATION: observation}
 
-    def observation(self, kind: str, state: str, pair: str) -> Any:
-        """Return what a pair observed in a state."""
-        return self.records[kind, f"{self.campaign.name}/{state}/{pair}"][OBSERVATION]
+    def observation(self, kind: str, state: str, view: str) -> Any:
+        """Return what a view observed in a state."""
+        return self.records[kind, f"{self.campaign.name}/{state}/{view}"][OBSERVATION]
 
     def changed(
-        self, kind: str, change: Callable[[Any], Any], states: Iterable[str] = (), pairs: Iterable[str] = ()
+        self, kind: str, change: Callable[[Any], Any], states: Iterable[str] = (), views: Iterable[str] = ()
     ) -> SessionInMemory:
-        """Return a copy with some observations of a kind changed; those of all states and pairs if none."""
+        """Return a copy with some observations of a kind changed; those of all states and views if none."""
         records = dict(self.records)
         for (name, text), held in self.records.items():
             subject = Subject.parse(text)
             if name != kind or (states and subject.state not in states):
                 continue
-            if not pairs or subject.pair in pairs:
+            if not views or subject.view in views:
                 records[name, text] = {OBSERVATION: change(held[OBSERVATION])}
         return SessionInMemory(self.campaign, records)
 
@@ -194,7 +195,7 @@ class SessionInMemory:
         """Take a calibration as the one that is valid for the session and all its poses."""
         name = self.campaign.name
         self.records[CALIBRATION, name] = records
-        for subject in every_pair(self.campaign, self.campaign.states):
+        for subject in every_view(self.campaign, self.campaign.states):
             self.records[CALIBRATION, str(subject)] = records
 
     def calibrate_boards(self, threads: int = 2, **options: Any) -> Mapping[str, Any]:
@@ -207,11 +208,11 @@ class SessionInMemory:
 
 
 def point_errors(true: Rig, calibration: Calibration, quality: CalibrationQuality) -> tuple[Floats, Floats]:
-    """Return errors of points over the volume, by all pairs, and what is expected of them, mm, both (n,)."""
+    """Return errors of points over the volume, by all views, and what is expected of them, mm, both (n,)."""
     errors, expected = [], []
-    for pair, sigma in zip(quality.pairs, quality.expected_sigma, strict=True):
-        truth = [(s.intrinsics, s.pose) for s in (true.sensor(n) for n in split_pair(pair))]
-        found = [(s.intrinsics, s.pose) for s in (calibration.rig.sensor(n) for n in split_pair(pair))]
+    for view, sigma in zip(quality.views, quality.expected_sigma, strict=True):
+        truth = [(s.intrinsics, s.pose) for s in (true.sensor(n) for n in view_of(view).sensors)]
+        found = [(s.intrinsics, s.pose) for s in (calibration.rig.sensor(n) for n in view_of(view).sensors)]
         seen = np.isfinite(sigma)
         pixels = [project(*sensor, quality.place[seen]) for sensor in truth]
         places, _ = meet_rays(found[0], found[1], pixels[0], pixels[1])
@@ -226,7 +227,7 @@ def recorded_session() -> SessionInMemory:
     made = SessionInMemory(small_session("session"))
     for state in made.campaign.states:
         made.record(state.label)
-    for subject in every_pair(made.campaign, board_states(made.campaign)):
+    for subject in every_view(made.campaign, board_states(made.campaign)):
         made.run(observe_board, subject)
     made.calibrate_boards()
     return made
@@ -237,7 +238,7 @@ def observed_session() -> SessionInMemory:
     """Return the small session, rendered, with its bars observed too."""
     made = recorded_session().copy()
     special = observe_bar.special_labels(made.campaign)
-    subjects = every_pair(made.campaign, bar_states(made.campaign))
+    subjects = every_view(made.campaign, bar_states(made.campaign))
     for subject in sorted(subjects, key=lambda s: s.state not in special):
         made.run(observe_bar, subject)
     return made

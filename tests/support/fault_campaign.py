@@ -103,7 +103,7 @@ def _label(number: int) -> str:
 
 
 def prepare(place: Place, states: int) -> None:
-    """Make a home with a campaign of so many states and one pair."""
+    """Make a home with a campaign of so many states and one view."""
     calibration, campaign = small_plate("plate")
     first, second = campaign.states
     assert second.time is not None
@@ -111,7 +111,7 @@ def prepare(place: Place, states: int) -> None:
         replace(second, label=_label(k), time=second.time + k * timedelta(minutes=1))
         for k in range(1, states)
     )
-    campaign = replace(campaign, states=(first, *later), pairs=campaign.pairs[:1])
+    campaign = replace(campaign, states=(first, *later), views=campaign.views[:1])
     with pytest.MonkeyPatch.context() as patch:
         for name, value in place.environment.items():
             patch.setenv(name, value)
@@ -482,7 +482,7 @@ def judge(place: Place) -> Verdict:
     made = Counter(job_id for _, job_id in files if job_id is not None)
     succeeded = Counter(e.job_id for e in events if e.state is JobState.SUCCEEDED)
     lost = [i for i, job in jobs.items() if job.state is not JobState.SUCCEEDED or made[i] < 1]
-    # Every job of these kinds has one file, for there is one pair.
+    # Every job of these kinds has one file, for there is one view.
     duplicated = [i for i in jobs if succeeded[i] > 1 or made[i] > 1]
     complaints = [f"{jobs[i].kind} {i} is {jobs[i].state.value}: {jobs[i].message}" for i in lost]
 

@@ -60,7 +60,7 @@ def stored(
             created_at=made.created_at,
             campaign_id=campaign.id,
             state_id=states[about.state] if about.state else None,
-            pair=about.pair,
+            view=about.view,
         )
         session.add(row)
         session.flush()

@@ -29,9 +29,9 @@ QUEUES = ["cpu", "io", "acquisition"]
 
 
 def campaign() -> Campaign:
-    """Return a campaign of two states and two pairs: all its jobs are fifteen or so."""
+    """Return a campaign of two states and two views: all its jobs are fifteen or so."""
     whole = small_plate("plate")[1]
-    return replace(whole, states=whole.states[:2], pairs=whole.pairs[:2])
+    return replace(whole, states=whole.states[:2], views=whole.views[:2])
 
 
 @dataclass

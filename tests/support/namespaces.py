@@ -89,8 +89,8 @@ def _join(computers: Sequence[Computer]) -> None:
     middle, *others = computers
     _ip("-n", middle.namespace, "link", "add", "eth0", "type", "bridge")
     for number, computer in enumerate(others):
-        pair = ["type", "veth", "peer", "name", "eth0", "netns", computer.namespace]
-        _ip("-n", middle.namespace, "link", "add", f"port{number}", *pair)
+        view = ["type", "veth", "peer", "name", "eth0", "netns", computer.namespace]
+        _ip("-n", middle.namespace, "link", "add", f"port{number}", *view)
         _ip("-n", middle.namespace, "link", "set", f"port{number}", "master", "eth0", "up")
     for computer in computers:
         _ip("-n", computer.namespace, "addr", "add", f"{computer.address}/24", "dev", "eth0")

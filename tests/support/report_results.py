@@ -20,7 +20,8 @@ from sms_jobs.records.fields import MergedField, Mesh, PointCloud, Region, Regio
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.scene import HalvesApart, Plane, Scene
-from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
+from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.views import Role
 
 WHEN = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 CAMERAS = ("C1", "C2")
@@ -28,14 +29,14 @@ POSE = Pose(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 500.
 
 
 def campaign(
-    states: int = 2, virtual: bool = True, material: str = "", pairs: tuple[str, ...] = ("C1P1",)
+    states: int = 2, virtual: bool = True, material: str = "", views: tuple[str, ...] = ("C1P1",)
 ) -> Campaign:
     loads = tuple(
         LoadState(f"S{i:02}", load_n=1234.5 * i, deformation=(HalvesApart(0.1 * i),)) for i in range(states)
     )
     scene = Scene(Rig("rig", ()), Plane(100.0, 100.0)) if virtual else None
     specimen = Specimen("panel", material=material)
-    return Campaign("plate", specimen, "rig", loads, pairs, scene=scene)
+    return Campaign("plate", specimen, "rig", loads, views, scene=scene)
 
 
 def grid(size: tuple[int, int]) -> Any:
@@ -66,7 +67,7 @@ def records_for(need: Need, size: tuple[int, int]) -> Mapping[str, Any]:
         return {"measurement": Measurement(WHEN, FringeSequence(), 4095, 0.1, 2.0, texture, frames)}
     if need.source == "reconstruct":
         gap = np.zeros(size, np.float32)
-        if need.subject.pair == "C1P1":
+        if need.subject.view == "C1P1":
             reason = reason | 1  # sees nothing: its neighbour C1P2 is shown
         return {"cloud": PointCloud("C1", "P1", np.stack([x, y, z]) * full, covariance, gap, reason)}
     if need.source == "correlate":

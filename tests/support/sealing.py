@@ -13,7 +13,8 @@ from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PointCloud, Region, Regions
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
-from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
+from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.views import Role
 
 JOB = "0123456789abcdef"
 

@@ -30,7 +30,7 @@ def test_campaigns_states_and_pairs_of_the_home_are_offered(made: Path) -> None:
     assert completion.campaign_names(line, "") == ["plate"]
     assert completion.campaign_names(line, "wing") == []
     assert completion.state_labels(line, "S0") == ["S00", "S01"]
-    assert completion.pair_names(line, "C1P2") == ["C1P2"]
+    assert completion.view_names(line, "C1P2") == ["C1P2"]
     assert completion.job_ids(line, "") == []
 
 

@@ -32,12 +32,12 @@ from sms_jobs.records.scene import (
     Surface,
     UniaxialStrain,
 )
-from sms_jobs.records.sensors import Role
+from sms_jobs.records.views import Role
 
 REAL = """
 name = "wing"
 rig = "hall-3"
-pairs = ["C1P1"]
+views = ["C1P1"]
 specimen = { name = "wing panel" }
 states = [{ label = "S00" }]
 """
@@ -53,7 +53,7 @@ def changed(old: str, new: str) -> CampaignPlan:
 def test_the_example_is_read_as_it_is_written() -> None:
     plan = parse_campaign(example_campaign(), "example")
     campaign = plan.campaign
-    assert (campaign.name, campaign.rig, campaign.pairs) == ("plate-tension", "virtual", ("C1P1", "C2P1"))
+    assert (campaign.name, campaign.rig, campaign.views) == ("plate-tension", "virtual", ("C1P1", "C2P1"))
     assert [s.load_n for s in campaign.states] == [0.0, 20_000.0, 40_000.0]
     assert campaign.states[1].channels == {"gauge_1": 0.00057}
     assert campaign.scene is not None
@@ -112,8 +112,8 @@ def test_a_placement_turns_by_degrees() -> None:
 
 
 def test_every_pair_of_a_virtual_rig_measures_unless_some_are_named() -> None:
-    assert changed('pairs = ["C1P1", "C2P1"]', "").campaign.pairs == ("C1P1", "C2P1")
-    assert changed('pairs = ["C1P1", "C2P1"]', 'pairs = ["C2P1"]').campaign.pairs == ("C2P1",)
+    assert changed('views = ["C1P1", "C2P1"]', "").campaign.views == ("C1P1", "C2P1")
+    assert changed('views = ["C1P1", "C2P1"]', 'views = ["C2P1"]').campaign.views == ("C2P1",)
 
 
 def test_a_real_rig_has_no_scene_and_is_calibrated_by_measurement() -> None:
@@ -121,8 +121,8 @@ def test_a_real_rig_has_no_scene_and_is_calibrated_by_measurement() -> None:
     assert plan.calibration is None
     assert plan.campaign.scene is None
     assert len(plan.campaign.sequence.densities) == 6
-    with pytest.raises(ConfigurationError, match="pairs is missing or empty"):
-        parse_campaign(REAL.replace('pairs = ["C1P1"]', ""), "wing.toml")
+    with pytest.raises(ConfigurationError, match="views is missing or empty"):
+        parse_campaign(REAL.replace('views = ["C1P1"]', ""), "wing.toml")
     with pytest.raises(ConfigurationError, match=r"described under \[scene\]"):
         parse_campaign(
             REAL.replace('"S00"', '"S00", deformation = [{ motion = "halves-apart", gap_mm = 1 }]'),
@@ -178,8 +178,8 @@ MISTAKES = [
     ('name = "P1"', 'name = "Q1"', "scene.sensors[Q1].name should be C1, C2, ... for a camera"),
     ('name = "P1"', 'name = "C2"', "two sensors of the scene have one name: C1, C2, C2"),
     ('"C2P1"', '"C3P1"', "rig virtual has no sensor C3; it has C1, C2, P1"),
-    ('"C2P1"', '"C1P1"', "pairs names one pair twice"),
-    ('"C2P1"', '"P1C2"', "'P1C2' is not a camera-projector pair"),
+    ('"C2P1"', '"C1P1"', "views names one view twice"),
+    ('"C2P1"', '"P1C2"', "'P1C2' is not a view"),
     ("position_mm = [0.0, -40.0, 1000.0]", "", "scene.sensors[P1] needs either position_mm and target_mm"),
     ("[0.0, -40.0, 1000.0]", "[0.0, 5.0, 0.0]", "sensor P1 cannot look along [0.0, -5.0, 0.0] mm"),
     (

@@ -31,7 +31,7 @@ def counted(jobs: tuple[PlannedJob, ...]) -> Counter[str]:
 
 
 def test_a_pipeline_covers_every_tuple_once() -> None:
-    # 4 states, 4 pairs, 3 deformed states.
+    # 4 states, 4 views, 3 deformed states.
     assert counted(plan(CAMPAIGN, EVERYTHING, only_calibration)) == {
         "simulate": 4,
         "reconstruct": 16,
@@ -63,7 +63,7 @@ def test_every_need_is_met_by_a_job_that_makes_it() -> None:
             assert given.need.source == (producer.kind.makes or producer.kind.name)
             wanted = given.need.subject
             assert producer.subject.state in (None, wanted.state)
-            assert producer.subject.pair in (None, wanted.pair)
+            assert producer.subject.view in (None, wanted.view)
 
 
 def test_one_state_brings_the_reference_that_it_needs_and_no_report() -> None:
@@ -74,7 +74,7 @@ def test_one_state_brings_the_reference_that_it_needs_and_no_report() -> None:
 
 
 def test_one_kind_uses_what_exists() -> None:
-    jobs = plan(CAMPAIGN, [Request("strain", pairs=("C1P2",))], everything_exists)
+    jobs = plan(CAMPAIGN, [Request("strain", views=("C1P2",))], everything_exists)
     assert counted(jobs) == {"strain": 3}
     assert all(i.existing == Existing(file_id=1) for job in jobs for i in job.inputs)
 
@@ -156,7 +156,7 @@ def test_a_campaigns_own_parameters_hold_until_a_request_says_otherwise() -> Non
         (Request("strain", {"colour": "red"}), "colour"),
         (Request("pipeline", {"paint.colour": "red"}), "paint.colour"),
         (Request("strain", states=("S9",)), "S9"),
-        (Request("strain", pairs=("C9P9",)), "C9P9"),
+        (Request("strain", views=("C9P9",)), "C9P9"),
     ],
 )
 def test_what_cannot_be_used_is_refused(request_: Request, words: str) -> None:
@@ -174,10 +174,10 @@ def test_every_kind_is_found_by_its_file_and_documented() -> None:
 
 def test_parameters_may_ask_for_the_state_before() -> None:
     """Correlating the last state with the one before needs the whole chain, one after the other."""
-    last, pair = CAMPAIGN.states[-1].label, CAMPAIGN.pairs[0]
+    last, view = CAMPAIGN.states[-1].label, CAMPAIGN.views[0]
 
     def chain(reference: str) -> list[PlannedJob]:
-        request = Request("correlate", {"reference": reference}, (last,), (pair,))
+        request = Request("correlate", {"reference": reference}, (last,), (view,))
         return list(plan(CAMPAIGN, [request], everything_exists))
 
     assert [job.subject.state for job in chain("first")] == [last]
@@ -191,7 +191,7 @@ def test_parameters_may_ask_for_the_state_before() -> None:
 
 def alone(*cameras: str) -> Campaign:
     """Return a real campaign of cameras without projectors."""
-    return replace(CAMPAIGN, pairs=cameras, scene=None)
+    return replace(CAMPAIGN, views=cameras, scene=None)
 
 
 def images_exist(need: Need) -> Existing | None:
@@ -208,16 +208,16 @@ def test_the_pipeline_of_a_camera_alone_needs_neither_calibration_nor_shape() ->
 
 
 def test_each_pair_of_a_mixed_campaign_goes_its_own_way() -> None:
-    mixed = replace(CAMPAIGN, pairs=("C1P1", "C2"), scene=None)
+    mixed = replace(CAMPAIGN, views=("C1P1", "C2"), scene=None)
     jobs = plan(mixed, [Request("pipeline")], everything_exists)
     by_kind: dict[str, set[str | None]] = {}
     for job in jobs:
-        by_kind.setdefault(job.kind.name, set()).add(job.subject.pair)
+        by_kind.setdefault(job.kind.name, set()).add(job.subject.view)
     assert by_kind["correlate"] == by_kind["strain"] == {"C1P1"}
     assert by_kind["correlate-images"] == by_kind["strain-images"] == {"C2"}
-    # What the pipeline leaves to the pair with a projector can still be asked for.
+    # What the pipeline leaves to the view with a projector can still be asked for.
     asked = plan(mixed, [Request("correlate-images")], everything_exists)
-    assert {job.subject.pair for job in asked} == {"C1P1", "C2"}
+    assert {job.subject.view for job in asked} == {"C1P1", "C2"}
 
 
 @pytest.mark.parametrize("kind", ["reconstruct", "correlate", "merge", "mesh", "assess"])

@@ -19,13 +19,14 @@ from sms_jobs.kinds.simulate import recipe
 from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.scene import PanTilt, Rigid, Simulation
-from sms_jobs.records.sensors import SensorFormat, split_pair
+from sms_jobs.records.sensors import SensorFormat
+from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.artefact_truth import placed_points, true_bar, true_board
 
 REAL = """
 name = "calibration-7"
 rig = "hall-3"
-pairs = ["C1P1"]
+views = ["C1P1"]
 specimen = { name = "chessboard 2" }
 
 [session]
@@ -74,7 +75,7 @@ def test_the_example_describes_a_session_whose_calibration_is_to_be_found() -> N
     assert campaign.scene.surface == board
     assert [s.label for s in campaign.states] == ["B01", "B02", "B03", *(f"S{n:02d}" for n in range(1, 7))]
     assert [s.artefact for s in campaign.states] == ["board"] * 3 + ["bar"] * 6
-    assert campaign.pairs == ("C1P1", "C1P2")
+    assert campaign.views == ("C1P1", "C1P2")
     assert [s.name for s in session.sensors] == ["C1", "P1", "P2"]
     assert session.sensors[1] == SensorFormat("P1", 512, 384)
     # 180 and 40 degrees, to a few roundings.
@@ -88,8 +89,8 @@ def test_the_example_can_be_measured() -> None:
     assert campaign.session is not None
     for state in campaign.states:
         task = recipe(campaign, Subject(campaign.name, state.label))
-        for pair in campaign.pairs:
-            sim = Simulation(task.scene, *split_pair(pair), task.deformation, state.label)
+        for view in campaign.views:
+            sim = Simulation(task.scene, *view_of(view).sensors, task.deformation, state.label)
             if state.artefact == "board":
                 assert true_board(sim).seen.all()
             else:
@@ -218,11 +219,11 @@ def test_a_mistake_is_refused_by_file_key_and_expectation(old: str, new: str, me
 
 
 REAL_MISTAKES = [
-    ('{ name = "P1", columns = 1024, rows = 768 }, ', "", "how many pixels P1 of pair C1P1 has"),
+    ('{ name = "P1", columns = 1024, rows = 768 }, ', "", "how many pixels P1 of view C1P1 has"),
     ('{ name = "P1"', '{ name = "C1"', "two sensors of the session have one name: C1, C1"),
     ("tilt_deg = -45", "", "states[S01] needs both of pan_deg and tilt_deg, or neither"),
     ("temperature_c = 20.5", "pan_rad = 0.3", "states[S01] gives the angles twice"),
-    ('pairs = ["C1P1"]', "", "pairs is missing or empty"),
+    ('views = ["C1P1"]', "", "views is missing or empty"),
     (
         'artefact = "chess"',
         'artefact = "chess"\ndeformation = [{ motion = "rigid" }]',

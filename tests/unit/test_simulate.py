@@ -46,13 +46,13 @@ def test_every_pair_of_the_state_is_recorded() -> None:
     outputs = recorded(CAMPAIGN, "S01")
     assert list(outputs) == ["plate/S01/C1P1", "plate/S01/C1P2"]
     assert CAMPAIGN.scene is not None
-    for pair, output in zip(("P1", "P2"), outputs.values(), strict=True):
+    for view, output in zip(("P1", "P2"), outputs.values(), strict=True):
         measurement = measurement_of(output)
         assert measurement.frames.shape == (CAMPAIGN.sequence.frames, 128, 128)
         assert measurement.sequence == CAMPAIGN.sequence
         assert measurement.recorded_at == CAMPAIGN.state("S01").time
         deformation = CAMPAIGN.state("S01").deformation
-        assert measurement.simulation == Simulation(CAMPAIGN.scene, "C1", pair, deformation, "S01")
+        assert measurement.simulation == Simulation(CAMPAIGN.scene, "C1", view, deformation, "S01")
         assert output.statistics["saturated_fraction"] == 0.0
         assert output.statistics["mean_level_count"] == pytest.approx(measurement.texture.mean())
 
@@ -110,7 +110,7 @@ def test_only_campaigns_of_the_virtual_rig_can_be_recorded() -> None:
     with pytest.raises(InvalidInput, match="no scene"):
         KIND.context(real, Subject("plate", "S00"))
     with pytest.raises(InvalidInput, match="no sensor P7"):
-        recorded(replace(CAMPAIGN, pairs=("C1P7",)), "S00")
+        recorded(replace(CAMPAIGN, views=("C1P7",)), "S00")
 
 
 def test_it_makes_measurements_from_nothing() -> None:
@@ -145,8 +145,8 @@ def test_a_state_of_a_session_is_recorded_with_its_artefact(tmp_path: Path) -> N
         assert context.scene.surface == session.session.artefacts[artefact]
         assert context.scene.speckle is None
         assert context.deformation == session.state(label).deformation
-    # One pose of the bar takes three quarters of a megabyte a pair: it is enough to archive one.
-    output = recorded(replace(session, sequence=FringeSequence((8, 4)), pairs=("C1P2",)), "S03")
+    # One pose of the bar takes three quarters of a megabyte a view: it is enough to archive one.
+    output = recorded(replace(session, sequence=FringeSequence((8, 4)), views=("C1P2",)), "S03")
     made = measurement_of(output["session/S03/C1P2"])
     provenance = Provenance(
         "simulate",

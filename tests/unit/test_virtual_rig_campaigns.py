@@ -12,7 +12,8 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.transforms import inverse, transform
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.scene import Simulation
-from sms_jobs.records.sensors import Calibration, split_pair
+from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.campaigns import (
     hole_and_step_translation,
     plate_and_mirror,
@@ -38,10 +39,10 @@ PRINTED = [
 NAMES = ["plate", "hat", "step", "panel", "stringer"]
 
 
-def simulation(campaign: Campaign, state: int, pair: str) -> Simulation:
+def simulation(campaign: Campaign, state: int, view: str) -> Simulation:
     assert campaign.scene is not None
     load = campaign.states[state]
-    return Simulation(campaign.scene, *split_pair(pair), load.deformation, load.label)
+    return Simulation(campaign.scene, *view_of(view).sensors, load.deformation, load.label)
 
 
 @pytest.mark.parametrize(("calibration", "campaign"), PRINTED, ids=NAMES)
@@ -50,8 +51,8 @@ def test_every_state_stays_in_the_volume_and_in_the_image(
 ) -> None:
     low, high = (np.array(c)[:, None, None] for c in (calibration.volume.low, calibration.volume.high))
     for state in (0, len(campaign.states) - 1):
-        for pair in campaign.pairs:
-            shape = exact_shape(simulation(campaign, state, pair))
+        for view in campaign.views:
+            shape = exact_shape(simulation(campaign, state, view))
             inside = (shape.xyz > low) & (shape.xyz < high)
             assert inside.all(axis=0)[shape.seen].all()
             border = np.ones_like(shape.seen)
@@ -62,8 +63,8 @@ def test_every_state_stays_in_the_volume_and_in_the_image(
 
 @pytest.mark.parametrize(("calibration", "campaign"), PRINTED, ids=NAMES)
 def test_rays_meet_at_a_useful_angle(calibration: Calibration, campaign: Campaign) -> None:
-    for pair in campaign.pairs:
-        camera, projector = (calibration.rig.sensor(name).pose.centre() for name in split_pair(pair))
+    for view in campaign.views:
+        camera, projector = (calibration.rig.sensor(name).pose.centre() for name in view_of(view).sensors)
         cosine = camera @ projector / np.linalg.norm(camera) / np.linalg.norm(projector)
         assert np.degrees(np.arccos(cosine)) > 25.0
 
@@ -72,7 +73,7 @@ def test_the_calibration_is_the_truth_and_the_states_are_in_order() -> None:
     for calibration, campaign in PRINTED:
         assert campaign.scene is not None
         assert campaign.scene.rig == calibration.rig
-        assert campaign.pairs == calibration.rig.pairs()
+        assert campaign.views == calibration.rig.views()
         assert campaign.reference.deformation == ()
         loads = [s.load_n for s in campaign.states]
         times = [s.time for s in campaign.states]
@@ -83,10 +84,10 @@ def test_the_calibration_is_the_truth_and_the_states_are_in_order() -> None:
 def test_crossed_pairs_miss_the_side_that_straight_pairs_see() -> None:
     campaign = HAT
     lit = {}
-    for pair in campaign.pairs:
-        shape = exact_shape(simulation(campaign, 0, pair))
+    for view in campaign.views:
+        shape = exact_shape(simulation(campaign, 0, view))
         sides = {region: shape.lit & (shape.region == region) for region in (2, 3, 4)}
-        lit[pair] = {region: int(part.sum()) for region, part in sides.items()}
+        lit[view] = {region: int(part.sum()) for region, part in sides.items()}
     assert lit["C1P1"][2] > 10_000
     assert lit["C1P2"][2] == 0
     assert lit["C2P2"][4] > 10_000
@@ -98,8 +99,8 @@ def test_crossed_pairs_miss_the_side_that_straight_pairs_see() -> None:
 
 def test_light_is_neither_scarce_nor_too_much() -> None:
     for _, campaign in PRINTED:
-        for pair in campaign.pairs:
-            sim = simulation(campaign, 0, pair)
+        for view in campaign.views:
+            sim = simulation(campaign, 0, view)
             rendering = render(sim, replace(campaign.sequence, densities=(8,)))
             lit = exact_shape(sim).lit
             assert (rendering.texture < rendering.full_scale).all()

@@ -287,7 +287,7 @@ def test_noise_of_frames_pairs_and_states_is_independent() -> None:
     other = render(replace(sim, state="S01"), SEQUENCE).frames
     a = first.frame(0) - first.expected(0)
     for b in (first.frame(1) - first.expected(1), other.frame(0) - other.expected(0), a[::-1]):
-        # A correlation of n independent pairs scatters by 1 / sqrt(n).
+        # A correlation of n independent views scatters by 1 / sqrt(n).
         assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 5.0 / SIZE
 
 

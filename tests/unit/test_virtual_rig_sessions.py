@@ -9,7 +9,7 @@ from sms_jobs.kinds.simulate import recipe
 from sms_jobs.records.artefacts import BallBar, CircleBoard
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.scene import PanTilt, Simulation
-from sms_jobs.records.sensors import split_pair
+from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.artefact_truth import TrueBoard, placed_points, true_bar, true_board
 from sms_jobs.virtual_rig.artefacts import bar_centres
 from sms_jobs.virtual_rig.campaigns import START, top_hat_bending
@@ -22,14 +22,14 @@ SMALL = small_session("small")
 SESSIONS = pytest.mark.parametrize("campaign", [FULL, SITE, SMALL], ids=lambda c: c.name)
 
 
-def simulations(campaign: Campaign, artefact: str, pairs: tuple[str, ...] = ()) -> list[Simulation]:
+def simulations(campaign: Campaign, artefact: str, views: tuple[str, ...] = ()) -> list[Simulation]:
     found = []
     for state in campaign.states:
         if state.artefact == artefact:
             task = recipe(campaign, Subject(campaign.name, state.label))
             found += [
-                Simulation(task.scene, *split_pair(pair), task.deformation, state.label)
-                for pair in pairs or campaign.pairs
+                Simulation(task.scene, *view_of(view).sensors, task.deformation, state.label)
+                for view in views or campaign.views
             ]
     return found
 
@@ -74,8 +74,8 @@ def test_both_spheres_are_seen_by_every_pair(campaign: Campaign) -> None:
 def test_the_poses_fill_the_volume_and_stay_inside(campaign: Campaign) -> None:
     assert campaign.session is not None
     assert campaign.session.volume is not None
-    points = [true_board(sim).world for sim in simulations(campaign, "board", campaign.pairs[:1])]
-    for sim in simulations(campaign, "bar", campaign.pairs[:1]):
+    points = [true_board(sim).world for sim in simulations(campaign, "board", campaign.views[:1])]
+    for sim in simulations(campaign, "bar", campaign.views[:1]):
         assert isinstance(sim.scene.surface, BallBar)
         points.append(placed_points(sim.scene, sim.deformation, bar_centres(sim.scene.surface)))
     cloud = np.concatenate(points)
@@ -89,7 +89,7 @@ def test_the_poses_fill_the_volume_and_stay_inside(campaign: Campaign) -> None:
 @SESSIONS
 def test_the_first_board_tells_where_the_world_is(campaign: Campaign) -> None:
     assert campaign.session is not None
-    first = simulations(campaign, "board", campaign.pairs[:1])[0]
+    first = simulations(campaign, "board", campaign.views[:1])[0]
     assert first.state == campaign.states[0].label == "B01"
     points = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 5.0]])
     told = placed_points(first.scene, (campaign.session.board_in_world,), points)

@@ -20,6 +20,7 @@ from sms_jobs.metrology.calibration.bundle_result import Adjustment
 from sms_jobs.metrology.calibration.pair_points import meet_rays
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.metrology.targets.spheres import find_spheres
+from sms_jobs.records.views import Role, role_of
 
 _WALL_TARGET_S = 1.5
 _DETECTION_TARGET_S = 0.2
@@ -29,7 +30,7 @@ _REPEATS = 5
 _SEED = 1
 
 THESIS_SESSION = Wanted()
-"""25 poses x 2 spheres x 4 pairs x 500 points, and one pose of a board, which is the world."""
+"""25 poses x 2 spheres x 4 views x 500 points, and one pose of a board, which is the world."""
 
 MANY_SESSIONS = Wanted(
     points=60, camera_pixels=512, angles=TABLE_3[::2], board_tilts=((0.0, 0.0, 0.0), (0.3, 0.0, 0.0))
@@ -45,11 +46,11 @@ def warm_up() -> None:
 
 
 def point_errors(made: BarSession, found: Adjustment, grid: Floats) -> tuple[Floats, Floats]:
-    """Return errors (pairs, n, 3) of points (n, 3) due to a calibration, and what it says they are, in mm."""
+    """Return errors (views, n, 3) of points (n, 3) due to a calibration, and what it says they are, in mm."""
     errors, sigmas = [], []
     for c, camera in enumerate(made.sensors):
         for p, projector in enumerate(made.sensors):
-            if camera.name[0] != "C" or projector.name[0] != "P":
+            if (role_of(camera.name), role_of(projector.name)) != (Role.CAMERA, Role.PROJECTOR):
                 continue
             seen = [project(s.intrinsics, s.pose, grid) for s in (camera, projector)]
             own = [(found.sensors[k].intrinsics, found.sensors[k].pose) for k in (c, p)]
@@ -84,7 +85,7 @@ def _bundle(run: Run) -> Iterator[Found]:
     yield Condition(
         "bundle",
         f"exact geometry and noise, no images: {len(made.problem.bar_poses)} poses of thesis Table 3, 2 "
-        "spheres of 30 mm radius 500 mm apart, 4 pairs of cameras of 1024 px and projectors of 1024 x 768 px "
+        "spheres of 30 mm radius 500 mm apart, 4 views of cameras of 1024 px and projectors of 1024 x 768 px "
         f"as in the campaign top-hat-bending, {count} residuals of sphere points with "
         f"{wanted.phase_sigma_px} px in the projector, {board} of a board with {wanted.dot_sigma_px} px; "
         "start about 1e-3 rad, 2 mm, 0.3 % of the focal length and 3 px off; "
@@ -114,7 +115,7 @@ def _z_scores(run: Run) -> Iterator[Found]:
     yield Condition(
         "z_score",
         f"{sessions} sessions of 13 bar poses with 60 points a sphere and 2 board poses; errors due to the "
-        f"calibration of 27 points within +-200 mm, 4 pairs, {micrometres:.1f} um rms, over their predicted "
+        f"calibration of 27 points within +-200 mm, 4 views, {micrometres:.1f} um rms, over their predicted "
         f"standard deviations; wanted between {_Z_LIMITS[0]} and {_Z_LIMITS[1]}",
     )
 

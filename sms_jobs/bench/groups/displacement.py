@@ -32,7 +32,7 @@ def measure(run: Run) -> Iterator[Found]:
     yield Figure("reported_over_observed", stated / rms, "1", 1.2, "at most")
     yield Condition(
         "top_hat",
-        f"thesis section 5.3: a top hat of 500 mm pushed out by 10 mm, pair {subject.pair} alone, camera of "
+        f"thesis section 5.3: a top hat of 500 mm pushed out by 10 mm, view {subject.view} alone, camera of "
         f"{found.reason.shape[1]} px, 12 bit, default parameters; rms length of the error over all "
         f"{int(known.sum())} valid pixels, nothing trimmed; volume diagonal {diagonal:.0f} mm; "
         f"that is 1/{diagonal / rms:.0f}, the thesis has 1/12,000",

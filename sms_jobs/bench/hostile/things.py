@@ -22,7 +22,7 @@ _TIME = re.compile(r"\d{4}-\d\d-\d\dT[\d:]+(?:Z|[+-]\d\d:\d\d)")
 _ODD = (*TEXTS, "\x00", "a\x00b", "\x1b[2J", "\\u0000", "\\u001b[2J", "\\u009b31m", "\ud800")
 _BOARD = 'shape = "circles"\ncolumns = 9\nrows = 7\npitch_mm = 20.0\ndot_diameter_mm = 10.0\n'
 _LAYOUT = (
-    'pattern = "{state}-{pair}-{index}.png"\nframes = "fringes"\n[sequence]\ndensities = [16, 1]\nsteps = 4\n'
+    'pattern = "{state}-{view}-{index}.png"\nframes = "fringes"\n[sequence]\ndensities = [16, 1]\nsteps = 4\n'
     'orientations_deg = [0.0]\n[camera]\nfull_scale = 255\n[states]\nS00 = "S00"\n'
 )
 _READINGS = (
@@ -35,7 +35,7 @@ _POINTS = "state,board_x_mm,board_y_mm,camera_x_px,camera_y_px\n" + "".join(
     for y in range(4)
 )
 _XML = (
-    "<sms><filename><campaign>seven</campaign></filename><hardware><rig>hall</rig><pairs>C1P1</pairs></hardware>"
+    "<sms><filename><campaign>seven</campaign></filename><hardware><rig>hall</rig><views>C1P1</views></hardware>"
     "<acquisition><densities>fdr-64</densities><steps>4</steps></acquisition><specimen><name>a</name></specimen>"
     "<states type='list'><state><label>S00</label><load_n>1</load_n></state></states></sms>"
 )

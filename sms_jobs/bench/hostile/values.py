@@ -104,7 +104,7 @@ OF_A_NAME = {
     "volume": ("0", "1e308", "nan"),
     "frames": ("fringes", "gray:999 white", "fringes:0", "skip:999@1e9", "fringes " * 500),
     "order": ("density step", "step step", "x", "orientation density step"),
-    "pattern": ("{state}-{pair}-{index}.png", "{state}", "{", "}", "{}", "(?P<a>", "{index}" * 50, "*" * 100),
+    "pattern": ("{state}-{view}-{index}.png", "{state}", "{", "}", "{}", "(?P<a>", "{index}" * 50, "*" * 100),
     "densities": ("32,31,30", "fdr-64", "fdr-99999999999", "0", "-1", "1," * 5_000, "99999999999999999999"),
     "orientations": ("0,90", "nan", "1e999", "0," * 3_000),
     "parameter": (
@@ -142,7 +142,7 @@ KNOWN = {
     "session": ("plate",),
     "state": ("S00", "S01"),
     "states": ("S00", "S01"),
-    "pair": ("C1P1", "C1P2"),
+    "view": ("C1P1", "C1P2"),
     "kind": ("strain", "measurement", "correlate"),
     "kinds": ("simulate", "reconstruct", "pipeline"),
     "words": ("simulate", "pipeline", "strain"),

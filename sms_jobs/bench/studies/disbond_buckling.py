@@ -98,7 +98,7 @@ def study_at(size: Size, labels: Sequence[str], say: Callable[[str], None]) -> O
     grid = figure.add_gridspec(2, len(labels))
     rows: list[tuple[Cell, ...]] = []
     for column, state in enumerate(map(campaign.state, labels)):
-        subject = Subject(campaign.name, state.label, campaign.pairs[0])
+        subject = Subject(campaign.name, state.label, campaign.views[0])
         say(f"correlating {state.label} with regions and without")
         truth = shelf.truth(subject)
         exact = out_of_plane(truth.displacement, normal)

@@ -16,7 +16,7 @@ from sms_jobs.kinds.correlate_parameters import CorrelateParameters
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import DisplacementField
-from sms_jobs.records.sensors import split_pair
+from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.campaigns import hole_and_step_translation
 from sms_jobs.virtual_rig.truth import Truth
 
@@ -99,7 +99,7 @@ def exact_image_displacement(shelf: Shelf, subject: Subject, truth: Truth) -> Fl
     """Return where each pixel's material point goes in the image, (2, rows, columns) in px."""
     scene = shelf.campaign.scene
     assert scene is not None
-    camera = scene.rig.sensor(split_pair(subject.pair or "")[0])
+    camera = scene.rig.sensor(view_of(subject.view).camera)
     end = truth.shape.xyz + truth.displacement
     rows, columns = end.shape[1:]
     pixels = project(camera.intrinsics, camera.pose, end.reshape(3, -1).T).T.reshape(2, rows, columns)

@@ -59,7 +59,7 @@ def _campaign(sequence: FringeSequence) -> tuple[Calibration, Campaign]:
     calibration, plain = small_plate("glossy")
     assert plain.scene is not None
     scene = replace(plain.scene, speckle=None, surface=Cylinder(200.0, 150.0, 150.0), gloss=SHINE)
-    return calibration, replace(plain, scene=scene, pairs=("C1P1",), sequence=sequence)
+    return calibration, replace(plain, scene=scene, views=("C1P1",), sequence=sequence)
 
 
 def _recorded(campaign: Campaign, adaptive: Any) -> Measurement:

@@ -20,7 +20,7 @@ from sms_jobs.formats.interchange.text_files import read_text
 from sms_jobs.records.artefacts import Chessboard
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.observations import BoardObservation
-from sms_jobs.records.sensors import sensors_of
+from sms_jobs.records.views import view_of
 
 COLUMNS = ("state", "board_x_mm", "board_y_mm", "camera_x_px", "camera_y_px")
 PROJECTOR_COLUMNS = ("projector_x_px", "projector_y_px")
@@ -46,14 +46,14 @@ class BoardTable:
     sha256: str
 
 
-def read_points(path: Path, pair: str, sigma_px: float) -> BoardTable:
-    """Read points of a board in a camera, and in a projector where the pair has one.
+def read_points(path: Path, view: str, sigma_px: float) -> BoardTable:
+    """Read points of a board in a camera, and in a projector where the view has one.
 
     Parameters
     ----------
     path
         CSV with a header of `COLUMNS` and, for a projector, `PROJECTOR_COLUMNS`; a row a point.
-    pair
+    view
         C1P1, or C1 for a camera alone.
     sigma_px
         Standard deviation of the points in each direction; the table does not tell it.
@@ -66,7 +66,7 @@ def read_points(path: Path, pair: str, sigma_px: float) -> BoardTable:
         It is no such table, its points are on no regular grid, or a pose has too few.
     """
     text = read_text(path, "table of points")
-    sensors = sensors_of(pair)
+    sensors = view_of(view).sensors
     wanted = COLUMNS + (PROJECTOR_COLUMNS if len(sensors) > 1 else ())
     rows = _rows(path, text, wanted)
     places = np.array([row[:2] for points in rows.values() for row in points])

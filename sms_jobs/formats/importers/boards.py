@@ -76,7 +76,7 @@ def session_of_boards(
         specimen=Specimen(BOARD),
         rig=rig,
         states=tuple(LoadState(label, time=at, artefact=BOARD) for label, at in poses.items()),
-        pairs=tuple(s.name for s in sensors),
+        views=tuple(s.name for s in sensors),
         session=CalibrationSession({BOARD: board}, tuple(sensors), volume),
     )
 
@@ -106,7 +106,7 @@ def sizes(inspected: Iterable[Inspected]) -> dict[str, SensorFormat]:
     for one in inspected:
         for about in one.facts.values():
             if not one.found.faults:
-                found.setdefault(one.found.pair, SensorFormat(one.found.pair, about.columns, about.rows))
+                found.setdefault(one.found.view, SensorFormat(one.found.view, about.columns, about.rows))
     return found
 
 
@@ -114,7 +114,7 @@ def of_known_size(inspected: Sequence[Inspected], known: Mapping[str, SensorForm
     """Add a fault to images whose size is not that which the session has of their camera."""
     checked = []
     for one in inspected:
-        sensor, about = known.get(one.found.pair), next(iter(one.facts.values()), None)
+        sensor, about = known.get(one.found.view), next(iter(one.facts.values()), None)
         if sensor and about and (about.columns, about.rows) != (sensor.columns, sensor.rows):
             fault = (
                 f"it has {about.columns} x {about.rows} px, but the session says that {sensor.name} has "

@@ -10,6 +10,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.records.views import CAMERA_PATTERN, FRINGES_PATTERN, PROJECTOR_PATTERN
 
 MOST_FILES = 200_000
 DEEPEST = 8
@@ -17,9 +18,9 @@ DEEPEST = 8
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}|(\*)")
 _PARTS = {
     "state": r"[^/]+?",
-    "pair": r"C[1-9]\d*P[1-9]\d*",
-    "camera": r"C[1-9]\d*",
-    "projector": r"P[1-9]\d*",
+    "view": FRINGES_PATTERN,
+    "camera": CAMERA_PATTERN,
+    "projector": PROJECTOR_PATTERN,
     "orientation": r"-?\d+(?:\.\d+)?|[A-Za-z]+",
     "density": r"\d{1,6}",
     "step": r"\d{1,6}(?:\.\d+)?",
@@ -132,7 +133,7 @@ def printable(name: str) -> str:
 
 @dataclass(frozen=True)
 class NamePattern:
-    """What the names of files say, as in `{state}/{pair}/frame_{number}.bmp`."""
+    """What the names of files say, as in `{state}/{view}/frame_{number}.bmp`."""
 
     text: str
     expression: re.Pattern[str]

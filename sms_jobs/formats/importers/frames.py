@@ -13,18 +13,18 @@ from sms_jobs.formats.importers.folders import LeftOut, Listing, natural, printa
 from sms_jobs.formats.importers.image_files import RAW_SUFFIXES, SUFFIXES
 from sms_jobs.formats.importers.layout import FrameLayout, Role
 from sms_jobs.records.campaign import checked_name
-from sms_jobs.records.sensors import sensors_of, split_pair
+from sms_jobs.records.views import is_view, view_of
 
 _FAULTS_TOLD = 4
 
 
 @dataclass(frozen=True)
 class FoundTuple:
-    """The files of one state and pair.
+    """The files of one state and view.
 
     Attributes
     ----------
-    state, pair
+    state, view
         What they are of.
     fringes, code
         Relative paths in the order of the measurement's stacks.
@@ -35,7 +35,7 @@ class FoundTuple:
     """
 
     state: str
-    pair: str
+    view: str
     fringes: tuple[str, ...] = ()
     code: tuple[str, ...] = ()
     white: str | None = None
@@ -65,23 +65,15 @@ class Arrangement:
         return tuple(label for label in self.states if is_name(label))
 
     @property
-    def pairs(self) -> tuple[str, ...]:
-        """All pairs that can be, in order."""
-        return tuple(sorted({t.pair for t in self.tuples if _is_pair(t.pair)}, key=natural))
+    def views(self) -> tuple[str, ...]:
+        """All views that can be, in order."""
+        return tuple(sorted({t.view for t in self.tuples if is_view(t.view)}, key=natural))
 
 
 def is_name(label: str) -> bool:
     """Say whether a text can be the label of a state."""
     try:
         checked_name(label, "state")
-    except InvalidInput:
-        return False
-    return True
-
-
-def _is_pair(pair: str) -> bool:
-    try:
-        sensors_of(pair)
     except InvalidInput:
         return False
     return True
@@ -116,7 +108,7 @@ def arrange(listing: Listing, layout: FrameLayout) -> Arrangement:
         if state is None:
             left_out.append(LeftOut(name, why))
             continue
-        key = (state, _pair_of(layout, said))
+        key = (state, _view_of(layout, said))
         groups.setdefault(key, []).append((name, said))
         if why:
             faults.setdefault(key, []).append(why)
@@ -137,17 +129,17 @@ def _state_of(layout: FrameLayout, said: Mapping[str, str]) -> tuple[str | None,
         return printable(label), f"{error}; map it to a label, as in [states] '{printable(text)}' = 'S01'"
 
 
-def _pair_of(layout: FrameLayout, said: Mapping[str, str]) -> str:
+def _view_of(layout: FrameLayout, said: Mapping[str, str]) -> str:
     if "camera" in said:
         return said["camera"] + said["projector"]
-    return said.get("pair", layout.pair or "")
+    return said.get("view", layout.view or "")
 
 
 def _order(layout: FrameLayout, one: FoundTuple) -> tuple[int, Any, Any]:
     """States in the order of the layout, then in natural order of their labels."""
     listed = [label for label in layout.states.values() if label]
     place = listed.index(one.state) if one.state in listed else len(listed)
-    return place, natural(one.state), natural(one.pair)
+    return place, natural(one.state), natural(one.view)
 
 
 def _sorter(
@@ -162,7 +154,7 @@ def _sorter(
     def sort(key: _Key, files: list[tuple[str, dict[str, str]]], faults: list[str]) -> FoundTuple:
         wrong = list(dict.fromkeys(faults))
         try:
-            split_pair(key[1])
+            view_of(key[1]).projector  # noqa: B018 - it says what is wrong
         except InvalidInput as error:
             wrong.append(str(error))
         named: dict[Role, list[str]] = {}

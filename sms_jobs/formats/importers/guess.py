@@ -19,8 +19,9 @@ from sms_jobs.formats.importers.frames import is_image
 from sms_jobs.formats.importers.image_files import RawFormat, read_image
 from sms_jobs.metrology.phase.frame_order import FrameOrder, frame_order
 from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.views import FRINGES_PATTERN
 
-_PAIR = re.compile(r"C[1-9]\d*P[1-9]\d*")
+_VIEW = re.compile(FRINGES_PATTERN)
 _MOST_LOOKED_AT = 64
 _PIXELS = 20_000
 
@@ -75,7 +76,7 @@ def with_options(table: Mapping[str, Any], options: Mapping[str, Any]) -> dict[s
 
 
 def guess_layout(listing: Listing, given: Mapping[str, Any], sequence: FringeSequence | None) -> Guess:
-    """Complete a layout's table: pattern and pair from the names, frames from a look at one tuple.
+    """Complete a layout's table: pattern and view from the names, frames from a look at one tuple.
 
     Parameters
     ----------
@@ -105,23 +106,23 @@ def guess_layout(listing: Listing, given: Mapping[str, Any], sequence: FringeSeq
     if not {"state"} & set(names) and "state" not in table:
         table["state"] = "S00"
         remarks.append("guessed: all frames are of one state, S00")
-    if not {"pair", "camera", "projector"} & set(names) and "pair" not in table:
-        table["pair"] = "C1P1"
-        remarks.append("guessed: all frames are of one pair, C1P1")
+    if not {"view", "camera", "projector"} & set(names) and "view" not in table:
+        table["view"] = "C1P1"
+        remarks.append("guessed: all frames are of one view, C1P1")
     _guess_sequence(listing, images, table, sequence, remarks)
     return Guess(table, tuple(remarks))
 
 
 def _text(value: Any) -> str:
     if not isinstance(value, str):
-        raise InvalidInput("pattern should be text in quotes, as '{state}/{pair}/frame_{number}.bmp'")
+        raise InvalidInput("pattern should be text in quotes, as '{state}/{view}/frame_{number}.bmp'")
     return value
 
 
 def guess_pattern(images: list[str]) -> str:
     """Return the pattern of the names that most images have.
 
-    The last number of a name that varies is the frame's; a folder C1P1 is the pair, the innermost other
+    The last number of a name that varies is the frame's; a folder C1P1 is the view, the innermost other
     folder whose name varies is the state; what else varies may be anything.
     """
     shapes = Counter(_shape(name) for name in images)
@@ -156,8 +157,8 @@ def _shape(name: str) -> tuple[int, str, str]:
 
 
 def _folder(names: set[str]) -> str:
-    if all(_PAIR.fullmatch(n) for n in names):
-        return "{pair}"
+    if all(_VIEW.fullmatch(n) for n in names):
+        return "{view}"
     return next(iter(names)) if len(names) == 1 else "*"
 
 

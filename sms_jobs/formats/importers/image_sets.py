@@ -20,9 +20,10 @@ from sms_jobs.formats.importers.image_files import RawFormat, read_image
 from sms_jobs.formats.importers.inspection import Inspected
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
+from sms_jobs.records.views import CAMERA_PATTERN
 
-_CAMERA = re.compile(r"C[1-9]\d*")
-_NAMED = re.compile(r"(?P<called>[^=\s]+)=(?P<name>C[1-9]\d*)")
+_CAMERA = re.compile(CAMERA_PATTERN)
+_NAMED = re.compile(rf"(?P<called>[^=\s]+)=(?P<name>{CAMERA_PATTERN})")
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ def arrange_images(
             f"{', '.join(sorted(states, key=natural)[:10]) or 'none'}"
         )
     tuples = [_found(state, name, files) for (state, name), files in groups.items()]
-    tuples.sort(key=lambda t: (t.state != reference, natural(t.state), natural(t.pair)))
+    tuples.sort(key=lambda t: (t.state != reference, natural(t.state), natural(t.view)))
     return Arrangement(tuple(tuples), tuple(left_out))
 
 
@@ -137,12 +138,12 @@ def of_one_size(inspected: list[Inspected]) -> list[Inspected]:
     checked = []
     for one in inspected:
         mine = _size(one)
-        sizes = Counter(_size(i) for i in inspected if i.found.pair == one.found.pair and not i.found.faults)
+        sizes = Counter(_size(i) for i in inspected if i.found.view == one.found.view and not i.found.faults)
         usual = sizes.most_common(1)[0][0] if sizes else mine
         if mine == usual or one.found.faults:
             checked.append(one)
             continue
-        fault = f"it has {mine} and the others of {one.found.pair} {usual}: crop them alike, or leave it out"
+        fault = f"it has {mine} and the others of {one.found.view} {usual}: crop them alike, or leave it out"
         checked.append(replace(one, found=replace(one.found, faults=told([*one.found.faults, fault]))))
     return checked
 

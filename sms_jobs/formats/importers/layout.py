@@ -85,7 +85,7 @@ class LayoutTable(Table):
 
     pattern: str
     state: str | None = None
-    pair: str | None = None
+    view: str | None = None
     states: dict[str, str | Literal[False]] = Field(default_factory=dict)
     orientations: dict[str, float] = Field(default_factory=dict)
     frames: str = "fringes"
@@ -114,7 +114,7 @@ class FrameLayout:
     ----------
     pattern
         Of file names.
-    state, pair
+    state, view
         Where the names do not say them.
     states
         Labels of states by what the names call them; False for those that are left out.
@@ -142,7 +142,7 @@ class FrameLayout:
     pattern: NamePattern
     sequence: FringeSequence
     state: str | None = None
-    pair: str | None = None
+    view: str | None = None
     states: Mapping[str, str | Literal[False]] = field(default_factory=dict)
     orientation_names: Mapping[str, float] = field(default_factory=dict)
     blocks: tuple[Block, ...] = (Block("fringes"),)
@@ -304,7 +304,7 @@ def _as_layout(table: LayoutTable) -> FrameLayout:
             tuple(radians(a) for a in table.sequence.orientations_deg),
         ),
         state=table.state,
-        pair=table.pair,
+        view=table.view,
         states=table.states,
         orientation_names=table.orientations,
         blocks=blocks,
@@ -366,12 +366,12 @@ def _gray(table: _Gray | None, blocks: tuple[Block, ...]) -> GrayCode | None:
 
 def _check_names(layout: FrameLayout) -> None:
     names = set(layout.pattern.names)
-    if "pair" in names and names & {"camera", "projector"}:
-        raise InvalidInput("the pattern has {pair}, and {camera} or {projector} besides: leave one out")
+    if "view" in names and names & {"camera", "projector"}:
+        raise InvalidInput("the pattern has {view}, and {camera} or {projector} besides: leave one out")
     if len(names & {"camera", "projector"}) == 1:
-        raise InvalidInput("the pattern needs both of {camera} and {projector}, or {pair}, or neither")
-    if not names & {"pair", "camera"} and layout.pair is None:
-        raise InvalidInput("the names do not say the pair: give it, as pair = 'C1P1' or --pair C1P1")
+        raise InvalidInput("the pattern needs both of {camera} and {projector}, or {view}, or neither")
+    if not names & {"view", "camera"} and layout.view is None:
+        raise InvalidInput("the names do not say the view: give it, as view = 'C1P1' or --view C1P1")
     if "state" not in names and layout.state is None:
         raise InvalidInput("the names do not say the state: give it, as state = 'S00' or --state S00")
     spoken = names & {"density", "step", "orientation"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -22,7 +21,8 @@ from sms_jobs.formats.interchange.thesis_calibration import find_thesis_calibrat
 from sms_jobs.formats.interchange.xml_elements import parse_xml
 from sms_jobs.metrology.geometry.camera import Pose, distortion_jacobian, undistort
 from sms_jobs.records.campaign import checked_name
-from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
+from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.views import role_of, sensor_name
 
 _DIALECTS: dict[Style, Dialect] = {"opencv-yaml": "yml", "opencv-xml": "xml", "opencv-json": "json"}
 _MOST_BLIND = 0.5
@@ -171,7 +171,7 @@ def _sensors(found: FoundCalibration, given: Supplement, sources: str) -> tuple[
         pose = Pose.from_arrays(
             sensor.pose.matrix(), np.array(sensor.pose.translation) * given.millimetres_per_unit
         )
-        role = Role.CAMERA if name.startswith("C") else Role.PROJECTOR
+        role = role_of(name)
         if role is not sensor.role and found.sensors[0].role is not found.sensors[-1].role:
             raise InvalidInput(
                 f"{name} cannot be the name of a {sensor.role.value}, which it is in {sources}"
@@ -193,13 +193,10 @@ def _names(found: FoundCalibration, given: Supplement, sources: str) -> list[str
         )
     names = own or list(given.names)
     if not names:
-        letters = ["C" if s.role is Role.CAMERA else "P" for s in found.sensors]
-        names = [f"{letter}{letters[: i + 1].count(letter)}" for i, letter in enumerate(letters)]
+        roles = [s.role for s in found.sensors]
+        names = [sensor_name(role, roles[: i + 1].count(role)) for i, role in enumerate(roles)]
     for name in names:
-        if not re.fullmatch(r"[CP][1-9][0-9]{0,2}", name):
-            raise InvalidInput(
-                f"'{name}' cannot be the name of a sensor: cameras are C1, C2, ..., projectors P1, P2, ..."
-            )
+        role_of(name)
     if len(set(names)) < len(names):
         raise InvalidInput(f"two sensors of {sources} have one name: {', '.join(names)}")
     return names

@@ -12,7 +12,8 @@ import numpy as np
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.metrology.geometry.camera import Floats, Intrinsics, Pose
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
-from sms_jobs.records.sensors import Box, Role
+from sms_jobs.records.sensors import Box
+from sms_jobs.records.views import Role
 
 LONGEST_SIDE_PX = 20_000
 LARGEST_ROTATION_ERROR = 1e-5

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias
 import cv2
 import numpy as np
 
-from sms_jobs.errors import ConfigurationError, FormatTooNew, InvalidInput
+from sms_jobs.errors import ConfigurationError, InvalidInput, OtherFormat
 from sms_jobs.formats.interchange.found_sensors import (
     FoundCalibration,
     FoundSensor,
@@ -27,8 +27,9 @@ from sms_jobs.formats.interchange.found_sensors import (
 from sms_jobs.formats.interchange.opencv_text import Table
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.scene import AT_ORIGIN
-from sms_jobs.records.sensors import Box, Calibration, Role
+from sms_jobs.records.sensors import Box, Calibration
 from sms_jobs.records.times import parsed_time
+from sms_jobs.records.views import Role, role_of
 
 Dialect: TypeAlias = Literal["yml", "xml", "json"]
 
@@ -120,7 +121,7 @@ def find_opencv_calibration(table: Table, source: str) -> FoundCalibration:
     ------
     ConfigurationError
         It describes none, or what the camera model here does not hold.
-    FormatTooNew
+    OtherFormat
         It was written by a newer version of this program.
     """
     return _own(table, source) if _VERSION_KEY in table else _foreign(table, source)
@@ -131,7 +132,7 @@ def _own(table: Table, source: str) -> FoundCalibration:
     if not isinstance(version, int) or version < 1:
         raise ConfigurationError(f"{_VERSION_KEY} of {source} should be a version such as 1, not {version!r}")
     if version > _VERSION:
-        raise FormatTooNew(
+        raise OtherFormat(
             f"{source} has the format {version}, this program reads up to {_VERSION}: update this program"
         )
     names = _needed(table, "sensors", source)
@@ -163,7 +164,7 @@ def _own_sensor(table: Table, name: str, source: str) -> FoundSensor:
     values = [_needed(found, key, where) for key in ("camera_matrix", "distortion_coefficients", "R", "T")]
     matrix, coefficients, rotation, translation = (numbers(v, where) for v in values)
     return FoundSensor(
-        role=Role.PROJECTOR if name.startswith("P") else Role.CAMERA,
+        role=role_of(name),
         intrinsics=intrinsics_from(matrix, coefficients, where),
         pose=pose_from(rotation, translation, where),
         name=name,

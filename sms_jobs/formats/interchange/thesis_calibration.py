@@ -27,7 +27,8 @@ from sms_jobs.metrology.geometry.thesis_parameters import (
     sensor_from_thesis,
     thesis_from_sensor,
 )
-from sms_jobs.records.sensors import Box, Calibration, Role
+from sms_jobs.records.sensors import Box, Calibration
+from sms_jobs.records.views import SENSOR_PATTERN, role_of
 
 LARGEST_MISFIT_PX = 1.0
 """By how much the two distortion models may differ anywhere in an image before a conversion is refused."""
@@ -43,7 +44,7 @@ class _Table(BaseModel):
 
 
 class _Sensor(_Table):
-    name: Annotated[str, Field(pattern="^[CP][1-9][0-9]{0,2}$")]
+    name: Annotated[str, Field(pattern=f"^{SENSOR_PATTERN}$")]
     pixels: tuple[_Side, _Side]
     length_mm: tuple[_Length, _Length]
     pixel_pitch: Pitch = "L/N"
@@ -81,7 +82,7 @@ class _Sensor(_Table):
                 f"the parameters of {self.name} in {source} cannot be those of a sensor: its distortion goes "
                 "beyond all numbers"
             ) from None
-        role = Role.PROJECTOR if self.name.startswith("P") else Role.CAMERA
+        role = role_of(self.name)
         return FoundSensor(role, intrinsics, pose, self.name, self.pixels), _cost(self.name, misfit, source)
 
 

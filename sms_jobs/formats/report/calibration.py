@@ -92,16 +92,16 @@ def _warnings(quality: CalibrationQuality) -> list[Markup]:
 def _expected(quality: CalibrationQuality, width_px: int) -> list[Markup]:
     rows: list[list[Cell]] = []
     pictures = []
-    for pair, sigma in zip(quality.pairs, quality.expected_sigma, strict=True):
+    for view, sigma in zip(quality.views, quality.expected_sigma, strict=True):
         known = sigma[np.isfinite(sigma)]
         if not known.size:
             continue
         low, middle, high = MICROMETRES * np.percentile(known, (0.0, 50.0, 100.0))
-        rows.append([pair, float(low), float(middle), float(high)])
+        rows.append([view, float(low), float(middle), float(high)])
         seen = np.isfinite(sigma)
-        drawn = draw_expected_sigma(quality.place[seen], sigma[seen], pair, width_px)
-        pictures.append(figure(drawn, f"Expected standard deviation of a point of {pair}, three levels of Z"))
-    header = ["pair", "least [µm]", "median [µm]", "largest [µm]"]
+        drawn = draw_expected_sigma(quality.place[seen], sigma[seen], view, width_px)
+        pictures.append(figure(drawn, f"Expected standard deviation of a point of {view}, three levels of Z"))
+    header = ["view", "least [µm]", "median [µm]", "largest [µm]"]
     return [table(header, rows), figures(pictures)]
 
 

@@ -40,11 +40,11 @@ def calibration_summary(calibration: Calibration, quality: CalibrationQuality | 
     told.append(("world", quality.gauge))
     told.append(("adjustment", f"{quality.residuals:,} residuals, {quality.iterations} iterations"))
     rows: list[list[Cell]] = []
-    for pair, sigma in zip(quality.pairs, quality.expected_sigma, strict=True):
+    for view, sigma in zip(quality.views, quality.expected_sigma, strict=True):
         known = _MICROMETRES * sigma[np.isfinite(sigma)]
         if known.size:
-            rows.append([pair, *(float(v) for v in np.percentile(known, (0.0, 50.0, 100.0)))])
-    header = ["pair", "least [µm]", "median [µm]", "largest [µm]"]
+            rows.append([view, *(float(v) for v in np.percentile(known, (0.0, 50.0, 100.0)))])
+    header = ["view", "least [µm]", "median [µm]", "largest [µm]"]
     words = "Standard deviation of a point from the calibration alone; the camera's noise comes on top of it."
     return [facts(told), *([paragraph(words), table(header, rows)] if rows else [])]
 

@@ -86,22 +86,22 @@ class _Alike:
 
     origin: Origin
     states: list[str] = field(default_factory=list)
-    pairs: list[str] = field(default_factory=list)
+    views: list[str] = field(default_factory=list)
     files: int = 0
 
 
 def command(
-    kind: str, campaign: str, states: Iterable[str], pairs: Iterable[str], changed: Mapping[str, Any]
+    kind: str, campaign: str, states: Iterable[str], views: Iterable[str], changed: Mapping[str, Any]
 ) -> str:
     """Return the command that computes results; `changed` are parameters that differ from the defaults.
 
-    States and pairs are named where not all are meant.
+    States and views are named where not all are meant.
     """
     words = ["sms", "job", "submit", kind, "-c", campaign]
     for state in states:
         words += ["--state", state]
-    for pair in pairs:
-        words += ["--pair", pair]
+    for view in views:
+        words += ["--view", view]
     for name, value in changed.items():
         words += [f"--{name.replace('_', '-')}", _setting(value)]
     return " ".join(quote(word) for word in words)
@@ -139,7 +139,7 @@ def commands(
         key = (made.kind, made.kind_version, json.dumps(settings, sort_keys=True))
         group = alike.setdefault(key, _Alike(made))
         group.files += 1
-        for listed, name in ((group.states, made.subject.state), (group.pairs, made.subject.pair)):
+        for listed, name in ((group.states, made.subject.state), (group.views, made.subject.view)):
             if name is not None and name not in listed:
                 listed.append(name)
     several = {kind for kind, _, _ in alike if sum(key[0] == kind for key in alike) > 1}
@@ -150,8 +150,8 @@ def commands(
         if made.kind in defaults:
             known = defaults[made.kind]
             changed = {n: v for n, v in made.parameters.items() if n not in known or known[n] != v}
-            states, pairs = (group.states, group.pairs) if made.kind in several else ([], [])
-            written = code(command(made.kind, campaign, states, pairs, changed))
+            states, views = (group.states, group.views) if made.kind in several else ([], [])
+            written = code(command(made.kind, campaign, states, views, changed))
         rows.append([f"{made.kind}, version {made.kind_version}", made.program_version, group.files, written])
     words = paragraph(
         "Results with the same inputs, parameters and versions are reused, so that these commands change "

@@ -24,9 +24,9 @@ _DIAGONAL = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
 
 
 def reference_view(
-    pair: str, measurement: Measurement, cloud: PointCloud, regions: Regions | None, sampler: Sampler
+    view: str, measurement: Measurement, cloud: PointCloud, regions: Regions | None, sampler: Sampler
 ) -> View:
-    """Return texture and shape as a pair sees them at the reference state."""
+    """Return texture and shape as a view sees them at the reference state."""
     deviation = np.sqrt(cloud.covariance[_DIAGONAL])
     valid = cloud.reason == Reason.VALID
     fields: list[Field] = []
@@ -51,7 +51,7 @@ def reference_view(
         count = len(regions.regions)
         notes = (f"The outlines show {count} continuous piece{'s' if count != 1 else ''} of surface.",)
     return View(
-        f"{cloud.camera} ({pair})",
+        f"{cloud.camera} ({view})",
         cloud.camera,
         sampler.size,
         sampler.step_px,
@@ -64,12 +64,12 @@ def reference_view(
 
 def deformed_view(
     merged: MergedField,
-    pair: str,
+    view: str,
     strain: StrainField,
     sampler: Sampler,
     gauges: GaugeReadings | None = None,
 ) -> View:
-    """Return the displacement of a camera's view, and strain and gauge readings of one pair."""
+    """Return the displacement of a camera's view, and strain and gauge readings of one view."""
     components = np.sqrt(merged.covariance[_DIAGONAL])
     length, length_sigma = _length(merged)
     fields = [
@@ -81,16 +81,16 @@ def deformed_view(
         *_strain_fields(strain, sampler),
         *(sampler.field(name, "mm", merged.xyz[k]) for k, name in enumerate(POSITION)),
     ]
-    if merged.discrepancy is not None and len(merged.pairs) > 1:
+    if merged.discrepancy is not None and len(merged.views) > 1:
         fields.append(
-            sampler.field("disagreement of the pairs", "mm", merged.discrepancy, grain=_grain(length_sigma))
+            sampler.field("disagreement of the views", "mm", merged.discrepancy, grain=_grain(length_sigma))
         )
     fields += [
         sampler.reasons("status of the displacement", merged.reason),
         sampler.reasons("status of the strain", strain.reason),
     ]
     return View(
-        f"{merged.camera} (displacement {', '.join(merged.pairs)}; strain {pair})",
+        f"{merged.camera} (displacement {', '.join(merged.views)}; strain {view})",
         merged.camera,
         sampler.size,
         sampler.step_px,
@@ -182,7 +182,7 @@ def _displacement_statistics(
         ),
         most,
         Statistic("sigma, median", "mm", _median(sigma), group=group),
-        Statistic("disagreement of the pairs, rms", "mm", _finite(merged.discrepancy_rms_mm), group=group),
+        Statistic("disagreement of the views, rms", "mm", _finite(merged.discrepancy_rms_mm), group=group),
     )
 
 

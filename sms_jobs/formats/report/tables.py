@@ -32,9 +32,9 @@ def campaign_facts(campaign: Campaign) -> Markup:
             ("material", campaign.specimen.material),
             ("description", campaign.specimen.description),
             ("rig", campaign.rig + (" (virtual)" if campaign.scene is not None else "")),
-            ("pairs of camera and projector", ", ".join(campaign.shape_pairs)),
+            ("views of camera and projector", ", ".join(campaign.shape_views)),
             ("cameras alone", ", ".join(campaign.cameras_alone)),
-            *(fringes if campaign.shape_pairs else ()),
+            *(fringes if campaign.shape_views else ()),
             ("states", str(len(campaign.states))),
         ]
     )
@@ -82,28 +82,28 @@ def _error_cells(errors: Errors | None, scale: float) -> list[Cell]:
 
 
 def accuracy(assessments: Mapping[tuple[str, str], Assessment], diagonal_mm: float) -> list[Markup]:
-    """List the errors of every (state, pair), for shape, displacement and strain.
+    """List the errors of every (state, view), for shape, displacement and strain.
 
     The rms of shape and displacement is also given as a part of the volume's diagonal, as is usual in the
     field.
     """
-    header = ["state", "pair", "rms [mm]", "bias [mm]", "error / predicted", "valid [%]", "diagonal / rms"]
+    header = ["state", "view", "rms [mm]", "bias [mm]", "error / predicted", "valid [%]", "diagonal / rms"]
     tables = []
     for name in ("shape", "displacement"):
         rows: list[list[Cell]] = []
-        for (state, pair), assessment in assessments.items():
+        for (state, view), assessment in assessments.items():
             errors: Errors | None = getattr(assessment, name)
             if errors is not None:
                 part = diagonal_mm / errors.rms if errors.rms > 0.0 else None
-                rows.append([state, pair, *_error_cells(errors, 1.0), part])
+                rows.append([state, view, *_error_cells(errors, 1.0), part])
         if rows:
             tables += [Markup(f"<h3>{name.capitalize()}</h3>"), table(header, rows)]
     strains: list[list[Cell]] = [
-        [state, pair, *_error_cells(a.strain, MICROSTRAIN)]
-        for (state, pair), a in assessments.items()
+        [state, view, *_error_cells(a.strain, MICROSTRAIN)]
+        for (state, view), a in assessments.items()
         if a.strain is not None
     ]
     if strains:
-        header = ["state", "pair", "rms [µε]", "bias [µε]", "error / predicted", "valid [%]"]
+        header = ["state", "view", "rms [µε]", "bias [µε]", "error / predicted", "valid [%]"]
         tables += [Markup("<h3>Strain</h3>"), table(header, strains)]
     return tables

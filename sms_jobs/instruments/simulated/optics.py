@@ -15,7 +15,7 @@ from sms_jobs.instruments.protocols import CameraFacts, Frame
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import OpticalFault
 from sms_jobs.records.scene import Deformation, PanTilt, Scene, Simulation
-from sms_jobs.records.sensors import split_pair
+from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.rendering import Noise, Rendering, render
 
 WHITE = -1
@@ -89,11 +89,11 @@ class Hall:
         place = sequence.exposures.index(exposure) * sequence.frames_per_exposure + number
         return rendering.frames.frame(place)
 
-    def simulation(self, pair: str) -> Simulation:
-        """Return what a pair truly sees now."""
-        camera, projector = split_pair(pair)
+    def simulation(self, view: str) -> Simulation:
+        """Return what a view truly sees now."""
+        seen, setting = view_of(view), self.setting
         return Simulation(
-            self.setting.scene, camera, projector, self.present_deformation(), self.setting.state
+            setting.scene, seen.camera, seen.projector, self.present_deformation(), setting.state
         )
 
     def _size(self, camera: str) -> tuple[int, int]:
@@ -101,7 +101,7 @@ class Hall:
         return sensor.rows, sensor.columns
 
     def _rendering(self, camera: str, projector: str, sequence: FringeSequence) -> Rendering:
-        """Return the frames of a pair; what was seen from one place is kept while nothing moves."""
+        """Return the frames of a view; what was seen from one place is kept while nothing moves."""
         deformation = self.present_deformation()
         key = (camera, projector, sequence, deformation)
         if key not in self._seen:

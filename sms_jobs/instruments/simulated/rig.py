@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.scene import Deformation, Scene, Simulation
-from sms_jobs.records.sensors import split_pair
+from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.rendering import render
 
 
@@ -37,11 +37,11 @@ class SimulatedRig:
     threads: int = 1
 
     def record(
-        self, pair: str, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None
+        self, view: str, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None
     ) -> Measurement:
         """Render a measurement; its frames are made while they are asked for."""
-        camera, projector = split_pair(pair)
-        simulation = Simulation(self.scene, camera, projector, self.deformation, self.state)
+        seen = view_of(view)
+        simulation = Simulation(self.scene, seen.camera, seen.projector, self.deformation, self.state)
         rendering = render(simulation, sequence, threads=self.threads, dimming=dimming)
         return Measurement(
             self.recorded_at,

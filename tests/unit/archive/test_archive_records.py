@@ -23,9 +23,10 @@ from sms_jobs.records.measurement import ArrayStack, FrameStack, FringeSequence,
 from sms_jobs.records.numbers import LARGEST
 from sms_jobs.records.quantity import QUANTITY, Quantity
 from sms_jobs.records.scene import Cylinder, HalvesApart, Plane, Rigid, Scene, TopHat
-from sms_jobs.records.sensors import LONGEST_FOCAL_PX, Rig
+from sms_jobs.records.sensors import LONGEST_FOCAL_PX, Rig, Sensor
 from sms_jobs.records.texts import NAME_LETTERS, REMARK_LETTERS, harmless
 from sms_jobs.records.times import EARLIEST, LATEST
+from sms_jobs.records.views import sensor_name
 
 LENGTHS = {"row": 5, "column": 7, "frame": 6, "point": 4, "vertex": 9, "face": 3, "corner": 3}
 # How the instruments of a rig are wired stays in its file, and has laws that chance does not keep.
@@ -72,6 +73,8 @@ def example(hint: Any, rng: np.random.Generator, meta: Any = None) -> Any:
         values = {f.name: example(hints[f.name], rng, f.metadata.get(QUANTITY)) for f in fields(hint)}
         if hint is FringeSequence:
             values["exposures"] = tuple(np.abs(values["exposures"]).tolist())
+        if hint is Sensor:
+            values["name"] = sensor_name(values["role"], int(rng.integers(1, 1000)))
         if hint is Intrinsics:
             values["fx"], values["fy"] = 1.0, LONGEST_FOCAL_PX
         made = hint(**values)
@@ -181,7 +184,7 @@ campaigns = st.builds(
     specimen=st.builds(Specimen, name=texts(NAME_LETTERS), material=texts(REMARK_LETTERS)),
     rig=st.just("rig"),
     states=st.lists(states, min_size=1, max_size=3, unique_by=lambda s: s.label).map(tuple),
-    pairs=st.just(("C1P1",)),
+    views=st.just(("C1P1",)),
     scene=st.none() | st.builds(Scene, rig=st.just(Rig("rig", ())), surface=surfaces),
 )
 

@@ -21,7 +21,7 @@ import pytest
 from support.sealing import damaged, provenance, regions
 
 from sms_jobs.archive import Archive, Checker, Sealed
-from sms_jobs.errors import ArchiveCorrupt, FormatTooNew
+from sms_jobs.errors import ArchiveCorrupt, OtherFormat
 
 # The work of one process: flip, check, read where the check passes, flip back; a line for every flip.
 # The limit counts the processor's time, so that a busy machine does not look like a file that never ends:
@@ -30,7 +30,7 @@ FLIP = """
 import os, resource, signal, sys
 from pathlib import Path
 from sms_jobs.archive.dataset import check_dataset, open_dataset
-from sms_jobs.errors import ArchiveCorrupt, FormatTooNew
+from sms_jobs.errors import ArchiveCorrupt, OtherFormat
 from sms_jobs.records.fields import Regions
 
 file, content_hash, start, stop, step = Path(sys.argv[1]), sys.argv[2], *map(int, sys.argv[3:])
@@ -51,7 +51,7 @@ for bit in range(start, stop, step):
     signal.setitimer(signal.ITIMER_PROF, 0.5)
     try:
         check_dataset(file, "it", content_hash)
-    except (ArchiveCorrupt, FormatTooNew):
+    except (ArchiveCorrupt, OtherFormat):
         told = "noticed"
     else:
         told = "same" if read() == good else "changed"
@@ -130,7 +130,7 @@ def test_verification_outlives_what_ends_its_reader(archive: Archive, small: Sea
             damaged(archive, small, lambda data, at=byte: data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
             try:
                 archive.verify(small.path, small.content_hash, checker)
-            except (ArchiveCorrupt, FormatTooNew):
+            except (ArchiveCorrupt, OtherFormat):
                 continue
         damaged(archive, small, lambda _: pristine)
         archive.verify(small.path, small.content_hash, checker)

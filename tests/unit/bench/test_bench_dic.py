@@ -1,4 +1,4 @@
-"""Speckle pairs are exact, and the figures of the group `dic` are what they say."""
+"""Speckle views are exact, and the figures of the group `dic` are what they say."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ from sms_jobs.errors import InvalidInput
 
 
 def written(condition: Condition) -> str:
-    """Write a condition down with a pair of parentheses around all that is in another."""
+    """Write a condition down with a view of parentheses around all that is in another."""
     if isinstance(condition, Not):
         return f"not ({written(condition.condition)})"
     if isinstance(condition, AllOf | AnyOf):
@@ -155,7 +155,7 @@ def test_times_without_a_zone_are_local() -> None:
         ("strain where", 13, "the name of something"),
         ("strain whre a = 1", 8, "after|'and'|where|one of"),
         ("strain where load_kN >", 23, "a number, a time or a text"),
-        ("strain where load_kN > 3 pair = C1P1", 26, "'and', 'or' or the end"),
+        ("strain where load_kN > 3 view = C1P1", 26, "'and', 'or' or the end"),
         ("a in 3", 6, "a list in parentheses"),
         ("a in (3", 8, "a comma or the closing parenthesis"),
         ("a between 3 or 4", 13, "'and' and the upper end"),

@@ -1,4 +1,4 @@
-"""A small plate, recorded by two pairs in two states and reconstructed, all in memory."""
+"""A small plate, recorded by two views in two states and reconstructed, all in memory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs,
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.scene import HalvesApart, Rigid, Simulation
-from sms_jobs.records.sensors import Calibration, split_pair
+from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Truth, exact_truth
@@ -77,18 +78,18 @@ class Plate:
         self.results[kind.name, subject] = dict(output.records)
         return output
 
-    def subject(self, state: str, pair: str | None = None) -> Subject:
-        return Subject(self.campaign.name, state, pair)
+    def subject(self, state: str, view: str | None = None) -> Subject:
+        return Subject(self.campaign.name, state, view)
 
-    def truth(self, pair: str) -> Truth:
-        states = (self.results[MEASUREMENT, self.subject(s, pair)]["measurement"] for s in ("S00", "S01"))
+    def truth(self, view: str) -> Truth:
+        states = (self.results[MEASUREMENT, self.subject(s, view)]["measurement"] for s in ("S00", "S01"))
         return exact_truth(*(m.simulation for m in states))
 
 
-def _record(campaign: Campaign, state: str, pair: str) -> Measurement:
+def _record(campaign: Campaign, state: str, view: str) -> Measurement:
     assert campaign.scene is not None
     load = campaign.state(state)
-    simulation = Simulation(campaign.scene, *split_pair(pair), load.deformation, state=state)
+    simulation = Simulation(campaign.scene, *view_of(view).sensors, load.deformation, state=state)
     seen = render(simulation, campaign.sequence)
     assert load.time is not None
     return Measurement(
@@ -104,16 +105,16 @@ def _record(campaign: Campaign, state: str, pair: str) -> Measurement:
 
 
 def plate_that_moves(name: str, *deformations: Any) -> Plate:
-    """Return the plate at rest and in states S01 .. of some deformations, reconstructed for one pair."""
+    """Return the plate at rest and in states S01 .. of some deformations, reconstructed for one view."""
     calibration, campaign = small_plate(name)
     rest, first = campaign.states[:2]
     states = [rest]
     for number, deformation in enumerate(deformations, start=1):
         states.append(replace(first, label=f"S{number:02d}", deformation=(deformation,)))
-    found = Plate(calibration, replace(campaign, states=tuple(states), pairs=campaign.pairs[:1]))
+    found = Plate(calibration, replace(campaign, states=tuple(states), views=campaign.views[:1]))
     for state in states:
-        subject = found.subject(state.label, found.campaign.pairs[0])
-        measurement = _record(found.campaign, state.label, found.campaign.pairs[0])
+        subject = found.subject(state.label, found.campaign.views[0])
+        measurement = _record(found.campaign, state.label, found.campaign.views[0])
         found.results[MEASUREMENT, subject] = {"measurement": measurement}
         found.keep(reconstruct.KIND, subject)
     return found
@@ -141,12 +142,12 @@ def troubled_plate() -> Plate:
 def plate() -> Plate:
     """Return the plate, correlated, strained and merged with the defaults."""
     found = Plate(*small_plate("plate"))
-    for pair in found.campaign.pairs:
+    for view in found.campaign.views:
         for state in ("S00", "S01"):
-            subject = found.subject(state, pair)
-            found.results[MEASUREMENT, subject] = {"measurement": _record(found.campaign, state, pair)}
+            subject = found.subject(state, view)
+            found.results[MEASUREMENT, subject] = {"measurement": _record(found.campaign, state, view)}
             found.keep(reconstruct.KIND, subject)
-        found.keep(correlate.KIND, found.subject("S01", pair))
-        found.keep(strain.KIND, found.subject("S01", pair))
+        found.keep(correlate.KIND, found.subject("S01", view))
+        found.keep(strain.KIND, found.subject("S01", view))
     found.keep(merge.KIND, found.subject("S01"))
     return found

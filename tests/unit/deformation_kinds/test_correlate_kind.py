@@ -1,4 +1,4 @@
-"""Correlating a simulated pair of states finds the true displacement, with the errors that it states."""
+"""Correlating a simulated view of states finds the true displacement, with the errors that it states."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from sms_jobs.records.fields import DisplacementField, ImageMatches, PointCloud,
 from sms_jobs.records.reasons import Reason
 from sms_jobs.virtual_rig.truth import exact_truth
 
-PAIR = "C1P1"
+VIEW = "C1P1"
 
 
 def errors(plate: Any, field: DisplacementField) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the length of the error, its standard deviation, and where displacement can be had."""
-    truth = plate.truth(PAIR)
+    truth = plate.truth(VIEW)
     length = np.linalg.norm(field.displacement - truth.displacement, axis=0)
     sigma = np.sqrt(field.covariance[[0, 3, 5]].sum(axis=0))
     return length, sigma, truth.shape.seen & truth.shape.lit & truth.lit_and_seen_at_end
 
 
 def test_displacement_is_the_true_one(plate: Any) -> None:
-    records = plate.results["correlate", plate.subject("S01", PAIR)]
+    records = plate.results["correlate", plate.subject("S01", VIEW)]
     field = records["displacement"]
     length, sigma, expected = errors(plate, field)
     valid = (field.reason == Reason.VALID) & expected
@@ -40,7 +40,7 @@ def test_displacement_is_the_true_one(plate: Any) -> None:
 
 
 def test_every_value_is_known_or_has_a_reason(plate: Any) -> None:
-    records = plate.results["correlate", plate.subject("S01", PAIR)]
+    records = plate.results["correlate", plate.subject("S01", VIEW)]
     assert list(records) == ["displacement", "matches", "regions"]
     field, matches, regions = records["displacement"], records["matches"], records["regions"]
     assert isinstance(matches, ImageMatches)
@@ -59,7 +59,7 @@ def test_every_value_is_known_or_has_a_reason(plate: Any) -> None:
 @pytest.mark.parametrize("texture", ["white", "fringe-average"])
 def test_either_texture_will_do(plate: Any, texture: Any) -> None:
     parameters = CorrelateParameters(texture=texture, spacing_px=6)
-    output = plate.run(correlate.KIND, plate.subject("S01", PAIR), parameters)
+    output = plate.run(correlate.KIND, plate.subject("S01", VIEW), parameters)
     length, _, expected = errors(plate, output.records["displacement"])
     valid = (output.records["displacement"].reason == Reason.VALID) & expected
     assert valid.sum() > 0.9 * expected.sum()
@@ -71,7 +71,7 @@ def test_either_texture_will_do(plate: Any, texture: Any) -> None:
 )
 def test_any_shape_order_and_spline_will_do(plate: Any, chosen: dict[str, Any]) -> None:
     parameters = CorrelateParameters(spacing_px=6, **chosen)
-    output = plate.run(correlate.KIND, plate.subject("S01", PAIR), parameters)
+    output = plate.run(correlate.KIND, plate.subject("S01", VIEW), parameters)
     length, sigma, expected = errors(plate, output.records["displacement"])
     valid = (output.records["displacement"].reason == Reason.VALID) & expected
     assert valid.sum() > 0.9 * expected.sum()
@@ -84,7 +84,7 @@ def test_any_shape_order_and_spline_will_do(plate: Any, chosen: dict[str, Any]) 
 def test_the_peak_of_the_correlation_will_do_for_a_comparison(plate: Any) -> None:
     """A tenth of a pixel is 0.14 mm here; the pull towards whole pixels is in what is stated."""
     parameters = CorrelateParameters(spacing_px=6, method="fourier-newton", maximum_sigma_px=0.3)
-    output = plate.run(correlate.KIND, plate.subject("S01", PAIR), parameters)
+    output = plate.run(correlate.KIND, plate.subject("S01", VIEW), parameters)
     length, sigma, expected = errors(plate, output.records["displacement"])
     valid = (output.records["displacement"].reason == Reason.VALID) & expected
     assert valid.sum() > 0.9 * expected.sum()
@@ -95,7 +95,7 @@ def test_the_peak_of_the_correlation_will_do_for_a_comparison(plate: Any) -> Non
 
 def test_without_regions_one_piece_is_matched_as_with_them(plate: Any) -> None:
     parameters = CorrelateParameters(spacing_px=6, regions="none")
-    output = plate.run(correlate.KIND, plate.subject("S01", PAIR), parameters)
+    output = plate.run(correlate.KIND, plate.subject("S01", VIEW), parameters)
     field, matches = output.records["displacement"], output.records["matches"]
     length, _, expected = errors(plate, field)
     # What lies beside the plate is matched too, and spoils subsets that see it, a radius into the plate.
@@ -111,7 +111,7 @@ def test_a_plate_that_turns_is_followed(turning_plate: Any, reference: Any) -> N
     """Turned by 18 degrees, no subset is found by looking for shifts; by 9 all are."""
     found = replace(turning_plate, results=dict(turning_plate.results))
     chosen = CorrelateParameters(reference=reference, spacing_px=6)
-    first, second = (found.subject(label, PAIR) for label in ("S01", "S02"))
+    first, second = (found.subject(label, VIEW) for label in ("S01", "S02"))
     roles = {need.role for need in correlate.KIND.all_needs(found.campaign, second, chosen)}
     assert {"previous", "previous_measurement", "previous_shape"} < roles
     assert len(correlate.KIND.all_needs(found.campaign, first, chosen)) == len(roles) - 3
@@ -119,7 +119,7 @@ def test_a_plate_that_turns_is_followed(turning_plate: Any, reference: Any) -> N
     output = found.run(correlate.KIND, second, chosen)
     field, matches = output.records["displacement"], output.records["matches"]
     simulations = (
-        found.results["measurement", found.subject(s, PAIR)]["measurement"] for s in ("S00", "S02")
+        found.results["measurement", found.subject(s, VIEW)]["measurement"] for s in ("S00", "S02")
     )
     truth = exact_truth(*(m.simulation for m in simulations))
     expected = truth.shape.seen & truth.shape.lit & truth.lit_and_seen_at_end
@@ -140,7 +140,7 @@ def test_a_plate_that_turns_is_followed(turning_plate: Any, reference: Any) -> N
 
 
 def test_only_the_region_of_interest_is_matched(plate: Any) -> None:
-    subject = plate.subject("S01", PAIR)
+    subject = plate.subject("S01", VIEW)
     chosen = CorrelateParameters(
         spacing_px=6, region_of_interest="rectangle 30 40 90 80 - rectangle 50 50 60 60"
     )
@@ -167,7 +167,7 @@ def test_only_the_region_of_interest_is_matched(plate: Any) -> None:
 
 
 def test_more_points_near_edges(plate: Any) -> None:
-    subject = plate.subject("S01", PAIR)
+    subject = plate.subject("S01", VIEW)
     regular, refined = (
         plate.run(correlate.KIND, subject, CorrelateParameters(spacing_px=8, edge_spacing_px=fine)).records
         for fine in (None, 2)
@@ -201,7 +201,7 @@ def test_parameters_can_be_given_as_words() -> None:
 
 
 def test_threads_do_not_matter(plate: Any) -> None:
-    subject = plate.subject("S01", PAIR)
+    subject = plate.subject("S01", VIEW)
     one, two = (plate.run(correlate.KIND, subject, threads=n) for n in (1, 2))
     np.testing.assert_array_equal(
         one.records["displacement"].displacement, two.records["displacement"].displacement
@@ -211,7 +211,7 @@ def test_threads_do_not_matter(plate: Any) -> None:
 
 @pytest.mark.parametrize("spoilt", ["no shape before", "no shape after", "no texture"])
 def test_poor_data_give_reasons_and_no_error(plate: Any, spoilt: str) -> None:
-    subject = plate.subject("S01", PAIR)
+    subject = plate.subject("S01", VIEW)
     results = dict(plate.results)
     if spoilt == "no texture":
         key = ("reconstruct", subject)
@@ -219,7 +219,7 @@ def test_poor_data_give_reasons_and_no_error(plate: Any, spoilt: str) -> None:
         blank = replace(phase, mean_intensity=np.full_like(phase.mean_intensity, 700.0))
         results[key] = {**results[key], "phase": blank}
     else:
-        key = ("reconstruct", subject if spoilt.endswith("after") else plate.subject("S00", PAIR))
+        key = ("reconstruct", subject if spoilt.endswith("after") else plate.subject("S00", VIEW))
         cloud: PointCloud = results[key]["cloud"]
         lost = replace(
             cloud,

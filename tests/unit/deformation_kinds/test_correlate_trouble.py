@@ -14,12 +14,12 @@ from sms_jobs.metrology.deformation import correlation
 from sms_jobs.metrology.deformation.splitting import Split
 from sms_jobs.records.reasons import Reason
 
-PAIR = "C1P1"
+VIEW = "C1P1"
 CHOSEN = CorrelateParameters(spacing_px=4, search_range_x_px=70)
 
 
 def correlated(plate: Any, state: str) -> tuple[Any, Any, Any, dict[str, float]]:
-    output = plate.run(correlate.KIND, plate.subject(state, PAIR), CHOSEN)
+    output = plate.run(correlate.KIND, plate.subject(state, VIEW), CHOSEN)
     field, matches = output.records["displacement"], output.records["matches"]
     for values in (matches.u, matches.v, matches.sigma_u, matches.sigma_v):
         np.testing.assert_array_equal(np.isfinite(values), matches.reason == Reason.VALID)
@@ -70,7 +70,7 @@ def test_a_plate_that_is_gone_is_not_found(troubled_plate: Any) -> None:
 
 def test_a_plate_without_texture_says_so(troubled_plate: Any) -> None:
     spoilt = replace(troubled_plate, results=dict(troubled_plate.results))
-    key = ("reconstruct", spoilt.subject("S00", PAIR))
+    key = ("reconstruct", spoilt.subject("S00", VIEW))
     phase = spoilt.results[key]["phase"]
     blank = replace(phase, mean_intensity=np.full_like(phase.mean_intensity, 700.0))
     spoilt.results[key] = {**spoilt.results[key], "phase": blank}

@@ -1,4 +1,4 @@
-"""Merging the pairs of a camera is better than each, and the mesh carries everything."""
+"""Merging the views of a camera is better than each, and the mesh carries everything."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from sms_jobs.records.reasons import Reason
 def test_the_merged_field_is_nearer_to_the_truth_than_its_pairs(plate: Any) -> None:
     merged = plate.results["merge", plate.subject("S01")]["C1"]
     truth = plate.truth("C1P1").displacement
-    pairs = [plate.results["correlate", plate.subject("S01", p)]["displacement"] for p in merged.pairs]
+    views = [plate.results["correlate", plate.subject("S01", p)]["displacement"] for p in merged.views]
     both = (merged.contributors == 2) & np.isfinite(truth[0])
     assert both.sum() > 1000
-    rms = [np.sqrt(np.mean((d[:, both] - truth[:, both]) ** 2)) for d in (p.displacement for p in pairs)]
+    rms = [np.sqrt(np.mean((d[:, both] - truth[:, both]) ** 2)) for d in (p.displacement for p in views)]
     assert np.sqrt(np.mean((merged.displacement[:, both] - truth[:, both]) ** 2)) < max(rms)
-    a, b = (p.covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64)[both] for p in pairs)
-    rho = correlation_of_pairs([p.displacement for p in pairs], [p.covariance for p in pairs])[0, 1]
+    a, b = (p.covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64)[both] for p in views)
+    rho = correlation_of_pairs([p.displacement for p in views], [p.covariance for p in views])[0, 1]
     # Inverse variance 1 / (1 / a + 1 / b), and 2 w_a w_b rho sqrt(a b) for what is shared; single precision.
     expected = a * b / (a + b) + 2.0 * rho * (a * b) ** 1.5 / (a + b) ** 2
     np.testing.assert_allclose(merged.covariance[[0, 3, 5]].sum(axis=0)[both], expected, rtol=1e-4)
-    difference = np.linalg.norm(pairs[0].displacement - pairs[1].displacement, axis=0)
+    difference = np.linalg.norm(views[0].displacement - views[1].displacement, axis=0)
     assert merged.discrepancy_rms_mm == pytest.approx(np.sqrt(np.nanmean(difference**2)))
-    assert merged.pairs == ("C1P1", "C1P2")
+    assert merged.views == ("C1P1", "C1P2")
 
 
 def test_the_merged_sigma_is_that_of_the_error(plate: Any) -> None:
@@ -83,8 +83,8 @@ def test_a_coarse_mesh_is_coarser(plate: Any) -> None:
 
 def test_nothing_measured_gives_an_empty_mesh_and_no_error(plate: Any) -> None:
     results = dict(plate.results)
-    for pair in plate.campaign.pairs:
-        key = ("correlate", plate.subject("S01", pair))
+    for view in plate.campaign.views:
+        key = ("correlate", plate.subject("S01", view))
         moved = results[key]["displacement"]
         lost = replace(
             moved,

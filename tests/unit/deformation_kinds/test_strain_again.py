@@ -25,7 +25,7 @@ def test_strain_and_gauges_alone_take_stored_displacement() -> None:
         Request("gauges", {"gauge": "G1 x=0 y=0 length=20"}),
     ):
         jobs = plan(campaign, [request], stored)
-        assert [job.kind.name for job in jobs] == [request.kind] * len(campaign.pairs)
+        assert [job.kind.name for job in jobs] == [request.kind] * len(campaign.views)
         assert all(given.existing is not None and given.producer is None for j in jobs for given in j.inputs)
     assert {need.source for need in asked} == {"correlate", "reconstruct"}
 

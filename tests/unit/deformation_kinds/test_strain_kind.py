@@ -13,12 +13,12 @@ from sms_jobs.kinds.strain import StrainParameters
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.reasons import Reason
 
-PAIR = "C1P1"
+VIEW = "C1P1"
 
 
 def test_strain_is_the_true_one_within_its_sigma(plate: Any) -> None:
-    field = plate.results["strain", plate.subject("S01", PAIR)]["strain"]
-    truth = plate.truth(PAIR).strain(field.measure)
+    field = plate.results["strain", plate.subject("S01", VIEW)]["strain"]
+    truth = plate.truth(VIEW).strain(field.measure)
     known = (field.reason == Reason.VALID) & np.isfinite(truth[0])
     error = (field.strain - truth)[:, known]
     assert known.mean() > 0.3
@@ -31,14 +31,14 @@ def test_strain_is_the_true_one_within_its_sigma(plate: Any) -> None:
 
 
 def test_every_value_is_known_or_has_a_reason(plate: Any) -> None:
-    field = plate.results["strain", plate.subject("S01", PAIR)]["strain"]
+    field = plate.results["strain", plate.subject("S01", VIEW)]["strain"]
     for values in (field.strain, field.sigma, field.principal, field.von_mises[None]):
         np.testing.assert_array_equal(np.isfinite(values).all(axis=0), field.reason == Reason.VALID)
 
 
 def test_a_longer_gauge_is_less_noisy(plate: Any) -> None:
     sigma = [
-        plate.run(strain.KIND, plate.subject("S01", PAIR), StrainParameters(gauge_length_mm=g)).statistics[
+        plate.run(strain.KIND, plate.subject("S01", VIEW), StrainParameters(gauge_length_mm=g)).statistics[
             "median_sigma_strain"
         ]
         for g in (10.0, 20.0, 40.0)
@@ -49,15 +49,15 @@ def test_a_longer_gauge_is_less_noisy(plate: Any) -> None:
 
 
 def test_a_gauge_shorter_than_a_pixel_finds_no_neighbours(plate: Any) -> None:
-    output = plate.run(strain.KIND, plate.subject("S01", PAIR), StrainParameters(gauge_length_mm=0.5))
+    output = plate.run(strain.KIND, plate.subject("S01", VIEW), StrainParameters(gauge_length_mm=0.5))
     field = output.records["strain"]
-    moved = plate.results["correlate", plate.subject("S01", PAIR)]["displacement"]
+    moved = plate.results["correlate", plate.subject("S01", VIEW)]["displacement"]
     assert (field.reason[moved.reason == Reason.VALID] == Reason.TOO_FEW_NEIGHBOURS).all()
     assert output.statistics == {"valid_fraction": 0.0, "valid_fraction_of_image": 0.0}
 
 
 def test_the_axis_is_the_specimens(plate: Any) -> None:
-    subject = plate.subject("S01", PAIR)
+    subject = plate.subject("S01", VIEW)
     placement = plate.campaign.scene.placement.matrix()
     assert strain.specimen_axis(plate.campaign, subject) == pytest.approx(tuple(placement[:, 0]))
     assert strain.specimen_axis(replace(plate.campaign, scene=None), subject) == (1.0, 0.0, 0.0)
@@ -66,5 +66,5 @@ def test_the_axis_is_the_specimens(plate: Any) -> None:
 def test_the_reference_state_has_no_strain(plate: Any) -> None:
     assert strain.KIND.subjects is not None
     assert tuple(strain.KIND.subjects(plate.campaign)) == tuple(
-        Subject("plate", "S01", pair) for pair in plate.campaign.pairs
+        Subject("plate", "S01", view) for view in plate.campaign.views
     )

@@ -24,7 +24,7 @@ from sms_jobs.records.sensors import Calibration
 from sms_jobs.virtual_rig.campaigns import placed, small_plate
 from sms_jobs.virtual_rig.deformations import carried_points, packed_chain
 
-PAIR = "C1P1"
+VIEW = "C1P1"
 RADIUS = 8
 CHOSEN = align.AlignParameters(views=("right",), subset_radius_px=RADIUS)
 
@@ -39,14 +39,14 @@ def position(name: str, rotation_rad: Any, shift_mm: float, seed: int) -> tuple[
         placement=placed(rotation_rad, (shift_mm, -2.0, 3.0)),
         seed=seed,
     )
-    return calibration, replace(campaign, scene=scene, pairs=(PAIR,))
+    return calibration, replace(campaign, scene=scene, views=(VIEW,))
 
 
 def shelf_of(made: tuple[Calibration, Campaign], records: dict[Any, Any], states: tuple[str, ...]) -> Shelf:
     calibration, campaign = made
     shelf = Shelf(campaign, 1, records)
     for label in states:
-        subject = Subject(campaign.name, label, PAIR)
+        subject = Subject(campaign.name, label, VIEW)
         records[CALIBRATION, subject] = {"calibration": calibration}
         shelf.run(simulate.KIND, Subject(campaign.name, label), simulate.KIND.parameters())
         shelf.run(reconstruct.KIND, subject, reconstruct.KIND.parameters())
@@ -60,7 +60,7 @@ def views() -> tuple[Shelf, Shelf]:
     made = (position("left", (0.05, -0.03, 0.04), 26.0, 1), position("right", (0.07, 0.02, 0.08), -24.0, 2))
     shelves = tuple(shelf_of(one, records, ("S00", "S01")) for one in made)
     for shelf in shelves:
-        subject = Subject(shelf.campaign.name, "S01", PAIR)
+        subject = Subject(shelf.campaign.name, "S01", VIEW)
         shelf.run(correlate.KIND, subject, correlate.KIND.parameters())
         shelf.run(strain.KIND, subject, strain.KIND.parameters())
         shelf.run(merge.KIND, Subject(shelf.campaign.name, "S01"), merge.KIND.parameters())
@@ -181,13 +181,13 @@ def test_a_camera_that_sees_nothing_of_the_overlap_does_no_harm(views: tuple[She
     # A second camera with its back to the overlap: the same frames, of which no pixel is trusted.
     records = dict(views[0].records)
     for name in ("left", "right"):
-        at_rest = Subject(name, "S00", PAIR)
+        at_rest = Subject(name, "S00", VIEW)
         for source in ("measurement", "reconstruct"):
-            records[source, Subject(name, "S00", "C0P1")] = records[source, at_rest]
+            records[source, Subject(name, "S00", "C9P1")] = records[source, at_rest]
         blind = dict(records["reconstruct", at_rest])
         blind["cloud"] = replace(blind["cloud"], reason=np.ones_like(blind["cloud"].reason))
-        records["reconstruct", Subject(name, "S00", "C0P1")] = blind
-    campaign = replace(views[0].campaign, pairs=("C0P1", PAIR))
+        records["reconstruct", Subject(name, "S00", "C9P1")] = blind
+    campaign = replace(views[0].campaign, views=("C9P1", VIEW))
     both = replace(views[0], campaign=campaign, records=records)
     both.run(align.KIND, Subject("left"), CHOSEN)
     one, two = (shelf.records["align", Subject("left")]["view_1"] for shelf in (views[0], both))

@@ -17,8 +17,8 @@ SENSORS = tuple(s.name for s in CALIBRATION.rig.sensors)
 def quality(rng: np.random.Generator, **changes: object) -> CalibrationQuality:
     axes = [np.linspace(-250.0, 250.0, 5)] * 3
     place = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    pairs = CALIBRATION.rig.pairs()
-    sigma = 0.01 + 1e-5 * np.abs(place).sum(axis=1) + np.zeros((len(pairs), 1))
+    views = CALIBRATION.rig.views()
+    sigma = 0.01 + 1e-5 * np.abs(place).sum(axis=1) + np.zeros((len(views), 1))
     sigma[0, :4] = np.nan  # not seen from there
     made = CalibrationQuality(
         gauge="board frame of pose B01",
@@ -34,7 +34,7 @@ def quality(rng: np.random.Generator, **changes: object) -> CalibrationQuality:
         bar_length_error_mm={"S01": 0.012, "S02": -0.016},
         board_rms_px={"B01": 0.021},
         found={"bar length [mm]": 500.0021},
-        pairs=pairs,
+        views=views,
         place=place,
         expected_sigma=sigma,
         residual_sensor=np.repeat(np.arange(4, dtype=np.int32), 50),
@@ -60,8 +60,8 @@ def test_the_page_says_what_a_metrologist_asks(rng: np.random.Generator) -> None
         assert expected in page
     assert "of nothing" not in page
     assert "Nothing speaks against" in page
-    # A map of every sensor's residuals and of every pair's expected deviation.
-    assert page.count("data:image/png") == len(SENSORS) + len(CALIBRATION.rig.pairs())
+    # A map of every sensor's residuals and of every view's expected deviation.
+    assert page.count("data:image/png") == len(SENSORS) + len(CALIBRATION.rig.views())
 
 
 def test_warnings_are_shown_as_text(rng: np.random.Generator) -> None:

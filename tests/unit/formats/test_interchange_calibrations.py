@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sms_jobs.errors import ConfigurationError, FormatTooNew, InvalidInput, SmsError
+from sms_jobs.errors import ConfigurationError, InvalidInput, OtherFormat, SmsError
 from sms_jobs.formats.interchange.calibration_files import (
     Supplement,
     calibration_text,
@@ -20,7 +20,8 @@ from sms_jobs.formats.interchange.calibration_files import (
 from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, ray_directions
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
-from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
+from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.views import Role
 
 WRONG = Path(__file__).parent / "wrong_calibrations"
 BOX = Box((-100.0, -80.0, 700.0), (100.0, 80.0, 1100.0))
@@ -156,7 +157,7 @@ K1, D1 = [[1750.0, 0, 640.0], [0, 1751.0, 512.0], [0, 0, 1]], [-0.07, 0.1, 1e-4,
 K2, D2 = [[2500.0, 0, 990.0], [0, 2501.0, 547.0], [0, 0, 1]], [-0.04, 0.2, 0.0, 0.0]
 R, T = rotation_matrix(np.array([0.01, 0.3, -0.02])), np.array([-110.0, -5.0, -15.0])
 
-PAIRS = {
+VIEWS = {
     "stereo_calib": ("M1 D1 M2 D2 R T", ["C1", "C2"]),
     "SLMaster": ("M1 D1 M4 D4 Rlp Tlp", ["C1", "P1"]),
     "SLStudio": ("Kc kc Kp kp Rp Tp", ["C1", "P1"]),
@@ -176,10 +177,10 @@ def saved(path: Path, values: dict[str, object]) -> Path:
 
 
 @pytest.mark.parametrize("suffix", ["yml", "xml", "json"])
-@pytest.mark.parametrize("program", PAIRS)
+@pytest.mark.parametrize("program", VIEWS)
 def test_a_pair_of_another_program_is_understood(program: str, suffix: str, tmp_path: Path) -> None:
-    keys, names = PAIRS[program]
-    path = saved(tmp_path / f"pair.{suffix}", dict(zip(keys.split(), [K1, D1, K2, D2, R, T], strict=True)))
+    keys, names = VIEWS[program]
+    path = saved(tmp_path / f"view.{suffix}", dict(zip(keys.split(), [K1, D1, K2, D2, R, T], strict=True)))
     sizes = {names[0]: (1280, 1024), names[1]: (1920, 1080)}
     found = read_calibration([path], replace(GIVEN, sizes=sizes)).calibration
     first, second = found.rig.sensors
@@ -192,7 +193,7 @@ def test_a_pair_of_another_program_is_understood(program: str, suffix: str, tmp_
     # The second sensor sees X at R X + T, as cv2.stereoCalibrate defines it.
     np.testing.assert_array_equal(second.pose.matrix(), R)
     np.testing.assert_array_equal(second.pose.translation, T)
-    assert found.origin.startswith(f"imported from pair.{suffix}, sha256 ")
+    assert found.origin.startswith(f"imported from view.{suffix}, sha256 ")
 
 
 def test_two_files_complete_each_other_and_units_are_converted(tmp_path: Path) -> None:
@@ -228,7 +229,7 @@ def test_a_camera_alone_stands_in_the_world_by_its_r_and_t(tmp_path: Path) -> No
 
 def test_a_rotation_of_few_digits_becomes_an_exact_one(tmp_path: Path) -> None:
     path = saved(
-        tmp_path / "pair.yml",
+        tmp_path / "view.yml",
         dict(zip(["Kc", "kc", "Kp", "kp", "Rp", "Tp"], [K1, D1, K2, D2, R.round(6), T], strict=True)),
     )
     sizes = {"C1": (1280, 1024), "P1": (1920, 1080)}
@@ -266,7 +267,7 @@ def test_what_a_person_adds_is_checked(given: Supplement, message: str, tmp_path
         zip(["M1", "D1", "M4", "D4", "Rlp", "Tlp", "S"], [K1, D1, K2, D2, R, T, [1280, 1024]], strict=True)
     )
     with pytest.raises(InvalidInput) as refused:
-        read_calibration([saved(tmp_path / "pair.yml", values)], given)
+        read_calibration([saved(tmp_path / "view.yml", values)], given)
     assert message in str(refused.value)
 
 
@@ -334,7 +335,7 @@ def test_a_wrong_file_is_refused_in_one_sentence(name: str) -> None:
     sizes = {"P1": (1920, 1080)} if name.endswith(".yml") else {}
     with pytest.raises(SmsError) as refused:
         read_calibration([WRONG / name], replace(GIVEN, sizes=sizes))
-    assert isinstance(refused.value, ConfigurationError | FormatTooNew)
+    assert isinstance(refused.value, ConfigurationError | OtherFormat)
     assert REFUSALS[name] in str(refused.value)
     assert name in str(refused.value)
     assert "\n" not in str(refused.value)

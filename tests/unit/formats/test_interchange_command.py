@@ -149,6 +149,6 @@ def test_the_plan_of_a_campaign_is_kept_letter_by_letter(made: Path, tmp_path: P
     text = page.partition("```xml\n")[2].partition("```")[0].replace("plate 7", "Blech 7, 20 \u00b0C")
     path = tmp_path / "plate.xml"
     path.write_bytes(text.encode())
-    assert answer("campaign", "create", str(path), "--home", str(made))["pairs"] == ["C1P1", "C2P1"]
+    assert answer("campaign", "create", str(path), "--home", str(made))["views"] == ["C1P1", "C2P1"]
     assert inside("campaign", "show", "plate-tension", "--plan", "--home", str(made)).stdout == text
     assert answer("campaign", "show", "plate-tension", "--home", str(made))["plan"] == text

@@ -41,7 +41,7 @@ def test_the_example_in_xml_is_the_example_in_toml(tmp_path: Path) -> None:
 def test_elements_go_to_their_places() -> None:
     text = """<sms>
   <filename><campaign type="text">7</campaign></filename>
-  <hardware><rig>hall-3</rig><pairs type="list">C1P1 C2P2</pairs></hardware>
+  <hardware><rig>hall-3</rig><views type="list">C1P1 C2P2</views></hardware>
   <acquisition><densities>fdr-64</densities><orientations_deg type="list">45</orientations_deg></acquisition>
   <phase_analysis><steps>5</steps><method>fourier</method><window type="bool">true</window></phase_analysis>
   <dic><subset_radius_px>8</subset_radius_px><minimum_score>0.9</minimum_score></dic>
@@ -54,7 +54,7 @@ def test_elements_go_to_their_places() -> None:
     assert content == {
         "name": "7",
         "rig": "hall-3",
-        "pairs": ["C1P1", "C2P2"],
+        "views": ["C1P1", "C2P2"],
         "sequence": {"densities": "fdr-64", "orientations_deg": [45], "steps": 5},
         "processing": {
             "reconstruct": {"method": "fourier", "window": True},
@@ -74,7 +74,7 @@ def test_elements_go_to_their_places() -> None:
 
 def test_activated_sensors_are_named_by_their_indices() -> None:
     text = "<sms><hardware><cameras>1 3</cameras><projectors>2</projectors></hardware></sms>"
-    assert parse_measurement_configuration(text, "x")[0]["pairs"] == ["C1P2", "C3P2"]
+    assert parse_measurement_configuration(text, "x")[0]["views"] == ["C1P2", "C3P2"]
 
 
 MISTAKES = [
@@ -126,7 +126,7 @@ MISTAKES = [
         "should hold the indices of cameras",
         "hardware/cameras",
     ),
-    ("<cameras>1 2</cameras>", "", "needs either cameras and projectors, or pairs", "hardware"),
+    ("<cameras>1 2</cameras>", "", "needs either cameras and projectors, or views", "hardware"),
     (
         "<cameras>1 2</cameras>",
         "<lasers>1</lasers>",

@@ -14,14 +14,14 @@ from sms_jobs.records.campaign import Campaign
 TEST = """
 name = "plate"
 rig = "hall-3"
-pairs = ["C1P1"]
+views = ["C1P1"]
 specimen = { name = "plate" }
 states = [{ label = "S00", repeats = 3, load_n = 0.0 }, { label = "S01", load_n = 500.0 }]
 """
 SESSION = """
 name = "calibration-7"
 rig = "hall-3"
-pairs = ["C1P1"]
+views = ["C1P1"]
 specimen = { name = "board and bar" }
 states = [{ label = "B01", artefact = "chess" }, { label = "B02", artefact = "chess" }]
 

@@ -40,9 +40,9 @@ class File:
     content_hash: str = "ab" * 32
 
 
-def made(kind: str, state: str, pair: str, **given: Any) -> File:
+def made(kind: str, state: str, view: str, **given: Any) -> File:
     parameters = kind_named(kind).parameters(**given).model_dump(mode="json")
-    return File(Made(kind, Subject("wing", state, pair), parameters))
+    return File(Made(kind, Subject("wing", state, view), parameters))
 
 
 def listed(*files: Any) -> tuple[list[str], str]:
@@ -74,8 +74,8 @@ def test_results_made_in_two_ways_have_two_commands_with_their_states() -> None:
         made("strain", "S02", "C1P2", gauge_length_mm=30.0),
     )
     assert found == [
-        "sms job submit strain -c wing --state S01 --pair C1P1",
-        "sms job submit strain -c wing --state S02 --pair C1P1 --pair C1P2 --gauge-length-mm 30.0",
+        "sms job submit strain -c wing --state S01 --view C1P1",
+        "sms job submit strain -c wing --state S02 --view C1P1 --view C1P2 --gauge-length-mm 30.0",
     ]
 
 

@@ -24,7 +24,7 @@ from sms_jobs.formats.importers.boards import load_board, session_of_boards
 from sms_jobs.jobs.calibrations import measuring_pairs
 from sms_jobs.kinds import calibrate_boards, observe_board
 from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.kinds.sessions import OBSERVE_BOARD, board_states, every_pair
+from sms_jobs.kinds.sessions import OBSERVE_BOARD, board_states, every_view
 from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
 from sms_jobs.metrology.geometry.transforms import compose
 from sms_jobs.records.artefacts import Chessboard, CircleBoard
@@ -117,7 +117,7 @@ def test_a_folder_of_boards_becomes_a_session_once(folder: Path, home: Path) -> 
     assert made.session is not None
     assert made.session.artefacts == {"board": BOARD}
     assert made.session.sensors == (SensorFormat("C1", COLUMNS, ROWS), SensorFormat("C2", COLUMNS, ROWS))
-    assert made.pairs == ("C1", "C2")
+    assert made.views == ("C1", "C2")
     assert [(s.label, s.artefact) for s in made.states] == [(str(k), "board") for k in range(5)]
     # A calibration holds from its first image on.
     assert made.states[0].time is not None
@@ -134,8 +134,8 @@ def observed(folder: Path, cameras: dict[str, str]) -> SessionInMemory:
     sensors = [SensorFormat(name, COLUMNS, ROWS) for name in cameras]
     labels = [str(k) for k in range(len(POSES))]
     made = SessionInMemory(session_of_boards("june", "pair", BOARD, dict.fromkeys(labels, AT), sensors, None))
-    for subject in every_pair(made.campaign, board_states(made.campaign)):
-        name = f"{cameras[subject.pair or '']}_{subject.state}.png"
+    for subject in every_view(made.campaign, board_states(made.campaign)):
+        name = f"{cameras[subject.view or '']}_{subject.state}.png"
         image = cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE)
         assert image is not None
         stack = ArrayStack(image[None])
@@ -154,7 +154,7 @@ def test_two_cameras_are_found_as_they_stand(folder: Path) -> None:
     assert np.abs(seen.camera_px - at).max() < 0.1
     found = made.run(calibrate_boards, Subject("june"), folds=2, figure_width_px=400)
     quality: CalibrationQuality = found["quality"]
-    assert quality.pairs == ("C1C2",)
+    assert quality.views == ("C1C2",)
     assert np.isfinite(quality.expected_sigma).any()
     calibration: Calibration = found["calibration"]
     assert calibration.valid_from == AT
@@ -178,7 +178,7 @@ def quality_of_base(quality: CalibrationQuality) -> float:
 def test_one_camera_has_lenses_and_no_pairs(folder: Path) -> None:
     made = observed(folder, {"C1": "left"})
     found = made.run(calibrate_boards, Subject("june"), folds=2, figure_width_px=400)
-    assert found["quality"].pairs == ()
+    assert found["quality"].views == ()
     (sensor,) = found["calibration"].rig.sensors
     deviation = np.sqrt(np.diag(found["uncertainty"].covariance))
     assert abs(sensor.intrinsics.fx - LENS.fx) < 5.0 * deviation[6]

@@ -59,7 +59,7 @@ def test_a_table_is_read_as_it_is(file: Path) -> None:
 def test_points_stand_where_a_job_would_have_put_them(file: Path, tmp_path: Path) -> None:
     home = tmp_path / "home"
     bootstrap.initialise(home)
-    options = ["points", str(file), "-c", "june", "--rig", "desk", "--pair", "C1P1", *SIZES, "--json"]
+    options = ["points", str(file), "-c", "june", "--rig", "desk", "--view", "C1P1", *SIZES, "--json"]
     done = CliRunner().invoke(app, [*options, "--home", str(home)])
     assert done.exit_code == 0, done.exception
     assert json.loads(done.stdout)["points"] == {"A": 12, "B": 11}
@@ -104,9 +104,9 @@ def test_a_table_that_is_wrong_is_refused(file: Path, change: object, complaint:
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (("--pair", "C1P1", "--size", "C1=640x480"), "give --size of C1 and P1"),
-        (("--pair", "C1P1", "--size", "C1=640"), "--size should be as in"),
-        (("--pair", "P1", *SIZES), "'P1' is not a camera-projector pair"),
+        (("--view", "C1P1", "--size", "C1=640x480"), "give --size of C1 and P1"),
+        (("--view", "C1P1", "--size", "C1=640"), "--size should be as in"),
+        (("--view", "P1", *SIZES), "'P1' is not a view"),
     ],
 )
 def test_options_that_contradict_are_refused(

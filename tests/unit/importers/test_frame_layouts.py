@@ -75,7 +75,7 @@ def test_phases_of_any_convention_come_out_alike(
         {
             "pattern": "frame_{number}.png",
             "state": "S00",
-            "pair": "C1P1",
+            "view": "C1P1",
             "sequence": {"densities": (9, 3, 1), "steps": steps, "orientations_deg": (0.0, 90.0)},
             "phase": {"direction": direction, "origin": origin, "offset_deg": offset_deg},
             "camera": {"full_scale": 65_535, "gain": 0.0, "read_noise": 1.0},
@@ -90,7 +90,7 @@ def test_phases_of_any_convention_come_out_alike(
 def test_whole_steps_are_put_in_order_and_the_rest_is_noted() -> None:
     table = {
         "pattern": "{state}/{number}.png",
-        "pair": "C1P1",
+        "view": "C1P1",
         "sequence": {"densities": (16, 1), "steps": 4},
         "phase": {"direction": -1, "origin": "edge"},
     }
@@ -123,7 +123,7 @@ def test_gray_code_tells_the_order_of_one_density(tmp_path: Path, first: str, th
         {
             "pattern": "{number}.bmp",
             "state": "S00",
-            "pair": "C1P1",
+            "view": "C1P1",
             "frames": shown[0],
             "sequence": {"densities": (32,), "steps": 12},
             "gray": {"bits": 6, "order": first},
@@ -147,13 +147,13 @@ def test_names_that_say_density_and_step_need_no_numbers(tmp_path: Path) -> None
         save(tmp_path / "S07" / "C2P1", frame[None], name, dtype=np.uint16)
     layout = layout_of(
         {
-            "pattern": "{state}/{pair}/{orientation}_f{density}_{step}.png",
+            "pattern": "{state}/{view}/{orientation}_f{density}_{step}.png",
             "sequence": {"densities": (9, 1), "steps": 4, "orientations_deg": (0.0, 90.0)},
         },
         "here",
     )
     (one,) = arrange(list_folder(tmp_path), layout).tuples
-    assert (one.state, one.pair, one.faults) == ("S07", "C2P1", ())
+    assert (one.state, one.view, one.faults) == ("S07", "C2P1", ())
     assert [n.rsplit("/", 1)[1] for n in one.fringes] == names
 
 
@@ -164,7 +164,7 @@ def test_a_guess_finds_names_steps_and_gray_code(tmp_path: Path) -> None:
     )
     listing = list_folder(tmp_path)
     guess = guess_layout(listing, {"sequence": {"densities": (8,)}}, None)
-    assert guess.table["pattern"] == "{state}/{pair}/frame_{number}.png"
+    assert guess.table["pattern"] == "{state}/{view}/frame_{number}.png"
     assert guess.table["frames"] == "fringes gray"
     assert guess.table["gray"]["bits"] == 4
     assert guess.table["sequence"]["steps"] == 12
@@ -179,7 +179,7 @@ def test_a_guess_finds_names_steps_and_gray_code(tmp_path: Path) -> None:
     [
         (["a/f_1.png", "a/f_2.png"], "a/f_{number}.png"),
         (["s1/1.bmp", "s1/2.bmp", "s2/1.bmp", "s2/2.bmp"], "{state}/{number}.bmp"),
-        (["C1P1/s1/1.bmp", "C2P1/s1/2.bmp", "C1P1/s2/1.bmp"], "{pair}/{state}/{number}.bmp"),
+        (["C1P1/s1/1.bmp", "C2P1/s1/2.bmp", "C1P1/s2/1.bmp"], "{view}/{state}/{number}.bmp"),
         (["load3_f1.tif", "load3_f2.tif", "load4_f1.tif"], "load{state}_f{number}.tif"),
         (["run/x/1.png", "run/y/2.png", "notes/old.png"], "run/{state}/{number}.png"),
     ],
@@ -201,7 +201,7 @@ def test_the_hash_follows_content_and_reading_alone(tmp_path: Path) -> None:
     paths = save(tmp_path / "S01", fringes((16, 1), 3))
     table = {
         "pattern": "{state}/frame_{number}.png",
-        "pair": "C1P1",
+        "view": "C1P1",
         "sequence": {"densities": (16, 1), "steps": 3},
     }
 

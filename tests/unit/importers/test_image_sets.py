@@ -36,7 +36,7 @@ def images(folder: Path, home: Path, *options: str, code: int = 0) -> Any:
 
 
 def outcomes(told: Any) -> list[tuple[str, str, str]]:
-    return [(t["state"], t["pair"], t["outcome"]) for t in told["tuples"]]
+    return [(t["state"], t["view"], t["outcome"]) for t in told["tuples"]]
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_images_arrive_as_they_are_and_once(home: Path, tmp_path: Path, levels: 
         with services.catalogue.reading() as session:
             campaign = campaigns.definition(campaigns.campaign_row(session, "coupon"))
     assert campaign.reference.label == "9"
-    assert campaign.pairs == ("C1",)
+    assert campaign.views == ("C1",)
     again = images(tmp_path / "test", home)
     assert {o for _, _, o in outcomes(again)} == {"already there"}
     save(tmp_path / "test", 255 - levels[:1], "load_{}.tif", first=12)

@@ -113,8 +113,8 @@ def test_what_contradicts_the_campaign_is_refused(run: Import, tmp_path: Path) -
     save(folder / "S01", fringes(seed=1, noise=1.0))
     with pytest.raises(InvalidInput, match="no state S01: say --add-states"):
         run(*frames(folder))
-    with pytest.raises(InvalidInput, match="no pair C2P1"):
-        run(*frames(folder, "--pair", "C2P1"))
+    with pytest.raises(InvalidInput, match="no view C2P1"):
+        run(*frames(folder, "--view", "C2P1"))
     with pytest.raises(InvalidInput, match="import into another campaign"):
         run(*frames(folder, "--densities", "9 1"))
     assert outcomes(run(*frames(folder, "--add-states"))) == [("S00", "already there"), ("S01", "imported")]

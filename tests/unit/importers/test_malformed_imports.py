@@ -208,7 +208,7 @@ CASES: dict[str, tuple[Spoil, tuple[str, ...], str]] = {
     ),
     "camera without projector": (nothing, ("--pattern", "{camera}/{number}.png", *USUAL), "needs both"),
     # Options
-    "no pair": (nothing, (*PNG, "--pair", "X1"), "'X1' is not a camera-projector pair"),
+    "no view": (nothing, (*PNG, "--view", "X1"), "'X1' is not a view"),
     "densities unknown": (nothing, (*PNG[:2], "--rig", "desk"), "no image tells"),
     "densities no numbers": (nothing, (*PNG, "--densities", "16 x"), "should be numbers"),
     "density twice": (nothing, (*PNG, "--densities", "16 16"), "has one twice"),

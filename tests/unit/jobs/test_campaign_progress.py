@@ -37,19 +37,19 @@ def progress(services: Services) -> list[StateProgress]:
         return progress_of(session, "plate")
 
 
-def add(session: Session, source: str, label: str, pair: str, minutes: int, **statistics: float) -> None:
+def add(session: Session, source: str, label: str, view: str, minutes: int, **statistics: float) -> None:
     """Enter a file into the catalogue, as an archived one is."""
     campaign = campaign_row(session, "plate")
     file = FileRow(
         source=source,
-        path=f"{source}-{label}-{pair}-{minutes}",
+        path=f"{source}-{label}-{view}-{minutes}",
         content_hash="0" * 64,
         size_bytes=1,
         media_type="application/x-hdf5",
         created_at=NOW + timedelta(minutes=minutes),
         campaign_id=campaign.id,
         state_id=state_ids(session, campaign.id)[label],
-        pair=pair,
+        view=view,
     )
     session.add(file)
     session.flush()
@@ -59,7 +59,7 @@ def add(session: Session, source: str, label: str, pair: str, minutes: int, **st
 def test_a_test_that_has_not_begun(services: Services) -> None:
     states = progress(services)
     assert [(s.label, s.load_n) for s in states] == [("S00", 0.0), ("S01", 1200.0)]
-    assert all(s.recording == "" and s.pairs == 0 and s.displacement_mm is None for s in states)
+    assert all(s.recording == "" and s.views == 0 and s.displacement_mm is None for s in states)
 
 
 def test_what_is_recorded_and_computed_is_told(services: Services) -> None:
@@ -70,10 +70,10 @@ def test_what_is_recorded_and_computed_is_told(services: Services) -> None:
         add(session, "measurement", "S00", "C1P1", 1, doubts=0.0, load_n_before=3.0)
         add(session, "measurement", "S00", "C1P2", 2, doubts=1.0, load_n_before=4.0)
     recorded, coming = progress(services)
-    assert (recorded.recording, recorded.pairs, recorded.doubtful) == ("recorded", 2, 1)
+    assert (recorded.recording, recorded.views, recorded.doubtful) == ("recorded", 2, 1)
     assert recorded.recorded_at == NOW + timedelta(minutes=2)
     assert recorded.channels == {"load_n": 4.0}
-    assert (coming.recording, coming.pairs) == ("queued", 0)
+    assert (coming.recording, coming.views) == ("queued", 0)
     with services.catalogue.writing() as session:
         add(session, "correlate", "S01", "C1P1", 3, maximum_displacement_mm=9.0)
         add(session, "correlate", "S01", "C1P1", 4, maximum_displacement_mm=0.4)  # computed again

@@ -60,7 +60,7 @@ def test_frames_bytes_and_time_follow_from_the_plan(services: Services) -> None:
     done = tried(services, small_session("session"))
     assert list(done.states) == ["B01", "B02", "B03", "S01", "S02", "S03", "S04", "S05", "S06"]
     assert done.missing == ()
-    # 2 orientations of 6 densities of 4 steps, and a white frame, by each of two pairs.
+    # 2 orientations of 6 densities of 4 steps, and a white frame, by each of two views.
     assert done.frames == 9 * 2 * 49
     assert done.raw_bytes == done.archived_bytes == done.frames * 256 * 256 * 2
     assert done.packed is None
@@ -87,13 +87,13 @@ def test_what_the_rig_lacks_is_told(services: Services) -> None:
 
 
 def test_a_camera_that_looks_on_alone_is_not_recorded(services: Services) -> None:
-    plate = replace(asking_for(), pairs=("C1P1", "C1P2", "C2"))
+    plate = replace(asking_for(), views=("C1P1", "C1P2", "C2"))
     done = tried(services, plate)
     assert done.missing == ()
     assert done.frames == 2 * len(plate.states) * (plate.sequence.frames + 1)
     assert done.remarks[0] == "C2 looks on without a projector: its images are imported, not recorded"
-    assert order(plate, Subject("plate", "S00")).pairs == ("C1P1", "C1P2")
-    alone = replace(plate, pairs=("C2",))
+    assert order(plate, Subject("plate", "S00")).views == ("C1P1", "C1P2")
+    alone = replace(plate, views=("C2",))
     assert "cameras alone are not recorded" in tried(services, alone).missing[0]
     assert all_states(alone) == ()
 

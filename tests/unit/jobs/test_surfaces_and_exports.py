@@ -84,8 +84,8 @@ def test_the_newest_surface_of_a_campaign_counts_and_is_entered_once(services: S
 
 
 def test_a_comparison_needs_a_surface_and_takes_the_newest(services: Services) -> None:
-    for pair in small_plate("plate")[1].pairs:
-        stored(services, "reconstruct", f"plate/S00/{pair}", {"cloud": cloud()})
+    for view in small_plate("plate")[1].views:
+        stored(services, "reconstruct", f"plate/S00/{view}", {"cloud": cloud()})
     request = [Request("deviate", states=("S00",))]
     with (
         pytest.raises(NotFound, match="bring one in with 'sms import surface FILE -c plate'"),
@@ -132,7 +132,7 @@ def test_a_surface_is_imported_from_a_file(
 def export(home: Path, file: str | None = None, **given: Any) -> None:
     """Call the command as typer would, with every option at its default."""
     options: dict[str, Any] = dict.fromkeys(
-        ("form", "out", "record", "fields", "kind", "campaign", "state", "pair")
+        ("form", "out", "record", "fields", "kind", "campaign", "state", "view")
     )
     exporting.export(file, **(options | {"force": False, "home": home, "as_json": False} | given))
 

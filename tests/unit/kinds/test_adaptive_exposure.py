@@ -33,7 +33,7 @@ def campaign() -> tuple[Calibration, Campaign]:
     scene = replace(
         plain.scene, speckle=None, surface=Cylinder(200.0, 150.0, 150.0), gloss=Gloss(20.0, 300.0)
     )
-    return calibration, replace(plain, scene=scene, pairs=("C1P1",))
+    return calibration, replace(plain, scene=scene, views=("C1P1",))
 
 
 def acquired(what: Campaign, **parameters: object) -> tuple[Measurement, DatasetOutput]:

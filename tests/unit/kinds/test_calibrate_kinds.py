@@ -100,7 +100,7 @@ def test_a_rendered_session_calibrates_the_rig() -> None:
     quality: CalibrationQuality = found["quality"]
     assert quality.warnings == ()
     assert quality.gauge == "board frame of pose B01"
-    # Gaps and surfaces fit as phases are noisy, the blur that is left adds 7 %; no pair differs from others.
+    # Gaps and surfaces fit as phases are noisy, the blur that is left adds 7 %; no view differs from others.
     whitened = [v for name, v in quality.rms_by_sensor.items() if "ray gap" in name or "sphere" in name]
     assert max(whitened) < 1.2
     assert max(whitened) - min(whitened) < 0.15
@@ -231,7 +231,7 @@ def test_a_pose_of_the_bar_that_nobody_saw_is_named() -> None:
 
 
 def test_a_projector_that_saw_no_board_is_named() -> None:
-    blind = session().changed(OBSERVE_BOARD, only(0), pairs=("C1P2",))
+    blind = session().changed(OBSERVE_BOARD, only(0), views=("C1P2",))
     with pytest.raises(CalibrationFailed, match="P2 saw no board that can be used"):
         blind.calibrate_boards()
 

@@ -45,7 +45,7 @@ Run = Callable[..., list[Any]]
 
 
 def cloud(seed: int) -> PointCloud:
-    """Return what a pair measures of the plate with a dent, and a hole of three pixels in it."""
+    """Return what a view measures of the plate with a dent, and a hole of three pixels in it."""
     plate = seen_plate()
     dented = plate.dented(DEPTH_MM, 25.0, AT)
     points = measured(plate, dented, SIGMA_MM, np.random.default_rng(seed))
@@ -61,7 +61,7 @@ def cloud(seed: int) -> PointCloud:
 
 def records_for(need: Need) -> dict[str, Any]:
     if need.source == "reconstruct":
-        return {"cloud": cloud(len(need.role) + ord((need.subject.pair or "0")[-1]))}
+        return {"cloud": cloud(len(need.role) + ord((need.subject.view or "0")[-1]))}
     if need.source == MEASUREMENT:
         size = seen_plate().xyz.shape[1:]
         texture = np.full(size, 1000, np.uint16)
@@ -118,7 +118,7 @@ def test_a_dent_is_found_with_a_verdict(run: Run, tmp_path: Path) -> None:
     place = seen_plate().place
     square = (place[0] - AT[0]) ** 2 + (place[1] - AT[1]) ** 2
     bottom = square < 10.0**2
-    # Two pairs are merged: sigma is 0.05 / sqrt(2) along the view. 5 of it, 9 um of chords, 20 um of pull.
+    # Two views are merged: sigma is 0.05 / sqrt(2) along the view. 5 of it, 9 um of chords, 20 um of pull.
     expected = -DEPTH_MM * np.exp(-0.5 * square / 25.0**2)
     assert np.nanmax(np.abs(field.deviation - expected)) < 5.0 * SIGMA_MM / np.sqrt(2.0) + 0.03
     assert (field.verdict[bottom] == Verdict.OUTSIDE).all()

@@ -12,7 +12,7 @@ from support.calibration_sessions import SessionInMemory, observed_session, reco
 
 from sms_jobs.kinds import observe_bar
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
-from sms_jobs.kinds.sessions import CALIBRATE_BOARDS, OBSERVE_BAR, bar_states, blur_name, every_pair
+from sms_jobs.kinds.sessions import CALIBRATE_BOARDS, OBSERVE_BAR, bar_states, blur_name, every_view
 from sms_jobs.metrology.targets.sphere_blur import sphere_image_in_projector
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Subject
@@ -65,8 +65,8 @@ def about_sphere(number: int, reach_px: float = 26.0) -> NDArray[np.bool_]:
 def test_points_scatter_about_the_exact_image_as_stated() -> None:
     session = observed_session()
     whitened = []
-    for subject in every_pair(session.campaign, bar_states(session.campaign)):
-        seen = session.observation(OBSERVE_BAR, subject.state or "", subject.pair or "")
+    for subject in every_view(session.campaign, bar_states(session.campaign)):
+        seen = session.observation(OBSERVE_BAR, subject.state or "", subject.view or "")
         assert (np.bincount(seen.sphere, minlength=3)[1:] > 400).all()
         assert seen.projector_sigma_px.shape == seen.projector_px.shape
         # A projector of 512 x 384: one phase noise makes pixels of x 4/3 as uncertain as those of y, but for

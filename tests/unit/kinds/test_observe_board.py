@@ -1,4 +1,4 @@
-"""Observing boards: what a pair finds against the exact places of the points, on rendered measurements."""
+"""Observing boards: what a view finds against the exact places of the points, on rendered measurements."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from support.calibration_sessions import SessionInMemory, recorded_session, simu
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds import observe_board
 from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.kinds.sessions import OBSERVE_BOARD, board_states, every_pair
+from sms_jobs.kinds.sessions import OBSERVE_BOARD, board_states, every_view
 from sms_jobs.kinds.simulate import recipe
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import ArrayStack, Measurement
@@ -37,10 +37,10 @@ def darkened(columns: slice) -> SessionInMemory:
 
 def test_every_dot_is_found_and_named() -> None:
     session = recorded_session()
-    for subject in every_pair(session.campaign, board_states(session.campaign)):
-        seen = session.observation(OBSERVE_BOARD, subject.state or "", subject.pair or "")
+    for subject in every_view(session.campaign, board_states(session.campaign)):
+        seen = session.observation(OBSERVE_BOARD, subject.state or "", subject.view or "")
         assert len(seen.point) == SMALL_BOARD.columns * SMALL_BOARD.rows
-        assert (seen.camera, seen.projector, seen.artefact) == ("C1", (subject.pair or "")[2:], "board")
+        assert (seen.camera, seen.projector, seen.artefact) == ("C1", (subject.view or "")[2:], "board")
         # Lens and pixel make a spot of sqrt(0.5^2 + 1/12) = 0.577 px; a dot's edge tells it to 2 %.
         assert seen.blur_px == pytest.approx(0.577, rel=0.02)
         truth = true_board(simulation(session.campaign, subject))
@@ -52,8 +52,8 @@ def test_every_dot_is_found_and_named() -> None:
 def test_points_scatter_as_stated() -> None:
     session = recorded_session()
     cameras, projectors = [], []
-    for subject in every_pair(session.campaign, board_states(session.campaign)):
-        seen = session.observation(OBSERVE_BOARD, subject.state or "", subject.pair or "")
+    for subject in every_view(session.campaign, board_states(session.campaign)):
+        seen = session.observation(OBSERVE_BOARD, subject.state or "", subject.view or "")
         truth = true_board(simulation(session.campaign, subject))
         order, own = np.lexsort(seen.place.T), np.lexsort(truth.place.T)
         off = seen.camera_px[order] - truth.camera_px[own]

@@ -228,7 +228,7 @@ def test_the_label_names_the_chosen_returns() -> None:
         strongest, other = returns.amplitude[k]
         assert not (other[known] > strongest[known]).any()
     assert np.isfinite(returns.omega[:, 1, twice]).mean() > 0.95
-    # On the plate the direct light is the stronger one of both orientations: pair 1 of thesis Fig. 106.
+    # On the plate the direct light is the stronger one of both orientations: view 1 of thesis Fig. 106.
     assert (returns.label[twice] == 1).mean() > 0.97
 
 

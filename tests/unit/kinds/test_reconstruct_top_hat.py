@@ -22,12 +22,12 @@ from sms_jobs.virtual_rig.truth import Shape, exact_shape
 
 @pytest.fixture(scope="module", params=["C1P1", "C2P1"])
 def reconstructed(request: pytest.FixtureRequest) -> tuple[Calibration, PointCloud, Shape]:
-    """A pair that sees a side and one across whose sight the hat stands; cameras of 512 x 512 px."""
-    pair: str = request.param
+    """A view that sees a side and one across whose sight the hat stands; cameras of 512 x 512 px."""
+    view: str = request.param
     calibration, campaign = top_hat_bending("hat", "small")
     assert campaign.scene is not None
-    subject = Subject("hat", "S00", pair)
-    simulation = Simulation(campaign.scene, pair[:2], pair[2:], (), state="S00")
+    subject = Subject("hat", "S00", view)
+    simulation = Simulation(campaign.scene, view[:2], view[2:], (), state="S00")
     seen = render(simulation, campaign.sequence)
     measurement = Measurement(
         recorded_at=calibration.valid_from,

@@ -71,14 +71,14 @@ def test_the_kinds_are_found_by_themselves() -> None:
 
 
 def test_a_report_is_one_page_that_needs_nothing_else(run: Run) -> None:
-    ((output, path),) = run(report.KIND, campaign(3, pairs=("C1P1", "C1P2", "C2P1")), Subject("plate"))
+    ((output, path),) = run(report.KIND, campaign(3, views=("C1P1", "C1P2", "C2P1")), Subject("plate"))
     assert (output.filename, output.media_type) == ("plate-report.html", "text/html")
     page = Checker.of(path.read_text(encoding="utf-8"))
     words = " ".join(page.words)
     # 2 cameras: 3 pictures each at rest, 4 each in each of 2 deformed states.
     assert len(page.images) == 2 * 3 + 2 * 2 * 4
     assert all(link.startswith(("#", "data:image/png;base64,")) for link in page.links)
-    assert "C1 (C1P2)" in page.words  # of the two pairs of C1 the one that sees something
+    assert "C1 (C1P2)" in page.words  # of the two views of C1 the one that sees something
     assert "C1 (C1P1)" not in page.words
     # A volume of 300 x 400 mm: its diagonal is 500 mm, and 0.02 mm of error the 25,000th part of it.
     for text in ("panel", "C1P2", "2469", "500 mm", "25000", "42", "97", "Accuracy", "merge, version 1"):
@@ -204,7 +204,7 @@ def test_export_leaves_out_a_texture_that_no_vertex_has(run: Run) -> None:
 
 
 def test_export_writes_a_file_for_each_camera_where_points_are_over_an_image(run: Run) -> None:
-    two = campaign(pairs=("C1P1", "C2P1"))
+    two = campaign(views=("C1P1", "C2P1"))
     documents = run(export.KIND, two, Subject("plate", "S01"), formats=("ptx", "e57", "xyz"))
     assert [path.name for _, path in documents] == [
         *("plate-S01-C1.ptx", "plate-S01-C2.ptx", "plate-S01-C1.e57", "plate-S01-C2.e57", "plate-S01.xyz")

@@ -86,9 +86,9 @@ def test_views_of_several_pairs_are_averaged_by_their_weights() -> None:
 def test_each_coordinate_of_a_projector_has_its_own_noise() -> None:
     # The observations' noise is 0.016 px along x and 0.012 px along y, and they say so.
     quality: CalibrationQuality = before().records[CALIBRATE, "first"]["quality"]
-    by_pair = {n: v for n, v in quality.rms_by_sensor.items() if n[:4] in quality.pairs}
+    by_pair = {n: v for n, v in quality.rms_by_sensor.items() if n[:4] in quality.views}
     assert len(by_pair) == 8
-    # 2000 points a pair tell it to 1.6 %. With one number for both, x across the gap made it 1.14 and 0.87.
+    # 2000 points a view tell it to 1.6 %. With one number for both, x across the gap made it 1.14 and 0.87.
     for whitened in by_pair.values():
         assert whitened == pytest.approx(1.0, abs=0.05)
 
@@ -123,7 +123,7 @@ def test_a_start_on_site_keeps_lenses_and_places_boards() -> None:
     records = before().records[CALIBRATE, "first"]
     site = SessionInMemory.observed(on_site_session("site", "small"), 7)
     boards = {
-        label: [site.observation(OBSERVE_BOARD, label, pair) for pair in site.campaign.pairs]
+        label: [site.observation(OBSERVE_BOARD, label, view) for view in site.campaign.views]
         for label in ("B01", "B04")
     }
     start = start_from_last(records["calibration"], records["uncertainty"], records["quality"], boards)
@@ -168,7 +168,7 @@ def test_a_projector_that_was_turned_is_found() -> None:
     assert found.verdict == "matters"
     assert "a change of P1 alone explains" in found.reason
     change = {(c.sensor, c.parameter): c for c in found.changes}
-    # The alignment of all pairs' points takes some of it: P1 is in half of them.
+    # The alignment of all views' points takes some of it: P1 is in half of them.
     assert change["P1", "ry"].change == pytest.approx(2e-4, rel=0.25)
     assert change["P1", "ry"].z > 5.0
     # No lens has changed.

@@ -25,7 +25,7 @@ from sms_jobs.instruments.simulated.rig import SimulatedRig
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import OpticalFault
 
-PAIRS = ("C1P1", "C1P2", "C2P1", "C2P2")
+VIEWS = ("C1P1", "C1P2", "C2P1", "C2P2")
 SEQUENCE = FringeSequence((8, 7), 3, exposures=(0.5, 1.0))
 LIMITS = Limits()
 FRAMES = 24  # 2 exposures of 2 orientations of 2 densities of 3 steps
@@ -48,7 +48,7 @@ class Told:
 
 def record(rig: ConnectedRig, spool: Path, told: Told | None = None, limits: Limits = LIMITS) -> Told:
     told = told or Told()
-    record_state(rig, PAIRS, SEQUENCE, spool, limits, told)
+    record_state(rig, VIEWS, SEQUENCE, spool, limits, told)
     return told
 
 
@@ -66,10 +66,10 @@ def test_every_pair_gets_the_frames_that_it_would_see(
     assert told.fractions == sorted(told.fractions)
     hall = hall_of(rig)
     seen = SimulatedRig(hall.setting.scene, "S00", (), rig.clock.now())
-    for pair in PAIRS:
-        assert is_finished(tmp_path / "s", pair)
-        measurement, recording = recorded(tmp_path / "s", pair, SEQUENCE)
-        expected = seen.record(pair, SEQUENCE)
+    for view in VIEWS:
+        assert is_finished(tmp_path / "s", view)
+        measurement, recording = recorded(tmp_path / "s", view, SEQUENCE)
+        expected = seen.record(view, SEQUENCE)
         np.testing.assert_array_equal(measurement.texture, expected.texture)
         assert measurement.simulation == expected.simulation
         assert measurement.frames.shape == expected.frames.shape
@@ -84,7 +84,7 @@ def test_every_pair_gets_the_frames_that_it_would_see(
         assert recording.verdict.doubts == ()
         assert 0.2 < recording.verdict.lit_fraction <= 1.0
         assert recording.verdict.modulation > 0.05
-    assert not any(interrupted(tmp_path / "s", pair, SEQUENCE) for pair in PAIRS)
+    assert not any(interrupted(tmp_path / "s", view, SEQUENCE) for view in VIEWS)
     # In the dark, and no longer armed.
     assert not hall.view("C1", 1.0).any()
 
@@ -95,16 +95,16 @@ def test_a_lost_frame_is_taken_again(make_rig: Callable[..., ConnectedRig], tmp_
     record(rig, tmp_path / "s")
     assert rig.clock.monotonic() - begun > FRAME_TIMEOUT_S
     expected = SimulatedRig(hall_of(rig).setting.scene, "S00", (), rig.clock.now())
-    for pair in PAIRS:
-        measurement, recording = recorded(tmp_path / "s", pair, SEQUENCE)
-        assert recording.retaken == (1 if pair.endswith("P1") else 0)
+    for view in VIEWS:
+        measurement, recording = recorded(tmp_path / "s", view, SEQUENCE)
+        assert recording.retaken == (1 if view.endswith("P1") else 0)
         for k in range(FRAMES):
             np.testing.assert_array_equal(
-                measurement.frames.frame(k), expected.record(pair, SEQUENCE).frames.frame(k)
+                measurement.frames.frame(k), expected.record(view, SEQUENCE).frames.frame(k)
             )
     # C1 saw pattern 5 twice and its second frame is kept; C2 counted a frame that never came.
-    for pair in ("C1P1", "C2P1"):
-        numbers = recorded(tmp_path / "s", pair, SEQUENCE)[1].numbers
+    for view in ("C1P1", "C2P1"):
+        numbers = recorded(tmp_path / "s", view, SEQUENCE)[1].numbers
         assert list(numbers[:6]) == [1, 2, 3, 4, 6, 7]
 
 
@@ -114,13 +114,13 @@ def test_a_camera_that_misses_every_frame_is_given_up(
     rig = make_rig({"C1": tuple(OpticalFault("dropped-frame", frame=k) for k in (3, 4, 5))})
     with pytest.raises(InstrumentError, match=r"C1 delivered no frame.*3 times"):
         record(rig, tmp_path / "s")
-    assert [pair for pair, _ in interrupted_after(tmp_path / "s", make_rig())] == ["C1P1", "C2P1"]
+    assert [view for view, _ in interrupted_after(tmp_path / "s", make_rig())] == ["C1P1", "C2P1"]
 
 
 def interrupted_after(spool: Path, rig: ConnectedRig) -> list[tuple[str, int]]:
-    """Return pair and number of frames of what had broken off, after recording the rest."""
+    """Return view and number of frames of what had broken off, after recording the rest."""
     record(rig, spool)
-    return [(p, broken.frames.shape[0]) for p in PAIRS for broken in interrupted(spool, p, SEQUENCE)]
+    return [(p, broken.frames.shape[0]) for p in VIEWS for broken in interrupted(spool, p, SEQUENCE)]
 
 
 def test_an_unplugged_camera_loses_nothing_that_was_complete(
@@ -130,14 +130,14 @@ def test_an_unplugged_camera_loses_nothing_that_was_complete(
     rig = make_rig({"C2": (OpticalFault("unplugged", frame=frame),)})
     with pytest.raises(LinkLost, match="C2 does not answer; check its cable"):
         record(rig, tmp_path / "s")
-    assert [p for p in PAIRS if is_finished(tmp_path / "s", p)] == ["C1P1", "C2P1"]
+    assert [p for p in VIEWS if is_finished(tmp_path / "s", p)] == ["C1P1", "C2P1"]
     before = {p: (tmp_path / "s" / f"{p}.001.frames").stat().st_mtime_ns for p in ("C1P1", "C2P1")}
     # Plugged in again: what there is stays as it is, the rest is recorded, what broke off is kept beside it.
     assert interrupted_after(tmp_path / "s", make_rig()) == [("C1P2", 9), ("C2P2", 9)]
     assert before == {p: (tmp_path / "s" / f"{p}.001.frames").stat().st_mtime_ns for p in before}
-    for pair in ("C1P2", "C2P2"):
-        (broken,) = interrupted(tmp_path / "s", pair, SEQUENCE)
-        whole = recorded(tmp_path / "s", pair, SEQUENCE)[0]
+    for view in ("C1P2", "C2P2"):
+        (broken,) = interrupted(tmp_path / "s", view, SEQUENCE)
+        whole = recorded(tmp_path / "s", view, SEQUENCE)[0]
         for k in range(9):
             np.testing.assert_array_equal(broken.frames.frame(k), whole.frames.frame(k))
 
@@ -149,7 +149,7 @@ def test_a_saturated_set_is_recorded_again(make_rig: Callable[..., ConnectedRig]
     assert recording.recordings == 2
     assert recording.verdict.doubts == ()
     assert recorded(tmp_path / "s", "C1P2", SEQUENCE)[1].recordings == 1
-    assert len(list((tmp_path / "s").glob("*.frames"))) == len(PAIRS)
+    assert len(list((tmp_path / "s").glob("*.frames"))) == len(VIEWS)
 
 
 def test_a_set_that_stays_saturated_is_kept_and_says_so(
@@ -208,7 +208,7 @@ def test_a_set_during_which_the_load_moved_is_recorded_again(
     limits = Limits(channels={"load_n": 0.5})
     record(make_rig(channels={"load_n": Ramp(103.0)}), tmp_path / "s", limits=limits)
     # From 101 to 102 in the first set; from 103 on it is held.
-    recordings = [recorded(tmp_path / "s", pair, SEQUENCE)[1] for pair in PAIRS]
+    recordings = [recorded(tmp_path / "s", view, SEQUENCE)[1] for view in VIEWS]
     assert [r.recordings for r in recordings] == [2, 1, 2, 1]
     assert all(r.channels_before == r.channels_after == {"load_n": 103.0} for r in recordings)
     record(make_rig(channels={"load_n": Ramp(1000.0)}), tmp_path / "t", limits=limits)
@@ -264,6 +264,6 @@ def test_a_disk_without_room_is_told_before_anything_is_recorded(
 def test_a_pair_that_the_rig_does_not_have_is_refused(
     make_rig: Callable[..., ConnectedRig], tmp_path: Path
 ) -> None:
-    with pytest.raises(InvalidInput, match=r"no P3 for the pair C1P3; it has C1, C2, P1, P2"):
+    with pytest.raises(InvalidInput, match=r"no P3 for the view C1P3; it has C1, C2, P1, P2"):
         record_state(make_rig(), ("C1P1", "C1P3"), SEQUENCE, tmp_path / "s", Limits(), Told())
     assert not list((tmp_path / "s").iterdir())

@@ -24,7 +24,7 @@ from sms_jobs.records.scene import Scene
 from sms_jobs.records.sensors import Rig
 from sms_jobs.virtual_rig.campaigns import Lens, aimed, small_plate
 
-PAIRS = ("C1P1", "C2P1", "C1P2", "C2P2")
+VIEWS = ("C1P1", "C2P1", "C1P2", "C2P2")
 SEQUENCE = FringeSequence((8, 7), 3, exposures=(0.5, 1.0))
 POSES = (StagePose(0.3, -0.2), StagePose(-0.3, 0.1), StagePose(0.0, 0.0))
 RIG = """
@@ -90,7 +90,7 @@ def scene() -> Scene:
 
 def test_a_recording_takes_as_long_as_was_said(tmp_path: Path) -> None:
     steady = rig("simulated", ('faults = [{ fault = "hunting-servo", times = 0 }]', ""))
-    foretold = rehearse(steady, PAIRS, SEQUENCE, POSES, texture_exposure=0.5)
+    foretold = rehearse(steady, VIEWS, SEQUENCE, POSES, texture_exposure=0.5)
     for pose, said in zip(POSES, foretold, strict=True):
         clock = SimulatedClock()
         with connected(steady, Setting(scene(), "S00", ()), clock=clock) as found:
@@ -100,7 +100,7 @@ def test_a_recording_takes_as_long_as_was_said(tmp_path: Path) -> None:
             moved = clock.monotonic()
             if pose is POSES[0]:
                 record_state(
-                    found, PAIRS, SEQUENCE, tmp_path / "s", Limits(), lambda *_: None, texture_exposure=0.5
+                    found, VIEWS, SEQUENCE, tmp_path / "s", Limits(), lambda *_: None, texture_exposure=0.5
                 )
                 took = clock.monotonic() - moved
         # Homing of either axis, the move and its settling are waited for in steps of their own.
@@ -108,7 +108,7 @@ def test_a_recording_takes_as_long_as_was_said(tmp_path: Path) -> None:
         # The same messages and pauses. Either switching of the video is waited for in steps, of which
         # rounding may add one; and angles, read on both axes for each of 4 sets, have up to 6 stuffed bytes.
         assert took == pytest.approx(said.recording_s, abs=2 * POLLS_EVERY_S + 8 * 6 * 10 / 38400)
-        assert said.frames == len(PAIRS) * 25
+        assert said.frames == len(VIEWS) * 25
         assert said.raw_bytes == 2 * 25 * 2 * (128 * 128 + 96 * 64)
         assert said.set_bytes == said.raw_bytes // 2
     # Nothing is shorter than the projectors' delays, and there was more than that.
@@ -116,7 +116,7 @@ def test_a_recording_takes_as_long_as_was_said(tmp_path: Path) -> None:
 
 
 def test_a_stage_on_a_wire_looks_for_home_once() -> None:
-    simulated, wired = (rehearse(rig(port), PAIRS, SEQUENCE, POSES) for port in ("simulated", "/dev/ttyS8"))
+    simulated, wired = (rehearse(rig(port), VIEWS, SEQUENCE, POSES) for port in ("simulated", "/dev/ttyS8"))
     assert wired[0].moving_s == pytest.approx(simulated[0].moving_s)
     homing = simulated[1].moving_s - wired[1].moving_s
     # Out to the switch at -0.3 rad and back, each axis after the other, at 20 degrees/s.
@@ -124,7 +124,7 @@ def test_a_stage_on_a_wire_looks_for_home_once() -> None:
 
 
 def test_a_pose_out_of_reach_is_told() -> None:
-    far = rehearse(rig("simulated"), PAIRS, SEQUENCE, (StagePose(0.0, 2.5), None))
+    far = rehearse(rig("simulated"), VIEWS, SEQUENCE, (StagePose(0.0, 2.5), None))
     assert "the tilt axis of 'stage' is told to go to 2.5000 rad, beyond its range" in far[0].problem
     assert not far[1].problem
 
@@ -135,6 +135,6 @@ def test_an_exposure_counts_once_for_all_cameras() -> None:
 
     plain = rig("simulated")
     slow = replace(plain, cameras=tuple(Slow(c.name, c.columns, c.rows, "simulated") for c in plain.cameras))
-    before, after = (rehearse(r, PAIRS, SEQUENCE, (None,))[0] for r in (plain, slow))
+    before, after = (rehearse(r, VIEWS, SEQUENCE, (None,))[0] for r in (plain, slow))
     # 12 frames of half an exposure, 12 of a whole one, and the white one, at each of two projectors.
     assert after.recording_s - before.recording_s == pytest.approx(2 * (12 * 0.5 + 12 + 1) * 0.02)

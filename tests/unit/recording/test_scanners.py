@@ -30,7 +30,7 @@ from sms_jobs.records.scene import PanTilt, Rigid, Scene
 from sms_jobs.records.sensors import Rig
 from sms_jobs.virtual_rig.campaigns import Lens, aimed, small_plate
 
-PAIRS = ("C1P1", "C2P1", "C1P2", "C2P2")
+VIEWS = ("C1P1", "C2P1", "C1P2", "C2P2")
 SEQUENCE = FringeSequence((8, 7), 3, exposures=(0.5, 1.0))
 FRAMES = 24
 KEY = bytes(range(32))
@@ -103,7 +103,7 @@ def served(tmp_path: Path) -> Iterator[Served]:
 
 def record(rig: RigFile, spool: Path, setting: Setting | None = None) -> None:
     with connected(rig, setting or Setting(scene(), "S00", ())) as found:
-        record_state(found, PAIRS, SEQUENCE, spool, Limits(), lambda *_: None)
+        record_state(found, VIEWS, SEQUENCE, spool, Limits(), lambda *_: None)
 
 
 def test_two_scanners_record_what_one_computer_would(served: Served, tmp_path: Path) -> None:
@@ -111,9 +111,9 @@ def test_two_scanners_record_what_one_computer_would(served: Served, tmp_path: P
     served.start(2)
     record(served.client(), tmp_path / "s")
     seen = SimulatedRig(scene(), "S00", (), RealClock().now())
-    for pair in PAIRS:
-        measurement, recording = recorded(tmp_path / "s", pair, SEQUENCE)
-        expected = seen.record(pair, SEQUENCE)
+    for view in VIEWS:
+        measurement, recording = recorded(tmp_path / "s", view, SEQUENCE)
+        expected = seen.record(view, SEQUENCE)
         assert measurement.simulation == expected.simulation
         np.testing.assert_array_equal(measurement.texture, expected.texture)
         for k in range(FRAMES):
@@ -147,7 +147,7 @@ def test_a_frame_that_a_scanner_loses_is_taken_again(served: Served, tmp_path: P
     served.start(1)
     served.start(2, 'faults = [{ fault = "flash", frame = 7 }]')
     record(served.client(), tmp_path / "s")
-    assert [recorded(tmp_path / "s", p, SEQUENCE)[1].recordings for p in PAIRS] == [2, 2, 1, 1]
+    assert [recorded(tmp_path / "s", p, SEQUENCE)[1].recordings for p in VIEWS] == [2, 2, 1, 1]
 
 
 def test_a_scanner_that_is_gone_loses_nothing_that_was_complete(served: Served, tmp_path: Path) -> None:
@@ -155,7 +155,7 @@ def test_a_scanner_that_is_gone_loses_nothing_that_was_complete(served: Served, 
     served.start(2, f'faults = [{{ fault = "unplugged", frame = {FRAMES + 1 + 10} }}]')
     with pytest.raises(LinkLost, match="camera C2 does not answer; check its cable"):
         record(served.client(), tmp_path / "s")
-    assert [p for p in PAIRS if is_finished(tmp_path / "s", p)] == ["C1P1", "C2P1"]
+    assert [p for p in VIEWS if is_finished(tmp_path / "s", p)] == ["C1P1", "C2P1"]
     gone = served.servers["2"]
     gone.stop()
     served.threads[1].join()
@@ -163,8 +163,8 @@ def test_a_scanner_that_is_gone_loses_nothing_that_was_complete(served: Served, 
         record(served.client(), tmp_path / "s")
     served.start(2, port=gone.address.port)
     record(served.client(), tmp_path / "s")
-    assert all(is_finished(tmp_path / "s", pair) for pair in PAIRS)
-    assert [len(interrupted(tmp_path / "s", pair, SEQUENCE)) for pair in PAIRS] == [0, 0, 1, 1]
+    assert all(is_finished(tmp_path / "s", view) for view in VIEWS)
+    assert [len(interrupted(tmp_path / "s", view, SEQUENCE)) for view in VIEWS] == [0, 0, 1, 1]
 
 
 def test_a_server_that_ends_meanwhile_is_named(served: Served, tmp_path: Path) -> None:
@@ -180,8 +180,8 @@ def test_a_server_that_ends_meanwhile_is_named(served: Served, tmp_path: Path) -
         pytest.raises(LinkLost, match=f"{served.servers['1'].address} does not answer"),
         connected(served.client(), Setting(scene(), "S00", ())) as found,
     ):
-        record_state(found, PAIRS, SEQUENCE, tmp_path / "s", Limits(), end)
-    assert [p for p in PAIRS if is_finished(tmp_path / "s", p)] == ["C1P1", "C2P1"]
+        record_state(found, VIEWS, SEQUENCE, tmp_path / "s", Limits(), end)
+    assert [p for p in VIEWS if is_finished(tmp_path / "s", p)] == ["C1P1", "C2P1"]
 
 
 def test_requests_that_make_no_sense_are_answered(served: Served) -> None:

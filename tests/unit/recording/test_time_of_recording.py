@@ -88,7 +88,7 @@ def calibration_of(services: Services, job: str) -> str:
 def test_a_recording_takes_the_calibration_of_its_own_time(services: Services) -> None:
     _, campaign = small_plate("plate")
     states = tuple(replace(s, time=None) for s in campaign.states)
-    plan = replace(campaign, rig="bench", pairs=("C1P1",), states=states)
+    plan = replace(campaign, rig="bench", views=("C1P1",), states=states)
     register_campaign(services.catalogue, services.archive, plan, None, now())
     calibrate(services, now() - timedelta(days=1))
     _, shape = submitted(services, "acquire", "reconstruct")
