@@ -124,7 +124,7 @@ def test_a_state_is_recorded_and_processed(home: Path) -> None:
     states = {j["state"] for j in run(home, "job", "list", "-c", "plate")}
     assert states == {"succeeded"}
     assert "plate/S01/C1P1" in {r["subject"] for r in run(home, "data", "find", "--kind", "strain")}
-    with Archive(home / "archive").open(
+    with Archive(home / "archive").open_unrecorded(
         next(r["path"] for r in run(home, "data", "find", "--kind", "measurement"))
     ) as dataset:
         assert dataset.names == ("measurement", "recording")
