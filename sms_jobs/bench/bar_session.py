@@ -22,7 +22,8 @@ from sms_jobs.metrology.calibration.bundle_problem import (
     BundleProblem,
     BundleSensor,
 )
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, ray_directions
+from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.records.sensors import Role, Sensor
 from sms_jobs.virtual_rig.campaigns import top_hat_bending

@@ -17,7 +17,8 @@ from pydantic_core import PydanticCustomError
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.record_tables import Placement, Table, Vector, Volume, flat, mapped
 from sms_jobs.formats.session_tables import ARTEFACTS, Pixels, SessionTable, sensor_name
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.phase.sequences import named_sequence
 from sms_jobs.records import scene as scenes
 from sms_jobs.records.campaign import Campaign, LoadState, ParameterValue, Specimen

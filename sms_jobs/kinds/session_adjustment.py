@@ -31,7 +31,8 @@ from sms_jobs.metrology.calibration.homography import fit_homography
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.calibration.planar_intrinsics import pose_from_homography
 from sms_jobs.metrology.calibration.sensor_start import usable_views
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, undistort
+from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.lens import Intrinsics, undistort
 from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty

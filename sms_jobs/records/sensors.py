@@ -10,7 +10,8 @@ from enum import Enum
 import numpy as np
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.numbers import checked_number
 from sms_jobs.records.texts import checked_text
 from sms_jobs.records.times import checked_time

@@ -8,17 +8,14 @@ import pytest
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.geometry.camera import (
-    Intrinsics,
     Pose,
-    distort,
-    distortion_jacobian,
     pixel_grid,
     project,
     projection_jacobian,
     ray_direction_jacobian,
     ray_directions,
-    undistort,
 )
+from sms_jobs.metrology.geometry.lens import Intrinsics, distort, distortion_jacobian, undistort
 
 Floats = NDArray[np.float64]
 

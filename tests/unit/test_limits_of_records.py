@@ -13,7 +13,7 @@ import pytest
 from sms_jobs.cli.commands import COMMANDS
 from sms_jobs.errors import ConfigurationError, InvalidInput
 from sms_jobs.formats.configuration import example_campaign, parse_campaign
-from sms_jobs.metrology.geometry.camera import Intrinsics
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.campaign import LoadState, Specimen
 from sms_jobs.records.numbers import LARGEST, is_excessive
 from sms_jobs.records.recording import Recording, Verdict, as_recorded

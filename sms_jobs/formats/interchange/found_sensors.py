@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from sms_jobs.errors import ConfigurationError
-from sms_jobs.metrology.geometry.camera import Floats, Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Floats, Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 from sms_jobs.records.sensors import Box, Role
 

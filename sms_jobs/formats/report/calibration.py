@@ -11,7 +11,7 @@ from sms_jobs.formats.report.certificate import doubts
 from sms_jobs.formats.report.charts import Axis, Chart, Line, Point, charts
 from sms_jobs.formats.report.html import Cell, Markup, facts, figure, figures, paragraph, table
 from sms_jobs.formats.report.page import Section, page
-from sms_jobs.metrology.geometry.camera import Intrinsics
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.sensors import Calibration, Rig, Sensor
 

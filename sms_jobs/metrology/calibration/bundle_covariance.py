@@ -15,7 +15,8 @@ from sms_jobs.metrology.calibration.bundle_residuals import (
 )
 from sms_jobs.metrology.calibration.bundle_result import Adjustment
 from sms_jobs.metrology.compilation import kernel
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
+from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.lens import Intrinsics
 
 Floats = NDArray[np.float64]
 

@@ -13,7 +13,8 @@ from sms_jobs.metrology.calibration.bundle_problem import (
     BundleProblem,
     BundleSensor,
 )
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 
 Floats = NDArray[np.float64]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel
-from sms_jobs.metrology.geometry.triangulation import undistorted
+from sms_jobs.metrology.geometry.lens_kernels import undistorted
 
 Floats = NDArray[np.float64]
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.calibration.bundle_problem import ResidualType
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 
 Floats = NDArray[np.float64]
 

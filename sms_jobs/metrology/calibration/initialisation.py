@@ -19,7 +19,8 @@ from sms_jobs.metrology.calibration.sensor_start import (
     start_sensor,
     usable_views,
 )
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, projection_jacobian
+from sms_jobs.metrology.geometry.camera import Pose, project, projection_jacobian
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_matrix, transform
 
 Floats = NDArray[np.float64]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, distort, distortion_jacobian
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics, distort, distortion_jacobian
 from sms_jobs.metrology.geometry.transforms import transform
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.calibration.sensor_derivatives import project_with_derivatives
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
+from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 
 Floats = NDArray[np.float64]

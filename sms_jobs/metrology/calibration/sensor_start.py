@@ -19,7 +19,8 @@ from sms_jobs.metrology.calibration.planar_intrinsics import (
     tilt,
 )
 from sms_jobs.metrology.calibration.sensor_refinement import LENS, RefinedSensor, SeenPoints, refine_sensor
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

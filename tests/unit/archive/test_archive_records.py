@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from sms_jobs.archive import Archive, Provenance
 from sms_jobs.archive.codec import layout_of, plain_to_json, record_classes, record_from_parts
 from sms_jobs.errors import ArchiveCorrupt
-from sms_jobs.metrology.geometry.camera import Intrinsics
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
 from sms_jobs.records.measurement import ArrayStack, FrameStack, FringeSequence, Measurement
 from sms_jobs.records.numbers import LARGEST

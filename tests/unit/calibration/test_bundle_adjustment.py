@@ -22,7 +22,8 @@ from sms_jobs.metrology.calibration.bundle_problem import (
 )
 from sms_jobs.metrology.calibration.bundle_result import Adjustment
 from sms_jobs.metrology.calibration.bundle_weights import Consistency
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, ray_directions
+from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import transform
 
 Floats = NDArray[np.float64]

@@ -18,13 +18,8 @@ from sms_jobs.metrology.calibration.bundle_residuals import (
     ray_distances,
     sphere_rows,
 )
-from sms_jobs.metrology.geometry.camera import (
-    Intrinsics,
-    Pose,
-    project,
-    projection_jacobian,
-    ray_directions,
-)
+from sms_jobs.metrology.geometry.camera import Pose, project, projection_jacobian, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
 
 Floats = NDArray[np.float64]
 

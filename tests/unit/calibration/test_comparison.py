@@ -16,7 +16,8 @@ from sms_jobs.metrology.calibration.comparison import (
 )
 from sms_jobs.metrology.calibration.pair_points import Parameters, moved_sensor
 from sms_jobs.metrology.calibration.rigid_alignment import align_points, rigid_modes
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_matrix, transform
 
 Floats = NDArray[np.float64]

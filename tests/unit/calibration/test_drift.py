@@ -20,7 +20,8 @@ from sms_jobs.metrology.calibration.drift import (
 from sms_jobs.metrology.calibration.gap_blocks import block_gaps
 from sms_jobs.metrology.calibration.pair_points import Parameters, meet_rays, moved_sensor
 from sms_jobs.metrology.calibration.sensor_derivatives import gap_derivatives
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, pixel_grid, project, ray_directions
+from sms_jobs.metrology.geometry.camera import Pose, pixel_grid, project, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.triangulation import Projector, camera_rays, triangulate
 
 Floats = NDArray[np.float64]

@@ -21,7 +21,8 @@ from sms_jobs.metrology.calibration.planar_intrinsics import (
 )
 from sms_jobs.metrology.calibration.sensor_derivatives import project_with_derivatives
 from sms_jobs.metrology.calibration.sensor_refinement import SeenPoints, refine_sensor
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
+from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_matrix, transform
 
 Floats = NDArray[np.float64]

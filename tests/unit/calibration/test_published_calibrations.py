@@ -16,7 +16,8 @@ from sms_jobs.metrology.calibration.bundle_result import Adjustment
 from sms_jobs.metrology.calibration.initial_problem import board_problem
 from sms_jobs.metrology.calibration.initialisation import InitialCalibration, initialise
 from sms_jobs.metrology.calibration.sensor_refinement import RefinedSensor, SeenPoints, refine_sensor
-from sms_jobs.metrology.geometry.camera import Intrinsics, project
+from sms_jobs.metrology.geometry.camera import project
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose, transform
 from sms_jobs.metrology.targets.boards import find_board
 from sms_jobs.metrology.targets.chessboards import find_chessboard

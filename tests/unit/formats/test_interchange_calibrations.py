@@ -18,7 +18,8 @@ from sms_jobs.formats.interchange.calibration_files import (
     read_calibration,
 )
 from sms_jobs.formats.interchange.styles import Style
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, ray_directions
+from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 from sms_jobs.records.sensors import Box, Calibration, Rig, Role, Sensor
 

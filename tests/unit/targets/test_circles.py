@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
+from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.targets.circles import find_circles, semi_axes
 from sms_jobs.metrology.targets.ellipse_fit import FITTED, fit_ellipses
 from sms_jobs.metrology.targets.patterns import BoardPattern
