@@ -49,7 +49,7 @@ class Parameter:
     low, high
         Its limits.
     poses
-        From how many poses of a board on its first value is found; None where only an adjustment of
+        From how many poses of a board on its first value is found; infinite where only an adjustment of
         everything finds it.
     plausible
         Standard deviation of what lenses have, which keeps away what a few poses do not tell.
@@ -62,7 +62,7 @@ class Parameter:
     unit: str = "1"
     low: float = -1e7
     high: float = 1e7
-    poses: int | None = None
+    poses: float = float("inf")
     plausible: float = float("inf")
     fixed: bool = False
 
