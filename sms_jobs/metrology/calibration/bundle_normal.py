@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.calibration.bundle_parameters import Layout, State, starting_state
 from sms_jobs.metrology.calibration.bundle_problem import (
+    PER_POSE,
     PER_SENSOR,
     BundleOptions,
     BundleProblem,
@@ -70,7 +71,7 @@ class Packed:
     board_start
         For each item of `board_points` the place of its first point in `board_observed`.
     bar_index, board_index
-        (blocks, 34) and (blocks, 22): the parameters of each block.
+        (blocks, SPHERE_SIZE) and (blocks, BOARD_SIZE): the parameters of each block.
     """
 
     bars: tuple[Block, ...]
@@ -367,8 +368,8 @@ def _sensor_prior(
         turned = rotation_vector(state.rotation[i] @ start.rotation[i].T)
         off[at : at + 3] = turned
         slope[at : at + 3, at : at + 3] = _inverse_left_jacobian(turned)
-        off[at + 3 : at + 6] = state.translation[i] - start.translation[i]
-        off[at + 6 : at + PER_SENSOR] = state.lens[i] - start.lens[i]
+        off[at + 3 : at + PER_POSE] = state.translation[i] - start.translation[i]
+        off[at + PER_POSE : at + PER_SENSOR] = state.lens[i] - start.lens[i]
     pull = information @ off
     n = len(information)
     normal[:n, :n] += slope.T @ information @ slope

@@ -15,16 +15,17 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.bundle_linear import inverse
 from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.lens import Intrinsics
+from sms_jobs.metrology.geometry.lens import KEPT, LENS, Intrinsics
 
 Floats = NDArray[np.float64]
 
-SENSOR_PARAMETERS = (
-    "rx", "ry", "rz", "tx", "ty", "tz", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3",
-)  # fmt: skip
-"""Parameters of a sensor in their order; (rx, ry, rz) is a small rotation from the left, R <- exp([r]x) R."""
+POSE_PARAMETERS = ("rx", "ry", "rz", "tx", "ty", "tz")
+"""Parameters of a pose: a small rotation from the left, R <- exp([r]x) R, and the translation."""
 
-PER_SENSOR = len(SENSOR_PARAMETERS)
+SENSOR_PARAMETERS = (*POSE_PARAMETERS, *LENS)
+"""Parameters of a sensor in their order: those of its pose, then those of its lens."""
+
+PER_POSE, PER_SENSOR = len(POSE_PARAMETERS), len(SENSOR_PARAMETERS)
 
 ResidualType: TypeAlias = Literal["ray gap", "sphere surface", "board in camera", "board in projector"]
 RESIDUAL_TYPES: tuple[ResidualType, ...] = (
@@ -54,7 +55,7 @@ class BundleSensor:
     name: str
     intrinsics: Intrinsics
     pose: Pose
-    fixed: tuple[str, ...] = ("k3",)
+    fixed: tuple[str, ...] = KEPT
     fixed_aspect: bool = False
 
 
@@ -166,7 +167,7 @@ class SensorPrior:
     Attributes
     ----------
     information
-        (15 s, 15 s) inverse covariance of the parameters of all s sensors, about the problem's start.
+        (p, p) inverse covariance of all parameters of all sensors, about the problem's start.
     """
 
     information: Floats
@@ -178,8 +179,8 @@ class SensorPrior:
         Parameters
         ----------
         covariance
-            (15 s, 15 s) of the sensors. Parameters with a variance of 0 were fixed: nothing is said of
-            them, so fix them again.
+            (p, p) of all parameters of all sensors. Those with a variance of 0 were fixed: nothing is said
+            of them, so fix them again.
 
         Raises
         ------

@@ -12,8 +12,8 @@ from scipy.stats import chi2
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.bundle_covariance import point_jacobian
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR, SENSOR_PARAMETERS
-from sms_jobs.metrology.calibration.pair_points import Parameters, box_grid, lens_vector, meet_rays
+from sms_jobs.metrology.calibration.bundle_problem import PER_POSE, PER_SENSOR, SENSOR_PARAMETERS
+from sms_jobs.metrology.calibration.pair_points import Parameters, box_grid, meet_rays
 from sms_jobs.metrology.calibration.rigid_alignment import align_points, rigid_modes
 from sms_jobs.metrology.geometry.camera import Pose, project
 from sms_jobs.metrology.geometry.transforms import compose, rotation_vector, transform
@@ -158,7 +158,7 @@ def compare_calibrations(
     volume
         Low and high corner, (3,) each in mm, in the world of `before`.
     covariance_before, covariance_after
-        (15 s, 15 s) of the parameters of the s sensors in the order of `before`; both or none.
+        (p, p) of all parameters of all sensors in the order of `before`; both or none.
     relation
         Whether the later calibration is independent of the earlier, or began from it as prior knowledge:
         then the covariance of the change is the difference, not the sum (Kalman's update). "lenses updated":
@@ -204,10 +204,10 @@ def compare_calibrations(
 
 
 def parameter_change(before: Parameters, after: Parameters) -> Floats:
-    """Return after less before of the 15 parameters of a sensor; R_after = exp([r]x) R_before."""
+    """Return after less before of the parameters of a sensor; R_after = exp([r]x) R_before."""
     turn = rotation_vector(after[1].matrix() @ before[1].matrix().T)
     shift = np.subtract(after[1].translation, before[1].translation)
-    return np.concatenate([turn, shift, lens_vector(after[0]) - lens_vector(before[0])])
+    return np.concatenate([turn, shift, after[0].vector() - before[0].vector()])
 
 
 def _check(
@@ -342,7 +342,7 @@ def _shared(before: Floats, after: Floats) -> Floats:
     A later x = C_x (C_l^-1 l + new observations) follows the earlier lenses l by C_x[:, l] C_l^-1, and these
     have the covariance C[l, :] with all earlier parameters.
     """
-    lens = np.flatnonzero((np.arange(len(before)) % PER_SENSOR >= 6) & (np.diag(before) > 0.0))
+    lens = np.flatnonzero((np.arange(len(before)) % PER_SENSOR >= PER_POSE) & (np.diag(before) > 0.0))
     sigma = np.sqrt(np.diag(before)[lens])
     own = before[np.ix_(lens, lens)] / np.outer(sigma, sigma)
     return np.asarray((after[:, lens] / sigma) @ np.linalg.solve(own, before[lens] / sigma[:, None]))
@@ -351,7 +351,7 @@ def _shared(before: Floats, after: Floats) -> Floats:
 def _without_motion(
     through: Sequence[_Through], weights: Sequence[float], sensors: Sequence[Parameters]
 ) -> Floats:
-    """Return what takes the best rigid motion of points out of a change of all parameters, (15 s, 15 s).
+    """Return what takes the best rigid motion of points out of a change of all p parameters, (p, p).
 
     A motion X' = X + w x X + v of the world turns a sensor by -R w from the left and shifts it by -R v.
     """
@@ -368,7 +368,7 @@ def _whitened(
     step: Floats, spread: Floats | None, relation: Relation, taken_out: int
 ) -> tuple[Floats, Floats]:
     """Return a change in the directions that its covariance has, in standard deviations, (k,), and what
-    takes other changes there, (k, 15 s); some directions may have been taken out.
+    takes other changes of all p parameters there, (k, p); some directions may have been taken out.
     """
     free = np.zeros(len(step), np.bool_) if spread is None else np.diag(spread) > 0.0
     if spread is None or free.sum() <= taken_out:

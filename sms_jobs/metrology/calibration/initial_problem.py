@@ -14,6 +14,7 @@ from sms_jobs.metrology.calibration.bundle_problem import (
     BundleSensor,
 )
 from sms_jobs.metrology.calibration.initialisation import InitialCalibration
+from sms_jobs.metrology.geometry.lens import KEPT
 
 
 def board_problem(
@@ -41,7 +42,7 @@ def board_problem(
     projectors
         Names of the sensors that are projectors.
     fixed
-        Of a sensor, the parameters that are kept; k3 by default, and what the start had to hold.
+        Of a sensor, the parameters that are kept; `KEPT` by default, and what the start had to hold.
 
     Returns
     -------
@@ -68,7 +69,7 @@ def board_problem(
                 name,
                 sensor.intrinsics,
                 sensor.pose,
-                (fixed or {}).get(name, ("k3", "cx", "cy") if sensor.lens_sigma[2] == 0.0 else ("k3",)),
+                (fixed or {}).get(name, (*KEPT, "cx", "cy") if sensor.lens_sigma[2] == 0.0 else KEPT),
             )
             for name, sensor in initial.sensors.items()
         ),
