@@ -1,4 +1,7 @@
-"""The camera model of `metrology.geometry.camera` for one ray at a time, to be called from kernels.
+"""The camera model of `metrology.geometry` for one ray at a time, to be called from kernels.
+
+It is written out here a second time: what the virtual rig renders is a witness of the metrology only as long
+as the two share no equation.
 
 A sensor travels as one array: fx, fy, cx, cy, k1, k2, p1, p2, k3 (0 - 8), rotation by rows (9 - 17),
 translation (18 - 20), pin-hole (21 - 23), columns (24) and rows (25).
@@ -23,8 +26,7 @@ def packed_sensor(sensor: Sensor) -> Floats:
     i = sensor.intrinsics
     return np.concatenate(
         [
-            [i.fx, i.fy, i.cx, i.cy],
-            i.distortion(),
+            [i.fx, i.fy, i.cx, i.cy, i.k1, i.k2, i.p1, i.p2, i.k3],
             sensor.pose.matrix().ravel(),
             sensor.pose.translation,
             sensor.pose.centre(),
@@ -39,7 +41,7 @@ def pixel_ray(
 ) -> tuple[float, float, float, float, float]:
     """Return the unit direction in the world of a pixel's ray, and its normalised image point.
 
-    Newton's method on the distortion starts from the normalised point (x, y); see `camera.undistort`.
+    Newton's method on the distortion starts from the normalised point (x, y); see `lens.undistort`.
     """
     wx = (px - sensor[2]) / sensor[0]
     wy = (py - sensor[3]) / sensor[1]
