@@ -173,9 +173,8 @@ def sensor_from_thesis(parameters: ThesisParameters, plane: ImagePlane) -> tuple
     measured = (points - [parameters.xi_h, parameters.eta_h]) / parameters.c
     rays = normalised_from_plane(parameters, points)
     (k1, k2, k3), misfit = _radial_fit(rays, measured - rays, focal)
-    intrinsics = Intrinsics(
-        float(focal[0]), float(focal[1]), float(centre[0]), float(centre[1]), k1, k2, 0.0, 0.0, k3
-    )
+    fx, fy, cx, cy = (float(value) for value in (*focal, *centre))
+    intrinsics = Intrinsics(fx, fy, cx, cy, k1=k1, k2=k2, k3=k3)
     return intrinsics, pose_from_thesis(parameters), misfit
 
 
