@@ -202,7 +202,7 @@ def problem_of(
     boards, bars
         Observations by pose; poses that nobody saw are left out.
     fixed
-        Parameters that no sensor is given freely, such as k3.
+        Parameters that no sensor is given freely.
     """
     sensors = tuple(
         BundleSensor(s.name, s.intrinsics, s.pose, _fixed(start, s, fixed)) for s in start.rig.sensors

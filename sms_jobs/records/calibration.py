@@ -37,7 +37,7 @@ class CalibrationUncertainty:
     """The covariance of all parameters of all sensors of a calibration.
 
     Of each sensor, in this order: a small rotation of the sensor's frame about its x, y and z (rad), the
-    translation (mm), fx, fy, cx, cy (px), k1, k2, p1, p2, k3. What was held fixed has zeros.
+    translation (mm), the parameters of its lens (`geometry.lens.LENS`). What was held fixed has zeros.
 
     Attributes
     ----------

@@ -11,7 +11,7 @@ import numpy as np
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.lens import Intrinsics
+from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
 from sms_jobs.records.numbers import checked_number
 from sms_jobs.records.texts import checked_text
 from sms_jobs.records.times import checked_time
@@ -20,7 +20,6 @@ _PAIR = re.compile(r"(C[1-9][0-9]*)(P[1-9][0-9]*)")
 _CAMERA = re.compile(r"C[1-9][0-9]*")
 
 
-LONGEST_FOCAL_PX = 1e7
 FARTHEST_MM = 1e7
 LARGEST_SIDE_PX = 1 << 16
 _NAME_LETTERS = 8
@@ -64,7 +63,7 @@ class Sensor:
     columns, rows
         Size of its image, in pixels.
     intrinsics, pose
-        See `sms_jobs.metrology.geometry.camera`.
+        See `sms_jobs.metrology.geometry.lens` and `camera`.
     """
 
     name: str
@@ -76,11 +75,9 @@ class Sensor:
 
     def __post_init__(self) -> None:
         _check_size(self.name, self.columns, self.rows)
-        for key in ("fx", "fy"):
-            value = getattr(self.intrinsics, key)
-            checked_number(value, f"{key} of sensor {self.name}, in px", 1.0, LONGEST_FOCAL_PX)
-        for key in ("cx", "cy", "k1", "k2", "p1", "p2", "k3"):
-            checked_number(getattr(self.intrinsics, key), f"{key} of sensor {self.name}", -1e7, 1e7)
+        for key, known in LENS.items():
+            what = f"{key} of sensor {self.name}" + (", in px" if known.unit == "px" else "")
+            checked_number(getattr(self.intrinsics, key), what, known.low, known.high)
         for value in self.pose.translation:
             checked_number(value, f"a translation of sensor {self.name}, in mm", -FARTHEST_MM, FARTHEST_MM)
 
