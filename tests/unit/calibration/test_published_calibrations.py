@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.board_problems import board_problem
 
 from sms_jobs.metrology.calibration.board_views import BoardView
 from sms_jobs.metrology.calibration.bundle_adjustment import adjust
 from sms_jobs.metrology.calibration.bundle_problem import BundleBoard, BundleOptions
 from sms_jobs.metrology.calibration.bundle_result import Adjustment
-from sms_jobs.metrology.calibration.initial_problem import board_problem
 from sms_jobs.metrology.calibration.initialisation import InitialCalibration, initialise
 from sms_jobs.metrology.calibration.sensor_refinement import RefinedSensor, SeenPoints, refine_sensor
 from sms_jobs.metrology.geometry.camera import project
@@ -86,9 +86,9 @@ def plainly_adjusted(
     problem = board_problem(
         initial,
         alike,
-        [BundleBoard("board", 0.0, 0.0)],
+        BundleBoard("board", 0.0, 0.0),
         projectors=projectors,
-        fixed=dict.fromkeys(initial.sensors, fixed),
+        fixed=fixed,
     )
     return adjust(problem, BundleOptions(huber=np.inf, reject=np.inf))
 
