@@ -118,26 +118,6 @@ def ray_directions(intrinsics: Intrinsics, pose: Pose, pixels: Floats) -> Floats
     return np.asarray(inside @ pose.matrix())
 
 
-def ray_direction_jacobian(intrinsics: Intrinsics, pose: Pose, pixels: Floats) -> Floats:
-    """Return d(unit ray direction)/d(pixel), (..., 3, 2) in 1/px, at pixels (..., 2)."""
-    distorted = (np.asarray(pixels, dtype=np.float64) - [intrinsics.cx, intrinsics.cy]) / [
-        intrinsics.fx,
-        intrinsics.fy,
-    ]
-    normalised = undistort(intrinsics, distorted)
-    to_normalised = np.linalg.inv(distortion_jacobian(intrinsics, normalised)) / [
-        intrinsics.fx,
-        intrinsics.fy,
-    ]
-    inside = np.concatenate([normalised, np.ones_like(normalised[..., :1])], axis=-1)
-    length = np.linalg.norm(inside, axis=-1, keepdims=True)
-    unit = inside / length
-    lifted = np.zeros((*normalised.shape[:-1], 3, 2))
-    lifted[..., :2, :] = to_normalised
-    across = lifted - unit[..., :, None] * np.sum(unit[..., :, None] * lifted, axis=-2, keepdims=True)
-    return np.asarray(pose.matrix().T @ (across / length[..., None]))
-
-
 def pixel_grid(rows: int, columns: int) -> Floats:
     """Return the coordinates (x, y) of every pixel centre, (rows, columns, 2), in pixels."""
     y, x = np.mgrid[0:rows, 0:columns]
