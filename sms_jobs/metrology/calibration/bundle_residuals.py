@@ -23,9 +23,6 @@ SPHERE_SIZE = 2 * PER_SENSOR + 4
 BOARD_SIZE = PER_SENSOR + PER_POSE + 1
 """Parameters of a board block: the sensor's, those of the board's pose, the scale of its pitch."""
 
-_FIRST = PER_POSE + PIN_HOLE
-"""Place of the first coefficient of the distortion among the parameters of a sensor."""
-
 
 @kernel
 def _cross(a: Floats, b: Floats, result: Floats) -> None:
@@ -43,11 +40,7 @@ def _dot(a: Floats, b: Floats) -> float:
 def pin_hole(rotation: Floats, translation: Floats, result: Floats) -> None:
     """Fill result (3,) with -R^T T, in mm."""
     for i in range(3):
-        result[i] = -(
-            rotation[0, i] * translation[0]
-            + rotation[1, i] * translation[1]
-            + rotation[2, i] * translation[2]
-        )
+        result[i] = -_dot(rotation[:, i], translation)
 
 
 @kernel
@@ -349,7 +342,7 @@ def project_rows(
     x, y = inside[0] / inside[2], inside[1] / inside[2]
     bent = distorted(lens, x, y)
     xx, xy, yx, yy = by_point(lens, x, y)
-    by_parameters(lens, x, y, rows[:, _FIRST:PER_SENSOR])
+    by_parameters(lens, x, y, rows[:, PER_POSE + PIN_HOLE : PER_SENSOR])
     for i in range(2):
         f, row = lens[i], rows[i]
         to_x, to_y = (xx, xy) if i == 0 else (yx, yy)
@@ -359,7 +352,7 @@ def project_rows(
         _cross(turned, row[3:6], row[0:3])
         row[6], row[7], row[8], row[9] = 0.0, 0.0, 0.0, 0.0
         row[6 + i], row[8 + i] = bent[i], 1.0
-        for k in range(_FIRST, PER_SENSOR):
+        for k in range(PER_POSE + PIN_HOLE, PER_SENSOR):
             row[k] *= f
         for k in range(3):
             slope[i, k] = rotation[0, k] * row[3] + rotation[1, k] * row[4] + rotation[2, k] * row[5]
