@@ -20,10 +20,10 @@ from sms_jobs.jobs.registration import register_calibration
 from sms_jobs.kinds.phases import sensor_pair
 from sms_jobs.kinds.session_adjustment import known_as
 from sms_jobs.kinds.sessions import CALIBRATE, CALIBRATE_BOARDS, bar_states
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR
 from sms_jobs.metrology.calibration.comparison import CalibrationComparison, compare_calibrations
 from sms_jobs.metrology.calibration.drift import DriftCheck, DriftOptions, check_drift
 from sms_jobs.metrology.calibration.pair_points import Parameters
+from sms_jobs.metrology.geometry.camera import PER_SENSOR
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps, PointCloud

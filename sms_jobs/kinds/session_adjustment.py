@@ -15,7 +15,6 @@ from sms_jobs.metrology.calibration.board_views import BoardView, Refusal
 from sms_jobs.metrology.calibration.bundle_covariance import point_covariance
 from sms_jobs.metrology.calibration.bundle_cross_validation import CrossValidation
 from sms_jobs.metrology.calibration.bundle_problem import (
-    PER_SENSOR,
     BarPoints,
     BarPose,
     BoardPoints,
@@ -31,7 +30,7 @@ from sms_jobs.metrology.calibration.homography import fit_homography
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.calibration.planar_intrinsics import pose_from_homography
 from sms_jobs.metrology.calibration.sensor_start import usable_views
-from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics, undistort
 from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.records.artefacts import BallBar

@@ -11,7 +11,7 @@ from sms_jobs.formats.report.certificate import doubts
 from sms_jobs.formats.report.charts import Axis, Chart, Line, Point, charts
 from sms_jobs.formats.report.html import Cell, Markup, facts, figure, figures, paragraph, table
 from sms_jobs.formats.report.page import Section, page
-from sms_jobs.metrology.calibration.bundle_problem import PER_POSE, PER_SENSOR
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR
 from sms_jobs.metrology.geometry.lens import LENS
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.sensors import Calibration, Rig, Sensor

@@ -10,15 +10,11 @@ from sms_jobs.metrology.calibration.bundle_covariance import point_jacobian
 from sms_jobs.metrology.calibration.bundle_linear import inverse
 from sms_jobs.metrology.calibration.bundle_normal import Live, Packed
 from sms_jobs.metrology.calibration.bundle_parameters import Freedom, State, adjusted_sensor, sensor_arrays
-from sms_jobs.metrology.calibration.bundle_problem import (
-    PER_POSE,
-    PER_SENSOR,
-    SENSOR_PARAMETERS,
-    BundleProblem,
-)
+from sms_jobs.metrology.calibration.bundle_problem import BundleProblem
 from sms_jobs.metrology.calibration.bundle_residuals import ray_distances
 from sms_jobs.metrology.calibration.bundle_result import Nuisance, Rms
 from sms_jobs.metrology.calibration.bundle_weak_directions import described, weakest_direction
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, SENSOR_PARAMETERS
 
 Floats = NDArray[np.float64]
 

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.calibration.bundle_parameters import sensor_arrays
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR
 from sms_jobs.metrology.calibration.bundle_residuals import (
     along_change,
     pin_hole,
@@ -15,7 +14,7 @@ from sms_jobs.metrology.calibration.bundle_residuals import (
 )
 from sms_jobs.metrology.calibration.bundle_result import Adjustment
 from sms_jobs.metrology.compilation import kernel
-from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project
 from sms_jobs.metrology.geometry.lens import PER_LENS, Intrinsics
 
 Floats = NDArray[np.float64]

@@ -8,12 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.calibration.bundle_parameters import Layout, State, starting_state
-from sms_jobs.metrology.calibration.bundle_problem import (
-    PER_POSE,
-    PER_SENSOR,
-    BundleOptions,
-    BundleProblem,
-)
+from sms_jobs.metrology.calibration.bundle_problem import BundleOptions, BundleProblem
 from sms_jobs.metrology.calibration.bundle_residuals import (
     BOARD_SIZE,
     SPHERE_SIZE,
@@ -22,6 +17,7 @@ from sms_jobs.metrology.calibration.bundle_residuals import (
     sphere_block,
 )
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR
 from sms_jobs.metrology.geometry.transforms import rotation_vector
 
 Floats = NDArray[np.float64]

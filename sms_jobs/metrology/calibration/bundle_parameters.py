@@ -7,15 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.calibration.bundle_problem import (
-    PER_POSE,
-    PER_SENSOR,
-    POSE_PARAMETERS,
-    SENSOR_PARAMETERS,
-    BundleProblem,
-    BundleSensor,
-)
-from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.calibration.bundle_problem import BundleProblem, BundleSensor
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, POSE_PARAMETERS, SENSOR_PARAMETERS, Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 

@@ -14,18 +14,10 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.bundle_linear import inverse
-from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.lens import KEPT, LENS, Intrinsics
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, Pose
+from sms_jobs.metrology.geometry.lens import KEPT, Intrinsics
 
 Floats = NDArray[np.float64]
-
-POSE_PARAMETERS = ("rx", "ry", "rz", "tx", "ty", "tz")
-"""Parameters of a pose: a small rotation from the left, R <- exp([r]x) R, and the translation."""
-
-SENSOR_PARAMETERS = (*POSE_PARAMETERS, *LENS)
-"""Parameters of a sensor in their order: those of its pose, then those of its lens."""
-
-PER_POSE, PER_SENSOR = len(POSE_PARAMETERS), len(SENSOR_PARAMETERS)
 
 ResidualType: TypeAlias = Literal["ray gap", "sphere surface", "board in camera", "board in projector"]
 RESIDUAL_TYPES: tuple[ResidualType, ...] = (

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.calibration.bundle_problem import PER_POSE, PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.metrology.calibration.comparison_points import (
     Through,
     alignment_of,
@@ -23,7 +22,7 @@ from sms_jobs.metrology.calibration.comparison_points import (
 )
 from sms_jobs.metrology.calibration.pair_points import Parameters, box_grid
 from sms_jobs.metrology.calibration.rigid_alignment import rigid_modes
-from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, SENSOR_PARAMETERS, Pose
 from sms_jobs.metrology.geometry.transforms import compose, rotation_vector, transform
 
 Floats = NDArray[np.float64]

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.bundle_covariance import point_jacobian
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR
 from sms_jobs.metrology.calibration.pair_points import Parameters, meet_rays
 from sms_jobs.metrology.calibration.rigid_alignment import align_points
-from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project
 from sms_jobs.metrology.geometry.transforms import transform
 
 Floats = NDArray[np.float64]

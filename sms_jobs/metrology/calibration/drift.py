@@ -16,11 +16,10 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.calibration.bundle_problem import PER_POSE, PER_SENSOR
 from sms_jobs.metrology.calibration.gap_blocks import GapBlocks, block_gaps
 from sms_jobs.metrology.calibration.pair_points import Parameters, box_grid, meet_rays, moved_sensor
 from sms_jobs.metrology.calibration.sensor_derivatives import gap_derivatives
-from sms_jobs.metrology.geometry.camera import project
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, project
 
 Floats = NDArray[np.float64]
 Verdict: TypeAlias = Literal["holds", "drifted", "cannot tell"]

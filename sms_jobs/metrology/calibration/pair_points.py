@@ -7,8 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.calibration.bundle_problem import PER_POSE
-from sms_jobs.metrology.geometry.camera import Pose, ray_directions
+from sms_jobs.metrology.geometry.camera import PER_POSE, Pose, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 

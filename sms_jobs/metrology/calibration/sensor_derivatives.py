@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.calibration.bundle_problem import PER_POSE, PER_SENSOR
-from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics, distort, distortion_jacobian, pixel_jacobian
 from sms_jobs.metrology.geometry.transforms import transform
 

@@ -11,7 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sms_jobs.metrology.geometry.lens import Floats, Intrinsics, distort, distortion_jacobian, undistort
+from sms_jobs.metrology.geometry.lens import LENS, Floats, Intrinsics, distort, distortion_jacobian, undistort
+
+POSE_PARAMETERS = ("rx", "ry", "rz", "tx", "ty", "tz")
+"""Parameters of a pose: a small rotation from the left, R <- exp([r]x) R, and the translation."""
+
+SENSOR_PARAMETERS = (*POSE_PARAMETERS, *LENS)
+"""Parameters of a sensor in their order: those of its pose, then those of its lens."""
+
+PER_POSE, PER_SENSOR = len(POSE_PARAMETERS), len(SENSOR_PARAMETERS)
 
 
 @dataclass(frozen=True)

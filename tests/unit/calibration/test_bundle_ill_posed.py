@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from sms_jobs.bench.bar_session import TABLE_3, BarSession, Wanted, bar_session
 from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.metrology.calibration.bundle_adjustment import adjust
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR, BarPoints, BundleProblem
+from sms_jobs.metrology.calibration.bundle_problem import BarPoints, BundleProblem
 from sms_jobs.metrology.calibration.bundle_weak_directions import described, weakest_direction
+from sms_jobs.metrology.geometry.camera import PER_SENSOR
 from sms_jobs.metrology.geometry.lens import KEPT
 
 NAMES = ("C1", "C2", "P1", "P2")

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sms_jobs.metrology.calibration.bundle_covariance import point_jacobian
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR
 from sms_jobs.metrology.calibration.bundle_residuals import (
     BOARD_SIZE,
     SPHERE_SIZE,
@@ -21,7 +20,7 @@ from sms_jobs.metrology.calibration.bundle_residuals import (
     ray_distances,
     sphere_rows,
 )
-from sms_jobs.metrology.geometry.camera import Pose, project, projection_jacobian, ray_directions
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project, projection_jacobian, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics, pixel_jacobian
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR
 from sms_jobs.metrology.calibration.comparison import (
     CalibrationComparison,
     compare_calibrations,
@@ -17,7 +16,7 @@ from sms_jobs.metrology.calibration.comparison import (
 )
 from sms_jobs.metrology.calibration.pair_points import Parameters, moved_sensor
 from sms_jobs.metrology.calibration.rigid_alignment import align_points, rigid_modes
-from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_matrix, transform
 

@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR
 from sms_jobs.metrology.calibration.drift import (
     CHANGES,
     DriftCheck,
@@ -21,7 +20,7 @@ from sms_jobs.metrology.calibration.drift import (
 from sms_jobs.metrology.calibration.gap_blocks import block_gaps
 from sms_jobs.metrology.calibration.pair_points import Parameters, meet_rays, moved_sensor
 from sms_jobs.metrology.calibration.sensor_derivatives import gap_derivatives
-from sms_jobs.metrology.geometry.camera import Pose, pixel_grid, project, ray_directions
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, pixel_grid, project, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.triangulation import Projector, camera_rays, triangulate
 

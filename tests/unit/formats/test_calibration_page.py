@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sms_jobs.formats.report.calibration import calibration_page
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR
+from sms_jobs.metrology.geometry.camera import PER_SENSOR
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 

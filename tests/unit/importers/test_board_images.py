@@ -25,8 +25,7 @@ from sms_jobs.jobs.calibrations import measuring_pairs
 from sms_jobs.kinds import calibrate_boards, observe_board
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.sessions import OBSERVE_BOARD, board_states, every_pair
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR
-from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose
 from sms_jobs.records.artefacts import Chessboard, CircleBoard
