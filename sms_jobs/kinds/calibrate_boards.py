@@ -213,7 +213,7 @@ def _statistics(calibration: Calibration, quality: CalibrationQuality) -> dict[s
 KIND = Kind(
     name=CALIBRATE_BOARDS,
     summary="calibrate a rig from poses of a board",
-    version=3,
+    version=4,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     needs=_needs,

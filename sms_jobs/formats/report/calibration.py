@@ -11,7 +11,7 @@ from sms_jobs.formats.report.certificate import doubts
 from sms_jobs.formats.report.charts import Axis, Chart, Line, Point, charts
 from sms_jobs.formats.report.html import Cell, Markup, facts, figure, figures, paragraph, table
 from sms_jobs.formats.report.page import Section, page
-from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR
+from sms_jobs.metrology.geometry.camera import PER_POSE
 from sms_jobs.metrology.geometry.lens import LENS
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.sensors import Calibration, Rig, Sensor
@@ -155,11 +155,9 @@ def _refused(refused: Mapping[str, int]) -> list[Markup]:
 
 def _parameters(before: Rig, after: Rig, uncertainty: CalibrationUncertainty) -> Markup:
     rows: list[list[Cell]] = []
-    deviation = np.sqrt(np.diag(uncertainty.covariance))
     for sensor in after.sensors:
         first = before.sensor(sensor.name)
-        start = PER_SENSOR * uncertainty.sensors.index(sensor.name)
-        inner = deviation[start + PER_POSE : start + PER_SENSOR]
+        inner = np.sqrt(np.diag(uncertainty.of([sensor.name])))[PER_POSE:]
         values = zip(first.intrinsics.vector(), sensor.intrinsics.vector(), inner, strict=True)
         for (name, known), (old, new, sigma) in zip(LENS.items(), values, strict=True):
             unit = f" [{known.unit}]" if known.unit != "1" else ""
