@@ -1,9 +1,10 @@
 """The lens model, in one place: its parameters, its equations and their derivatives.
 
 A lens maps the direction of a ray, the normalised point (x, y) = (X / Z, Y / Z) in the sensor's frame, to a
-distorted point (x', y'), which the focal lengths and the principal point scale to pixels. Cameras and
-projectors share one model, Brown's as OpenCV has it. The number of parameters, their order and their names
-in every array, table, file and report follow from `Intrinsics`.
+distorted point (x', y'), which the focal lengths and the principal point scale to pixels; what lies 90
+degrees from the axis or more is out of its reach. Cameras and projectors share one model, Brown's as OpenCV
+has it. The number of parameters, their order and their names in every array, table, file and report follow
+from `Intrinsics`.
 
 To put another model here:
 
@@ -12,11 +13,13 @@ To put another model here:
    compiled kernels (`find sms_jobs -name '*.nb[ci]' -delete`): Numba looks for changes in a kernel's own
    file alone.
 3. Write them a second time in `virtual_rig/optics.py`, which stays a witness of its own.
-4. Say how other programs write it: `formats/interchange/found_sensors.py` for OpenCV's coefficients, and
-   `geometry/thesis_parameters.py` for those of the thesis.
+4. Say how other programs write it: in `formats/interchange/found_sensors.py` where OpenCV has other names or
+   another order for its coefficients, and in `geometry/thesis_parameters.py` where k1, k2 and k3 are no
+   longer those of a polynomial.
 
-`tests/unit/geometry/test_lens.py` checks the derivatives of whatever model stands here, and
-`tests/unit/test_virtual_rig_optics.py` compares it with the witness.
+`tests/unit/geometry/test_lens.py` checks the derivatives of whatever model stands here,
+`tests/unit/test_virtual_rig_optics.py` compares it with the witness, and `test_interchange_calibrations.py`
+names a file that is refused for coefficients beyond it. `docs/equations.md` has the equations.
 """
 
 from __future__ import annotations
