@@ -22,7 +22,8 @@ from sms_jobs.metrology.calibration.bundle_problem import (
     BundleProblem,
     BundleSensor,
 )
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, ray_directions
+from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
+from sms_jobs.metrology.geometry.lens import PER_LENS, PIN_HOLE, Intrinsics
 from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.records.sensors import Sensor
 from sms_jobs.records.views import Role
@@ -62,7 +63,7 @@ class Wanted:
         Of the board.
     start
         How far the start is from the truth, in units of 1e-3 rad, 2 mm, 0.3 % of the focal length, 3 px of
-        the principal point, and 0.02 of k1 and k2.
+        the principal point, and 0.02 of the first two coefficients of the distortion.
     """
 
     angles: tuple[tuple[float, float], ...] = TABLE_3
@@ -246,15 +247,8 @@ def _started(sensor: Sensor, by: float, random: np.random.Generator) -> BundleSe
     """Return a sensor as an initialisation would leave it."""
     inner = sensor.intrinsics
     draw = by * random.standard_normal(5)
-    begun = Intrinsics(
-        inner.fx * (1.0 + 0.003 * draw[0]),
-        inner.fy * (1.0 + 0.003 * draw[0]),
-        inner.cx + 3.0 * draw[1],
-        inner.cy + 3.0 * draw[2],
-        inner.k1 + 0.02 * draw[3],
-        inner.k2 + 0.02 * draw[4],
-        inner.p1,
-        inner.p2,
-        inner.k3,
-    )
+    off = np.zeros(PER_LENS)
+    off[:PIN_HOLE] = 0.003 * draw[0] * inner.fx, 0.003 * draw[0] * inner.fy, 3.0 * draw[1], 3.0 * draw[2]
+    off[PIN_HOLE : PIN_HOLE + 2] = 0.02 * draw[3:]
+    begun = Intrinsics.from_vector(inner.vector() + off)
     return BundleSensor(sensor.name, begun, _moved(sensor.pose, by, random))

@@ -16,6 +16,7 @@ from sms_jobs import bootstrap
 from sms_jobs.catalogue import search
 from sms_jobs.cli import calibration_acceptance, calibration_files, completion, output
 from sms_jobs.cli.output import Home, Json
+from sms_jobs.metrology.geometry.lens import COEFFICIENTS
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.sensors import Calibration
@@ -97,7 +98,7 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
         }
     )
     output.print_table(
-        ["sensor", "px", "fx, fy [px]", "cx, cy [px]", "k1, k2, p1, p2, k3", "pin-hole [mm]"],
+        ["sensor", "px", "fx, fy [px]", "cx, cy [px]", ", ".join(COEFFICIENTS), "pin-hole [mm]"],
         [
             (
                 s.name,

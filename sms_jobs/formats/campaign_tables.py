@@ -5,19 +5,28 @@ Keys are the names of the records' fields, with angles in degrees (`..._deg`) in
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from math import radians
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
-from pydantic import AfterValidator, AwareDatetime, BeforeValidator, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    AwareDatetime,
+    BeforeValidator,
+    Field,
+    GetPydanticSchema,
+    create_model,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.record_tables import Placement, Table, Vector, Volume, flat, mapped
 from sms_jobs.formats.session_tables import ARTEFACTS, Pixels, SessionTable, sensor_name
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
 from sms_jobs.metrology.phase.sequences import named_sequence
 from sms_jobs.records import scene as scenes
 from sms_jobs.records.campaign import Campaign, LoadState, ParameterValue, Specimen
@@ -89,24 +98,12 @@ class _Pose(Placement):
         return Pose.from_arrays(matrix, np.array(self.translation_mm))
 
 
-Focal = Annotated[float, Field(gt=0.0)]
-
-
-class _Sensor(Table):
+class _Placed(Table):
     """A camera or projector, placed by what it looks at or by its rotation and translation."""
 
     name: Annotated[str, AfterValidator(sensor_name)]
     columns: Pixels
     rows: Pixels
-    fx: Focal
-    fy: Focal
-    cx: float
-    cy: float
-    k1: float = 0.0
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
     position_mm: Vector | None = None
     target_mm: Vector | None = None
     up: Vector = (0.0, 1.0, 0.0)
@@ -134,7 +131,7 @@ class _Sensor(Table):
         return Pose.from_arrays(matrix, np.array(self.translation_mm))
 
     @model_validator(mode="after")
-    def _placed_once(self) -> _Sensor:
+    def _placed_once(self) -> _Placed:
         looking = (self.position_mm is not None, self.target_mm is not None)
         turned = (self.rotation is not None, self.translation_mm is not None)
         if not (looking == (True, True) and turned == (False, False)) and not (
@@ -146,13 +143,24 @@ class _Sensor(Table):
         return self
 
     def record(self) -> Sensor:
-        intrinsics = Intrinsics(**{f.name: getattr(self, f.name) for f in fields(Intrinsics)})
+        intrinsics = Intrinsics(**{name: getattr(self, name) for name in LENS})
         role = role_of(self.name)
         return Sensor(self.name, role, self.columns, self.rows, intrinsics, self._pose())
 
 
+_LENS: dict[str, Any] = {
+    f.name: (
+        float,
+        Field(... if f.default is MISSING else f.default, ge=LENS[f.name].low, le=LENS[f.name].high),
+    )
+    for f in fields(Intrinsics)
+}
+_SENSOR = create_model("Sensor", __base__=_Placed, **_LENS)
+"""The same with the parameters of its lens."""
+
+
 class _Scene(Table):
-    sensors: tuple[_Sensor, ...]
+    sensors: tuple[Annotated[_Placed, GetPydanticSchema(lambda _, handler: handler(_SENSOR))], ...]
     volume: Volume | None = None
     surface: _Surface | None = None
     speckle: Annotated[Speckle, flat(Speckle)] | None = None

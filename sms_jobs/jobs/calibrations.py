@@ -20,7 +20,6 @@ from sms_jobs.jobs.registration import register_calibration
 from sms_jobs.kinds.phases import sensor_pair
 from sms_jobs.kinds.session_adjustment import known_as
 from sms_jobs.kinds.sessions import CALIBRATE, CALIBRATE_BOARDS, bar_states
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR
 from sms_jobs.metrology.calibration.comparison import CalibrationComparison, compare_calibrations
 from sms_jobs.metrology.calibration.drift import DriftCheck, DriftOptions, check_drift
 from sms_jobs.metrology.calibration.pair_points import Parameters
@@ -52,11 +51,7 @@ class KnownCalibration:
 
     def covariance(self, names: list[str]) -> np.ndarray | None:
         """Return the covariance of some sensors' parameters, in that order; None when it is not known."""
-        if self.uncertainty is None:
-            return None
-        places = [self.uncertainty.sensors.index(n) * PER_SENSOR + np.arange(PER_SENSOR) for n in names]
-        order = np.concatenate(places)
-        return np.ascontiguousarray(self.uncertainty.covariance[np.ix_(order, order)])
+        return None if self.uncertainty is None else self.uncertainty.of(names)
 
 
 def known_calibration(catalogue: Catalogue, archive: Archive, number: int) -> KnownCalibration:

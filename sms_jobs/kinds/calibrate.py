@@ -111,7 +111,7 @@ def _start(inputs: Inputs, plan: SessionPlan, boards: Boards) -> Start:
 KIND = Kind(
     name=CALIBRATE,
     summary="calibrate a rig from poses of a ball bar and of a board",
-    version=2,
+    version=3,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     needs=_needs,

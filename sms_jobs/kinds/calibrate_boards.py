@@ -58,6 +58,7 @@ from sms_jobs.metrology.calibration.bundle_adjustment import adjust
 from sms_jobs.metrology.calibration.bundle_cross_validation import cross_validate
 from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
 from sms_jobs.metrology.calibration.initialisation import initialise
+from sms_jobs.metrology.geometry.lens import KEPT, LENS
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.observations import BoardObservation
@@ -71,7 +72,7 @@ class CalibrateParameters(Parameters):
     """What is adjusted, and what is reported of it."""
 
     fixed: tuple[str, ...] = Field(
-        ("k3",), description="parameters of every sensor that keep their first values: fx, fy, cx, .., k3"
+        KEPT, description=f"parameters of every sensor that keep their first values: {', '.join(LENS)}"
     )
     huber: float = Field(
         3.0, gt=0.0, description="residual, in standard deviations, from which on it pulls no harder"
@@ -212,7 +213,7 @@ def _statistics(calibration: Calibration, quality: CalibrationQuality) -> dict[s
 KIND = Kind(
     name=CALIBRATE_BOARDS,
     summary="calibrate a rig from poses of a board",
-    version=3,
+    version=4,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     needs=_needs,

@@ -15,7 +15,6 @@ from sms_jobs.metrology.calibration.board_views import BoardView, Refusal
 from sms_jobs.metrology.calibration.bundle_covariance import point_covariance
 from sms_jobs.metrology.calibration.bundle_cross_validation import CrossValidation
 from sms_jobs.metrology.calibration.bundle_problem import (
-    PER_SENSOR,
     BarPoints,
     BarPose,
     BoardPoints,
@@ -31,7 +30,8 @@ from sms_jobs.metrology.calibration.homography import fit_homography
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.calibration.planar_intrinsics import pose_from_homography
 from sms_jobs.metrology.calibration.sensor_start import usable_views
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, undistort
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, Pose, project
+from sms_jobs.metrology.geometry.lens import Intrinsics, undistort
 from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
@@ -181,8 +181,7 @@ def known_as(calibration: Calibration) -> str:
 def _lens_information(rig: Rig, uncertainty: CalibrationUncertainty) -> Floats:
     """Return the inverse covariance of all lenses; 0 for where sensors stand and for what was fixed."""
     names = [s.name for s in rig.sensors]
-    order = np.concatenate([uncertainty.sensors.index(n) * PER_SENSOR + np.arange(PER_SENSOR) for n in names])
-    covariance = uncertainty.covariance[np.ix_(order, order)]
+    covariance = uncertainty.of(names)
     lens = np.tile(np.arange(PER_SENSOR) >= _OUTER, len(names)) & (np.diag(covariance) > 0.0)
     information: Floats = np.zeros(covariance.shape)
     which = np.flatnonzero(lens)
@@ -202,7 +201,7 @@ def problem_of(
     boards, bars
         Observations by pose; poses that nobody saw are left out.
     fixed
-        Parameters that no sensor is given freely, such as k3.
+        Parameters that no sensor is given freely.
     """
     sensors = tuple(
         BundleSensor(s.name, s.intrinsics, s.pose, _fixed(start, s, fixed)) for s in start.rig.sensors
@@ -327,7 +326,7 @@ def uncertainty_of(found: Adjustment) -> CalibrationUncertainty:
     """Return the covariance of the sensors' parameters."""
     count = PER_SENSOR * len(found.sensors)
     covariance = np.ascontiguousarray(found.covariance[:count, :count])
-    return CalibrationUncertainty(tuple(s.name for s in found.sensors), covariance)
+    return CalibrationUncertainty(tuple(s.name for s in found.sensors), SENSOR_PARAMETERS, covariance)
 
 
 def quality_of(

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.records.quantity import array
 
 
@@ -36,19 +39,33 @@ class Acceptance:
 class CalibrationUncertainty:
     """The covariance of all parameters of all sensors of a calibration.
 
-    Of each sensor, in this order: a small rotation of the sensor's frame about its x, y and z (rad), the
-    translation (mm), fx, fy, cx, cy (px), k1, k2, p1, p2, k3. What was held fixed has zeros.
+    What was held fixed has zeros.
 
     Attributes
     ----------
-    sensors
-        Names, in the order of the covariance.
+    sensors, parameters
+        Names, in the order of the covariance: of the sensors, and of the parameters that each of them has.
     """
 
     sensors: tuple[str, ...]
+    parameters: tuple[str, ...]
     covariance: NDArray[np.float64] = array(
         "1", "covariance of the parameters, in rad, mm and px", ("parameter", "by")
     )
+
+    def of(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return the covariance of sensors in this order, each with `SENSOR_PARAMETERS`.
+
+        Raises `InvalidInput` where it is that of sensors with other parameters.
+        """
+        if self.parameters != SENSOR_PARAMETERS:
+            raise InvalidInput(
+                f"the uncertainty of this calibration is that of {', '.join(self.parameters)}, but sensors "
+                f"have {', '.join(SENSOR_PARAMETERS)} here: calibrate again"
+            )
+        places = [PER_SENSOR * self.sensors.index(name) + np.arange(PER_SENSOR) for name in names]
+        order = np.concatenate(places)
+        return np.ascontiguousarray(self.covariance[np.ix_(order, order)])
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from datetime import datetime
 import numpy as np
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
 from sms_jobs.records.numbers import checked_number
 from sms_jobs.records.texts import checked_text
 from sms_jobs.records.times import checked_time
 from sms_jobs.records.views import Role, View, role_of, sensor_name
 
-LONGEST_FOCAL_PX = 1e7
 FARTHEST_MM = 1e7
 LARGEST_SIDE_PX = 1 << 16
 _NAME_LETTERS = 8
@@ -51,7 +51,7 @@ class Sensor:
     columns, rows
         Size of its image, in pixels.
     intrinsics, pose
-        See `sms_jobs.metrology.geometry.camera`.
+        See `sms_jobs.metrology.geometry.lens` and `camera`.
     """
 
     name: str
@@ -68,11 +68,9 @@ class Sensor:
                 f"sensor {self.name} is a {self.role.value}: call it {sensor_name(self.role, 1)}, "
                 f"{sensor_name(self.role, 2)}, ..."
             )
-        for key in ("fx", "fy"):
-            value = getattr(self.intrinsics, key)
-            checked_number(value, f"{key} of sensor {self.name}, in px", 1.0, LONGEST_FOCAL_PX)
-        for key in ("cx", "cy", "k1", "k2", "p1", "p2", "k3"):
-            checked_number(getattr(self.intrinsics, key), f"{key} of sensor {self.name}", -1e7, 1e7)
+        for key, known in LENS.items():
+            what = f"{key} of sensor {self.name}" + (", in px" if known.unit == "px" else "")
+            checked_number(getattr(self.intrinsics, key), what, known.low, known.high)
         for value in self.pose.translation:
             checked_number(value, f"a translation of sensor {self.name}, in mm", -FARTHEST_MM, FARTHEST_MM)
 

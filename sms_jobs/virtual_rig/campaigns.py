@@ -9,7 +9,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import (

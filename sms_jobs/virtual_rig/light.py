@@ -85,14 +85,14 @@ def trace(simulation: Simulation, threads: int = 1) -> Light:
     specimen = specimen_in(scene, simulation.deformation)
     prints = Prints(packed_speckle(scene.speckle), packed_ink(scene.surface))
     windows = SUBSAMPLES * image_windows(scene, simulation.deformation, simulation.camera)
-    rows, columns = SUBSAMPLES * int(camera[25]), SUBSAMPLES * int(camera[24])
+    rows, columns = SUBSAMPLES * int(camera[20]), SUBSAMPLES * int(camera[19])
     returns = 2 if isinstance(scene.surface, PlateAndMirror) else 1
     shape = (returns, rows, columns)
     light = Light(
         np.zeros(shape), np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape[1:], np.float32)
     )
     # The distance at which a facing white surface has the strength 1.
-    distance = float(np.linalg.norm(projector[21:24] - np.array(scene.placement.translation)))
+    distance = float(np.linalg.norm(projector[16:19] - np.array(scene.placement.translation)))
 
     def work(start: int, stop: int) -> None:
         for top, bottom, left, right in windows:
@@ -135,7 +135,7 @@ def _trace_window(
         for j in range(left, right):
             px = (j + 0.5) / SUBSAMPLES - 0.5
             dx, dy, dz, gx, gy = pixel_ray(camera, px, py, gx, gy)
-            ox, oy, oz = camera[21], camera[22], camera[23]
+            ox, oy, oz = camera[16], camera[17], camera[18]
             s, patch, mx, my, mz = first_hit(specimen, ox, oy, oz, dx, dy, dz, 0.0)
             travelled, factor = s, 1.0
             if patch >= 0 and specimen.patches[patch, 19] > 0.0:
@@ -190,19 +190,19 @@ def footprint_sides(
     d(a)/dx, d(a)/dy, d(b)/dx and d(b)/dy in mm for a step of one sub-sample; lens distortion, which
     stretches a sub-sample by less than a hundredth, is left out.
     """
-    depth = s * (camera[15] * dx + camera[16] * dy + camera[17] * dz)
+    depth = s * (camera[10] * dx + camera[11] * dy + camera[12] * dz)
     facing = nx * dx + ny * dy + nz * dz
     sides = (0.0, 0.0, 0.0, 0.0)
     row = specimen.patches[patch]
     for axis in range(2):
         scale = depth / (camera[axis] * SUBSAMPLES)
-        ex, ey, ez = camera[9 + 3 * axis], camera[10 + 3 * axis], camera[11 + 3 * axis]
+        ex, ey, ez = camera[4 + 3 * axis], camera[5 + 3 * axis], camera[6 + 3 * axis]
         along = (nx * ex + ny * ey + nz * ez) / facing
         _, _, _, vx, vy, vz, _ = followed_back(
             specimen.chain,
-            camera[21] + s * dx,
-            camera[22] + s * dy,
-            camera[23] + s * dz,
+            camera[16] + s * dx,
+            camera[17] + s * dy,
+            camera[18] + s * dz,
             scale * (ex - along * dx),
             scale * (ey - along * dy),
             scale * (ez - along * dz),
@@ -230,7 +230,7 @@ def direct_light(
     Lambert's cosine times the inverse square of the distance, 1 at `distance` mm and facing; 0 in shadow,
     outside the projector's image or from behind.
     """
-    ox, oy, oz = projector[21], projector[22], projector[23]
+    ox, oy, oz = projector[16], projector[17], projector[18]
     dx, dy, dz, length = unit_to(x, y, z, ox, oy, oz)
     cosine = nx * dx + ny * dy + nz * dz
     if cosine <= 0.0:
@@ -263,7 +263,7 @@ def mirrored_light(
             continue
         qx, qy, qz, _, _, _ = carried(specimen.chain, patch[1], patch[2], patch[3], 0.0, 0.0, 0.0)
         rx, ry, rz = surface_normal(specimen, i, patch[1], patch[2], patch[3])
-        ox, oy, oz = projector[21], projector[22], projector[23]
+        ox, oy, oz = projector[16], projector[17], projector[18]
         behind = 2.0 * ((ox - qx) * rx + (oy - qy) * ry + (oz - qz) * rz)
         dx, dy, dz, length = unit_to(x, y, z, ox - behind * rx, oy - behind * ry, oz - behind * rz)
         cosine = nx * dx + ny * dy + nz * dz

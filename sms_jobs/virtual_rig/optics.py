@@ -1,7 +1,10 @@
-"""The camera model of `metrology.geometry.camera` for one ray at a time, to be called from kernels.
+"""The camera model of `metrology.geometry` for one ray at a time, to be called from kernels.
 
-A sensor travels as one array: fx, fy, cx, cy, k1, k2, p1, p2, k3 (0 - 8), rotation by rows (9 - 17),
-translation (18 - 20), pin-hole (21 - 23), columns (24) and rows (25).
+It is written out here a second time: what the virtual rig renders is a witness of the metrology only as long
+as the two share no equation.
+
+A sensor travels as one array: fx, fy, cx, cy (0 - 3), rotation by rows (4 - 12), translation (13 - 15),
+pin-hole (16 - 18), columns (19), rows (20), and the distortion's k1, k2, p1, p2, k3 (21 - 25).
 """
 
 from __future__ import annotations
@@ -24,11 +27,11 @@ def packed_sensor(sensor: Sensor) -> Floats:
     return np.concatenate(
         [
             [i.fx, i.fy, i.cx, i.cy],
-            i.distortion(),
             sensor.pose.matrix().ravel(),
             sensor.pose.translation,
             sensor.pose.centre(),
             [sensor.columns, sensor.rows],
+            [i.k1, i.k2, i.p1, i.p2, i.k3],
         ]
     ).astype(np.float64)
 
@@ -39,11 +42,11 @@ def pixel_ray(
 ) -> tuple[float, float, float, float, float]:
     """Return the unit direction in the world of a pixel's ray, and its normalised image point.
 
-    Newton's method on the distortion starts from the normalised point (x, y); see `camera.undistort`.
+    Newton's method on the distortion starts from the normalised point (x, y); see `lens.undistort`.
     """
     wx = (px - sensor[2]) / sensor[0]
     wy = (py - sensor[3]) / sensor[1]
-    k1, k2, p1, p2, k3 = sensor[4], sensor[5], sensor[6], sensor[7], sensor[8]
+    k1, k2, p1, p2, k3 = sensor[21], sensor[22], sensor[23], sensor[24], sensor[25]
     for _ in range(20):
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -62,9 +65,9 @@ def pixel_ray(
     length = sqrt(x * x + y * y + 1.0)
     ux, uy, uz = x / length, y / length, 1.0 / length
     return (
-        sensor[9] * ux + sensor[12] * uy + sensor[15] * uz,
-        sensor[10] * ux + sensor[13] * uy + sensor[16] * uz,
-        sensor[11] * ux + sensor[14] * uy + sensor[17] * uz,
+        sensor[4] * ux + sensor[7] * uy + sensor[10] * uz,
+        sensor[5] * ux + sensor[8] * uy + sensor[11] * uz,
+        sensor[6] * ux + sensor[9] * uy + sensor[12] * uz,
         x,
         y,
     )
@@ -73,12 +76,12 @@ def pixel_ray(
 @kernel
 def image_point(sensor: Floats, x: float, y: float, z: float) -> tuple[float, float]:
     """Return the pixel coordinates of a point of the world; NaN behind the sensor. See `camera.project`."""
-    depth = sensor[15] * x + sensor[16] * y + sensor[17] * z + sensor[20]
+    depth = sensor[10] * x + sensor[11] * y + sensor[12] * z + sensor[15]
     if not depth > 0.0:
         return np.nan, np.nan
-    u = (sensor[9] * x + sensor[10] * y + sensor[11] * z + sensor[18]) / depth
-    v = (sensor[12] * x + sensor[13] * y + sensor[14] * z + sensor[19]) / depth
-    k1, k2, p1, p2, k3 = sensor[4], sensor[5], sensor[6], sensor[7], sensor[8]
+    u = (sensor[4] * x + sensor[5] * y + sensor[6] * z + sensor[13]) / depth
+    v = (sensor[7] * x + sensor[8] * y + sensor[9] * z + sensor[14]) / depth
+    k1, k2, p1, p2, k3 = sensor[21], sensor[22], sensor[23], sensor[24], sensor[25]
     r2 = u * u + v * v
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     return (
@@ -90,4 +93,4 @@ def image_point(sensor: Floats, x: float, y: float, z: float) -> tuple[float, fl
 @kernel
 def in_image(sensor: Floats, x: float, y: float) -> bool:
     """Tell whether pixel coordinates lie on the sensor, whose edge pixels reach half a pixel out."""
-    return bool(-0.5 <= x <= sensor[24] - 0.5 and -0.5 <= y <= sensor[25] - 0.5)
+    return bool(-0.5 <= x <= sensor[19] - 0.5 and -0.5 <= y <= sensor[20] - 0.5)

@@ -86,7 +86,7 @@ def exact_shape(simulation: Simulation, *, threads: int = 1) -> Shape:
     camera = packed_sensor(sensor_named(simulation, simulation.camera))
     projector = packed_sensor(sensor_named(simulation, simulation.projector))
     specimen = specimen_in(simulation.scene, simulation.deformation)
-    rows, columns = int(camera[25]), int(camera[24])
+    rows, columns = int(camera[20]), int(camera[19])
     points, region = np.full((9, rows, columns), np.nan), np.zeros((rows, columns), np.int32)
     lit = np.zeros((rows, columns), np.bool_)
 
@@ -181,7 +181,7 @@ def _see_rows(
     region: NDArray[np.int32],
     lit: Flags,
 ) -> None:
-    ox, oy, oz = camera[21], camera[22], camera[23]
+    ox, oy, oz = camera[16], camera[17], camera[18]
     for i in range(start, stop):
         gx, gy = -camera[2] / camera[0], (i - camera[3]) / camera[1]
         for j in range(region.shape[1]):
@@ -212,7 +212,7 @@ def _still_seen(
     normals: Floats,
     out: Flags,
 ) -> None:
-    ox, oy, oz = camera[21], camera[22], camera[23]
+    ox, oy, oz = camera[16], camera[17], camera[18]
     for i in range(out.shape[0]):
         x, y, z = ends[i, 0], ends[i, 1], ends[i, 2]
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]

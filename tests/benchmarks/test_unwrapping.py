@@ -7,7 +7,8 @@ from math import pi
 import numpy as np
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
+from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.triangulation import Projector, camera_rays, triangulate
 from sms_jobs.metrology.phase.patterns import phase_gradient
 from sms_jobs.metrology.phase.temporal_unwrapping import unwrap

@@ -21,7 +21,7 @@ from sms_jobs import bootstrap
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.models import FileRow
 from sms_jobs.jobs.calibrations import known_calibration
-from sms_jobs.metrology.geometry.camera import Intrinsics
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.recording import Recording

@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, ray_directions
+from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
 
 lenses = st.builds(
     Intrinsics,

@@ -13,13 +13,14 @@ from sms_jobs.metrology.calibration.bundle_problem import (
     BundleSensor,
 )
 from sms_jobs.metrology.calibration.initialisation import InitialCalibration
+from sms_jobs.metrology.geometry.lens import KEPT
 
 
 def board_problem(
     initial: InitialCalibration,
     views: Sequence[BoardView],
     projectors: Collection[str] = (),
-    fixed: tuple[str, ...] = ("k3",),
+    fixed: tuple[str, ...] = KEPT,
 ) -> BundleProblem:
     """Return the adjustment of all points of the usable views, in the world of the initial calibration."""
     names, poses = list(initial.sensors), list(initial.board_poses)

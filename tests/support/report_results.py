@@ -13,7 +13,8 @@ import numpy as np
 
 from sms_jobs.archive import Archive, Provenance
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DocumentOutput, Inputs, Need
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.assessment import Assessment, Errors
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
 from sms_jobs.records.fields import MergedField, Mesh, PointCloud, Region, Regions, StrainField

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PointCloud, Region, Regions
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement

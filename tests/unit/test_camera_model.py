@@ -8,17 +8,13 @@ import pytest
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.geometry.camera import (
-    Intrinsics,
     Pose,
-    distort,
-    distortion_jacobian,
     pixel_grid,
     project,
     projection_jacobian,
-    ray_direction_jacobian,
     ray_directions,
-    undistort,
 )
+from sms_jobs.metrology.geometry.lens import Intrinsics, distort, distortion_jacobian, undistort
 
 Floats = NDArray[np.float64]
 
@@ -110,13 +106,6 @@ def test_projection_jacobian_is_the_derivative(points: Floats) -> None:
     expected = central_differences(lambda p: project(LENS, POSE, p), points, 1e-2)
     # Pixels of 1e3 are known to 1e-13: 1e-11 px/mm; truncation is step^2 times 1.8 px/mm / (1e3 mm)^2.
     np.testing.assert_allclose(projection_jacobian(LENS, POSE, points), expected, atol=1e-9)
-
-
-def test_ray_jacobian_is_the_derivative(points: Floats) -> None:
-    pixels = project(LENS, POSE, points)
-    expected = central_differences(lambda p: ray_directions(LENS, POSE, p), pixels, 1e-2)
-    # Directions are known to 1e-14 (Newton): 1e-12 per px; truncation is (1e-2 / 1.8e3)^2 of 1/1.8e3.
-    np.testing.assert_allclose(ray_direction_jacobian(LENS, POSE, pixels), expected, atol=1e-11)
 
 
 def test_pixel_centres_count_from_zero() -> None:

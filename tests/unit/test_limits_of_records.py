@@ -13,7 +13,9 @@ import pytest
 from sms_jobs.cli.commands import COMMANDS
 from sms_jobs.errors import ConfigurationError, InvalidInput
 from sms_jobs.formats.configuration import example_campaign, parse_campaign
-from sms_jobs.metrology.geometry.camera import Intrinsics
+from sms_jobs.metrology.geometry.camera import SENSOR_PARAMETERS
+from sms_jobs.metrology.geometry.lens import Intrinsics
+from sms_jobs.records.calibration import CalibrationUncertainty
 from sms_jobs.records.campaign import LoadState, Specimen
 from sms_jobs.records.numbers import LARGEST, is_excessive
 from sms_jobs.records.recording import Recording, Verdict, as_recorded
@@ -123,3 +125,14 @@ def test_an_archive_that_is_no_folder(home: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("SMS_ARCHIVE", "/dev/null")
     with pytest.raises(ConfigurationError):
         bootstrap.initialise(home)
+
+
+def test_a_covariance_of_other_parameters_is_not_taken_for_ours(rng: np.random.Generator) -> None:
+    count = 2 * len(SENSOR_PARAMETERS)
+    covariance = rng.standard_normal((count, count))
+    known = CalibrationUncertainty(("C1", "P1"), SENSOR_PARAMETERS, covariance)
+    order = np.roll(np.arange(count), len(SENSOR_PARAMETERS))
+    np.testing.assert_array_equal(known.of(["P1", "C1"]), covariance[np.ix_(order, order)])
+    other = CalibrationUncertainty(("C1", "P1"), (*SENSOR_PARAMETERS, "k99"), covariance)
+    with pytest.raises(InvalidInput, match="k99, but sensors have"):
+        other.of(["C1"])

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sms_jobs.metrology.geometry.camera import project, ray_directions
+from sms_jobs.metrology.geometry.lens import PIN_HOLE, Intrinsics
 from sms_jobs.virtual_rig.campaigns import CAMERA_LENS, aimed
 from sms_jobs.virtual_rig.optics import image_point, in_image, packed_sensor, pixel_ray
 
-SENSOR = aimed("C1", 512, 400, CAMERA_LENS, (-900.0, 300.0, 2000.0), 0.1)
+AIMED = aimed("C1", 512, 400, CAMERA_LENS, (-900.0, 300.0, 2000.0), 0.1)
+LENS = AIMED.intrinsics.vector()
+LENS[PIN_HOLE:] += 0.001 * np.arange(1, len(LENS) - PIN_HOLE + 1)
+SENSOR = replace(AIMED, intrinsics=Intrinsics.from_vector(LENS))
+"""With some of every coefficient of the distortion."""
 
 
 def test_rays_are_the_camera_models(rng: np.random.Generator) -> None:

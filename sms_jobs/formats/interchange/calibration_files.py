@@ -19,7 +19,8 @@ from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.formats.interchange.text_files import read_text
 from sms_jobs.formats.interchange.thesis_calibration import find_thesis_calibration, thesis_text
 from sms_jobs.formats.interchange.xml_elements import parse_xml
-from sms_jobs.metrology.geometry.camera import Pose, distortion_jacobian, undistort
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import distortion_jacobian, undistort
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
 from sms_jobs.records.views import role_of, sensor_name

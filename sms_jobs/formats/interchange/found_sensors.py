@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from sms_jobs.errors import ConfigurationError
-from sms_jobs.metrology.geometry.camera import Floats, Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import COEFFICIENTS, Floats, Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 from sms_jobs.records.sensors import Box
 from sms_jobs.records.views import Role
@@ -20,7 +21,13 @@ LARGEST_ROTATION_ERROR = 1e-5
 """Largest departure of R R^T from 1: five decimals, as files with few digits have it."""
 
 _EXACT = 1e-12
-_COEFFICIENTS = (4, 5, 8, 12, 14)  # the counts that OpenCV writes: k1, k2, p1, p2, then k3, then others
+_OPENCV = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
+"""OpenCV's distortion coefficients in its order: radial and tangential, rational, thin prism, tilt."""
+
+_COUNTS = (4, 5, 8, 12, 14)
+"""How many of them OpenCV writes."""
+
+CAMERA_MODEL = f"the pin-hole with {', '.join(COEFFICIENTS)}"
 _MATRIX_SIDE = 100_000
 
 
@@ -110,7 +117,7 @@ def intrinsics_from(matrix: Floats, coefficients: Floats, where: str) -> Intrins
     Raises
     ------
     ConfigurationError
-        They are not those of the model of this program: no skew, and k1, k2, p1, p2, k3 alone.
+        They are not those of the model of this program: no skew, and `COEFFICIENTS` alone.
     """
     if matrix.shape != (3, 3):
         raise ConfigurationError(f"the camera matrix of {where} is {_shape(matrix)}, not 3 x 3")
@@ -127,20 +134,27 @@ def intrinsics_from(matrix: Floats, coefficients: Floats, where: str) -> Intrins
         raise ConfigurationError(
             f"the focal lengths of {where} should be above 0 px, not {matrix[0, 0]:g} and {matrix[1, 1]:g}"
         )
-    found = coefficients.ravel()
-    if found.size not in _COEFFICIENTS:
+    if coefficients.size not in _COUNTS:
         raise ConfigurationError(
-            f"{where} has {found.size} distortion coefficients; OpenCV writes 4, 5, 8, 12 or 14"
+            f"{where} has {coefficients.size} distortion coefficients; OpenCV writes 4, 5, 8, 12 or 14"
         )
-    if found[5:].any():
-        number = 5 + int(np.flatnonzero(found[5:])[0])
-        raise ConfigurationError(
-            f"distortion coefficient {number + 1} of {where} is {found[number]:g}, but the camera model here "
-            "has k1, k2, p1, p2 and k3 alone: calibrate again without rational, thin prism or tilted terms"
-        )
-    k1, k2, p1, p2, k3 = (float(k) for k in (*found[:5], 0.0)[:5])
+    found = dict(zip(_OPENCV, map(float, coefficients.ravel()), strict=False))
+    for number, (name, value) in enumerate(found.items(), start=1):
+        if value and name not in COEFFICIENTS:
+            raise ConfigurationError(
+                f"distortion coefficient {number} of {where}, {name}, is {value:g}, but the camera model "
+                f"here is {CAMERA_MODEL}: calibrate again without other terms"
+            )
+    bent = {name: value for name, value in found.items() if name in COEFFICIENTS}
     fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return Intrinsics(fx, fy, cx, cy, k1, k2, p1, p2, k3)
+    return Intrinsics(fx, fy, cx, cy, **bent)
+
+
+def opencv_coefficients(intrinsics: Intrinsics) -> Floats:
+    """Return the distortion coefficients of intrinsics as OpenCV writes them."""
+    last = max(_OPENCV.index(name) for name in COEFFICIENTS)
+    count = next(n for n in _COUNTS if n > last)
+    return np.array([getattr(intrinsics, name, 0.0) for name in _OPENCV[:count]])
 
 
 def pose_from(rotation: Floats, translation: Floats, where: str) -> Pose:

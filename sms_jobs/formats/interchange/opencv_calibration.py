@@ -17,11 +17,13 @@ import numpy as np
 
 from sms_jobs.errors import ConfigurationError, InvalidInput, OtherFormat
 from sms_jobs.formats.interchange.found_sensors import (
+    CAMERA_MODEL,
     FoundCalibration,
     FoundSensor,
     image_size,
     intrinsics_from,
     numbers,
+    opencv_coefficients,
     pose_from,
 )
 from sms_jobs.formats.interchange.opencv_text import Table
@@ -245,13 +247,12 @@ def _refuse_other_models(table: Table, source: str) -> None:
         model = table.get(key)
         if isinstance(model, str) and model.lower() not in _MODELS:
             raise ConfigurationError(
-                f"{key} of {source} is '{model}', but the camera model here is the pin-hole with k1, k2, p1, "
-                "p2, k3"
+                f"{key} of {source} is '{model}', but the camera model here is {CAMERA_MODEL}"
             )
     if table.get("fisheye_model", 0) != 0 or any(key == "xi" or key.startswith("xi_") for key in table):
         raise ConfigurationError(
-            f"{source} describes a fisheye or omnidirectional camera, but the camera model here is the "
-            "pin-hole with k1, k2, p1, p2, k3"
+            f"{source} describes a fisheye or omnidirectional camera, but the camera model here is "
+            f"{CAMERA_MODEL}"
         )
 
 
@@ -293,7 +294,7 @@ def opencv_text(calibration: Calibration, dialect: Dialect) -> str:
         storage.write("image_width", sensor.columns)
         storage.write("image_height", sensor.rows)
         storage.write("camera_matrix", sensor.intrinsics.matrix())
-        storage.write("distortion_coefficients", sensor.intrinsics.distortion()[None])
+        storage.write("distortion_coefficients", opencv_coefficients(sensor.intrinsics)[None])
         storage.write("R", sensor.pose.matrix())
         storage.write("T", np.array(sensor.pose.translation)[:, None])
         storage.endWriteStruct()

@@ -11,13 +11,11 @@ from sms_jobs.formats.report.certificate import doubts
 from sms_jobs.formats.report.charts import Axis, Chart, Line, Point, charts
 from sms_jobs.formats.report.html import Cell, Markup, facts, figure, figures, paragraph, table
 from sms_jobs.formats.report.page import Section, page
-from sms_jobs.metrology.geometry.camera import Intrinsics
+from sms_jobs.metrology.geometry.camera import PER_POSE
+from sms_jobs.metrology.geometry.lens import LENS
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.sensors import Calibration, Rig, Sensor
 
-_INNER = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-_FIRST_INNER = 6
-_PER_SENSOR = 15
 MICROMETRES = 1e3
 
 
@@ -157,21 +155,17 @@ def _refused(refused: Mapping[str, int]) -> list[Markup]:
 
 def _parameters(before: Rig, after: Rig, uncertainty: CalibrationUncertainty) -> Markup:
     rows: list[list[Cell]] = []
-    deviation = np.sqrt(np.diag(uncertainty.covariance))
     for sensor in after.sensors:
         first = before.sensor(sensor.name)
-        start = _PER_SENSOR * uncertainty.sensors.index(sensor.name)
-        inner = deviation[start + _FIRST_INNER : start + _PER_SENSOR]
-        for name, sigma in zip(_INNER, inner, strict=True):
-            old, new = _value(first.intrinsics, name), _value(sensor.intrinsics, name)
-            rows.append([sensor.name, name, old, new, float(sigma) if sigma else None])
+        inner = np.sqrt(np.diag(uncertainty.of([sensor.name])))[PER_POSE:]
+        values = zip(first.intrinsics.vector(), sensor.intrinsics.vector(), inner, strict=True)
+        for (name, known), (old, new, sigma) in zip(LENS.items(), values, strict=True):
+            unit = f" [{known.unit}]" if known.unit != "1" else ""
+            what = f"{name}, {known.meaning}{unit}"
+            rows.append([sensor.name, what, float(old), float(new), float(sigma) if sigma else None])
         for axis, old, new in zip("XYZ", _pin_hole(first), _pin_hole(sensor), strict=True):
             rows.append([sensor.name, f"pin-hole {axis} [mm]", old, new, None])
     return table(["sensor", "parameter", "before", "after", "standard deviation"], rows)
-
-
-def _value(intrinsics: Intrinsics, name: str) -> float:
-    return float(getattr(intrinsics, name))
 
 
 def _pin_hole(sensor: Sensor) -> list[float]:

@@ -10,10 +10,11 @@ from sms_jobs.metrology.calibration.bundle_covariance import point_jacobian
 from sms_jobs.metrology.calibration.bundle_linear import inverse
 from sms_jobs.metrology.calibration.bundle_normal import Live, Packed
 from sms_jobs.metrology.calibration.bundle_parameters import Freedom, State, adjusted_sensor, sensor_arrays
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR, SENSOR_PARAMETERS, BundleProblem
+from sms_jobs.metrology.calibration.bundle_problem import BundleProblem
 from sms_jobs.metrology.calibration.bundle_residuals import ray_distances
 from sms_jobs.metrology.calibration.bundle_result import Nuisance, Rms
 from sms_jobs.metrology.calibration.bundle_weak_directions import described, weakest_direction
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, SENSOR_PARAMETERS
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +35,7 @@ def check_before(problem: BundleProblem, packed: Packed) -> None:
     if all(set(s.fixed) == set(SENSOR_PARAMETERS) for s in problem.sensors):
         return  # the artefacts alone are measured
     if problem.prior is not None:
-        known = np.diag(problem.prior.information).reshape(-1, PER_SENSOR)[:, :6]
+        known = np.diag(problem.prior.information).reshape(-1, PER_SENSOR)[:, :PER_POSE]
         if np.all(known > 0.0):
             return  # the sensors stand to each other about as they did
     _check_connected(problem)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.calibration.bundle_parameters import sensor_arrays
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR
 from sms_jobs.metrology.calibration.bundle_residuals import (
     along_change,
     pin_hole,
@@ -15,15 +14,17 @@ from sms_jobs.metrology.calibration.bundle_residuals import (
 )
 from sms_jobs.metrology.calibration.bundle_result import Adjustment
 from sms_jobs.metrology.compilation import kernel
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project
+from sms_jobs.metrology.geometry.lens import PER_LENS, Intrinsics
 
 Floats = NDArray[np.float64]
 
 
 @kernel
 def _point_rows(rotation: Floats, translation: Floats, lens: Floats, pixels: Floats, rows: Floats) -> None:
-    """Fill rows (n, 3, 30) with d(point)/d(camera's and projector's parameters) at pixels (n, 2, 2)."""
-    inner, turn, direction, hole = np.empty((2, 6)), np.empty((2, 2, 9)), np.empty((2, 3)), np.empty((2, 3))
+    """Fill rows (n, 3, parameters) with d(point)/d(camera's, then projector's) at pixels (n, 2, 2)."""
+    inner, turn = np.empty((2, 6)), np.empty((2, 2, PER_LENS))
+    direction, hole = np.empty((2, 3)), np.empty((2, 3))
     by_along, by = np.empty((3, 3)), np.empty((2, 3))
     for k in range(2):
         pin_hole(rotation[k], translation[k], hole[k])
@@ -39,10 +40,10 @@ def _point_rows(rotation: Floats, translation: Floats, lens: Floats, pixels: Flo
                 here = 1.0 if i == j else 0.0
                 by[0, j] = here - u[i] * by_along[0, j]
                 by[1, j] = along * here + u[i] * by_along[1, j]
-            to_sensor(rotation[0], translation[0], inner[0], turn[0], by, rows[n, i, :15])
+            to_sensor(rotation[0], translation[0], inner[0], turn[0], by, rows[n, i, :PER_SENSOR])
             for j in range(3):
                 by[0, j], by[1, j] = u[i] * by_along[0, j], u[i] * by_along[2, j]
-            to_sensor(rotation[1], translation[1], inner[1], turn[1], by, rows[n, i, 15:])
+            to_sensor(rotation[1], translation[1], inner[1], turn[1], by, rows[n, i, PER_SENSOR:])
             if not np.isfinite(along):
                 rows[n, i] = np.nan
 
@@ -61,7 +62,7 @@ def point_jacobian(
 
     Returns
     -------
-    (n, 3, 30) in mm per unit of each parameter, the camera's 15 first; NaN where a sensor does not see it.
+    (n, 3, parameters) in mm per unit of each, the camera's first; NaN where a sensor does not see it.
     """
     pixels = np.stack([project(*sensor, points) for sensor in (camera, projector)], axis=1)
     rows = np.empty((len(points), 3, 2 * PER_SENSOR))
@@ -71,7 +72,7 @@ def point_jacobian(
 
 
 def pair_covariance(adjustment: Adjustment, camera: str, projector: str) -> Floats:
-    """Return the (30, 30) covariance of the parameters of a pair, the camera's first."""
+    """Return the covariance of the parameters of a pair, the camera's first."""
     at = [adjustment.sensor(name) for name in (camera, projector)]
     index = np.concatenate([np.arange(PER_SENSOR * i, PER_SENSOR * (i + 1)) for i in at])
     return np.asarray(adjustment.covariance[np.ix_(index, index)])

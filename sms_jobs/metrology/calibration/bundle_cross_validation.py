@@ -9,13 +9,9 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.metrology.calibration.bundle_adjustment import adjust
-from sms_jobs.metrology.calibration.bundle_problem import (
-    SENSOR_PARAMETERS,
-    BoardPose,
-    BundleOptions,
-    BundleProblem,
-)
+from sms_jobs.metrology.calibration.bundle_problem import BoardPose, BundleOptions, BundleProblem
 from sms_jobs.metrology.calibration.bundle_result import Adjustment, Nuisance
+from sms_jobs.metrology.geometry.camera import SENSOR_PARAMETERS
 
 Floats = NDArray[np.float64]
 

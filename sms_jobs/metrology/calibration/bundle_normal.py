@@ -8,11 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.calibration.bundle_parameters import Layout, State, starting_state
-from sms_jobs.metrology.calibration.bundle_problem import (
-    PER_SENSOR,
-    BundleOptions,
-    BundleProblem,
-)
+from sms_jobs.metrology.calibration.bundle_problem import BundleOptions, BundleProblem
 from sms_jobs.metrology.calibration.bundle_residuals import (
     BOARD_SIZE,
     SPHERE_SIZE,
@@ -21,6 +17,7 @@ from sms_jobs.metrology.calibration.bundle_residuals import (
     sphere_block,
 )
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR
 from sms_jobs.metrology.geometry.transforms import rotation_vector
 
 Floats = NDArray[np.float64]
@@ -70,7 +67,7 @@ class Packed:
     board_start
         For each item of `board_points` the place of its first point in `board_observed`.
     bar_index, board_index
-        (blocks, 34) and (blocks, 22): the parameters of each block.
+        (blocks, SPHERE_SIZE) and (blocks, BOARD_SIZE): the parameters of each block.
     """
 
     bars: tuple[Block, ...]
@@ -367,8 +364,8 @@ def _sensor_prior(
         turned = rotation_vector(state.rotation[i] @ start.rotation[i].T)
         off[at : at + 3] = turned
         slope[at : at + 3, at : at + 3] = _inverse_left_jacobian(turned)
-        off[at + 3 : at + 6] = state.translation[i] - start.translation[i]
-        off[at + 6 : at + PER_SENSOR] = state.lens[i] - start.lens[i]
+        off[at + 3 : at + PER_POSE] = state.translation[i] - start.translation[i]
+        off[at + PER_POSE : at + PER_SENSOR] = state.lens[i] - start.lens[i]
     pull = information @ off
     n = len(information)
     normal[:n, :n] += slope.T @ information @ slope

@@ -7,20 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.calibration.bundle_problem import (
-    PER_SENSOR,
-    SENSOR_PARAMETERS,
-    BundleProblem,
-    BundleSensor,
-)
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.calibration.bundle_problem import BundleProblem, BundleSensor
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, POSE_PARAMETERS, SENSOR_PARAMETERS, Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.signedinteger]
-
-_POSE = SENSOR_PARAMETERS[:6]
 
 
 @dataclass(frozen=True)
@@ -75,7 +69,7 @@ class Layout:
 def parameter_names(problem: BundleProblem) -> tuple[str, ...]:
     """Return the name of every parameter, in the order of `Layout`."""
     names = [f"{s.name}.{p}" for s in problem.sensors for p in SENSOR_PARAMETERS]
-    names += [f"board {b.name}.{p}" for b in problem.board_poses for p in _POSE]
+    names += [f"board {b.name}.{p}" for b in problem.board_poses for p in POSE_PARAMETERS]
     names += [f"bar {b.name}.sphere{k}.{c}" for b in problem.bar_poses for k in (1, 2) for c in "xyz"]
     names += [f"{b.name}.{p}" for b in problem.bars for p in ("length", "radius1", "radius2")]
     names += [f"{b.name}.pitch-scale" for b in problem.boards]
@@ -154,9 +148,10 @@ def freedom(problem: BundleProblem, seen_board: Bools, seen_sphere: Bools) -> Fr
         start = PER_SENSOR * i
         for k, name in enumerate(SENSOR_PARAMETERS):
             free[start + k] = name not in sensor.fixed
-        if sensor.fixed_aspect and free[start + 6]:
-            free[start + 7] = False
-            followers.append((start + 7, start + 6, sensor.intrinsics.fy / sensor.intrinsics.fx))
+        focal = start + PER_POSE
+        if sensor.fixed_aspect and free[focal]:
+            free[focal + 1] = False
+            followers.append((focal + 1, focal, sensor.intrinsics.fy / sensor.intrinsics.fx))
     if problem.world_board is None and problem.prior is None:
         free[:6] = False
     for pose in np.flatnonzero(seen_board):
@@ -181,7 +176,7 @@ class State:
     Attributes
     ----------
     rotation, translation, lens
-        (s, 3, 3), (s, 3) and (s, 9) of the sensors; lens is fx, fy, cx, cy, k1, k2, p1, p2, k3.
+        (s, 3, 3), (s, 3) and (s, parameters of a lens) of the sensors.
     board
         (board poses, 3, 5): rotation, translation, and at [:, 0, 4] the scale of the board's pitch.
     sphere
@@ -216,8 +211,8 @@ class State:
         length += step[layout.bar(0) : layout.board(0)].reshape(-1, 3)[:, 0]
         return State(
             rotation_matrix(own[:, :3]) @ self.rotation,
-            self.translation + own[:, 3:6],
-            self.lens + own[:, 6:],
+            self.translation + own[:, 3:PER_POSE],
+            self.lens + own[:, PER_POSE:],
             board,
             sphere,
             length,
@@ -257,12 +252,11 @@ def _turned_bars(centres: Floats, step: Floats) -> Floats:
 
 
 def sensor_arrays(sensors: tuple[tuple[Intrinsics, Pose], ...]) -> tuple[Floats, Floats, Floats]:
-    """Return rotation (s, 3, 3), translation (s, 3) and lens (s, 9) of sensors."""
-    lens = [[i.fx, i.fy, i.cx, i.cy, *i.distortion()] for i, _ in sensors]
+    """Return rotation (s, 3, 3), translation (s, 3) and lens (s, parameters of a lens) of sensors."""
     return (
         np.array([p.matrix() for _, p in sensors]),
         np.array([p.translation for _, p in sensors]),
-        np.array(lens, dtype=np.float64),
+        np.array([i.vector() for i, _ in sensors]),
     )
 
 
@@ -285,6 +279,5 @@ def adjusted_sensor(sensor: BundleSensor, state: State, at: int) -> tuple[Intrin
     """Return the inner parameters and the pose of the sensor at a place; untouched where all is fixed."""
     if len(set(sensor.fixed)) == PER_SENSOR:
         return sensor.intrinsics, sensor.pose
-    return Intrinsics(*map(float, state.lens[at])), Pose.from_arrays(
-        state.rotation[at], state.translation[at]
-    )
+    pose = Pose.from_arrays(state.rotation[at], state.translation[at])
+    return Intrinsics.from_vector(state.lens[at]), pose

@@ -14,16 +14,10 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.bundle_linear import inverse
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, Pose
+from sms_jobs.metrology.geometry.lens import KEPT, Intrinsics
 
 Floats = NDArray[np.float64]
-
-SENSOR_PARAMETERS = (
-    "rx", "ry", "rz", "tx", "ty", "tz", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3",
-)  # fmt: skip
-"""Parameters of a sensor in their order; (rx, ry, rz) is a small rotation from the left, R <- exp([r]x) R."""
-
-PER_SENSOR = len(SENSOR_PARAMETERS)
 
 ResidualType: TypeAlias = Literal["ray gap", "sphere surface", "board in camera", "board in projector"]
 RESIDUAL_TYPES: tuple[ResidualType, ...] = (
@@ -53,7 +47,7 @@ class BundleSensor:
     name: str
     intrinsics: Intrinsics
     pose: Pose
-    fixed: tuple[str, ...] = ("k3",)
+    fixed: tuple[str, ...] = KEPT
     fixed_aspect: bool = False
 
 
@@ -165,7 +159,7 @@ class SensorPrior:
     Attributes
     ----------
     information
-        (15 s, 15 s) inverse covariance of the parameters of all s sensors, about the problem's start.
+        (p, p) inverse covariance of all parameters of all sensors, about the problem's start.
     """
 
     information: Floats
@@ -177,8 +171,8 @@ class SensorPrior:
         Parameters
         ----------
         covariance
-            (15 s, 15 s) of the sensors. Parameters with a variance of 0 were fixed: nothing is said of
-            them, so fix them again.
+            (p, p) of all parameters of all sensors. Those with a variance of 0 were fixed: nothing is said
+            of them, so fix them again.
 
         Raises
         ------

@@ -11,15 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel
-from sms_jobs.metrology.geometry.triangulation import undistorted
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR
+from sms_jobs.metrology.geometry.lens import PER_LENS, PIN_HOLE
+from sms_jobs.metrology.geometry.lens_kernels import by_parameters, by_point, distorted, undistorted
 
 Floats = NDArray[np.float64]
 
-SPHERE_SIZE = 34
-"""Parameters of a sphere block: 15 of the camera, 15 of the projector, the centre, the radius."""
+SPHERE_SIZE = 2 * PER_SENSOR + 4
+"""Parameters of a sphere block: the camera's, the projector's, the centre, the radius."""
 
-BOARD_SIZE = 22
-"""Parameters of a board block: 15 of the sensor, 6 of the board's pose, the scale of its pitch."""
+BOARD_SIZE = PER_SENSOR + PER_POSE + 1
+"""Parameters of a board block: the sensor's, those of the board's pose, the scale of its pitch."""
 
 
 @kernel
@@ -38,34 +40,29 @@ def _dot(a: Floats, b: Floats) -> float:
 def pin_hole(rotation: Floats, translation: Floats, result: Floats) -> None:
     """Fill result (3,) with -R^T T, in mm."""
     for i in range(3):
-        result[i] = -(
-            rotation[0, i] * translation[0]
-            + rotation[1, i] * translation[1]
-            + rotation[2, i] * translation[2]
-        )
+        result[i] = -_dot(rotation[:, i], translation)
 
 
 @kernel
 def ray(rotation: Floats, lens: Floats, pixel: Floats, inner: Floats, turn: Floats, v: Floats) -> bool:
     """Follow a pixel's ray: its direction and how it changes with the lens; say whether the lens has one.
 
-    Fills `inner` (6,) as `undistorted` does; `turn` (2, 9) with d(x, y)/d(fx, fy, cx, cy, k1, k2, p1, p2,
-    k3) of the normalised point, by the implicit function theorem on the distortion; and v (3,) with the
-    direction in the world, R^T (x, y, 1).
+    Fills `inner` (6,) as `undistorted` does; `turn` (2, parameters of the lens) with the derivatives of the
+    normalised point, by the implicit function theorem on the distortion; and v (3,) with the direction in
+    the world, R^T (x, y, 1).
     """
     if not undistorted(lens, pixel, inner):
         return False
     x, y = inner[0], inner[1]
-    r2 = x * x + y * y
     u, w = (pixel[0] - lens[2]) / lens[0], (pixel[1] - lens[3]) / lens[1]
+    by_parameters(lens, x, y, turn[:, PIN_HOLE:])
+    a, b, c, d = inner[2] * lens[0], inner[3] * lens[1], inner[4] * lens[0], inner[5] * lens[1]
+    for k in range(PIN_HOLE, PER_LENS):
+        off_x, off_y = turn[0, k], turn[1, k]
+        turn[0, k], turn[1, k] = -(a * off_x + b * off_y), -(c * off_x + d * off_y)
     for i in range(2):
         du, dv = inner[2 + 2 * i], inner[3 + 2 * i]
         turn[i, 0], turn[i, 1], turn[i, 2], turn[i, 3] = -u * du, -w * dv, -du, -dv
-        a, b = -du * lens[0], -dv * lens[1]
-        radial = a * x + b * y
-        turn[i, 4], turn[i, 5], turn[i, 8] = radial * r2, radial * r2 * r2, radial * r2 * r2 * r2
-        turn[i, 6] = a * 2.0 * x * y + b * (r2 + 2.0 * y * y)
-        turn[i, 7] = a * (r2 + 2.0 * x * x) + b * 2.0 * x * y
     for i in range(3):
         v[i] = rotation[0, i] * x + rotation[1, i] * y + rotation[2, i]
     return True
@@ -75,7 +72,7 @@ def ray(rotation: Floats, lens: Floats, pixel: Floats, inner: Floats, turn: Floa
 def to_sensor(
     rotation: Floats, translation: Floats, inner: Floats, turn: Floats, by: Floats, row: Floats
 ) -> None:
-    """Turn the derivatives of a residual by a ray into those by the sensor's 15 parameters.
+    """Turn the derivatives of a residual by a ray into those by the sensor's parameters.
 
     `by` (2, 3) holds the derivatives by the pin-hole and by the direction, in the world. With
     R <- exp([r]x) R the pin-hole -R^T T moves by R^T (r x T - dT), and the direction R^T d by R^T (d x r).
@@ -93,8 +90,8 @@ def to_sensor(
     row[1] = translation[2] * cx - translation[0] * cz + vz * x - vx
     row[2] = translation[0] * cy - translation[1] * cx + vx * y - vy * x
     row[3], row[4], row[5] = -cx, -cy, -cz
-    for k in range(9):
-        row[6 + k] = vx * turn[0, k] + vy * turn[1, k]
+    for k in range(PER_LENS):
+        row[PER_POSE + k] = vx * turn[0, k] + vy * turn[1, k]
 
 
 @kernel
@@ -171,7 +168,7 @@ def ray_distances(
     the camera's ray, nearest to the projector's; epsilon_1 is the distance of the rays (thesis Eq. (1.26))
     and epsilon_2 = |P - S| - R (thesis Eq. (1.27)). NaN where the rays do not meet in front of both sensors.
     """
-    inner, turn, direction, hole = np.empty(6), np.empty((2, 9)), np.empty((2, 3)), np.empty((2, 3))
+    inner, turn, direction, hole = np.empty(6), np.empty((2, PER_LENS)), np.empty((2, 3)), np.empty((2, 3))
     by = np.empty((3, 3))
     for k in range(2):
         at = pair[k]
@@ -228,12 +225,12 @@ def sphere_rows(
 ) -> float:
     """Find the projector's pixel that lights what a camera's pixel sees of a sphere; fill derivatives.
 
-    Fills `pixel` (2,), `rows` (2, 34) with its derivatives by the parameters, and `along` (2,) with its
+    Fills `pixel` (2,), `rows` (2, parameters) with its derivatives by them, and `along` (2,) with its
     direction along the camera's ray. Returns the cosine of the camera's ray with the surface; NaN where
     there is no ray or where the sphere lies behind a sensor.
     """
     camera, projector = pair
-    inner, turn, u, hole, c = np.empty(6), np.empty((2, 9)), np.empty(3), np.empty(3), np.empty(3)
+    inner, turn, u, hole, c = np.empty(6), np.empty((2, PER_LENS)), np.empty(3), np.empty(3), np.empty(3)
     by_along, by, point, slope = np.empty((3, 3)), np.empty((2, 3)), np.empty(3), np.empty((2, 3))
     if not ray(rotation[camera], lens[camera], camera_px, inner, turn, u):
         return np.nan
@@ -243,8 +240,9 @@ def sphere_rows(
     s, cosine = meet_sphere(c, u, sphere[3], flattest, by_along)
     for i in range(3):
         point[i] = hole[i] + s * u[i]
+    own = rows[:, PER_SENSOR : 2 * PER_SENSOR]
     if not s > 0.0 or not project_rows(
-        rotation[projector], translation[projector], lens[projector], point, pixel, rows[:, 15:30], slope
+        rotation[projector], translation[projector], lens[projector], point, pixel, own, slope
     ):
         return np.nan
     for k in range(2):
@@ -253,9 +251,9 @@ def sphere_rows(
         for i in range(3):
             by[0, i] = g[i] - facing * by_along[0, i]
             by[1, i] = s * g[i] + facing * by_along[1, i]
-            rows[k, 30 + i] = facing * by_along[0, i]
-        to_sensor(rotation[camera], translation[camera], inner, turn, by, rows[k, :15])
-        rows[k, 33] = facing * by_along[2, 0]
+            rows[k, SPHERE_SIZE - 4 + i] = facing * by_along[0, i]
+        to_sensor(rotation[camera], translation[camera], inner, turn, by, rows[k, :PER_SENSOR])
+        rows[k, SPHERE_SIZE - 1] = facing * by_along[2, 0]
         along[k] = facing
     return cosine
 
@@ -279,10 +277,10 @@ def sphere_block(
     """Add the points of a block to its normal equations; return their cost.
 
     `observed` (n, 6) holds camera and projector pixels and the sigmas of the latter; `scale` (2,) is the
-    estimated over the stated standard deviation of both types. `normal` (2, 34, 34), lower triangles, and
-    `gradient` (2, 34) are filled, one for each type, not yet divided by scale^2. `found` (n, 4) becomes the
-    whitened residuals of both types, the cosine of incidence and the weight. Points that are not live have
-    weight 0; the cost is infinite where a live one has no residual.
+    estimated over the stated standard deviation of both types. `normal` (2, parameters, parameters), lower
+    triangles, and `gradient` (2, parameters) are filled, one for each type, not yet divided by scale^2.
+    `found` (n, 4) becomes the whitened residuals of both types, the cosine of incidence and the weight.
+    Points that are not live have weight 0; the cost is infinite where a live one has no residual.
 
     The residual is the way in the projector's image, with x and y in units of their sigmas, that the observed
     pixel would have to go for the rays to meet on the sphere: across the camera ray's image it closes the gap
@@ -315,7 +313,7 @@ def sphere_block(
             own_x, own_y = sx * rows[0, k], sy * rows[1, k]
             turned[0, k] = x * own_y - y * own_x
             turned[1, k] = x * own_x + y * own_y
-        _add(turned[0], 30, weight, first, normal[0], gradient[0])
+        _add(turned[0], SPHERE_SIZE - 4, weight, first, normal[0], gradient[0])
         _add(turned[1], SPHERE_SIZE, weight, second, normal[1], gradient[1])
     return cost
 
@@ -332,7 +330,7 @@ def project_rows(
 ) -> bool:
     """Project a point of the world; fill pixel (2,) and derivatives; say whether it is in front.
 
-    `rows` (2, 15) are the derivatives by the sensor's parameters, `slope` (2, 3) those by the point, in
+    `rows` (2, parameters) are the derivatives by those of the sensor, `slope` (2, 3) those by the point, in
     px/mm in the world.
     """
     turned, inside = np.empty(3), np.empty(3)
@@ -342,28 +340,20 @@ def project_rows(
     if not inside[2] > 0.0:
         return False
     x, y = inside[0] / inside[2], inside[1] / inside[2]
-    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slant = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
-    cross = x * y * slant + 2.0 * p1 * x + 2.0 * p2 * y
-    xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-    yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-    pixel[0], pixel[1] = lens[0] * xd + lens[2], lens[1] * yd + lens[3]
-    dxx = radial + x * x * slant + 2.0 * p1 * y + 6.0 * p2 * x
-    dyy = radial + y * y * slant + 6.0 * p1 * y + 2.0 * p2 * x
+    bent = distorted(lens, x, y)
+    xx, xy, yx, yy = by_point(lens, x, y)
+    by_parameters(lens, x, y, rows[:, PER_POSE + PIN_HOLE : PER_SENSOR])
     for i in range(2):
-        f, own, mixed = lens[i], x if i == 0 else y, 2.0 * x * y
-        to_x, to_y = (dxx, cross) if i == 0 else (cross, dyy)
-        row = rows[i]
+        f, row = lens[i], rows[i]
+        to_x, to_y = (xx, xy) if i == 0 else (yx, yy)
+        pixel[i] = f * bent[i] + lens[2 + i]
         row[3], row[4] = f * to_x / inside[2], f * to_y / inside[2]
         row[5] = -(row[3] * x + row[4] * y)
         _cross(turned, row[3:6], row[0:3])
         row[6], row[7], row[8], row[9] = 0.0, 0.0, 0.0, 0.0
-        row[6 + i], row[8 + i] = (xd if i == 0 else yd), 1.0
-        row[10], row[11], row[14] = f * own * r2, f * own * r2 * r2, f * own * r2 * r2 * r2
-        row[12] = f * (mixed if i == 0 else r2 + 2.0 * y * y)
-        row[13] = f * (r2 + 2.0 * x * x if i == 0 else mixed)
+        row[6 + i], row[8 + i] = bent[i], 1.0
+        for k in range(PER_POSE + PIN_HOLE, PER_SENSOR):
+            row[k] *= f
         for k in range(3):
             slope[i, k] = rotation[0, k] * row[3] + rotation[1, k] * row[4] + rotation[2, k] * row[5]
     return True
@@ -380,25 +370,25 @@ def board_rows(
     rows: Floats,
     slope: Floats,
 ) -> bool:
-    """Project a point of a board; fill pixel (2,), rows (2, 22) and slope (2, 3); say whether it is in front.
+    """Project a point of a board; fill pixel (2,) and derivatives; say whether it is in front.
 
     `board` (3, 5) holds the board's rotation, translation and, at [0, 4], the scale of its pitch; `rows`
-    are the derivatives of the pixel by the parameters, `slope` those by the point in the world.
+    (2, parameters) are the derivatives of the pixel by them, `slope` (2, 3) those by the point in the world.
     """
     place, world = np.empty(3), np.empty(3)
     for i in range(3):
         place[i] = board[i, 0] * point[0] + board[i, 1] * point[1] + board[i, 2] * point[2]
         world[i] = board[0, 4] * place[i] + board[i, 3]
-    if not project_rows(rotation, translation, lens, world, pixel, rows[:, :15], slope):
+    if not project_rows(rotation, translation, lens, world, pixel, rows[:, :PER_SENSOR], slope):
         return False
     for k in range(3):
         world[k] = board[0, 4] * place[k]
     for i in range(2):
         g = slope[i]
-        _cross(world, g, rows[i, 15:18])
+        _cross(world, g, rows[i, PER_SENSOR : PER_SENSOR + 3])
         for k in range(3):
-            rows[i, 18 + k] = g[k]
-        rows[i, 21] = _dot(g, place)
+            rows[i, PER_SENSOR + 3 + k] = g[k]
+        rows[i, BOARD_SIZE - 1] = _dot(g, place)
     return True
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.calibration.bundle_problem import ResidualType
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 
 Floats = NDArray[np.float64]
 
@@ -98,8 +99,8 @@ class Adjustment:
     nuisance
         Lengths and radii of each bar, then the pitch scale of each board.
     names
-        Of all parameters, fixed ones too: "C1.fx", "board B02.tx", "bar A07.sphere1.x", ...; the first
-        15 x sensors are those of the sensors.
+        Of all parameters, fixed ones too: "C1.fx", "board B02.tx", "bar A07.sphere1.x", ...; those
+        of the sensors first.
     covariance
         (parameters, parameters); rows and columns of what was kept fixed are 0.
     free

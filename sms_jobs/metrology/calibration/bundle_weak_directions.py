@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR, SENSOR_PARAMETERS
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
+from sms_jobs.metrology.geometry.lens import LENS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.signedinteger]
@@ -15,9 +16,10 @@ GROUPS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("roll", ("rz",)),
     ("sideways position", ("tx", "ty")),
     ("distance", ("tz",)),
-    ("focal length", ("fx", "fy")),
-    ("principal point", ("cx", "cy")),
-    ("distortion", ("k1", "k2", "p1", "p2", "k3")),
+    *(
+        (group, tuple(name for name, parameter in LENS.items() if parameter.group == group))
+        for group in dict.fromkeys(parameter.group for parameter in LENS.values())
+    ),
 )
 """Parameters that mean the same to a person; (tx, ty, tz) is in the sensor's frame, so tz is the distance."""
 
@@ -55,7 +57,7 @@ def described(direction: Floats, places: Ints, names: tuple[str, ...]) -> str:
     direction
         (k,) from `weakest_direction`.
     places
-        (k,) places of its parameters among all 15 s of the sensors.
+        (k,) places of its parameters among all of the sensors.
     names
         Of the sensors.
     """

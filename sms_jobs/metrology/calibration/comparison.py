@@ -11,11 +11,18 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.calibration.bundle_covariance import point_jacobian
-from sms_jobs.metrology.calibration.bundle_problem import PER_SENSOR, SENSOR_PARAMETERS
-from sms_jobs.metrology.calibration.pair_points import Parameters, box_grid, lens_vector, meet_rays
-from sms_jobs.metrology.calibration.rigid_alignment import align_points, rigid_modes
-from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.calibration.comparison_points import (
+    Through,
+    alignment_of,
+    for_each_point,
+    points_through,
+    rms,
+    robust_weights,
+    without_motion,
+)
+from sms_jobs.metrology.calibration.pair_points import Parameters, box_grid
+from sms_jobs.metrology.calibration.rigid_alignment import rigid_modes
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, SENSOR_PARAMETERS, Pose
 from sms_jobs.metrology.geometry.transforms import compose, rotation_vector, transform
 
 Floats = NDArray[np.float64]
@@ -25,8 +32,6 @@ Verdict: TypeAlias = Literal["unchanged", "harmless", "matters", "cannot tell"]
 _CERTAIN = 4.0  # times the distance of points that is expected by chance
 _TOLD = 0.01  # of a variance: directions in which an update learnt less are left out of the test
 _ROUNDING = 1e-10
-_ROUNDING_MM = 1e-9  # distance below which points agree
-_REWEIGHTINGS = 30
 _LEAST: dict[Relation, float] = {"independent": _ROUNDING, "updated": _TOLD, "lenses updated": 1e-6}
 """Of the largest variance of a change: directions with less have none but for rounding."""
 
@@ -123,17 +128,6 @@ class CalibrationComparison:
     p_value: float
 
 
-@dataclass(frozen=True)
-class _Through:
-    """Points of one pair by both calibrations, and how the earlier ones move with all parameters."""
-
-    camera: str
-    projector: str
-    before: Floats
-    after: Floats
-    rows: Floats
-
-
 def compare_calibrations(
     before: Mapping[str, Parameters],
     after: Mapping[str, Parameters],
@@ -158,7 +152,7 @@ def compare_calibrations(
     volume
         Low and high corner, (3,) each in mm, in the world of `before`.
     covariance_before, covariance_after
-        (15 s, 15 s) of the parameters of the s sensors in the order of `before`; both or none.
+        (p, p) of all parameters of all sensors in the order of `before`; both or none.
     relation
         Whether the later calibration is independent of the earlier, or began from it as prior knowledge:
         then the covariance of the change is the difference, not the sum (Kalman's update). "lenses updated":
@@ -178,11 +172,11 @@ def compare_calibrations(
     """
     names = list(before)
     _check(before, after, covariance_before, covariance_after)
-    through = [_points_through(before, after, c, p, box_grid(*volume), names) for c, p in pairs]
+    through = [points_through(before, after, c, p, box_grid(*volume)) for c, p in pairs]
     spread = _spread(covariance_before, covariance_after, relation)
     test = _tested(before, after, through, [1.0] * len(through), spread, relation, same_world)
     if test.p_value < false_alarm:
-        test = _tested(before, after, through, _robust_weights(through), spread, relation, same_world)
+        test = _tested(before, after, through, robust_weights(through), spread, relation, same_world)
     middle = 0.5 * (np.asarray(volume[0]) + np.asarray(volume[1]))
     found = _pair_changes(through, test.weights, test.alignment, spread)
     verdict, reason = _verdict(found, test.p_value, false_alarm, tolerance_mm)
@@ -204,10 +198,10 @@ def compare_calibrations(
 
 
 def parameter_change(before: Parameters, after: Parameters) -> Floats:
-    """Return after less before of the 15 parameters of a sensor; R_after = exp([r]x) R_before."""
+    """Return after less before of the parameters of a sensor; R_after = exp([r]x) R_before."""
     turn = rotation_vector(after[1].matrix() @ before[1].matrix().T)
     shift = np.subtract(after[1].translation, before[1].translation)
-    return np.concatenate([turn, shift, lens_vector(after[0]) - lens_vector(before[0])])
+    return np.concatenate([turn, shift, after[0].vector() - before[0].vector()])
 
 
 def _check(
@@ -230,28 +224,6 @@ def _check(
             )
 
 
-def _points_through(
-    before: Mapping[str, Parameters],
-    after: Mapping[str, Parameters],
-    camera: str,
-    projector: str,
-    grid: Floats,
-    names: list[str],
-) -> _Through:
-    pixels = project(*before[camera], grid), project(*before[projector], grid)
-    moved, _ = meet_rays(after[camera], after[projector], *pixels)
-    own = point_jacobian(before[camera], before[projector], grid)
-    # Where a lens's distortion folds the image back, no ray is known, and neither is how it moves.
-    seen = np.isfinite(moved).all(axis=1) & np.isfinite(own).all(axis=(1, 2))
-    if seen.sum() < 3:
-        raise InvalidInput(f"{camera}{projector} sees {seen.sum()} places of the volume: check its corners")
-    rows = np.zeros((int(seen.sum()), 3, PER_SENSOR * len(names)))
-    for k, name in enumerate((camera, projector)):
-        at = PER_SENSOR * names.index(name)
-        rows[:, :, at : at + PER_SENSOR] = own[seen][:, :, PER_SENSOR * k : PER_SENSOR * (k + 1)]
-    return _Through(camera, projector, grid[seen], moved[seen], rows)
-
-
 @dataclass(frozen=True)
 class _Test:
     """The change of all parameters in one world, and what of it chance does not explain.
@@ -271,51 +243,22 @@ class _Test:
 def _tested(
     before: Mapping[str, Parameters],
     after: Mapping[str, Parameters],
-    through: Sequence[_Through],
+    through: Sequence[Through],
     weights: Sequence[float],
     spread: Floats | None,
     relation: Relation,
     same_world: bool,
 ) -> _Test:
-    alignment = _alignment(through, weights)
+    alignment = alignment_of(through, weights)
     later = {n: after[n] if same_world else _carried(after[n], alignment) for n in before}
     step = np.concatenate([parameter_change(before[n], later[n]) for n in before])
-    left = np.eye(len(step)) if same_world else _without_motion(through, weights, list(before.values()))
+    left = np.eye(len(step)) if same_world else without_motion(through, weights, list(before.values()))
     if spread is not None:
         spread = left @ spread @ left.T
     whitened, taking = _whitened(step, spread, relation, 0 if same_world else 6)
     p_value = float(chi2.sf(np.sum(whitened**2), len(whitened))) if len(whitened) else float("nan")
     variance = None if spread is None else np.diag(spread)
     return _Test(weights, alignment, step, variance, whitened, taking @ left, p_value)
-
-
-def _alignment(through: Sequence[_Through], weights: Sequence[float]) -> Pose:
-    """Return the motion of later points to earlier ones of least weighted squares; one weight a pair."""
-    after, before = (np.concatenate([getattr(t, k) for t in through]) for k in ("after", "before"))
-    return align_points(after, before, _for_each_point(through, weights))
-
-
-def _for_each_point(through: Sequence[_Through], weights: Sequence[float]) -> Floats:
-    return np.concatenate([np.full(len(t.before), w) for t, w in zip(through, weights, strict=True)])
-
-
-def _robust_weights(through: Sequence[_Through]) -> list[float]:
-    """Return the pairs' weights in the motion that leaves the least sum of their rms distances.
-
-    The best of the motions of all pairs and of each pair alone, improved by iteratively reweighted least
-    squares with weights 1 / rms (Weiszfeld's algorithm, with pairs for points).
-    """
-
-    def left(weights: Sequence[float]) -> list[float]:
-        motion = _alignment(through, weights)
-        return [_rms(np.linalg.norm(transform(motion, t.after) - t.before, axis=1)) for t in through]
-
-    starts = [np.ones(len(through)), *np.eye(len(through))]
-    distances = min((left(start.tolist()) for start in starts), key=sum)
-    for _ in range(_REWEIGHTINGS):
-        weights = [1.0 / max(d, _ROUNDING_MM) for d in distances]
-        distances = left(weights)
-    return weights
 
 
 def _carried(sensor: Parameters, alignment: Pose) -> Parameters:
@@ -342,33 +285,17 @@ def _shared(before: Floats, after: Floats) -> Floats:
     A later x = C_x (C_l^-1 l + new observations) follows the earlier lenses l by C_x[:, l] C_l^-1, and these
     have the covariance C[l, :] with all earlier parameters.
     """
-    lens = np.flatnonzero((np.arange(len(before)) % PER_SENSOR >= 6) & (np.diag(before) > 0.0))
+    lens = np.flatnonzero((np.arange(len(before)) % PER_SENSOR >= PER_POSE) & (np.diag(before) > 0.0))
     sigma = np.sqrt(np.diag(before)[lens])
     own = before[np.ix_(lens, lens)] / np.outer(sigma, sigma)
     return np.asarray((after[:, lens] / sigma) @ np.linalg.solve(own, before[lens] / sigma[:, None]))
-
-
-def _without_motion(
-    through: Sequence[_Through], weights: Sequence[float], sensors: Sequence[Parameters]
-) -> Floats:
-    """Return what takes the best rigid motion of points out of a change of all parameters, (15 s, 15 s).
-
-    A motion X' = X + w x X + v of the world turns a sensor by -R w from the left and shifts it by -R v.
-    """
-    motion = np.zeros((PER_SENSOR * len(sensors), 6))
-    for i, (_, pose) in enumerate(sensors):
-        at = PER_SENSOR * i
-        motion[at : at + 3, :3] = motion[at + 3 : at + 6, 3:] = -pose.matrix()
-    root = np.sqrt(_for_each_point(through, weights))[:, None, None]
-    flat = (root * np.concatenate([t.rows for t in through])).reshape(-1, len(motion))
-    return np.asarray(np.eye(len(motion)) - motion @ np.linalg.lstsq(flat @ motion, flat, rcond=None)[0])
 
 
 def _whitened(
     step: Floats, spread: Floats | None, relation: Relation, taken_out: int
 ) -> tuple[Floats, Floats]:
     """Return a change in the directions that its covariance has, in standard deviations, (k,), and what
-    takes other changes there, (k, 15 s); some directions may have been taken out.
+    takes other changes of all p parameters there, (k, p); some directions may have been taken out.
     """
     free = np.zeros(len(step), np.bool_) if spread is None else np.diag(spread) > 0.0
     if spread is None or free.sum() <= taken_out:
@@ -404,11 +331,11 @@ def _changes(names: Sequence[str], step: Floats, variance: Floats | None) -> tup
 
 
 def _pair_changes(
-    through: Sequence[_Through], weights: Sequence[float], alignment: Pose, spread: Floats | None
+    through: Sequence[Through], weights: Sequence[float], alignment: Pose, spread: Floats | None
 ) -> tuple[PairChange, ...]:
     modes = np.concatenate([rigid_modes(t.before) for t in through]).reshape(-1, 6)
     rows = np.concatenate([t.rows for t in through]).reshape(len(modes), -1)
-    root = np.repeat(np.sqrt(_for_each_point(through, weights)), 3)[:, None]
+    root = np.repeat(np.sqrt(for_each_point(through, weights)), 3)[:, None]
     left = rows - modes @ np.linalg.lstsq(root * modes, root * rows, rcond=None)[0]
     found, start = [], 0
     for t in through:
@@ -422,9 +349,9 @@ def _pair_changes(
                 t.camera,
                 t.projector,
                 len(plain),
-                _rms(plain),
+                rms(plain),
                 float(plain.max()),
-                _rms(aligned),
+                rms(aligned),
                 float(aligned.max()),
                 _expected(rows[part], spread),
                 _expected(left[part], spread),
@@ -432,10 +359,6 @@ def _pair_changes(
             )
         )
     return tuple(found)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _expected(rows: Floats, spread: Floats | None) -> float:

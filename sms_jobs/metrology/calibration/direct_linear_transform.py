@@ -8,7 +8,8 @@ from scipy.linalg import rq
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.metrology.calibration.homography import flatness, normalising
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 
 Floats = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.gap_blocks import GapBlocks, block_gaps
 from sms_jobs.metrology.calibration.pair_points import Parameters, box_grid, meet_rays, moved_sensor
 from sms_jobs.metrology.calibration.sensor_derivatives import gap_derivatives
-from sms_jobs.metrology.geometry.camera import project
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, project
 
 Floats = NDArray[np.float64]
 Verdict: TypeAlias = Literal["holds", "drifted", "cannot tell"]
@@ -148,23 +148,23 @@ class _Fit:
 
 
 def pair_changes(camera: Parameters, projector: Parameters, middle: Floats) -> Floats:
-    """Return the (30, 7) parameters of a pair, the camera's first, by unit of each of `CHANGES`.
+    """Return the parameters of a pair, (2 PER_SENSOR, 7), the camera's first, by unit of each of `CHANGES`.
 
     `middle` (3,) in mm is where the specimen is. The projector turns about its pin-hole, not about the
     world's origin: with T = -R c a turn r takes T along by r x T.
     """
-    columns = np.zeros((30, 7))
-    pose = projector[1]
+    columns = np.zeros((2 * PER_SENSOR, 7))
+    turned, shifted, focal, pose = PER_SENSOR, PER_SENSOR + 3, PER_SENSOR + PER_POSE, projector[1]
     for k in range(3):
         turn = np.eye(3)[k]
-        columns[15:18, k], columns[18:21, k] = turn, np.cross(turn, pose.translation)
+        columns[turned:shifted, k], columns[shifted:focal, k] = turn, np.cross(turn, pose.translation)
     base = pose.centre() - camera[1].centre()
     off = np.cross(base, middle - camera[1].centre())
     off /= np.linalg.norm(off)
     within = np.cross(off, base / np.linalg.norm(base))
-    columns[18:21, 3], columns[18:21, 4] = -pose.matrix() @ off, -pose.matrix() @ within
-    columns[21:23, 5] = projector[0].fx, projector[0].fy
-    columns[6:8, 6] = camera[0].fx, camera[0].fy
+    columns[shifted:focal, 3], columns[shifted:focal, 4] = -pose.matrix() @ off, -pose.matrix() @ within
+    columns[focal : focal + 2, 5] = projector[0].fx, projector[0].fy
+    columns[PER_POSE : PER_POSE + 2, 6] = camera[0].fx, camera[0].fy
     return columns
 
 
@@ -196,7 +196,7 @@ def check_drift(
     baseline_rms_mm
         Systematic gap that the calibration left when it was new: rms, noise taken out.
     covariance
-        (30, 30) of the pair's parameters, the camera's first: what the calibration did not know.
+        (p, p) of the pair's parameters, the camera's first: what the calibration did not know.
     volume
         Low and high corner, (3,) each in mm, where points matter; None for the measured ones.
     options
@@ -344,7 +344,8 @@ def _point_change(
 
     def shift(change: Floats) -> Floats:
         step = by_unit @ change
-        now, _ = meet_rays(moved_sensor(camera, step[:15]), moved_sensor(projector, step[15:]), *pixels)
+        moved = moved_sensor(camera, step[:PER_SENSOR]), moved_sensor(projector, step[PER_SENSOR:])
+        now, _ = meet_rays(*moved, *pixels)
         return now - points
 
     moved = shift(fit.estimate)

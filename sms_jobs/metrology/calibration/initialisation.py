@@ -14,12 +14,12 @@ from sms_jobs.metrology.calibration.homography import HomographyFit
 from sms_jobs.metrology.calibration.sensor_refinement import SeenPoints, refine_sensor
 from sms_jobs.metrology.calibration.sensor_start import (
     SensorStart,
-    StartOptions,
     start_from_space,
     start_sensor,
     usable_views,
 )
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, projection_jacobian
+from sms_jobs.metrology.geometry.camera import Pose, project, projection_jacobian
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_matrix, transform
 
 Floats = NDArray[np.float64]
@@ -41,7 +41,7 @@ class InitialSensor:
     intrinsics, pose
         Inner parameters; the pose maps the world into the sensor.
     lens_sigma
-        (9,) standard deviations of fx, fy, cx, cy, k1, k2, p1, p2, k3 from its own views; 0 where held.
+        (parameters,) standard deviations of those of the lens from its own views; 0 where held.
     notes
         What was held because the views do not tell it.
     """
@@ -102,7 +102,6 @@ def initialise(
     *,
     board_in_world: Pose | None = None,
     world_pose: str | None = None,
-    options: StartOptions | None = None,
 ) -> InitialCalibration:
     """Find first values of every sensor from what they saw of a board, in one pose or many.
 
@@ -116,8 +115,6 @@ def initialise(
         Brings the frame of the first board into the world; by default the two are one.
     world_pose
         Name of the first board's pose; by default that of the first view.
-    options
-        What is assumed of the sensors.
 
     Raises
     ------
@@ -133,7 +130,6 @@ def initialise(
     have placed the boards. Poses are chained from the first board outwards, then sensors and boards are
     moved in turn until their images fit, which is good enough for a bundle adjustment to start from.
     """
-    chosen = options or StartOptions()
     world = _checked(views, sizes, world_pose)
     usable, refused = usable_views(views)
     starts: dict[str, SensorStart] = {}
@@ -141,7 +137,7 @@ def initialise(
     for name, size in sizes.items():
         own = [u for u in usable if u[0].sensor == name]
         try:
-            starts[name] = start_sensor(name, own, size, chosen)
+            starts[name] = start_sensor(name, own, size)
         except CalibrationFailed as error:
             failed[name] = error
     if not starts:
@@ -151,7 +147,7 @@ def initialise(
     for name, first in failed.items():
         own = [u for u in usable if u[0].sensor == name]
         try:
-            starts[name], poses[name] = start_from_space(name, own, boards, chosen)
+            starts[name], poses[name] = start_from_space(name, own, boards)
         except CalibrationFailed as second:
             raise CalibrationFailed(
                 f"{first}; nor do boards placed by other sensors help: {second}"

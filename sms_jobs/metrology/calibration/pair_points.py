@@ -7,7 +7,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, ray_directions
+from sms_jobs.metrology.geometry.camera import PER_POSE, Pose, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 
 Floats = NDArray[np.float64]
@@ -15,17 +16,13 @@ Parameters: TypeAlias = tuple[Intrinsics, Pose]
 """Inner parameters and pose of a sensor."""
 
 
-def lens_vector(intrinsics: Intrinsics) -> Floats:
-    """Return (fx, fy, cx, cy, k1, k2, p1, p2, k3)."""
-    return np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy, *intrinsics.distortion()])
-
-
 def moved_sensor(sensor: Parameters, step: Floats) -> Parameters:
-    """Return a sensor after a change of its 15 parameters; R <- exp([r]x) R, everything else is added."""
+    """Return a sensor after a change of its parameters; R <- exp([r]x) R, everything else is added."""
     intrinsics, pose = sensor
-    values = lens_vector(intrinsics) + step[6:]
     turned = rotation_matrix(step[:3]) @ pose.matrix()
-    return Intrinsics(*map(float, values)), Pose.from_arrays(turned, np.array(pose.translation) + step[3:6])
+    shifted = np.array(pose.translation) + step[3:PER_POSE]
+    changed = Intrinsics.from_vector(intrinsics.vector() + step[PER_POSE:])
+    return changed, Pose.from_arrays(turned, shifted)
 
 
 def meet_rays(

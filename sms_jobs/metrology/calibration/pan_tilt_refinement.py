@@ -10,7 +10,8 @@ from scipy.optimize import least_squares
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.metrology.calibration.pan_tilt import Stage, centre_jacobian, predict_centres
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
+from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 
 Floats = NDArray[np.float64]

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 
 Floats = NDArray[np.float64]
 

@@ -5,26 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, distort, distortion_jacobian
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics, distort, distortion_jacobian, pixel_jacobian
 from sms_jobs.metrology.geometry.transforms import transform
 
 Floats = NDArray[np.float64]
-
-
-def lens_derivatives(intrinsics: Intrinsics, normalised: Floats) -> Floats:
-    """Return d(pixel)/d(fx, fy, cx, cy, k1, k2, p1, p2, k3), (n, 2, 9), at normalised points (n, 2)."""
-    x, y = normalised[:, 0], normalised[:, 1]
-    r2 = x * x + y * y
-    bent = distort(intrinsics, normalised)
-    rows = np.zeros((len(x), 2, 9))
-    rows[:, 0, 0], rows[:, 1, 1] = bent[:, 0], bent[:, 1]
-    rows[:, 0, 2] = rows[:, 1, 3] = 1.0
-    for column, power in ((4, r2), (5, r2 * r2), (8, r2 * r2 * r2)):
-        rows[:, 0, column], rows[:, 1, column] = x * power, y * power
-    rows[:, 0, 6], rows[:, 1, 6] = 2.0 * x * y, r2 + 2.0 * y * y
-    rows[:, 0, 7], rows[:, 1, 7] = r2 + 2.0 * x * x, 2.0 * x * y
-    rows[:, :, 4:] *= np.array([intrinsics.fx, intrinsics.fy])[:, None]
-    return rows
 
 
 def _cross_matrix(vectors: Floats) -> Floats:
@@ -51,7 +36,7 @@ def project_with_derivatives(
     Returns
     -------
     Pixels (n, 2), d(pixel)/d(rx, ry, rz, tx, ty, tz) (n, 2, 6) for R <- exp([r]x) R and T <- T + t, and
-    `lens_derivatives` (n, 2, 9). NaN for points at or behind the pin-hole's plane.
+    `pixel_jacobian` (n, 2, parameters of the lens). NaN for points at or behind the pin-hole's plane.
 
     Notes
     -----
@@ -68,11 +53,11 @@ def project_with_derivatives(
     by_point = focal[:, None] * (distortion_jacobian(intrinsics, normalised) @ to_normalised)
     by_pose = np.concatenate([-by_point @ _cross_matrix(turned), by_point], axis=2)
     pixels = distort(intrinsics, normalised) * focal + [intrinsics.cx, intrinsics.cy]
-    return pixels, by_pose, lens_derivatives(intrinsics, normalised)
+    return pixels, by_pose, pixel_jacobian(intrinsics, normalised)
 
 
 def _ray_derivatives(intrinsics: Intrinsics, pose: Pose, points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return rays (n, 3) through points, and the change of ray and pin-hole (n, 3, 15) with the parameters.
+    """Return rays (n, 3) through points, and the change of ray and pin-hole (n, 3, parameters).
 
     The rays are not of unit length, and the pixels are held.
     """
@@ -82,12 +67,14 @@ def _ray_derivatives(intrinsics: Intrinsics, pose: Pose, points: Floats) -> tupl
     focal = np.array([intrinsics.fx, intrinsics.fy])
     by_normalised = focal[:, None] * distortion_jacobian(intrinsics, normalised)
     back = pose.matrix().T
-    by_ray, by_hole = np.zeros((len(points), 3, 15)), np.zeros((len(points), 3, 15))
+    by_ray, by_hole = np.zeros((2, len(points), 3, PER_SENSOR))
     by_ray[:, :, :3] = back @ _cross_matrix(lifted)  # R^T exp(-[r]x) d = R^T (d + d x r)
-    by_ray[:, :, 6:] = back[:, :2] @ -np.linalg.solve(by_normalised, lens_derivatives(intrinsics, normalised))
+    by_ray[:, :, PER_POSE:] = back[:, :2] @ -np.linalg.solve(
+        by_normalised, pixel_jacobian(intrinsics, normalised)
+    )
     shift = np.array(pose.translation)[None]
     by_hole[:, :, :3] = -back @ _cross_matrix(shift)
-    by_hole[:, :, 3:6] = -back
+    by_hole[:, :, 3:PER_POSE] = -back
     return lifted @ back.T, by_ray, by_hole
 
 
@@ -105,7 +92,7 @@ def gap_derivatives(
 
     Returns
     -------
-    (n, 30) in mm per unit of each parameter, the camera's 15 first.
+    (n, parameters) in mm per unit of each, the camera's first.
 
     Notes
     -----

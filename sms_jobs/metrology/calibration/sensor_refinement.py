@@ -9,20 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.calibration.sensor_derivatives import project_with_derivatives
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
+from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.lens import LENS, PER_LENS, Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-
 _MOST_ITERATIONS = 60
 _CONVERGED = 1e-9  # relative change of the cost
 _REFUSED_BEYOND = 6.0
 _RAYLEIGH_MEDIAN = 1.1774
-_PLAUSIBLE = np.array([np.inf, np.inf, np.inf, np.inf, 1.0, 1.0, 0.1, 0.1, 1.0])
-"""Prior standard deviations, so that distortion which the points do not tell stays away."""
+_PLAUSIBLE = np.array([parameter.plausible for parameter in LENS.values()])
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ class RefinedSensor:
     poses
         Of each thing that was seen: x_sensor = R X + T.
     lens_sigma
-        (9,) standard deviations of the inner parameters; 0 where fixed, infinite where undetermined.
+        (parameters,) standard deviations of the inner parameters; 0 where fixed, infinite where undetermined.
     kept
         Of each thing, (n,) which points were used.
     residual
@@ -69,7 +67,7 @@ class RefinedSensor:
 class _Problem:
     seen: Sequence[SeenPoints]
     kept: list[Bools]
-    basis: Floats  # (9, free): lens parameters by free ones
+    basis: Floats  # (parameters, free): lens parameters by free ones
     scale: float
     huber: float
 
@@ -88,7 +86,7 @@ def _huber_cost(problem: _Problem, intrinsics: Intrinsics, poses: Sequence[Pose]
     for distance, kept in zip(_distances(problem.seen, intrinsics, poses), problem.kept, strict=True):
         d = distance[kept] / problem.scale
         total += float(np.sum(np.where(d <= bend, 0.5 * d * d, bend * (d - 0.5 * bend))))
-    lens = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy, *intrinsics.distortion()])
+    lens = intrinsics.vector()
     held = np.inf > _PLAUSIBLE
     return total + float(0.5 * np.sum((lens[held] / _PLAUSIBLE[held]) ** 2))
 
@@ -97,10 +95,9 @@ def _normal_equations(
     problem: _Problem, intrinsics: Intrinsics, poses: Sequence[Pose]
 ) -> tuple[Floats, Floats, list[tuple[Floats, Floats, Floats]]]:
     """Return the lens's block and gradient, and of each pose its block, the mixed block and its gradient."""
-    lens = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy, *intrinsics.distortion()])
     prior = 1.0 / _PLAUSIBLE**2
     a = problem.basis.T @ (prior[:, None] * problem.basis)
-    g = -problem.basis.T @ (prior * lens)
+    g = -problem.basis.T @ (prior * intrinsics.vector())
     blocks = []
     for item, kept, pose in zip(problem.seen, problem.kept, poses, strict=True):
         pixels, by_pose, by_lens = project_with_derivatives(intrinsics, pose, item.point[kept])
@@ -111,7 +108,7 @@ def _normal_equations(
             robust = np.sqrt(np.where(distance > problem.huber, problem.huber / distance, 1.0))
         weight, off = weight * robust, (off * robust[:, None]).ravel()
         j_pose = (by_pose * weight[:, None, None]).reshape(-1, 6)
-        j_lens = (by_lens * weight[:, None, None]).reshape(-1, 9) @ problem.basis
+        j_lens = (by_lens * weight[:, None, None]).reshape(-1, PER_LENS) @ problem.basis
         a += j_lens.T @ j_lens
         g += j_lens.T @ off
         blocks.append((j_pose.T @ j_pose, j_lens.T @ j_pose, j_pose.T @ off))
@@ -140,8 +137,7 @@ def _moved(
     lens_step: Floats,
     pose_steps: Sequence[Floats],
 ) -> tuple[Intrinsics, list[Pose]]:
-    lens = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy, *intrinsics.distortion()])
-    changed = Intrinsics(*map(float, lens + basis @ lens_step))
+    changed = Intrinsics.from_vector(intrinsics.vector() + basis @ lens_step)
     return changed, [
         Pose.from_arrays(rotation_matrix(s[:3]) @ p.matrix(), np.array(p.translation) + s[3:])
         for p, s in zip(poses, pose_steps, strict=True)
@@ -220,7 +216,7 @@ def refine_sensor(
     eliminated by their Schur complement. The scale of the residuals is their own robust one, since before
     distortion is found they are larger than stated.
     """
-    basis = np.eye(9)[:, [LENS.index(name) for name in free]]
+    basis = np.eye(PER_LENS)[:, [list(LENS).index(name) for name in free]]
     if square_pixels and "fx" in free:
         basis[1] = basis[0] * intrinsics.fy / intrinsics.fx
         basis = basis[:, [name != "fy" for name in free]]
@@ -239,9 +235,7 @@ def refine_sensor(
     a, g, blocks = _normal_equations(problem, intrinsics, placed)
     # Residuals below the stated deviations do not make the parameters better known than those say.
     covariance = _covariance(_reduced(a, g, blocks, 0.0)[0]) * max(1.0, 1.0 / problem.scale) ** 2
-    lens_sigma = (
-        np.sqrt(np.maximum(np.sum((basis @ covariance) * basis, axis=1), 0.0)) if basis.size else np.zeros(9)
-    )
+    lens_sigma = np.sqrt(np.maximum(np.sum((basis @ covariance) * basis, axis=1), 0.0))
     return RefinedSensor(
         intrinsics,
         tuple(placed),

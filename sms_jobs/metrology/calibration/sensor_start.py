@@ -18,8 +18,9 @@ from sms_jobs.metrology.calibration.planar_intrinsics import (
     pose_from_homography,
     tilt,
 )
-from sms_jobs.metrology.calibration.sensor_refinement import LENS, RefinedSensor, SeenPoints, refine_sensor
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.calibration.sensor_refinement import RefinedSensor, SeenPoints, refine_sensor
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -32,35 +33,13 @@ _GUESSES = (0.6, 1.2, 2.5)  # focal lengths in widths of the image: 80, 45 and 2
 
 
 @dataclass(frozen=True)
-class StartOptions:
-    """What is assumed of a sensor at the start.
-
-    Attributes
-    ----------
-    square_pixels
-        Keep fx = fy always. Without it they are told apart from three poses on.
-    known_principal_point
-        Keep it in the middle of the image always. Without it it is found from two poses on, where they tell
-        it to a tenth of the image's width. A projector's is seldom in the middle.
-    distortion
-        Coefficients that are found from two poses on; from one pose k1 alone, if it is among them.
-    """
-
-    square_pixels: bool = False
-    known_principal_point: bool = False
-    distortion: tuple[str, ...] = ("k1", "k2")
-
-
-@dataclass(frozen=True)
 class SensorStart:
     """A sensor by itself: inner parameters, and the pose of each board that it saw.
 
     Attributes
     ----------
     intrinsics, lens_sigma
-        Inner parameters and their standard deviations (9,); 0 where held.
-    free
-        Names of those that were found.
+        Inner parameters and their standard deviations, in their order; 0 where held.
     poses
         Of each usable view, by the pose's name: x_sensor = R X_board + T.
     kept
@@ -73,7 +52,6 @@ class SensorStart:
 
     intrinsics: Intrinsics
     lens_sigma: Floats
-    free: tuple[str, ...]
     poses: dict[str, Pose]
     kept: dict[str, Bools]
     rms_px: dict[str, float]
@@ -108,13 +86,13 @@ def usable_views(
 
 
 def _candidates(
-    fits: Sequence[HomographyFit], size: tuple[int, int], options: StartOptions
+    fits: Sequence[HomographyFit], size: tuple[int, int], known_principal_point: bool
 ) -> list[Intrinsics]:
     """Return inner parameters to begin with; plain guesses where no closed form holds."""
     columns, rows = size
     centre = (0.5 * (columns - 1), 0.5 * (rows - 1))
     found = []
-    ways = [True] if options.known_principal_point or len(fits) < 2 else [True, False]
+    ways = [True] if known_principal_point or len(fits) < 2 else [True, False]
     for known in ways:
         try:
             start = intrinsics_from_homographies(
@@ -130,17 +108,13 @@ def _candidates(
     return found
 
 
-def _free(views: int, options: StartOptions) -> tuple[list[str], bool]:
-    """Return the names of what is found from so many views, and whether pixels are taken as square."""
-    free = ["fx", "fy"]
-    if views > 1 and not options.known_principal_point:
-        free += ["cx", "cy"]
-    free += [name for name in options.distortion if views > 1 or name == "k1"]
-    return free, options.square_pixels or views < 3
+def _free(views: int) -> list[str]:
+    """Return the names of what is found from so many views."""
+    return [name for name, parameter in LENS.items() if parameter.poses <= views]
 
 
 def start_sensor(
-    name: str, usable: Sequence[tuple[BoardView, HomographyFit]], size: tuple[int, int], options: StartOptions
+    name: str, usable: Sequence[tuple[BoardView, HomographyFit]], size: tuple[int, int]
 ) -> SensorStart:
     """Find a sensor from its own views of a board.
 
@@ -152,8 +126,6 @@ def start_sensor(
         From `usable_views`.
     size
         Columns and rows of its image.
-    options
-        What is assumed.
 
     Raises
     ------
@@ -167,15 +139,14 @@ def start_sensor(
         )
     seen = [SeenPoints(view.point, view.pixel, view.sigma_px) for view, _ in usable]
     trusted = [fit.kept for _, fit in usable]
-    free, square = _free(len(usable), options)
+    free, square = _free(len(usable)), len(usable) < 3
     notes = []
     best = None
-    for start in _candidates([fit for _, fit in usable], size, options):
+    for start in _candidates([fit for _, fit in usable], size, False):
         poses = [pose_from_homography(fit.matrix, start) for _, fit in usable]
         # Without the principal point at first: a poor focal length would drag it far away.
-        first = [n for n in free if n not in ("cx", "cy", "k2")]
         near = refine_sensor(
-            seen, start, poses, free=first, square_pixels=True, trusted=trusted, refuse=False
+            seen, start, poses, free=_free(1), square_pixels=True, trusted=trusted, refuse=False
         )
         full = refine_sensor(
             seen, near.intrinsics, near.poses, free=free, square_pixels=square, trusted=trusted
@@ -190,14 +161,14 @@ def start_sensor(
         )
         free = [n for n in free if n not in ("cx", "cy")]
         centre = (0.5 * (size[0] - 1), 0.5 * (size[1] - 1))
-        held = _candidates([f for _, f in usable], size, StartOptions(known_principal_point=True))[0]
+        held = _candidates([f for _, f in usable], size, True)[0]
         held = Intrinsics(held.fx, held.fy, *centre)
         poses = [pose_from_homography(fit.matrix, held) for _, fit in usable]
         best = refine_sensor(seen, held, poses, free=free, square_pixels=True, trusted=trusted)
     _check_focal(name, best, [view.pose for view, _ in usable])
     if len(usable) == 1:
         notes.append(f"{name} saw one pose: its principal point was held in the middle of the image")
-    return _own(best, usable, tuple(free), tuple(notes))
+    return _own(best, usable, tuple(notes))
 
 
 def _check_focal(name: str, found: RefinedSensor, poses: Sequence[str]) -> None:
@@ -216,7 +187,6 @@ def _check_focal(name: str, found: RefinedSensor, poses: Sequence[str]) -> None:
 def _own(
     found: RefinedSensor,
     usable: Sequence[tuple[BoardView, HomographyFit]],
-    free: tuple[str, ...],
     notes: tuple[str, ...],
 ) -> SensorStart:
     kept, rms, poses = {}, {}, {}
@@ -224,14 +194,13 @@ def _own(
         kept[view.pose] = found.kept[i]
         rms[view.pose] = float(np.sqrt(np.mean(found.residual[i][found.kept[i]] ** 2)))
         poses[view.pose] = found.poses[i]
-    return SensorStart(found.intrinsics, found.lens_sigma, free, poses, kept, rms, notes)
+    return SensorStart(found.intrinsics, found.lens_sigma, poses, kept, rms, notes)
 
 
 def start_from_space(
     name: str,
     usable: Sequence[tuple[BoardView, HomographyFit]],
     board_poses: dict[str, Pose],
-    options: StartOptions,
 ) -> tuple[SensorStart, Pose]:
     """Find a sensor from boards whose places in the world are known, and its pose there.
 
@@ -254,9 +223,8 @@ def start_from_space(
     )
     trusted = np.concatenate([fit.kept for _, fit in known])
     intrinsics, pose = direct_linear_transform(points[trusted], pixels[trusted], sigma[trusted])
-    free = ["fx", "fy", "cx", "cy", *options.distortion]
     whole = refine_sensor(
-        [SeenPoints(points, pixels, sigma)], intrinsics, [pose], free=free, trusted=[trusted]
+        [SeenPoints(points, pixels, sigma)], intrinsics, [pose], free=_free(2), trusted=[trusted]
     )
     _check_focal(name, whole, [v.pose for v, _ in known])
     ends = np.cumsum([len(s.point) for s in seen])[:-1]
@@ -279,4 +247,4 @@ def start_from_space(
     note = (
         f"{name} was found by a DLT on boards that other sensors placed: its own views are not tilted enough"
     )
-    return _own(split, known, tuple(n for n in LENS if n in free), (note,)), whole.poses[0]
+    return _own(split, known, (note,)), whole.poses[0]

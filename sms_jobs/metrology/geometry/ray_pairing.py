@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.geometry.lens_kernels import undistorted
 from sms_jobs.metrology.geometry.triangulation import (
     Projector,
     closest,
@@ -36,7 +37,6 @@ from sms_jobs.metrology.geometry.triangulation import (
     packed,
     triangulate,
     turned,
-    undistorted,
 )
 from sms_jobs.metrology.phase.patterns import direction, span_px
 

@@ -19,7 +19,8 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from sms_jobs.metrology.geometry.camera import Floats, Intrinsics, Pose, undistort
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Floats, Intrinsics, undistort
 from sms_jobs.metrology.geometry.transforms import rotation_from_angles
 
 Pitch: TypeAlias = Literal["L/N", "L/(N-1)"]
@@ -164,9 +165,8 @@ def sensor_from_thesis(parameters: ThesisParameters, plane: ImagePlane) -> tuple
     measured = (points - [parameters.xi_h, parameters.eta_h]) / parameters.c
     rays = normalised_from_plane(parameters, points)
     (k1, k2, k3), misfit = _radial_fit(rays, measured - rays, focal)
-    intrinsics = Intrinsics(
-        float(focal[0]), float(focal[1]), float(centre[0]), float(centre[1]), k1, k2, 0.0, 0.0, k3
-    )
+    fx, fy, cx, cy = (float(value) for value in (*focal, *centre))
+    intrinsics = Intrinsics(fx, fy, cx, cy, k1=k1, k2=k2, k3=k3)
     return intrinsics, pose_from_thesis(parameters), misfit
 
 

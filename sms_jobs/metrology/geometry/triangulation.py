@@ -16,14 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
-from sms_jobs.metrology.geometry.camera import (
-    Intrinsics,
-    Pose,
-    pixel_grid,
-    project,
-    projection_jacobian,
-    ray_directions,
-)
+from sms_jobs.metrology.geometry.camera import Pose, pixel_grid, project, projection_jacobian, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
+from sms_jobs.metrology.geometry.lens_kernels import undistorted
 from sms_jobs.metrology.geometry.projector_pixels import to_pixel
 from sms_jobs.metrology.geometry.transforms import PACKED
 from sms_jobs.metrology.phase.patterns import direction, span_px
@@ -33,7 +28,6 @@ Single = NDArray[np.float32]
 Vector: TypeAlias = tuple[float, float, float]
 
 _NEWTON_STEPS = 12
-_NEWTON_TOLERANCE = 1e-12  # in units of the focal length: a nanometre at a kilometre
 
 
 @dataclass(frozen=True)
@@ -93,45 +87,13 @@ def packed(
     """Return a pair as kernels take it: centres, lens, to_pixel and turn.
 
     `centres` (3, 3) holds the two pin-holes and the centre of the projector's image (x, y, 0); `lens` is
-    (fx, fy, cx, cy, k1, k2, p1, p2, k3); `to_pixel` (2, orientations) is in px/rad; `turn` is the
-    projector's rotation. Raises `InvalidInput` for parallel orientations.
+    the vector of its intrinsics; `to_pixel` (2, orientations) is in px/rad; `turn` is the projector's
+    rotation. Raises `InvalidInput` for parallel orientations.
     """
     image_centre = [0.5 * (projector.columns - 1), 0.5 * (projector.rows - 1), 0.0]
     centres = np.array([camera_centre, projector.pose.centre(), image_centre])
-    inner = projector.intrinsics
-    lens = np.array([inner.fx, inner.fy, inner.cx, inner.cy, *inner.distortion()])
     matrix = np.ascontiguousarray(to_pixel(orientations, projector.columns, projector.rows))
-    return centres, lens, matrix, projector.pose.matrix()
-
-
-@kernel
-def undistorted(lens: Floats, pixel: Floats, result: Floats) -> bool:
-    """Turn a pixel into result = (x, y, dx/du, dx/dv, dy/du, dy/dv), normalised; say whether it converged.
-
-    `lens` is (fx, fy, cx, cy, k1, k2, p1, p2, k3). Newton on the distortion, whose Jacobian then gives the
-    derivatives.
-    """
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens
-    wanted_x, wanted_y = (pixel[0] - cx) / fx, (pixel[1] - cy) / fy
-    x, y = wanted_x, wanted_y
-    for _ in range(_NEWTON_STEPS):
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
-        off_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - wanted_x
-        off_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - wanted_y
-        a = radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-        b = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
-        d = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
-        determinant = a * d - b * b
-        if abs(off_x) + abs(off_y) < _NEWTON_TOLERANCE:
-            result[0], result[1] = x, y
-            result[2], result[3] = d / (determinant * fx), -b / (determinant * fy)
-            result[4], result[5] = -b / (determinant * fx), a / (determinant * fy)
-            return True
-        x -= (d * off_x - b * off_y) / determinant
-        y -= (a * off_y - b * off_x) / determinant
-    return False
+    return centres, projector.intrinsics.vector(), matrix, projector.pose.matrix()
 
 
 @kernel

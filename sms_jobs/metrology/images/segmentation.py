@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

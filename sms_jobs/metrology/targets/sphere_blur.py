@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, ray_directions
+from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
 
 Floats = NDArray[np.float64]
 

@@ -17,13 +17,13 @@ from hypothesis import strategies as st
 from sms_jobs.archive import Archive, Provenance
 from sms_jobs.archive.codec import layout_of, plain_to_json, record_classes, record_from_parts
 from sms_jobs.errors import ArchiveCorrupt
-from sms_jobs.metrology.geometry.camera import Intrinsics
+from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
 from sms_jobs.records.measurement import ArrayStack, FrameStack, FringeSequence, Measurement
 from sms_jobs.records.numbers import LARGEST
 from sms_jobs.records.quantity import QUANTITY, Quantity
 from sms_jobs.records.scene import Cylinder, HalvesApart, Plane, Rigid, Scene, TopHat
-from sms_jobs.records.sensors import LONGEST_FOCAL_PX, Rig, Sensor
+from sms_jobs.records.sensors import Rig, Sensor
 from sms_jobs.records.texts import NAME_LETTERS, REMARK_LETTERS, harmless
 from sms_jobs.records.times import EARLIEST, LATEST
 from sms_jobs.records.views import sensor_name
@@ -76,7 +76,7 @@ def example(hint: Any, rng: np.random.Generator, meta: Any = None) -> Any:
         if hint is Sensor:
             values["name"] = sensor_name(values["role"], int(rng.integers(1, 1000)))
         if hint is Intrinsics:
-            values["fx"], values["fy"] = 1.0, LONGEST_FOCAL_PX
+            values["fx"], values["fy"] = LENS["fx"].low, LENS["fx"].high
         made = hint(**values)
         # An artefact must be one of those that its campaign describes, which chance does not know.
         return replace(made, artefact=None) if isinstance(made, LoadState) else made

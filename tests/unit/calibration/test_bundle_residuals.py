@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from sms_jobs.metrology.calibration.bundle_covariance import point_jacobian
 from sms_jobs.metrology.calibration.bundle_residuals import (
+    BOARD_SIZE,
+    SPHERE_SIZE,
     along_change,
     board_rows,
     gap_change,
@@ -18,18 +20,13 @@ from sms_jobs.metrology.calibration.bundle_residuals import (
     ray_distances,
     sphere_rows,
 )
-from sms_jobs.metrology.geometry.camera import (
-    Intrinsics,
-    Pose,
-    project,
-    projection_jacobian,
-    ray_directions,
-)
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project, projection_jacobian, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics, pixel_jacobian
 
 Floats = NDArray[np.float64]
 
-CAMERA = np.array([2000.0, 2010.0, 515.0, 505.0, -0.08, 0.12, 2e-4, -3e-4, 0.05])
-PROJECTOR = np.array([1600.0, 1590.0, 520.0, 380.0, -0.05, 0.08, -4e-4, 2e-4, -0.03])
+CAMERA = Intrinsics(2000.0, 2010.0, 515.0, 505.0, k1=-0.08, k2=0.12, p1=2e-4, p2=-3e-4, k3=0.05)
+PROJECTOR = Intrinsics(1600.0, 1590.0, 520.0, 380.0, k1=-0.05, k2=0.08, p1=-4e-4, p2=2e-4, k3=-0.03)
 FLATTEST = 0.1
 
 
@@ -39,12 +36,12 @@ def standing(centre: tuple[float, float, float], roll: float) -> Pose:
 
 
 POSES = (standing((-600.0, 100.0, 1500.0), 0.1), standing((500.0, -50.0, 1400.0), -0.2))
-SENSORS = np.concatenate([np.zeros((2, 6)), np.stack([CAMERA, PROJECTOR])], axis=1)
+SENSORS = np.concatenate([np.zeros((2, 6)), np.stack([CAMERA.vector(), PROJECTOR.vector()])], axis=1)
 SPHERE = np.array([20.0, -30.0, 15.0, 30.0])
 
 
 def arrays(sensors: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return rotation, translation and lens of sensors (2, 15), the first six being changes of `POSES`."""
+    """Return rotation, translation and lens of sensors, whose first six parameters are changes of `POSES`."""
     turn = Rotation.from_rotvec(sensors[:, :3]).as_matrix()
     rotation = turn @ np.stack([p.matrix() for p in POSES])
     translation = np.array([p.translation for p in POSES]) + sensors[:, 3:6]
@@ -68,7 +65,8 @@ def slopes(function: Callable[[Floats], Floats], at: Floats, steps: Floats) -> F
     return np.stack(columns, axis=-1)
 
 
-STEPS = np.array([1e-4] * 3 + [0.1] * 3 + [1.0] * 4 + [1e-2, 0.1, 1e-3, 1e-3, 1.0])
+CORNER = np.array([[0.3, 0.2]])
+STEPS = np.concatenate([[1e-4] * 3, [0.1] * 3, 1.0 / np.abs(pixel_jacobian(CAMERA, CORNER)).max(axis=(0, 1))])
 """Steps that move an image by up to a pixel: rounding of 1e-13 px, and a step to the fourth, are nothing."""
 
 
@@ -81,14 +79,14 @@ def seen_pixel(offset: tuple[float, float, float]) -> Floats:
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 30.0), (-20.0, 10.0, 15.0), (12.0, -24.0, 5.0)])
 def test_sphere_derivatives_are_finite_differences(offset: tuple[float, float, float]) -> None:
     camera_px = seen_pixel(offset)
-    rows, along, pixel = np.zeros((2, 34)), np.empty(2), np.empty(2)
+    rows, along, pixel = np.zeros((2, SPHERE_SIZE)), np.empty(2), np.empty(2)
 
     def predicted(parameters: Floats) -> Floats:
-        rotation, translation, lens = arrays(parameters[:30].reshape(2, 15))
+        rotation, translation, lens = arrays(parameters[:-4].reshape(2, PER_SENSOR))
         out = np.empty(2)
         sphere_rows(
-            rotation, translation, lens, (0, 1), camera_px, parameters[30:], FLATTEST, out, np.zeros((2, 34)),
-            np.empty(2),
+            rotation, translation, lens, (0, 1), camera_px, parameters[-4:], FLATTEST, out,
+            np.zeros((2, SPHERE_SIZE)), np.empty(2),
         )  # fmt: skip
         return out
 
@@ -100,8 +98,8 @@ def test_sphere_derivatives_are_finite_differences(offset: tuple[float, float, f
     scale = np.abs(wanted).max(axis=0) + 1e-3
     np.testing.assert_allclose(rows / scale, wanted / scale, atol=3e-7)
     # A sphere that grows moves the image along the camera's ray.
-    across = rows[0, 33] * along[1] - rows[1, 33] * along[0]
-    assert abs(across) < 1e-9 * np.linalg.norm(rows[:, 33]) * np.linalg.norm(along)
+    across = rows[0, -1] * along[1] - rows[1, -1] * along[0]
+    assert abs(across) < 1e-9 * np.linalg.norm(rows[:, -1]) * np.linalg.norm(along)
 
 
 @pytest.mark.parametrize("offset", [(40.0, 1.0, 0.0), (0.0, 31.0, -2.0)])
@@ -147,22 +145,22 @@ def test_board_derivatives_are_finite_differences() -> None:
         return found
 
     def predicted(parameters: Floats) -> Floats:
-        both = np.stack([parameters[:15], SENSORS[1]])
+        both = np.stack([parameters[:PER_SENSOR], SENSORS[1]])
         rotation, translation, lens = (a[0] for a in arrays(both))
         out = np.empty(2)
         board_rows(
             rotation,
             translation,
             lens,
-            board(parameters[15:]),
+            board(parameters[PER_SENSOR:]),
             point,
             out,
-            np.zeros((2, 22)),
+            np.zeros((2, BOARD_SIZE)),
             np.zeros((2, 3)),
         )
         return out
 
-    rows, slope, pixel = np.zeros((2, 22)), np.zeros((2, 3)), np.empty(2)
+    rows, slope, pixel = np.zeros((2, BOARD_SIZE)), np.zeros((2, 3)), np.empty(2)
     rotation, translation, lens = (a[0] for a in arrays(SENSORS))
     assert board_rows(rotation, translation, lens, board(np.zeros(7)), point, pixel, rows, slope)
     world = board(np.zeros(7))[:, :3] @ point + board(np.zeros(7))[:, 3]
@@ -226,7 +224,7 @@ def test_the_way_in_the_projector_is_gap_and_surface_residual_whitened(rng: np.r
         SPHERE,
         FLATTEST,
         pixel,
-        np.zeros((2, 34)),
+        np.zeros((2, SPHERE_SIZE)),
         np.empty(2),
     )
 
@@ -249,7 +247,7 @@ def test_points_move_with_the_sensors_as_finite_differences() -> None:
     pixels = [project(*camera, points), project(*projector, points)]
 
     def triangulated(parameters: Floats) -> Floats:
-        (ci, cp), (pi, pp) = camera_models(parameters.reshape(2, 15))
+        (ci, cp), (pi, pp) = camera_models(parameters.reshape(2, PER_SENSOR))
         u, v = ray_directions(ci, cp, pixels[0]), ray_directions(pi, pp, pixels[1])
         base, n = pp.centre() - cp.centre(), np.cross(u, v)
         along = np.sum(np.cross(base, v) * n, axis=1) / np.sum(n * n, axis=1)

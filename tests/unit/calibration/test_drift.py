@@ -20,7 +20,8 @@ from sms_jobs.metrology.calibration.drift import (
 from sms_jobs.metrology.calibration.gap_blocks import block_gaps
 from sms_jobs.metrology.calibration.pair_points import Parameters, meet_rays, moved_sensor
 from sms_jobs.metrology.calibration.sensor_derivatives import gap_derivatives
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, pixel_grid, project, ray_directions
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, pixel_grid, project, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.triangulation import Projector, camera_rays, triangulate
 
 Floats = NDArray[np.float64]
@@ -67,10 +68,10 @@ BY_CHANGE = pair_changes(CAMERA, PROJECTOR, SURFACE.mean(axis=0))
 def measure(
     rng: np.random.Generator, change: Floats | None = None, sigma_px: float = SIGMA_PX
 ) -> Measurement:
-    """Measure the surface after the pair has changed, (30,), with the calibration from before."""
-    step = np.zeros(30) if change is None else change
-    seen = project(*moved_sensor(CAMERA, step[:15]), SURFACE)
-    lit = project(*moved_sensor(PROJECTOR, step[15:]), SURFACE)
+    """Measure the surface after the pair has changed, (2 parameters,), with the calibration from before."""
+    step = np.zeros(2 * PER_SENSOR) if change is None else change
+    seen = project(*moved_sensor(CAMERA, step[:PER_SENSOR]), SURFACE)
+    lit = project(*moved_sensor(PROJECTOR, step[PER_SENSOR:]), SURFACE)
     noisy = lit + sigma_px * rng.standard_normal(lit.shape)
     xyz, gap = meet_rays(CAMERA, PROJECTOR, seen, noisy)
     slopes = [
@@ -92,11 +93,15 @@ def test_gap_derivatives_are_those_of_finite_differences(rng: np.random.Generato
     points = rng.uniform(-150.0, 150.0, (20, 3))
     pixels = (project(*CAMERA, points), project(*PROJECTOR, points))
     found = gap_derivatives(CAMERA, PROJECTOR, points)
-    for k in range(30):
-        size = 1e-6 if k % 15 < 3 else 1e-3 if k % 15 < 10 else 1e-5
-        step = size * np.eye(30)[k]
+    for k in range(2 * PER_SENSOR):
+        size = 1e-6 if k % PER_SENSOR < 3 else 1e-3 if k % PER_SENSOR < 10 else 1e-5
+        step = size * np.eye(2 * PER_SENSOR)[k]
         up, down = (
-            meet_rays(moved_sensor(CAMERA, s * step[:15]), moved_sensor(PROJECTOR, s * step[15:]), *pixels)[1]
+            meet_rays(
+                moved_sensor(CAMERA, s * step[:PER_SENSOR]),
+                moved_sensor(PROJECTOR, s * step[PER_SENSOR:]),
+                *pixels,
+            )[1]
             for s in (1, -1)
         )
         # Gaps of 1e-3 mm and more, rounding of 1e-12 mm; second-order terms cancel.
@@ -214,7 +219,7 @@ def test_noise_may_be_taken_from_the_scatter(rng: np.random.Generator) -> None:
 def test_points_move_as_the_explanation_says(rng: np.random.Generator) -> None:
     change = BY_CHANGE @ np.array([1e-4, 0.0, -2e-4, 0.0, 0.0, 0.0, 0.0])
     result = check(measure(rng, change, sigma_px=0.005))
-    lit = project(*moved_sensor(PROJECTOR, change[15:]), SURFACE)
+    lit = project(*moved_sensor(PROJECTOR, change[PER_SENSOR:]), SURFACE)
     wrong, _ = meet_rays(CAMERA, PROJECTOR, project(*CAMERA, SURFACE), lit)
     off = float(np.sqrt(np.mean(np.sum((wrong - SURFACE) ** 2, axis=1))))
     # The gap says nothing of what turns within the epipolar planes; the smallest change is nearly all here.

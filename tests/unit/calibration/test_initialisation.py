@@ -20,7 +20,8 @@ from sms_jobs.metrology.calibration.planar_intrinsics import (
 )
 from sms_jobs.metrology.calibration.sensor_derivatives import project_with_derivatives
 from sms_jobs.metrology.calibration.sensor_refinement import SeenPoints, refine_sensor
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
+from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_matrix, transform
 
 Floats = NDArray[np.float64]
@@ -94,9 +95,9 @@ def test_derivatives_are_those_of_finite_differences(rng: np.random.Generator) -
     points = rng.uniform(-200.0, 200.0, (30, 3))
     pixels, by_pose, by_lens = project_with_derivatives(lens, pose, points)
     np.testing.assert_allclose(pixels, project(lens, pose, points), atol=1e-9)
-    values = np.array([lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion()])
-    for k in range(9):
-        step = 1e-4 * np.eye(9)[k] * (1e3 if k < 4 else 1.0)
+    values = lens.vector()
+    for k in range(len(values)):
+        step = 1e-4 * np.eye(len(values))[k] * (1e3 if k < 4 else 1.0)
         up, down = (project(Intrinsics(*(values + s * step)), pose, points) for s in (1, -1))
         # Linear in each of these parameters: only rounding of 1e3 / 1e-4 x 1e-16 = 1e-9 px remains.
         np.testing.assert_allclose(by_lens[:, :, k], (up - down) / (2 * step[k]), rtol=1e-6, atol=1e-7)

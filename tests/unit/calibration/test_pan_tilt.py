@@ -29,7 +29,8 @@ from sms_jobs.metrology.calibration.pan_tilt_refinement import (
     search_margin_mm,
     sphere_regions,
 )
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, pixel_grid, ray_directions
+from sms_jobs.metrology.geometry.camera import Pose, pixel_grid, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 
 Floats = NDArray[np.float64]

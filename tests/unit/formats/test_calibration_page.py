@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sms_jobs.formats.report.calibration import calibration_page
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 
@@ -45,9 +46,9 @@ def quality(rng: np.random.Generator, **changes: object) -> CalibrationQuality:
 
 
 def written(quality: CalibrationQuality) -> str:
-    covariance = np.diag(np.tile([1e-6] * 15, len(SENSORS)))
-    covariance[14, 14] = 0.0
-    uncertainty = CalibrationUncertainty(SENSORS, covariance)
+    covariance = np.diag(np.full(PER_SENSOR * len(SENSORS), 1e-6))
+    covariance[PER_SENSOR - 1, PER_SENSOR - 1] = 0.0
+    uncertainty = CalibrationUncertainty(SENSORS, SENSOR_PARAMETERS, covariance)
     return calibration_page("hall-3-june", CALIBRATION.rig, CALIBRATION, uncertainty, quality, 480)
 
 

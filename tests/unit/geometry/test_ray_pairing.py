@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
+from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.ray_pairing import Pairing, choose_returns
 from sms_jobs.metrology.geometry.triangulation import Projector, camera_rays, triangulate
 from sms_jobs.metrology.phase.patterns import direction, phase_gradient, span_px

@@ -8,7 +8,8 @@ from math import pi, radians
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project, ray_directions
+from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.thesis_parameters import (
     ImagePlane,
     ThesisParameters,

@@ -25,7 +25,8 @@ from sms_jobs.jobs.calibrations import measuring_pairs
 from sms_jobs.kinds import calibrate_boards, observe_board
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.sessions import OBSERVE_BOARD, board_states, every_view
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, project
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose
 from sms_jobs.records.artefacts import Chessboard, CircleBoard
 from sms_jobs.records.calibration import CalibrationQuality
@@ -163,8 +164,8 @@ def test_two_cameras_are_found_as_they_stand(folder: Path) -> None:
     deviation = np.sqrt(np.diag(found["uncertainty"].covariance))
     for number, sensor in enumerate((first, second)):
         # Of 18 parameters some are off by two or three of their standard deviations, none by five.
-        assert abs(sensor.intrinsics.fx - LENS.fx) < 5.0 * deviation[15 * number + 6]
-        assert abs(sensor.intrinsics.cy - LENS.cy) < 5.0 * deviation[15 * number + 9]
+        assert abs(sensor.intrinsics.fx - LENS.fx) < 5.0 * deviation[PER_SENSOR * number + 6]
+        assert abs(sensor.intrinsics.cy - LENS.cy) < 5.0 * deviation[PER_SENSOR * number + 9]
     # The world is the first board, whose frame keeps the pitch to 1/1000: 0.06 of 60 mm, and noise.
     base = np.linalg.norm(second.pose.centre() - first.pose.centre())
     assert base == pytest.approx(np.linalg.norm(BASE.translation), abs=5.0 * quality_of_base(quality))

@@ -20,6 +20,7 @@ from sms_jobs.kinds.session_adjustment import board_views, known_as, start_from_
 from sms_jobs.kinds.sessions import CALIBRATE, OBSERVE_BOARD
 from sms_jobs.metrology.calibration.comparison import CalibrationComparison
 from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import KEPT, LENS
 from sms_jobs.records.artefacts import BallBar, CircleBoard
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Subject
@@ -133,8 +134,8 @@ def test_a_start_on_site_keeps_lenses_and_places_boards() -> None:
     assert start.usable == {(s.name, p) for s in records["calibration"].rig.sensors for p in boards}
     assert start.prior is not None
     information = start.prior.information
-    # Where sensors stand is not known; k3 was fixed and is not either.
-    lens = np.tile([False] * 6 + [True] * 8 + [False], 4)
+    # Where sensors stand is not known; what was fixed is not either.
+    lens = np.tile([False] * 6 + [name not in KEPT for name in LENS], 4)
     assert not information[~lens].any()
     assert not information[:, ~lens].any()
     np.testing.assert_allclose(

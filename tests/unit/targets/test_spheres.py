@@ -22,7 +22,8 @@ from sms_jobs.metrology.calibration.pan_tilt_refinement import (
     search_margin_mm,
     sphere_regions,
 )
-from sms_jobs.metrology.geometry.camera import Intrinsics, Pose, pixel_grid, project, ray_directions
+from sms_jobs.metrology.geometry.camera import Pose, pixel_grid, project, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.targets.sphere_fit import fit_sphere, ray_residuals, spread_pixels
 from sms_jobs.metrology.targets.sphere_votes import sphere_peaks
 from sms_jobs.metrology.targets.spheres import INCIDENCE_LIMIT, SphereSearch, find_spheres

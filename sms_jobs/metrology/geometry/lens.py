@@ -1,0 +1,217 @@
+"""The lens model, in one place: its parameters, its equations and their derivatives.
+
+A lens maps the direction of a ray, the normalised point (x, y) = (X / Z, Y / Z) in the sensor's frame, to a
+distorted point (x', y'), which the focal lengths and the principal point scale to pixels; what lies 90
+degrees from the axis or more is out of its reach. Cameras and projectors share one model, Brown's as OpenCV
+has it. The number of parameters, their order and their names in every array, table, file and report follow
+from `Intrinsics`.
+
+To put another model here:
+
+1. Declare its parameters: the fields of `Intrinsics`, after those of the pin-hole.
+2. Write its equations: `distorted`, `by_point` and `by_parameters`, which are compiled too. Then delete the
+   compiled kernels (`find sms_jobs -name '*.nb[ci]' -delete`): Numba looks for changes in a kernel's own
+   file alone.
+3. Write them a second time in `virtual_rig/optics.py`, which stays a witness of its own.
+4. Say how other programs write it: in `formats/interchange/found_sensors.py` where OpenCV has other names or
+   another order for its coefficients, and in `geometry/thesis_parameters.py` where k1, k2 and k3 are no
+   longer those of a polynomial.
+
+`tests/unit/geometry/test_lens.py` checks the derivatives of whatever model stands here,
+`tests/unit/test_virtual_rig_optics.py` compares it with the witness, and `test_interchange_calibrations.py`
+names a file that is refused for coefficients beyond it. `docs/equations.md` has the equations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, TypeAlias, TypeVar, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+Coordinate = TypeVar("Coordinate", float, Floats)
+
+_NEWTON_STEPS = 20
+_NEWTON_TOLERANCE = 1e-14  # in units of the focal length: five orders below a nanometre at a metre
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """What is known of a parameter of a lens before any calibration.
+
+    Attributes
+    ----------
+    meaning
+        In words, for reports.
+    group
+        What it is part of: parameters of one group mean the same to a person.
+    unit
+        px, or 1.
+    low, high
+        Its limits.
+    poses
+        From how many poses of a board on its first value is found; infinite where only an adjustment of
+        everything finds it.
+    plausible
+        Standard deviation of what lenses have, which keeps away what a few poses do not tell.
+    fixed
+        Whether an adjustment keeps it unless it is told otherwise.
+    """
+
+    meaning: str
+    group: str
+    unit: str = "1"
+    low: float = -1e7
+    high: float = 1e7
+    poses: float = float("inf")
+    plausible: float = float("inf")
+    fixed: bool = False
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """The inner parameters of a sensor: those of the pin-hole, then the coefficients of its distortion."""
+
+    fx: Annotated[float, Parameter("focal length along x", "focal length", "px", 1.0, poses=1)]
+    fy: Annotated[float, Parameter("focal length along y", "focal length", "px", 1.0, poses=1)]
+    cx: Annotated[float, Parameter("principal point, x", "principal point", "px", poses=2)]
+    cy: Annotated[float, Parameter("principal point, y", "principal point", "px", poses=2)]
+    k1: Annotated[float, Parameter("radial, r^2", "distortion", poses=1, plausible=1.0)] = 0.0
+    k2: Annotated[float, Parameter("radial, r^4", "distortion", poses=2, plausible=1.0)] = 0.0
+    p1: Annotated[float, Parameter("tangential, along y", "distortion", plausible=0.1)] = 0.0
+    p2: Annotated[float, Parameter("tangential, along x", "distortion", plausible=0.1)] = 0.0
+    k3: Annotated[float, Parameter("radial, r^6", "distortion", plausible=1.0, fixed=True)] = 0.0
+
+    @classmethod
+    def from_vector(cls, values: Floats) -> Intrinsics:
+        """Return the intrinsics that `vector` makes these values (parameters,) of."""
+        return cls(*map(float, values))
+
+    def vector(self) -> Floats:
+        """Return all parameters, (parameters,), in the order of `LENS`."""
+        return np.array([getattr(self, name) for name in LENS])
+
+    def distortion(self) -> Floats:
+        """Return the coefficients of the distortion, in the order of `COEFFICIENTS`."""
+        return self.vector()[PIN_HOLE:]
+
+    def matrix(self) -> Floats:
+        """Return the 3 x 3 matrix K."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+
+LENS: dict[str, Parameter] = {
+    name: hint.__metadata__[0] for name, hint in get_type_hints(Intrinsics, include_extras=True).items()
+}
+"""The parameters of a lens by name, in their order."""
+
+PER_LENS = len(LENS)
+"""Number of parameters of a lens."""
+
+PIN_HOLE = 4
+"""Number of those of the pin-hole: fx, fy, cx and cy stand first, whatever the distortion."""
+
+COEFFICIENTS = tuple(LENS)[PIN_HOLE:]
+"""Names of the coefficients of the distortion."""
+
+KEPT = tuple(name for name, parameter in LENS.items() if parameter.fixed)
+"""Names of those that an adjustment keeps unless it is told otherwise."""
+
+
+def distorted(lens: Floats, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
+    """Return the distorted point (x', y') of a normalised one; `lens` is a `vector` of intrinsics.
+
+    x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2) and
+    y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
+    (Brown 1966, as in OpenCV; thesis Eq. (1.22) is its radial part). For numbers in kernels, and for arrays.
+    """
+    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+    )
+
+
+def by_point(
+    lens: Floats, x: Coordinate, y: Coordinate
+) -> tuple[Coordinate, Coordinate, Coordinate, Coordinate]:
+    """Return dx'/dx, dx'/dy, dy'/dx and dy'/dy of `distorted`: derivatives of thesis Eq. (1.22)."""
+    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
+    cross = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+    return (
+        radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x,
+        cross,
+        cross,
+        radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x,
+    )
+
+
+def by_parameters(lens: Floats, x: Coordinate, y: Coordinate, rows: Floats) -> None:
+    """Fill rows (2, coefficients, ...) with the derivatives of x' and y' by the coefficients."""
+    r2 = x * x + y * y
+    r4 = r2 * r2
+    rows[0, 0], rows[1, 0] = x * r2, y * r2
+    rows[0, 1], rows[1, 1] = x * r4, y * r4
+    rows[0, 2], rows[1, 2] = 2.0 * x * y, r2 + 2.0 * y * y
+    rows[0, 3], rows[1, 3] = r2 + 2.0 * x * x, 2.0 * x * y
+    rows[0, 4], rows[1, 4] = x * r4 * r2, y * r4 * r2
+
+
+def distort(intrinsics: Intrinsics, points: Floats) -> Floats:
+    """Distort normalised points (..., 2), x/z and y/z: `distorted` for arrays."""
+    return np.stack(distorted(intrinsics.vector(), points[..., 0], points[..., 1]), axis=-1)
+
+
+def distortion_jacobian(intrinsics: Intrinsics, points: Floats) -> Floats:
+    """Return d(distorted)/d(normalised), (..., 2, 2), at normalised points (..., 2)."""
+    rows = np.stack(by_point(intrinsics.vector(), points[..., 0], points[..., 1]), axis=-1)
+    return rows.reshape(*points.shape, 2)
+
+
+def pixel_jacobian(intrinsics: Intrinsics, points: Floats) -> Floats:
+    """Return d(pixel)/d(parameters of the lens), (n, 2, parameters), at normalised points (n, 2)."""
+    lens, x, y = intrinsics.vector(), points[:, 0], points[:, 1]
+    rows = np.zeros((len(x), 2, PER_LENS))
+    rows[:, 0, 0], rows[:, 1, 1] = distorted(lens, x, y)
+    rows[:, 0, 2] = rows[:, 1, 3] = 1.0
+    by_parameters(lens, x, y, rows[:, :, PIN_HOLE:].transpose(1, 2, 0))
+    rows[:, :, PIN_HOLE:] *= lens[:2, None]
+    return rows
+
+
+def undistort(intrinsics: Intrinsics, points: Floats) -> Floats:
+    """Invert `distort` by Newton's method.
+
+    Parameters
+    ----------
+    intrinsics
+        Of the sensor.
+    points
+        (..., 2), distorted.
+
+    Returns
+    -------
+    (..., 2), normalised; NaN where the iteration does not converge (outside the lens's valid field).
+    """
+    wanted = np.asarray(points, dtype=np.float64)
+    found = wanted.copy()
+    with np.errstate(all="ignore"):
+        for _ in range(_NEWTON_STEPS):
+            residual = distort(intrinsics, found) - wanted
+            if np.nanmax(np.abs(residual), initial=0.0) < _NEWTON_TOLERANCE:
+                break
+            j = distortion_jacobian(intrinsics, found)
+            determinant = j[..., 0, 0] * j[..., 1, 1] - j[..., 0, 1] * j[..., 1, 0]
+            dx = (j[..., 1, 1] * residual[..., 0] - j[..., 0, 1] * residual[..., 1]) / determinant
+            dy = (j[..., 0, 0] * residual[..., 1] - j[..., 1, 0] * residual[..., 0]) / determinant
+            found -= np.stack([dx, dy], axis=-1)
+        bad = np.max(np.abs(distort(intrinsics, found) - wanted), axis=-1) > 1e-9
+    found[bad] = np.nan
+    return found
