@@ -131,13 +131,13 @@ def _overlap(
 
 
 @inlined
-def subtract(amplitude: float, weights: Single, tables: Single, k: int, z: Single, j: int) -> None:
-    """Take one return out of pixel j of a signal."""
+def subtract(amplitude: float, weights: Single, m: int, tables: Single, k: int, z: Single, j: int) -> None:
+    """Take one return out of pixel j of a signal, which stays 0 where a density is left out."""
     a = np.float32(amplitude)
     for t in range(z.shape[2]):
-        z[j, 0, t] -= a * weights[0, G, t] * tables[k, 0, t]
+        z[j, 0, t] -= a * weights[m, G, t] * tables[k, 0, t]
     for t in range(z.shape[2]):
-        z[j, 1, t] -= a * weights[0, G, t] * tables[k, 1, t]
+        z[j, 1, t] -= a * weights[m, G, t] * tables[k, 1, t]
 
 
 @inlined
@@ -239,7 +239,7 @@ def evaluate(
         left[j, 0, t] = z[j, 0, t]
         left[j, 1, t] = z[j, 1, t]
     for i in range(n):
-        subtract(states[0, AMPLITUDE, i], weights, tables, i, left, j)
+        subtract(states[0, AMPLITUDE, i], weights, m, tables, i, left, j)
     if n > 1:
         _project(n, system)
     for i in range(n):

@@ -281,9 +281,5 @@ def remove(
     for i in range(found):
         rotors(states, j, i, first, tables, i)
         if i != kept:
-            subtract(states[j, AMPLITUDE, i], weights, tables, i, left, j)
-    for t in range(z.shape[2]):
-        if weights[m, P, t] == 0.0:
-            left[j, 0, t] = 0.0
-            left[j, 1, t] = 0.0
+            subtract(states[j, AMPLITUDE, i], weights, m, tables, i, left, j)
     return float(power(left, j, weights, m, P))
