@@ -67,7 +67,7 @@ class Plate:
         return cloud
 
     def peeled(self, refinements: int, threads: int) -> PointCloud:
-        """Reconstruct the plate by peeling, pairs by the least ray gap, no masks but the volume."""
+        """Reconstruct the plate by peeling, pairs by the least ray gap, masked by volume and modulation."""
         measurement, sequence, volume = self.measurement, self.measurement.sequence, self.calibration.volume
         camera, projector = (self.calibration.rig.sensor(name) for name in ("C1", "P1"))
         pair = sensor_pair(camera, projector, sequence, threads)
@@ -102,9 +102,13 @@ class Plate:
         omega, sigma = chosen.omega, chosen.omega_sigma
         known: Flags = np.asarray(np.isfinite(omega).all(axis=0))
         light = np.sqrt(np.nansum([f.amplitude**2 for f in found], axis=1)).astype(np.float32)
-        correct_texture(omega, sigma, light, known, pair.meet, maximum_shift_px=0.5, threads=threads)
+        _, beside = correct_texture(
+            omega, sigma, light, known, pair.meet, maximum_shift_px=0.5, threads=threads
+        )
+        noise = measurement.noise(frames.mean(axis=0, dtype=np.float32))
+        weak = (chosen.amplitude < ReconstructParameters().minimum_modulation_to_noise * noise).any(axis=0)
         points = pair.meet(omega, sigma)
-        bad = outside_box(points.xyz, volume.low, volume.high) | np.isnan(points.xyz[0])
+        bad = outside_box(points.xyz, volume.low, volume.high) | np.isnan(points.xyz[0]) | weak | beside
         points.xyz[:, bad] = np.nan
         reason = np.where(bad, np.uint32(Reason.OUT_OF_VOLUME), np.uint32(Reason.VALID))
         return PointCloud("C1", "P1", points.xyz, points.covariance, points.ray_gap, reason)
