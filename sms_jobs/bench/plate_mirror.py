@@ -13,8 +13,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.bench.in_memory import run_kind
+from sms_jobs.bench.peeling import peel_returns
+from sms_jobs.kinds.phase_task import PhaseTask
+from sms_jobs.kinds.phases import sensor_pair
+from sms_jobs.kinds.ranged_phases import transfers
 from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
+from sms_jobs.metrology.images.masks import outside_box
 from sms_jobs.metrology.phase.sequences import reverse_exponential
+from sms_jobs.metrology.phase.texture_error import correct_texture
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PointCloud
 from sms_jobs.records.measurement import ArrayStack, Measurement
@@ -59,6 +65,53 @@ class Plate:
         output = run_kind(KIND, SUBJECT, records, threads, ReconstructParameters(**parameters))
         cloud: PointCloud = output.records["cloud"]
         return cloud
+
+    def peeled(self, refinements: int, threads: int) -> PointCloud:
+        """Reconstruct the plate by peeling, pairs by the least ray gap, masked by volume and modulation."""
+        measurement, sequence, volume = self.measurement, self.measurement.sequence, self.calibration.volume
+        camera, projector = (self.calibration.rig.sensor(name) for name in ("C1", "P1"))
+        pair = sensor_pair(camera, projector, sequence, threads)
+        task = PhaseTask(SUBJECT, measurement, ReconstructParameters(), threads)
+        rows = measurement.frames.shape[1]
+        frames = measurement.frames.rows(0, rows)
+        found = [
+            peel_returns(
+                frames[sequence.frames_of(k)],
+                sequence.densities,
+                sequence.steps,
+                full_scale=measurement.full_scale,
+                gain=measurement.gain,
+                read_noise=measurement.read_noise,
+                returns=2,
+                refinements=refinements,
+                mtf=transfer,
+            )
+            for k, transfer in enumerate(transfers(task))
+        ]
+        chosen = pair.choose(
+            slice(0, rows),
+            np.stack([f.omega for f in found]),
+            np.stack([f.omega_sigma for f in found]).astype(np.float32),
+            np.stack([f.amplitude for f in found]).astype(np.float32),
+            low=volume.low,
+            high=volume.high,
+            gap_floor_mm=0.0,
+            density_rms=float(np.sqrt(np.mean(np.square(sequence.densities)))),
+            least_gap=True,
+        )
+        omega, sigma = chosen.omega, chosen.omega_sigma
+        known: Flags = np.asarray(np.isfinite(omega).all(axis=0))
+        light = np.sqrt(np.nansum([f.amplitude**2 for f in found], axis=1)).astype(np.float32)
+        _, beside = correct_texture(
+            omega, sigma, light, known, pair.meet, maximum_shift_px=0.5, threads=threads
+        )
+        noise = measurement.noise(frames.mean(axis=0, dtype=np.float32))
+        weak = (chosen.amplitude < ReconstructParameters().minimum_modulation_to_noise * noise).any(axis=0)
+        points = pair.meet(omega, sigma)
+        bad = outside_box(points.xyz, volume.low, volume.high) | np.isnan(points.xyz[0]) | weak | beside
+        points.xyz[:, bad] = np.nan
+        reason = np.where(bad, np.uint32(Reason.OUT_OF_VOLUME), np.uint32(Reason.VALID))
+        return PointCloud("C1", "P1", points.xyz, points.covariance, points.ray_gap, reason)
 
     def off_plane(self, cloud: PointCloud) -> Floats:
         """Return how far every point lies off the plane through those that are lit once, in mm.

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.bench.peeling import Peeled, peel_returns
 from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns
 from sms_jobs.metrology.phase.ranging.bound import two_return_bound
 from sms_jobs.metrology.phase.sequences import linear, ranging
@@ -58,6 +59,19 @@ class Signals:
     def ranged(self, returns: int | None = None, **options: object) -> Returns:
         """Range the frames, for as many returns as there are if not told otherwise."""
         return range_returns(
+            self.frames,
+            ranging(self.fringes),
+            STEPS,
+            full_scale=FULL_SCALE,
+            gain=0.0,
+            read_noise=self.noise,
+            returns=returns or len(self.omega),
+            **options,  # type: ignore[arg-type]
+        )
+
+    def peeled(self, returns: int | None = None, **options: object) -> Peeled:
+        """Range the frames as in the thesis, likewise."""
+        return peel_returns(
             self.frames,
             ranging(self.fringes),
             STEPS,
@@ -146,7 +160,7 @@ def stronger_bound(apart_bins: Floats, fringes: int, signal_to_noise: float) -> 
     return single_bound(fringes, signal_to_noise) * np.interp(apart_bins, grid, growth)
 
 
-def found_near(signals: Signals, returns: Returns) -> tuple[Floats, NDArray[np.bool_]]:
+def found_near(signals: Signals, returns: Returns | Peeled) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the error of the found return nearest to each true one, and where all are found.
 
     Found means within a quarter of a bin, each by a return of its own. Errors are (returns, pixels) in rad,

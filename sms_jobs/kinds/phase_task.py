@@ -24,7 +24,7 @@ Reasons = NDArray[np.uint32]
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-Method = Literal["temporal-unwrapping", "fdr", "fdr-improved", "fdr-original"]
+Method = Literal["temporal-unwrapping", "fdr"]
 UNWRAPPING: Method = "temporal-unwrapping"
 
 
@@ -34,14 +34,9 @@ class PhaseParameters(Parameters):
     method: Method = Field(
         "temporal-unwrapping",
         description="how the phase gradient is found: temporal unwrapping of any unambiguous densities, or "
-        "Fourier domain ranging over the densities 0, 1, 2 ..: 'fdr' with known origin and several returns, "
-        "'fdr-improved' and 'fdr-original' as in the thesis",
+        "Fourier domain ranging ('fdr') of several returns over the densities 0, 1, 2 ..",
     )
     returns: int = Field(1, ge=1, le=4, description="most returns that are looked for in a pixel")
-    refinements: int = Field(
-        1, ge=0, le=20, description="how often each return is found again with the others taken away"
-    )
-    joint: bool = Field(True, description="whether all returns are finally fitted together (method fdr)")
     window: Window = Field("none", description="weights over the densities against leakage of strong returns")
     significance: float = Field(
         1e-4, gt=0.0, lt=1.0, description="probability at which noise alone is taken for one more return"
@@ -99,7 +94,7 @@ class PhaseParameters(Parameters):
     @classmethod
     def _correct_what_is_known(cls, response: str, given: ValidationInfo) -> str:
         method, returns = given.data.get("method"), given.data.get("returns")
-        if response == "measured" and (method not in (UNWRAPPING, "fdr") or returns != 1):
+        if response == "measured" and method == "fdr" and returns != 1:
             raise ValueError(
                 "the projector's response is corrected for temporal unwrapping and for method=fdr with "
                 "returns=1; set response=none for the others"

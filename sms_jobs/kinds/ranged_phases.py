@@ -31,13 +31,6 @@ from sms_jobs.records.reasons import Reason
 
 _SAMPLED = (4, 512)  # rows, and pixels of each, that tell the modulation transfer
 
-RANGING: dict[str, Any] = {
-    "fdr": "known-origin",
-    "fdr-improved": "improved",
-    "fdr-original": "original",
-}
-"""What the ranging methods are called where they are described."""
-
 
 def transfers(task: PhaseTask) -> list[Floats]:
     """Return the modulation transfer over the densities of each orientation, from a sample of the rows."""
@@ -106,9 +99,6 @@ def _found(task: PhaseTask, known: Known, frames: NDArray[Any]) -> list[Returns]
             gain=measurement.gain,
             read_noise=measurement.read_noise,
             returns=parameters.returns,
-            method=RANGING[parameters.method],
-            refinements=parameters.refinements,
-            joint=parameters.joint,
             window=parameters.window,
             significance=parameters.significance,
             mtf=known.transfers[k],

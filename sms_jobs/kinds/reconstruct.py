@@ -205,7 +205,7 @@ def _pair_statistics(cloud: PointCloud, returns: ReturnMaps) -> dict[str, float]
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=6,
+    version=7,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     needs=_needs,

@@ -31,6 +31,15 @@ def summing_kernel(function: F) -> F:
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=options)(function))
 
 
+def inlined(function: F) -> F:
+    """Put `function` into the code of the kernels that call it, of whose leave to reorder it takes part.
+
+    Every array that a kernel is handed is counted in and out by atomic instructions, bundles of arrays one by
+    one: that costs more than a short function does.
+    """
+    return cast(F, numba.njit(inline="always")(function))
+
+
 def in_row_blocks(work: Callable[[int, int], None], rows: int, threads: int, block: int = 64) -> None:
     """Call `work(start, stop)` for blocks of rows that cover `0 .. rows`, on `threads` threads.
 

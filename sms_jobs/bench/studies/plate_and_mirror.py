@@ -18,12 +18,13 @@ _THREADS = 2
 _FAR_MM = 50.0
 _SHOWN_MM = 0.2
 
-THESIS = {"method": "fdr-improved", "returns": 2, "pair_rule": "least-gap"}
-METHODS: dict[str, dict[str, Any]] = {
-    "thesis, no refinement": THESIS | {"refinements": 0},
-    "thesis, 1 refinement": THESIS | {"refinements": 1},
-    "thesis, 2 refinements": THESIS | {"refinements": 2},
-    "joint fit, likeliest pair": {"method": "fdr", "returns": 2},
+METHODS: dict[str, Callable[[Plate], PointCloud]] = {
+    "thesis, no refinement": lambda plate: plate.peeled(0, _THREADS),
+    "thesis, 1 refinement": lambda plate: plate.peeled(1, _THREADS),
+    "thesis, 2 refinements": lambda plate: plate.peeled(2, _THREADS),
+    "joint fit, likeliest pair": lambda plate: plate.points(
+        {"method": "fdr", "returns": 2, **UNMASKED}, _THREADS
+    ),
 }
 UNWRAPPING = "unwrapping of 32 .. 16"
 
@@ -46,9 +47,9 @@ def run(say: Callable[[str], None]) -> Outcome:
     rows, maps = [], {}
     for fringes in FRINGES:
         part = only(plate, ranging(fringes))
-        for name, parameters in METHODS.items():
+        for name, method in METHODS.items():
             say(f"s = {fringes}, {name}")
-            cloud = part.points(parameters | UNMASKED, _THREADS)
+            cloud = method(part)
             rows.append(_row(plate, cloud, fringes, name))
             maps[name] = plate.off_plane(cloud)
     say(UNWRAPPING)

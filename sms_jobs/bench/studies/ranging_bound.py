@@ -33,7 +33,7 @@ def run(say: Callable[[str], None]) -> Outcome:
             bound = single_bound(fringes, ratio)
             found = signals.ranged()
             known = wrapped(found.omega[0].ravel() - signals.omega[0])
-            modulus = wrapped(signals.ranged(method="improved").omega[0].ravel() - signals.omega[0])
+            modulus = wrapped(signals.peeled().omega[0].ravel() - signals.omega[0])
             unwrapped = wrapped(signals.unwrapped().omega.ravel() - signals.omega[0])
             stated = float(np.sqrt(np.nanmean(np.square(found.omega_sigma[0], dtype=np.float64))))
             errors.append(_rms(known))

@@ -21,9 +21,9 @@ def _methods(signals: Signals) -> dict[str, Callable[[], Floats]]:
     """Return what finds omega, by the method's name."""
     return {
         "temporal unwrapping, least squares over t = 1 .. 63": lambda: signals.unwrapped().omega,
-        "FDR, original: maximum of |H| (7.2.1)": lambda: signals.ranged(method="original").omega[0],
-        "FDR, improved: interpolated start (7.2.2)": lambda: signals.ranged(method="improved").omega[0],
-        "FDR, known origin: maximum of Re H": lambda: signals.ranged(method="known-origin").omega[0],
+        "FDR, original: maximum of |H| (7.2.1)": lambda: signals.peeled(interpolated=False).omega[0],
+        "FDR, improved: interpolated start (7.2.2)": lambda: signals.peeled().omega[0],
+        "FDR, known origin: maximum of Re H": lambda: signals.ranged().omega[0],
     }
 
 

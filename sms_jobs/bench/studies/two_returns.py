@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from sms_jobs.bench.peeling import Peeled
 from sms_jobs.bench.returns import Signals, found_near, pairs, rms, simulate, single_bound
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure
+from sms_jobs.metrology.phase.fourier_domain_ranging import Returns
 from sms_jobs.metrology.phase.ranging.bound import two_return_bound
 
 FRINGES = 64
@@ -17,15 +19,15 @@ SEPARATIONS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0)
 RATIOS = (1.0, 0.5, 0.2, 0.1)
 _PIXELS = 1 << 13
 
-METHODS: dict[str, dict[str, Any]] = {
-    "joint fit": {},
-    "peel and refine (7.2.3)": {"method": "improved", "refinements": 2},
+METHODS: dict[str, Callable[[Signals], Returns | Peeled]] = {
+    "joint fit": lambda signals: signals.ranged(),
+    "peel and refine (7.2.3)": lambda signals: signals.peeled(refinements=2),
 }
 
 
-def _measured(signals: Signals, options: dict[str, Any]) -> tuple[float, float]:
+def _measured(signals: Signals, found: Returns | Peeled) -> tuple[float, float]:
     """Return the part of pixels with both found, and the rms of the stronger there, in rad."""
-    error, good = found_near(signals, signals.ranged(**options))
+    error, good = found_near(signals, found)
     return float(good.mean()), rms(error[0][good]) if good.any() else float("nan")
 
 
@@ -40,7 +42,7 @@ def run(say: Callable[[str], None]) -> Outcome:
             omega = pairs(_PIXELS, (apart, apart), FRINGES, random)
             signals = simulate(omega, (1.0, ratio), FRINGES, SIGNAL_TO_NOISE, random)
             least = unit * two_return_bound(apart, FRINGES)
-            found = [_measured(signals, options) for options in METHODS.values()]
+            found = [_measured(signals, method(signals)) for method in METHODS.values()]
             cells = [value for success, error in found for value in (success, error / least)]
             rows.append((ratio, apart, least / unit, *cells))
     names = [f"{m}: {what}" for m in METHODS for what in ("both found", "rms / bound")]

@@ -11,33 +11,33 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import log, sqrt
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.compilation import in_row_blocks
-from sms_jobs.metrology.phase.ranging.fit import fit_weights
-from sms_jobs.metrology.phase.ranging.plan import JOINT, MODULUS, ORIGINAL, Plan
-from sms_jobs.metrology.phase.ranging.search import find_by_peeling, find_jointly
-from sms_jobs.metrology.phase.ranging.settled import settle_row
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.phase.ranging.batch import resolve_row
+from sms_jobs.metrology.phase.ranging.batched_fit import overlap_table
+from sms_jobs.metrology.phase.ranging.close_start import grid
+from sms_jobs.metrology.phase.ranging.plan import Plan
+from sms_jobs.metrology.phase.ranging.row import Maps, Row, begin_row, new_maps, new_row, write_row
+from sms_jobs.metrology.phase.ranging.search import search_row
 from sms_jobs.metrology.phase.ranging.signal import (
     PADDING,
+    Sequence,
     Window,
     ranging_sequence,
     read_signal,
     window_weights,
 )
-from sms_jobs.metrology.phase.ranging.start import grid
 from sms_jobs.metrology.phase.ranging.transform import bit_reversal, transform_length, twiddles
-from sms_jobs.metrology.phase.ranging.two_each import overlap_table
+from sms_jobs.metrology.phase.ranging.weights import fit_weights, sums_of
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
-Method = Literal["known-origin", "improved", "original"]
 
-_METHODS = {"known-origin": 0, "improved": MODULUS, "original": MODULUS | ORIGINAL}
 _LEAST_PART = 0.25  # of the densities that must be free of saturation
 
 
@@ -95,17 +95,14 @@ def score_threshold(significance: float, count: int) -> float:
     return sqrt(max(2.0 * log(count / (sqrt(3.0) * significance)), 1.0))
 
 
-def _row_buffers(
-    count: int, columns: int
-) -> tuple[Single, Single, NDArray[np.uint8], NDArray[np.int64], Floats]:
-    """Return the signal of a row, its levels and lost densities, room for some of its columns and returns."""
-    return (
-        np.empty((2, count, columns), np.float32),
-        np.empty((2, columns), np.float32),
-        np.empty((count + 1, columns), np.uint8),
-        np.empty(columns, np.int64),
-        np.empty((7, columns)),
-    )
+@kernel
+def _range_row(plan: Plan, row: Row, maps: Maps, index: int) -> None:
+    """Find the returns of a row that has been read, and write them to the maps."""
+    begin_row(plan, row)
+    resolve_row(plan, row)
+    if not row.resolved.all():
+        search_row(plan, row)
+    write_row(plan, row, maps, index)
 
 
 def range_returns(
@@ -117,9 +114,6 @@ def range_returns(
     gain: float,
     read_noise: float,
     returns: int = 1,
-    method: Method = "known-origin",
-    refinements: int = 1,
-    joint: bool = True,
     window: Window = "none",
     significance: float = 1e-4,
     mtf: Floats | None = None,
@@ -142,17 +136,8 @@ def range_returns(
         Noise model: variance = read_noise^2 + gain * grey level, in grey levels; taken at the mean level.
     returns
         Most returns to look for in a pixel, 1 .. 8.
-    method
-        "known-origin" maximises Re H (least squares with the phase known at t = 0); "improved" and
-        "original" maximise |H| as thesis sections 7.2.2 and 7.2.1 do, from the interpolated and from the
-        whole frequency.
-    refinements
-        How often each return is found again with the others removed (thesis section 7.2.3, step 4); not
-        used by the joint fit.
-    joint
-        Fit all returns together, and accept a further one by what it gains there; known-origin only.
     window
-        Over the densities, for the search of peaks and, without a joint fit, for their refinement.
+        Over the densities, for the search of peaks; the fit itself has none.
     significance
         Probability that noise alone is taken for a return.
     mtf
@@ -167,66 +152,56 @@ def range_returns(
         raise InvalidInput(f"a pixel is searched for 1 to 8 returns, not {returns}: ask for fewer")
     if sequence.count > 255:
         raise InvalidInput(f"at most 255 fringe densities can be ranged, not {sequence.count}: give fewer")
-    if refinements < 0:
-        raise InvalidInput(f"the number of refinements is 0 or more, not {refinements}")
-    if method not in _METHODS:
-        raise InvalidInput(f"{method} is no ranging method: use one of {', '.join(_METHODS)}")
-    known_origin = method == "known-origin"
-    mode = _METHODS[method] | (JOINT if known_origin and joint else 0)
+    noise = 2.0 / steps * read_noise**2, 2.0 / steps * gain, sqrt(steps / 2.0)
+    plan = _plan(sequence, window, score_threshold(significance, sequence.count), noise, mtf)
+    stack = np.ascontiguousarray(frames)
+    rows, columns = stack.shape[1:]
+    maps = new_maps(returns, rows, columns)
+    idle: list[Row] = []
+
+    def work(start: int, stop: int) -> None:
+        # Fresh memory costs more to touch than a row costs to read: blocks hand on their buffers.
+        row = idle.pop() if idle else new_row(returns, sequence.count, columns)
+        for index in range(start, stop):
+            read_signal(
+                stack, index, sequence.frames, full_scale, row.signal[0], row.signal[1], row.lost, row.levels
+            )
+            _range_row(plan, row, maps, index)
+        idle.append(row)
+
+    in_row_blocks(work, rows, threads, block=4)
+    return Returns(*maps)
+
+
+def _plan(
+    sequence: Sequence,
+    window: Window,
+    threshold: float,
+    noise: tuple[float, float, float],
+    mtf: Floats | None,
+) -> Plan:
+    """Return what is the same for all pixels; `noise` are the `variance`, `slope` and `unit` of a `Plan`."""
     transfer = np.ones(sequence.count) if mtf is None else np.asarray(mtf, dtype=np.float64)
     if transfer.shape != (sequence.count,) or not (transfer >= 0.0).all() or not transfer.any():
         raise InvalidInput(
             f"the modulation transfer has one value of 0 or more for each of the {sequence.count} densities, "
             f"not {transfer.shape}: estimate it from frames of the same sequence"
         )
-    shape = window_weights(window, sequence, known_origin=known_origin)
+    t, precision = sequence.densities, sequence.precision
     padded = -(-sequence.count // PADDING) * PADDING
-    weights = fit_weights(
-        sequence.densities, sequence.precision, transfer, shape, padded, windowed_fit=not mode & JOINT
-    )
+    shape = window_weights(window, sequence, known_origin=True)
+    weights = fit_weights(t, precision, transfer, shape, padded)
     length = transform_length(sequence.count)
-    plan = Plan(
+    return Plan(
         sequence.first,
+        sequence.count,
         max(3, int(_LEAST_PART * sequence.count)),
-        mode,
-        refinements,
-        score_threshold(significance, sequence.count),
-        2.0 / steps * read_noise**2,
-        2.0 / steps * gain,
-        sqrt(steps / 2.0),
+        threshold,
+        *noise,
         twiddles(length),
         bit_reversal(length),
         weights,
-        weights.sum(axis=1, dtype=np.float64),
-        overlap_table(sequence.densities, sequence.precision * transfer**2),
-        grid(sequence.densities, sequence.precision * transfer**2, padded),
-    )
-    stack = np.ascontiguousarray(frames)
-    rows, columns = stack.shape[1:]
-    omega = np.empty((returns, rows, columns))
-    maps = np.empty((3, returns, rows, columns), np.float32)
-    planes = np.empty((3, rows, columns), np.float32)
-    flags = np.empty((2, rows, columns), np.uint8)
-
-    every = np.arange(columns)
-    idle: list[tuple[Single, Single, NDArray[np.uint8], NDArray[np.int64], Floats]] = []
-
-    def work(start: int, stop: int) -> None:
-        # Fresh memory costs more to touch than a row costs to read: blocks hand on their buffers.
-        buffers = idle.pop() if idle else _row_buffers(sequence.count, columns)
-        signal, levels, lost, opened, known = buffers
-        for row in range(start, stop):
-            read_signal(stack, row, sequence.frames, full_scale, signal[0], signal[1], lost, levels)
-            planes[:2, row] = levels
-            if mode & JOINT:
-                still = settle_row(plan, signal, lost, row, omega, maps, planes, flags, opened, known)
-                if still > 0:
-                    find_jointly(plan, signal, lost, opened[:still], known, row, omega, maps, planes, flags)
-            else:
-                find_by_peeling(plan, signal, lost, every, row, omega, maps, planes, flags)
-        idle.append(buffers)
-
-    in_row_blocks(work, rows, threads, block=4)
-    return Returns(
-        omega, maps[0], maps[1], maps[2], flags[0], planes[2], planes[0], planes[1], flags[1].astype(bool)
+        sums_of(weights, sequence.first),
+        overlap_table(t, precision * transfer**2),
+        grid(t, precision * transfer**2, padded),
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.phase.fourier_domain_ranging import Method, Returns, range_returns, score_threshold
+from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns, score_threshold
 from sms_jobs.metrology.phase.ranging.bound import omega_bounds, two_return_bound
 from sms_jobs.metrology.phase.ranging.modulation import modulation_transfer
 from sms_jobs.metrology.phase.ranging.signal import uniform_steps
@@ -58,7 +58,6 @@ def ranged(
     steps: int = 4,
     noise: float = NOISE,
     returns: int = 1,
-    method: Method = "known-origin",
     **options: object,
 ) -> Returns:
     return range_returns(
@@ -69,7 +68,6 @@ def ranged(
         gain=0.0,
         read_noise=noise,
         returns=returns,
-        method=method,
         **options,  # type: ignore[arg-type]
     )
 
@@ -154,32 +152,6 @@ def test_one_return_is_measured_at_the_bound_without_bias(omega: Floats, rng: np
     assert not found.saturated.any()
 
 
-@pytest.mark.parametrize("method", ["original", "improved"])
-def test_the_free_phase_costs_a_factor_of_two(
-    method: Method, omega: Floats, rng: np.random.Generator
-) -> None:
-    frames = recorded(frames_of([omega], [STRONG]), rng)
-    found = ranged(frames, method=method)
-    bound = omega_bounds(np.zeros(1), np.array([STRONG]), np.arange(S), NOISE, known_origin=False)[0]
-    assert bound == pytest.approx(sqrt(6.0) * NOISE / (STRONG * S**1.5), rel=0.01)
-    assert rms(wrapped(found.omega[0] - omega)) / bound == pytest.approx(1.0, abs=0.04)  # as above
-    np.testing.assert_allclose(found.omega_sigma[0], bound, rtol=0.02)
-
-
-def test_the_interpolated_start_is_the_peak_without_noise() -> None:
-    # Table 6 of the thesis: kappa = 3.3 of s = 64, its noise 0.01 of the mean intensity (uniform).
-    rng = np.random.default_rng(6)
-    omega = np.full((10, 60), 3.3 * BIN)
-    exact = frames_of([omega], [20_000.0], level=30_000.0)
-    noisy = exact + rng.uniform(-1.0, 1.0, exact.shape) * sqrt(3.0) * 300.0
-    frames = np.rint(noisy).astype(np.uint16)
-    for method, factor in (("improved", 2.0), ("known-origin", 1.0)):
-        found = ranged(frames, noise=300.0, method=method)  # type: ignore[arg-type]
-        bound = factor * 300.0 / (20_000.0 * sqrt(2.0 * sum(t * t for t in range(S))))
-        # 600 samples: 3 % a deviation; the free phase is 1.99 at s = 64.
-        assert rms(found.omega[0] - 3.3 * BIN) / bound == pytest.approx(1.0, abs=0.09)
-
-
 @pytest.mark.parametrize(
     ("lowest", "highest", "success", "times_bound"),
     [(0.3, 0.5, 0.99, 1.1), (0.5, 1.0, 0.999, 1.1), (1.0, 3.0, 0.999, 1.1), (2.0, 2.0, 0.999, 1.1)],
@@ -252,26 +224,6 @@ def test_a_third_return_is_found_and_a_missing_one_is_nan(rng: np.random.Generat
     np.testing.assert_allclose(wrapped(found.omega[2] - omega + 1.4), 0.0, atol=6e-4)  # five deviations
     np.testing.assert_array_equal(np.isnan(found.omega[3]), found.count < 4)
     assert (np.diff(found.amplitude[:3], axis=0) < 0.0).all()
-
-
-@pytest.mark.parametrize("window", ["none", "hann", "hamming"])
-@pytest.mark.parametrize("method", ["known-origin", "improved", "original"])
-def test_peeling_finds_separate_returns_with_any_window(
-    method: Method, window: str, rng: np.random.Generator
-) -> None:
-    omega = rng.uniform(-pi, pi, size=(4, 100))
-    other = omega + 8.3 * BIN
-    frames = recorded(frames_of([omega, other], [STRONG, 0.5 * STRONG]), rng)
-    coarse, fine = (
-        ranged(frames, returns=2, method=method, joint=False, window=window, refinements=n) for n in (0, 3)
-    )
-    # A bin is 0.098 rad; leakage of the other return moves a peak by some hundredths of a bin.
-    np.testing.assert_allclose(wrapped(fine.omega[0] - omega), 0.0, atol=0.1 * BIN)
-    np.testing.assert_allclose(wrapped(fine.omega[1] - other), 0.0, atol=0.2 * BIN)
-    assert rms(wrapped(fine.omega[0] - omega)) <= 1.05 * rms(wrapped(coarse.omega[0] - omega))
-    if method == "known-origin":
-        # Refined to the end, separate returns are as good as predicted for one; 400 samples, 3.5 %.
-        assert rms(wrapped(fine.omega[0] - omega) / fine.omega_sigma[0]) == pytest.approx(1.0, abs=0.2)
 
 
 def test_saturated_densities_are_left_out(rng: np.random.Generator) -> None:

@@ -1,4 +1,4 @@
-"""What is the same for all pixels that are ranged, and the tests that every way of fitting shares."""
+"""What is the same for all pixels that are ranged, and when what is left of one may hold another return."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel
-from sms_jobs.metrology.phase.ranging.start import Grid
+from sms_jobs.metrology.phase.ranging.close_start import Grid
+from sms_jobs.metrology.phase.ranging.weights import Sums, Weights
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
 
-JOINT, MODULUS, ORIGINAL = 1, 2, 4  # bits of the mode
+CLOSE_BINS = 1.6  # of 2 pi / s: the peaks of two returns nearer than this are no start for a fit of both
 
 _TRIGGER = 0.85  # of the threshold, for a peak that is seen between samples
 
@@ -21,47 +22,60 @@ _TRIGGER = 0.85  # of the threshold, for a peak that is seen between samples
 class Plan(NamedTuple):
     """What is the same for all pixels.
 
-    `first` is t of the first density, `least` the number of densities that a pixel needs; `turns`, `order`
-    are of `twiddles` and `bit_reversal`, `weights` and `sums` of `fit_weights` for unsaturated pixels,
-    `overlaps` of `overlap_table`, `grid` of `grid`. `variance` is that of z at grey level 0, `slope` its
-    growth a grey level, and `unit` makes the standard deviation of a frame of that of z.
+    Attributes
+    ----------
+    first, densities, least
+        t of the first density, the number of densities s, and how many of them a pixel needs.
+    threshold
+        The score of a return, in standard deviations of noise, of `score_threshold`.
+    variance, slope
+        Variance of z at grey level 0, and its growth a grey level.
+    unit
+        Standard deviation of a frame over that of z.
+    turns, order
+        Of `twiddles` and `bit_reversal`.
+    weights, sums
+        Of pixels that no density is left out of.
+    overlaps, grid
+        Of `overlap_table` and `grid`.
     """
 
     first: int
+    densities: int
     least: int
-    mode: int
-    refinements: int
     threshold: float
     variance: float
     slope: float
     unit: float
     turns: Single
     order: NDArray[np.int64]
-    weights: Single
-    sums: Floats
+    weights: Weights
+    sums: Sums
     overlaps: Floats
     grid: Grid
 
 
 @kernel
-def real_values(first: int, densities: int) -> float:
-    """Return how many real values there are: two a density, one at t = 0."""
-    return float(2 * densities - (1 if first == 0 else 0))
+def freedom(first: int, densities: int, returns: int) -> float:
+    """Return the degrees of freedom that a number of returns leave a pixel of so many densities.
+
+    Each density gives two real values, t = 0 one, and each return takes two.
+    """
+    return float(2 * densities - (1 if first == 0 else 0) - 2 * returns)
 
 
 @kernel
-def is_excessive(threshold: float, values: float, variance: float, squares: float) -> bool:
-    """Tell whether what is left of a pixel is too much for noise."""
-    return bool(squares - variance * values > threshold * np.sqrt(2.0 * values) * variance)
+def is_excessive(threshold: float, free: float, variance: float, squares: float) -> bool:
+    """Tell whether the weighted sum of squares of what is left of a pixel is too much for noise."""
+    return bool(squares - variance * free > threshold * np.sqrt(2.0 * free) * variance)
 
 
 @kernel
-def is_worth_a_fit(
-    threshold: float, values: float, variance: float, squares: float, scatter: float, height: float
-) -> bool:
-    """Tell whether what is left of a pixel can hold a return: a high sample, or too much of everything."""
-    floor = max(variance, squares / max(values, 1.0))
-    return bool(
-        height > _TRIGGER * threshold * np.sqrt(scatter * floor)
-        or is_excessive(threshold, values, variance, squares)
-    )
+def may_hold_another(threshold: float, free: float, variance: float, squares: float, score: float) -> bool:
+    """Tell whether what is left of a pixel may hold a return: a high peak, or too much of everything.
+
+    `free` are its degrees of freedom, `squares` its weighted sum of squares, and `score` its highest Re H in
+    standard deviations of that for unit noise.
+    """
+    high = score > _TRIGGER * threshold * np.sqrt(max(variance, squares / max(free, 1.0)))
+    return bool(high or is_excessive(threshold, free, variance, squares))

@@ -1,435 +1,263 @@
-"""The returns of given pixels of a row: find a peak, fit it, test it, and look at what is left.
+"""The returns of the pixels of a row that are not resolved in batches: one after the other, fitted jointly.
 
-Peaks are searched for in chunks of `LANES` pixels, fitted pixel by pixel.
+For each return: find the highest peak of what the known ones leave, fit all of them from there, and test what
+that gains. Peaks are searched for in `LANES` pixels at a time; the fits are those of `reference_fit`.
 """
 
 from __future__ import annotations
 
+from math import pi
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.compilation import kernel, summing_kernel
-from sms_jobs.metrology.phase.ranging.fit import (
+from sms_jobs.metrology.compilation import inlined, kernel
+from sms_jobs.metrology.phase.ranging.plan import CLOSE_BINS, Plan, freedom, may_hold_another
+from sms_jobs.metrology.phase.ranging.reference_fit import (
     AMPLITUDE,
+    COLUMNS,
     OMEGA,
-    SEARCH,
-    SPREAD,
-    VARIANCE,
-    N,
-    P,
-    V,
-    copy_state,
+    Fit,
+    copy_estimates,
+    fit_returns,
+    new_fit,
     power,
+    subtract,
+    write_spread,
 )
-from sms_jobs.metrology.phase.ranging.of_pixel import (
-    add_jointly,
-    height_of_real_peak,
-    peel,
-    remove,
-    spread,
-    start_of_modulus_peak,
-    start_of_real_peak,
-    wrapped,
-)
-from sms_jobs.metrology.phase.ranging.plan import MODULUS, ORIGINAL, Plan, is_worth_a_fit, real_values
-from sms_jobs.metrology.phase.ranging.transform import LANES, modulus_peaks, real_peaks
+from sms_jobs.metrology.phase.ranging.row import Row
+from sms_jobs.metrology.phase.ranging.transform import LANES, Peaks, find_peaks, new_peaks, wrapped
+from sms_jobs.metrology.phase.ranging.weights import Sums, Weights, leave_out, new_weights, sums_of
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
 
+_SPLIT_BINS = 0.3  # to either side
 
-class _Chunk(NamedTuple):
-    """Buffers of a chunk of pixels: for the search (densities, LANES), for the fit (LANES, 2, densities)."""
+
+class Pixel(NamedTuple):
+    """One pixel for the fit: its signal (2, padded), weights with their sums, its noise, its freedom."""
+
+    z: Single
+    weights: Weights
+    sums: Sums
+    variance: float
+    values: float
+
+
+class Buffers(NamedTuple):
+    """What `LANES` pixels are searched with.
+
+    Attributes
+    ----------
+    x, y
+        What is left of their signals, (densities, LANES).
+    z
+        Their signals, (LANES, 2, padded).
+    kept
+        Its weights without the densities that are left out.
+    column, searched
+        (LANES,): where they are, and whether they may have more returns.
+    first_gain
+        (LANES,): by what the first return lowers the sum of squares.
+    start, best
+        Estimates of a fit, (returns, 4).
+    """
 
     x: Single
     y: Single
-    spectrum: Single
-    best: Single
-    where: NDArray[np.int32]
-    lost: NDArray[np.uint8]
-    pixels: Single
-    left: Single
-    rest: Single
-    weights: Single
-    sums: Floats
-    states: Floats
-    found: NDArray[np.int64]
-    active: NDArray[np.bool_]
-    missing: NDArray[np.int64]
-    squares: Floats
-    gain: Floats
-    variance: Floats
-    work: Floats
-    tables: Single
-    system: Floats
+    peaks: Peaks
+    z: Single
+    kept: Weights
+    column: NDArray[np.int64]
+    searched: NDArray[np.bool_]
+    first_gain: Floats
+    start: Floats
+    best: Floats
+    fit: Fit
 
 
 @kernel
-def _chunk(plan: Plan, count: int, most: int) -> _Chunk:
-    """Return the buffers of a chunk."""
-    rows, padded = plan.weights.shape
-    weights, sums = np.zeros((2, rows, padded), np.float32), np.zeros((2, rows))
-    weights[0] = plan.weights
-    sums[0] = plan.sums
-    return _Chunk(
-        np.zeros((count, LANES), np.float32),
-        np.zeros((count, LANES), np.float32),
-        np.empty((2, plan.order.size, LANES), np.float32),
-        np.empty(LANES, np.float32),
-        np.empty(LANES, np.int32),
-        np.zeros((count, LANES), np.uint8),
+def _new_buffers(plan: Plan, returns: int) -> Buffers:
+    padded = plan.weights.search.size
+    return Buffers(
+        np.zeros((plan.densities, LANES), np.float32),
+        np.zeros((plan.densities, LANES), np.float32),
+        new_peaks(plan.order.size),
         np.zeros((LANES, 2, padded), np.float32),
-        np.zeros((LANES, 2, padded), np.float32),
-        np.zeros((LANES, 2, padded), np.float32),
-        weights,
-        sums,
-        np.zeros((LANES, 6, most)),
+        new_weights(padded),
         np.zeros(LANES, np.int64),
         np.zeros(LANES, np.bool_),
-        np.zeros(LANES, np.int64),
         np.zeros(LANES),
-        np.zeros(LANES),
-        np.zeros(LANES),
-        np.zeros((3, 6, most)),
-        np.zeros((most, 2, padded), np.float32),
-        np.zeros((6, max(most, 6), most + 1)),
-    )
-
-
-@summing_kernel
-def _to_lanes(pixels: Single, x: Single, y: Single) -> None:
-    for t in range(x.shape[0]):
-        for j in range(LANES):
-            x[t, j] = pixels[j, 0, t]
-            y[t, j] = pixels[j, 1, t]
-
-
-@summing_kernel
-def _to_pixels(x: Single, y: Single, pixels: Single) -> None:
-    for j in range(LANES):
-        for t in range(x.shape[0]):
-            pixels[j, 0, t] = x[t, j]
-            pixels[j, 1, t] = y[t, j]
-
-
-@kernel
-def _load(
-    plan: Plan, signal: Single, lost: NDArray[np.uint8], columns: NDArray[np.int64], chunk: _Chunk
-) -> None:
-    """Take the pixels of some columns into the buffers; those with enough densities are active."""
-    count = signal.shape[1]
-    for t in range(count):
-        for j in range(columns.size):
-            chunk.x[t, j] = signal[0, t, columns[j]]
-            chunk.y[t, j] = signal[1, t, columns[j]]
-            chunk.lost[t, j] = lost[t, columns[j]]
-    _to_pixels(chunk.x, chunk.y, chunk.pixels)
-    for j in range(LANES):
-        chunk.found[j] = 0
-        chunk.gain[j] = np.inf
-        chunk.missing[j] = lost[count, columns[j]] if j < columns.size else 0
-        chunk.active[j] = j < columns.size and count - chunk.missing[j] >= plan.least
-
-
-@kernel
-def _weights_of(missing: int, lost: NDArray[np.uint8], j: int, weights: Single, sums: Floats) -> int:
-    """Return which weights hold for a pixel; those without its lost densities are made here."""
-    if missing == 0:
-        return 0
-    for k in range(weights.shape[1]):
-        sums[1, k] = 0.0
-        for t in range(lost.shape[0]):
-            weights[1, k, t] = 0.0 if lost[t, j] else weights[0, k, t]
-            sums[1, k] += weights[1, k, t]
-    return 1
-
-
-@kernel
-def _find_peaks(plan: Plan, chunk: _Chunk) -> None:
-    """Transform what `x` and `y` hold, and find the highest sample of every pixel."""
-    weights, turns, order = plan.weights[SEARCH], plan.turns, plan.order
-    if plan.mode & MODULUS:
-        modulus_peaks(
-            chunk.x, chunk.y, weights, plan.first, turns, order, chunk.spectrum, chunk.best, chunk.where
-        )
-    else:
-        real_peaks(
-            chunk.x, chunk.y, weights, plan.first, turns, order, chunk.spectrum, chunk.best, chunk.where
-        )
-
-
-@kernel
-def _fit_pixel(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk, i: int, j: int) -> None:
-    """Add return i to a pixel if that is worth it; what is left then replaces the pixel in `x` and `y`."""
-    m = _weights_of(chunk.missing[j], lost, j, chunk.weights, chunk.sums)
-    values = real_values(plan.first, lost.shape[0] - chunk.missing[j])
-    variance = chunk.variance[j]
-    if i == 0:
-        chunk.squares[j] = power(chunk.pixels, j, chunk.weights, m, P)
-    height = height_of_real_peak(chunk.spectrum, chunk.where[j], j)
-    if i > 0 and not is_worth_a_fit(
-        plan.threshold, values - 2.0 * i, variance, chunk.squares[j], chunk.sums[m, N], height
-    ):
-        return
-    # A strong second return would count as noise of the first, which is therefore tested last of all.
-    squares = add_jointly(
-        i + 1,
-        chunk.pixels,
-        j,
-        chunk.weights,
-        chunk.sums,
-        m,
-        plan.first,
-        (variance, plan.threshold, values if i > 0 else np.inf),
-        start_of_real_peak(chunk.spectrum, chunk.where[j], j),
-        chunk.squares[j],
-        chunk.states,
-        chunk.work,
-        chunk.tables,
-        chunk.left,
-        chunk.system,
-    )
-    if squares >= 0.0:
-        if i == 0:
-            chunk.gain[j] = chunk.squares[j] - squares
-        chunk.squares[j] = squares
-        chunk.found[j] = i + 1
-        for t in range(chunk.x.shape[0]):
-            chunk.x[t, j] = chunk.left[j, 0, t]
-            chunk.y[t, j] = chunk.left[j, 1, t]
-
-
-@kernel
-def _find_jointly(plan: Plan, chunk: _Chunk) -> None:
-    """Find the returns of a chunk, each new one fitted together with those that are known."""
-    for i in range(chunk.states.shape[2]):
-        remaining = 0
-        _find_peaks(plan, chunk)
-        for j in range(LANES):
-            if chunk.active[j] and chunk.found[j] == i:
-                _fit_pixel(plan, chunk.lost, chunk, i, j)
-            chunk.active[j] = chunk.found[j] > i
-            remaining += 1 if chunk.active[j] else 0
-        if remaining == 0:
-            break
-    for j in range(LANES):
-        values = real_values(plan.first, chunk.lost.shape[0] - chunk.missing[j])
-        left = chunk.squares[j] / max(values - 2.0 * chunk.found[j], 1.0)
-        if not chunk.gain[j] > plan.threshold * plan.threshold * max(chunk.variance[j], left):
-            chunk.found[j] = 0
-
-
-@kernel
-def _peel_pixel(plan: Plan, lost: NDArray[np.uint8], chunk: _Chunk, sweep: int, i: int, j: int) -> None:
-    """Fit return i of a pixel to what `left` holds; in the first sweep, count it if it is significant."""
-    m = _weights_of(chunk.missing[j], lost, j, chunk.weights, chunk.sums)
-    known_origin = plan.mode & MODULUS == 0
-    if known_origin:
-        start = start_of_real_peak(chunk.spectrum, chunk.where[j], j)
-    else:
-        start = start_of_modulus_peak(chunk.spectrum, chunk.where[j], j, plan.mode & ORIGINAL == 0)
-    peel(
-        i,
-        chunk.left,
-        j,
-        chunk.weights,
-        chunk.sums,
-        m,
-        plan.first,
-        start,
-        known_origin,
-        chunk.states,
-        chunk.work,
-        chunk.tables,
-        chunk.rest,
-        chunk.system,
-    )
-    if sweep > 0:
-        return
-    squares = _without(plan, chunk, m, j, i + 1, int(np.int64(-1)))
-    freedom = max(real_values(plan.first, lost.shape[0] - chunk.missing[j]) - 2.0 * (i + 1), 1.0)
-    floor = max(chunk.variance[j], squares / freedom)
-    score = chunk.states[j, AMPLITUDE, i] * chunk.sums[m, V]
-    if score > plan.threshold * np.sqrt(chunk.sums[m, N] * floor):
-        chunk.found[j] = i + 1
-    else:
-        chunk.active[j] = False
-
-
-@kernel
-def _without(plan: Plan, chunk: _Chunk, m: int, j: int, found: int, kept: int) -> float:
-    """Put into `left` what a pixel is without its returns but one, and return the sum of its squares."""
-    return remove(
-        chunk.pixels,
-        j,
-        chunk.weights,
-        m,
-        plan.first,
-        chunk.states,
-        found,
-        kept,
-        chunk.tables,
-        chunk.left,
+        np.zeros((returns, COLUMNS)),
+        np.zeros((returns, COLUMNS)),
+        new_fit(returns, padded),
     )
 
 
 @kernel
-def _find_by_peeling(plan: Plan, chunk: _Chunk) -> None:
-    """Find the returns of a chunk one by one: thesis section 7.2.3, steps 1 to 4."""
-    most = chunk.states.shape[2]
-    for sweep in range(plan.refinements + 1 if most > 1 else 1):
-        for i in range(most):
-            for j in range(LANES):
-                if chunk.active[j] if sweep == 0 else i < chunk.found[j]:
-                    m = _weights_of(chunk.missing[j], chunk.lost, j, chunk.weights, chunk.sums)
-                    _without(plan, chunk, m, j, chunk.found[j], i)
-            _to_lanes(chunk.left, chunk.x, chunk.y)
-            _find_peaks(plan, chunk)
-            for j in range(LANES):
-                if chunk.active[j] if sweep == 0 else i < chunk.found[j]:
-                    _peel_pixel(plan, chunk.lost, chunk, sweep, i, j)
-    for j in range(LANES):
-        if chunk.found[j] > 0:
-            m = _weights_of(chunk.missing[j], chunk.lost, j, chunk.weights, chunk.sums)
-            chunk.squares[j] = _without(plan, chunk, m, j, chunk.found[j], int(np.int64(-1)))
-            copy_state(chunk.found[j], chunk.states, j, chunk.work, 0)
-            spread(chunk.found[j], chunk.weights, chunk.sums, m, chunk.work, chunk.tables, chunk.left, j)
-            copy_state(chunk.found[j], chunk.work, 0, chunk.states, j)
+def _load(row: Row, lanes: int, buffers: Buffers) -> None:
+    """Take the signals of some pixels from their row."""
+    signal, z = row.signal, buffers.z
+    for t in range(signal.shape[1]):  # in the order in which a row lies in memory
+        for j in range(lanes):
+            z[j, 0, t] = signal[0, t, buffers.column[j]]
+            z[j, 1, t] = signal[1, t, buffers.column[j]]
 
 
-@kernel
-def _report(
-    found: int, states: Floats, j: int, variance: float, row: int, column: int, omega: Floats, maps: Single
-) -> None:
-    """Write the returns of pixel j, strongest first, NaN beyond."""
-    for i in range(found, omega.shape[0]):
-        omega[i, row, column] = np.nan
-        for k in range(3):
-            maps[k, i, row, column] = np.nan
-    for i in range(found):
-        rank = 0
-        for k in range(found):
-            a, b = states[j, AMPLITUDE, k], states[j, AMPLITUDE, i]
-            rank += 1 if a > b or (a == b and k < i) else 0
-        omega[rank, row, column] = wrapped(states[j, OMEGA, i])
-        maps[0, rank, row, column] = np.sqrt(variance * states[j, VARIANCE, i])
-        maps[1, rank, row, column] = states[j, AMPLITUDE, i]
-        maps[2, rank, row, column] = np.sqrt(max(states[j, SPREAD, i], 0.0))
+@inlined
+def _pixel(plan: Plan, row: Row, j: int, buffers: Buffers) -> Pixel:
+    """Return the pixel of a lane; its weights hold until the next one is asked for."""
+    column = buffers.column[j]
+    missing = row.lost[plan.densities, column]
+    weights, sums = plan.weights, plan.sums
+    if missing > 0:
+        leave_out(plan.weights, row.lost[: plan.densities, column], buffers.kept)
+        weights, sums = buffers.kept, sums_of(buffers.kept, plan.first)
+    values = freedom(plan.first, plan.densities - missing, int(np.int64(0)))
+    return Pixel(buffers.z[j], weights, sums, row.variance[column], values)
 
 
-@kernel
-def _begin(
-    plan: Plan,
-    signal: Single,
-    lost: NDArray[np.uint8],
-    columns: NDArray[np.int64],
-    row: int,
-    planes: Single,
-    flags: NDArray[np.uint8],
-    chunk: _Chunk,
-) -> None:
-    """Take the pixels of some columns into a chunk, and mark those with too few densities."""
-    _load(plan, signal, lost, columns, chunk)
-    for j in range(columns.size):
-        chunk.variance[j] = plan.variance + plan.slope * planes[0, row, columns[j]]
-        flags[1, row, columns[j]] = 0 if chunk.active[j] else 1
+@inlined
+def _nearest(omega: float, estimates: Floats) -> int:
+    """Return which return is nearest to an omega."""
+    nearest = 0
+    for i in range(1, len(estimates)):
+        if abs(wrapped(estimates[i, OMEGA] - omega)) < abs(wrapped(estimates[nearest, OMEGA] - omega)):
+            nearest = i
+    return nearest
 
 
-@kernel
-def _take_known(plan: Plan, columns: NDArray[np.int64], known: Floats, chunk: _Chunk) -> None:
-    """Begin with the first returns that are known, and with what they leave."""
-    for j in range(columns.size):
-        if not known[AMPLITUDE, columns[j]] > 0.0:
-            continue
-        for k in range(chunk.states.shape[1]):
-            chunk.states[j, k, 0] = known[k, columns[j]]
-        _without(plan, chunk, int(np.int64(0)), j, int(np.int64(1)), int(np.int64(-1)))
-        chunk.found[j] = 1
-        chunk.squares[j] = known[chunk.states.shape[1], columns[j]]
-        for t in range(chunk.x.shape[0]):
-            chunk.x[t, j] = chunk.left[j, 0, t]
-            chunk.y[t, j] = chunk.left[j, 1, t]
+@inlined
+def _all_positive(estimates: Floats) -> bool:
+    """Tell whether all amplitudes are positive."""
+    lowest = np.inf
+    for i in range(len(estimates)):
+        lowest = min(lowest, estimates[i, AMPLITUDE])
+    return bool(lowest > 0.0)
 
 
-@kernel
-def _end(
-    plan: Plan,
-    columns: NDArray[np.int64],
-    row: int,
-    omega: Floats,
-    maps: Single,
-    planes: Single,
-    flags: NDArray[np.uint8],
-    chunk: _Chunk,
-) -> None:
-    """Write what was found in a chunk."""
-    for j in range(columns.size):
-        found, column = chunk.found[j], columns[j]
-        _report(found, chunk.states, j, chunk.variance[j], row, column, omega, maps)
-        flags[0, row, column] = found
-        freedom = real_values(plan.first, chunk.lost.shape[0] - chunk.missing[j]) - 2.0 * found
-        sound = found > 0 and freedom > 0.0
-        planes[2, row, column] = plan.unit * np.sqrt(chunk.squares[j] / freedom) if sound else np.nan
+@inlined
+def _fit_with_another(plan: Plan, pixel: Pixel, omega: float, estimates: Floats, buffers: Buffers) -> float:
+    """Fit the returns of a pixel, of which the last is new and near `omega`, from the better of two starts.
 
-
-@kernel
-def find_jointly(
-    plan: Plan,
-    signal: Single,
-    lost: NDArray[np.uint8],
-    columns: NDArray[np.int64],
-    known: Floats,
-    row: int,
-    omega: Floats,
-    maps: Single,
-    planes: Single,
-    flags: NDArray[np.uint8],
-) -> None:
-    """Find the returns of some pixels of one row, all of a pixel fitted together.
-
-    Parameters
-    ----------
-    plan
-        What is the same for all pixels.
-    signal, lost
-        z, (2, densities, columns), and 1 where a density is left out with the number of these in a last row,
-        (densities + 1, columns).
-    columns
-        Which pixels.
-    known
-        Their first return, of `settled.settle_row`.
-    row, omega, maps, planes, flags
-        Which row of (returns, rows, columns); of (3, returns, rows, columns): standard deviation, amplitude,
-        width; of (3, rows, columns): the mean grey level, which is given, another, residual; and of
-        (2, rows, columns): count, 1 where too few densities are left. They are written.
+    The fit starts from the peak of what the others leave. Two returns within half a bin are one peak, and
+    leave one that is at neither; near a return the fit also starts from that return split in two. Returns the
+    weighted sum of squares, infinite where a return is not positive; the estimates and what they leave are in
+    `buffers.best` and `buffers.fit`.
     """
-    chunk = _chunk(plan, signal.shape[1], omega.shape[0])
-    for start in range(0, columns.size, LANES):
-        here = columns[start : start + LANES]
-        _begin(plan, signal, lost, here, row, planes, flags, chunk)
-        _take_known(plan, here, known, chunk)
-        _find_jointly(plan, chunk)
-        _end(plan, here, row, omega, maps, planes, flags, chunk)
+    known, start, best = len(estimates) - 1, buffers.start[: len(estimates)], buffers.best[: len(estimates)]
+    one_bin = 2.0 * pi / plan.sums.transfer
+    nearest = _nearest(omega, estimates[:known])
+    centre = estimates[nearest, OMEGA]
+    close = known > 0 and abs(wrapped(centre - omega)) < CLOSE_BINS * one_bin
+    lowest, squares = np.inf, np.inf
+    for attempt in range(2 if close else 1):
+        copy_estimates(estimates, start, known)
+        start[known, OMEGA] = omega
+        if close and attempt == 0:
+            start[nearest, OMEGA] = centre - _SPLIT_BINS * one_bin
+            start[known, OMEGA] = centre + _SPLIT_BINS * one_bin
+        squares = fit_returns(
+            pixel.z, pixel.weights, pixel.sums, plan.first, pixel.variance, start, buffers.fit
+        )
+        if _all_positive(start) and squares < lowest:
+            lowest = squares
+            copy_estimates(start, best, known + 1)
+    if squares > lowest:
+        lowest = fit_returns(
+            pixel.z, pixel.weights, pixel.sums, plan.first, pixel.variance, best, buffers.fit
+        )
+    return lowest
+
+
+@inlined
+def _add_return(plan: Plan, pixel: Pixel, row: Row, j: int, count: int, buffers: Buffers) -> bool:
+    """Add a return to the `count` of a pixel if it is significant; what is left then is put into its lane.
+
+    The first return is tested last of all: a strong second one would count as its noise.
+    """
+    column, n = buffers.column[j], count + 1
+    estimates, squares = row.estimates[column, :n], row.squares[column]
+    lowest = _fit_with_another(plan, pixel, buffers.peaks.omega[j], estimates, buffers)
+    values = pixel.values - 2.0 * n if count > 0 else np.inf
+    floor = max(pixel.variance, lowest / max(values, 1.0))
+    if not squares - lowest > plan.threshold * plan.threshold * floor:
+        return False
+    copy_estimates(buffers.best, estimates, n)
+    write_spread(pixel.weights, pixel.sums, estimates, buffers.fit)
+    row.returns[column], row.squares[column] = n, lowest
+    if count == 0:
+        buffers.first_gain[j] = squares - lowest
+    _leave(buffers.fit.residual, j, buffers)
+    return True
+
+
+@inlined
+def _leave(residual: Single, j: int, buffers: Buffers) -> None:
+    """Put what is left of a pixel into its lane."""
+    for t in range(buffers.x.shape[0]):
+        buffers.x[t, j] = residual[0, t]
+        buffers.y[t, j] = residual[1, t]
 
 
 @kernel
-def find_by_peeling(
-    plan: Plan,
-    signal: Single,
-    lost: NDArray[np.uint8],
-    columns: NDArray[np.int64],
-    row: int,
-    omega: Floats,
-    maps: Single,
-    planes: Single,
-    flags: NDArray[np.uint8],
-) -> None:
-    """Find the returns of some pixels of one row one by one; the parameters are those of `find_jointly`."""
-    chunk = _chunk(plan, signal.shape[1], omega.shape[0])
-    for start in range(0, columns.size, LANES):
-        here = columns[start : start + LANES]
-        _begin(plan, signal, lost, here, row, planes, flags, chunk)
-        _find_by_peeling(plan, chunk)
-        _end(plan, here, row, omega, maps, planes, flags, chunk)
+def _begin(plan: Plan, row: Row, lanes: int, buffers: Buffers) -> None:
+    """Begin the search of some pixels with what their known returns leave."""
+    _load(row, lanes, buffers)
+    buffers.searched[:] = False
+    buffers.first_gain[:] = np.inf
+    for j in range(lanes):
+        column = buffers.column[j]
+        pixel = _pixel(plan, row, j, buffers)
+        count = row.returns[column]
+        buffers.searched[j] = plan.densities - row.lost[plan.densities, column] >= plan.least
+        if count == 0:
+            row.squares[column] = power(pixel.z, pixel.weights.precision)
+        subtract(pixel.z, pixel.weights.transfer, plan.first, row.estimates[column, :count], buffers.fit)
+        _leave(buffers.fit.residual, j, buffers)
+
+
+@kernel
+def _search(plan: Plan, row: Row, lanes: int, buffers: Buffers) -> None:
+    """Search some pixels for returns until none of them has a further one."""
+    most = row.estimates.shape[1]
+    for count in range(most):
+        if not buffers.searched.any():
+            break
+        find_peaks(
+            buffers.x, buffers.y, plan.weights.search, plan.first, plan.turns, plan.order, buffers.peaks
+        )
+        for j in range(lanes):
+            column = buffers.column[j]
+            if not buffers.searched[j] or row.returns[column] > count:
+                continue
+            pixel = _pixel(plan, row, j, buffers)
+            score = buffers.peaks.height[j] / np.sqrt(pixel.sums.search_noise)
+            free = pixel.values - 2.0 * count
+            buffers.searched[j] = (
+                count == 0
+                or may_hold_another(plan.threshold, free, pixel.variance, row.squares[column], score)
+            ) and _add_return(plan, pixel, row, j, count, buffers)
+    for j in range(lanes):
+        column = buffers.column[j]
+        free = freedom(plan.first, plan.densities - row.lost[plan.densities, column], row.returns[column])
+        floor = max(row.variance[column], row.squares[column] / max(free, 1.0))
+        if not buffers.first_gain[j] > plan.threshold * plan.threshold * floor:
+            row.returns[column] = 0
+
+
+@kernel
+def search_row(plan: Plan, row: Row) -> None:
+    """Find the further returns of the pixels of a row that are not resolved, and write them to it."""
+    buffers = _new_buffers(plan, row.estimates.shape[1])
+    lanes = 0
+    for column in range(row.returns.size):
+        if not row.resolved[column]:
+            buffers.column[lanes] = column
+            lanes += 1
+        if lanes == LANES or (lanes > 0 and column == row.returns.size - 1):
+            _begin(plan, row, lanes, buffers)
+            _search(plan, row, lanes, buffers)
+            lanes = 0

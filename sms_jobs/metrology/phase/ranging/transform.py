@@ -7,16 +7,49 @@ transform is a vector instruction over pixels.
 from __future__ import annotations
 
 from math import pi
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import summing_kernel
 
+Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
 
 LANES = 64
+
+
+class Peaks(NamedTuple):
+    """The transforms of `LANES` pixels and their highest samples.
+
+    Attributes
+    ----------
+    spectrum
+        Re H(k), (2, N, LANES): the samples with even k and those with odd k.
+    highest, place
+        (LANES,): the highest sample and its k.
+    omega, height
+        (LANES,): where the peak is between the samples, in -pi .. pi, and how high.
+    """
+
+    spectrum: Single
+    highest: Single
+    place: NDArray[np.int32]
+    omega: Floats
+    height: Floats
+
+
+@summing_kernel
+def new_peaks(length: int) -> Peaks:
+    """Return room for the peaks of transforms of a length N."""
+    return Peaks(
+        np.empty((2, length, LANES), np.float32),
+        np.empty(LANES, np.float32),
+        np.empty(LANES, np.int32),
+        np.empty(LANES),
+        np.empty(LANES),
+    )
 
 
 def transform_length(count: int) -> int:
@@ -34,6 +67,12 @@ def bit_reversal(length: int) -> NDArray[np.int64]:
     """Return where each input of the transform goes, (N,)."""
     bits = length.bit_length() - 1
     return np.array([int(f"{i:0{bits}b}"[::-1], 2) if bits else 0 for i in range(length)])
+
+
+@summing_kernel
+def wrapped(angle: float) -> float:
+    """Return an angle in -pi .. pi."""
+    return float(angle - 2.0 * pi * np.rint(angle * (0.5 / pi)))
 
 
 @summing_kernel
@@ -125,16 +164,28 @@ def _take_places(n: int, best: NDArray[np.int32], values: Single, where: NDArray
 
 
 @summing_kernel
-def real_peaks(
-    x: Single,
-    y: Single,
-    weights: Single,
-    first: int,
-    turns: Single,
-    order: NDArray[np.int64],
-    spectrum: Single,
-    best: Single,
-    where: NDArray[np.int32],
+def _interpolate(peaks: Peaks) -> None:
+    """Write omega and height of the peaks between their samples.
+
+    A peak of Re H is a sin(u) / u sampled at u = pi apart, for which the neighbour's share is the offset.
+    """
+    spectrum, place, omega, height = peaks.spectrum, peaks.place, peaks.omega, peaks.height
+    n = spectrum.shape[1]
+    for j in range(LANES):
+        k = place[j]
+        before, after = (k - 1) & (2 * n - 1), (k + 1) & (2 * n - 1)  # n is a power of two
+        here = spectrum[k & 1, k >> 1, j]
+        left, right = spectrum[before & 1, before >> 1, j], spectrum[after & 1, after >> 1, j]
+        beside = max(max(left, right), 0.0)
+        offset = beside / (beside + here) if here > 0.0 else 0.0
+        omega[j] = wrapped(pi / n * (k + (offset if right > left else -offset)))
+        u = pi * offset
+        height[j] = here / (1.0 - u * u / 6.0 * (1.0 - u * u / 20.0))
+
+
+@summing_kernel
+def find_peaks(
+    x: Single, y: Single, weights: Single, first: int, turns: Single, order: NDArray[np.int64], peaks: Peaks
 ) -> None:
     """Find the highest Re H(k), k = 0 .. 2N-1, of every pixel, H(k) = sum w_t z_t exp(-i pi k t / N).
 
@@ -145,21 +196,19 @@ def real_peaks(
     Parameters
     ----------
     x, y
-        z(t), (densities, LANES).
+        z(t), (densities or more, LANES).
     weights
-        (densities,).
+        (densities or more,), 0 beyond the densities.
     first
         t of the first density.
     turns, order
         Of `twiddles` and `bit_reversal`.
-    spectrum
-        (2, N, LANES), becomes the samples with even k and those with odd k.
-    best, where
-        (LANES,), become the highest sample and its k.
+    peaks
+        Of `new_peaks`; is written.
     """
-    n = spectrum.shape[1]
+    n = order.size
     last = first + x.shape[0] - 1
-    re, im = spectrum[0], spectrum[1]
+    re, im = peaks.spectrum[0], peaks.spectrum[1]
     for m in range(1, n // 2):
         k = n - m
         wm = 0.5 * weights[m - first] if first <= m <= last else 0.0
@@ -183,38 +232,5 @@ def real_peaks(
     kept = np.full(LANES, np.iinfo(np.int32).min, np.int32)
     _keep_highest(re.view(np.int32), 2, 0, kept)
     _keep_highest(im.view(np.int32), 2, 1, kept)
-    _take_places(n, kept, best, where)
-
-
-@summing_kernel
-def modulus_peaks(
-    x: Single,
-    y: Single,
-    weights: Single,
-    first: int,
-    turns: Single,
-    order: NDArray[np.int64],
-    spectrum: Single,
-    best: Single,
-    where: NDArray[np.int32],
-) -> None:
-    """Find the highest |H(k)|^2, k = 0 .. N-1, H(k) = sum w_t z_t exp(-2 pi i k t / N): thesis Eq. (6.5).
-
-    Parameters as of `real_peaks`; `spectrum` becomes Re H and Im H.
-    """
-    n = spectrum.shape[1]
-    re, im = spectrum[0], spectrum[1]
-    re[:] = 0.0
-    im[:] = 0.0
-    for m in range(first, first + x.shape[0]):
-        i = order[m % n]
-        _combine(x, y, m - first, weights[m - first], 0.0, re, i)
-        _combine(x, y, m - first, 0.0, weights[m - first], im, i)
-    _transform(re, im, turns)
-    power = np.empty((n, LANES), np.float32)
-    for k in range(n):
-        for j in range(LANES):
-            power[k, j] = re[k, j] * re[k, j] + im[k, j] * im[k, j]
-    kept = np.full(LANES, np.iinfo(np.int32).min, np.int32)
-    _keep_highest(power.view(np.int32), 1, 0, kept)
-    _take_places(n, kept, best, where)
+    _take_places(n, kept, peaks.highest, peaks.place)
+    _interpolate(peaks)

@@ -15,17 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel, summing_kernel
-from sms_jobs.metrology.phase.ranging.fit import U
-from sms_jobs.metrology.phase.ranging.one_each import (
+from sms_jobs.metrology.phase.ranging.batched_fit import (
     AMPLITUDE,
+    COSINE,
     GROUP,
     OMEGA,
+    SINE,
     SIZE,
-    TURN_C,
-    TURN_S,
-    set_rotors,
+    TURN_COSINE,
+    TURN_SINE,
+    start_rotors,
+    turn_by_group,
 )
-from sms_jobs.metrology.phase.ranging.transform import LANES
+from sms_jobs.metrology.phase.ranging.transform import LANES, Peaks
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
@@ -61,41 +63,45 @@ def grid(densities: Floats, v: Floats, padded: int) -> Grid:
 
 @summing_kernel
 def _turn_back(
-    x: Single, y: Single, t: int, weights: Single, rotors: Single, fast: Single, re: Single, im: Single
+    x: Single, y: Single, u: Single, estimate: Floats, registers: Single, re: Single, im: Single
 ) -> None:
-    """Write u z exp(-i omega t) of a group of densities."""
-    for k in range(GROUP):
-        w = weights[U, t + k]
+    """Write u z exp(-i omega t); all but `u` and the last three are flat."""
+    for t in range(0, x.size // LANES, GROUP):
         for j in range(LANES):
-            c, s = rotors[t, j], rotors[t + 1, j]
-            re[t + k, j] = w * (x[t + k, j] * c + y[t + k, j] * s)
-            im[t + k, j] = w * (y[t + k, j] * c - x[t + k, j] * s)
-            rotors[t, j] = c * fast[TURN_C + j] - s * fast[TURN_S + j]
-            rotors[t + 1, j] = s * fast[TURN_C + j] + c * fast[TURN_S + j]
+            c, s = np.float32(estimate[COSINE + j]), np.float32(estimate[SINE + j])
+            p, q = registers[TURN_COSINE + j], registers[TURN_SINE + j]
+            for k in range(GROUP):
+                i = np.uint64((t + k) * LANES + j)
+                re[i] = u[t + k] * (x[i] * c + y[i] * s)
+                im[i] = u[t + k] * (y[i] * c - x[i] * s)
+                c, s = c * p - s * q, s * p + c * q
+        turn_by_group(estimate)
 
 
 @summing_kernel
-def _add_up(re: Single, rows: int, turns: Single, p: int, k: int, out: Single, i: int) -> None:
-    """Write the sum of re times row k of a part of the turns to row i."""
+def _sum_turned(part: Single, rows: int, turns: Single, out: Single) -> None:
+    """Write the sum over the rows of a flat part, each times its turn."""
     for j in range(LANES):
-        out[i, j] = 0.0
+        out[j] = 0.0
     for t in range(0, rows, GROUP):
-        a, b, c, d = turns[p, k, t], turns[p, k, t + 1], turns[p, k, t + 2], turns[p, k, t + 3]
         for j in range(LANES):
-            out[i, j] += a * re[t, j] + b * re[t + 1, j] + c * re[t + 2, j] + d * re[t + 3, j]
+            total = np.float32(0.0)
+            for k in range(GROUP):
+                total += turns[t + k] * part[np.uint64((t + k) * LANES + j)]
+            out[j] += total
 
 
 @summing_kernel
-def _compare(
+def _keep_better(
     values: Single, i: int, k: int, even: float, odd: float, best: Single, which: NDArray[np.int32]
 ) -> None:
     """Keep the pair of places i, k where its returns, both of positive amplitude, explain more."""
     p, q, code = np.float32(even), np.float32(odd), np.int32(i * _NODES + k)
     for j in range(LANES):
-        both, less = values[i, j] + values[k, j], values[i, j] - values[k, j]
-        more, change = both * p, less * q
-        explained = both * more + less * change
-        better = (more > abs(change)) & (explained > best[j])
+        total, change = values[i, j] + values[k, j], values[i, j] - values[k, j]
+        more, less = total * p, change * q
+        explained = total * more + change * less
+        better = (more > abs(less)) & (explained > best[j])
         best[j] = explained if better else best[j]
         which[j] = code if better else which[j]
 
@@ -104,32 +110,28 @@ def _compare(
 def start_close(
     x: Single,
     y: Single,
-    weights: Single,
     first: int,
+    u: Single,
     grid: Grid,
-    one: Floats,
-    near: NDArray[np.bool_],
+    close: NDArray[np.bool_],
+    single: Floats,
     pair: Floats,
-    rotors: Single,
-    fast: Single,
-    spectrum: Single,
-    best: Single,
-    which: NDArray[np.int32],
+    registers: Single,
+    scratch: Peaks,
 ) -> None:
-    """Write to the `pair` of pixels that are `near` the two places by their return `one` that explain most.
+    """Start the `pair` of pixels that are `close` at the two places near their `single` that explain most.
 
-    `pair` and `one` are those of `fit_two_each` and `fit_one_each`, as are the other parameters; `spectrum`,
-    `best` and `which` are scratch.
+    `pair` and `single` are those of `fit_two` and `fit_one`, as are the other parameters.
     """
-    re, im = spectrum[0], spectrum[1]
+    re, im = scratch.spectrum[0].reshape(-1), scratch.spectrum[1].reshape(-1)
+    best, which = scratch.highest, scratch.place
     rows, middle = x.shape[0], _NODES // 2
-    set_rotors(first, int(np.int64(0)), one, rotors, fast)
-    for t in range(0, rows, GROUP):
-        _turn_back(x, y, t, weights, rotors, fast, re, im)
+    start_rotors(first, single, registers)
+    _turn_back(x.reshape(-1), y.reshape(-1), u, single, registers, re, im)
     values = np.empty((_NODES + 1, LANES), np.float32)
     for k in range(middle + 1):
-        _add_up(re, rows, grid.turns, int(np.int64(0)), middle + k, values, middle + k)
-        _add_up(im, rows, grid.turns, int(np.int64(1)), middle + k, values, _NODES)
+        _sum_turned(re, rows, grid.turns[0, middle + k], values[middle + k])
+        _sum_turned(im, rows, grid.turns[1, middle + k], values[_NODES])
         for j in range(LANES):
             even, odd = values[middle + k, j], values[_NODES, j]
             values[middle + k, j] = even + odd
@@ -138,14 +140,14 @@ def start_close(
     which[:] = middle * _NODES + middle + 1
     for i in range(_NODES):
         for k in range(i + 1, _NODES):
-            _compare(values, i, k, grid.shares[0, k - i], grid.shares[1, k - i], best, which)
+            _keep_better(values, i, k, grid.shares[0, k - i], grid.shares[1, k - i], best, which)
     for j in range(LANES):
-        if not near[j]:
+        if not close[j]:
             continue
         i, k = which[j] // _NODES, which[j] % _NODES
-        both, less = values[i, j] + values[k, j], values[i, j] - values[k, j]
-        more, change = both * grid.shares[0, k - i], less * grid.shares[1, k - i]
-        pair[OMEGA + j] = one[OMEGA + j] + grid.places[i]
-        pair[SIZE + OMEGA + j] = one[OMEGA + j] + grid.places[k]
-        pair[AMPLITUDE + j] = 0.5 * (more + change)
-        pair[SIZE + AMPLITUDE + j] = 0.5 * (more - change)
+        more = (values[i, j] + values[k, j]) * grid.shares[0, k - i]
+        less = (values[i, j] - values[k, j]) * grid.shares[1, k - i]
+        pair[OMEGA + j] = single[OMEGA + j] + grid.places[i]
+        pair[SIZE + OMEGA + j] = single[OMEGA + j] + grid.places[k]
+        pair[AMPLITUDE + j] = 0.5 * (more + less)
+        pair[SIZE + AMPLITUDE + j] = 0.5 * (more - less)
