@@ -338,7 +338,7 @@ def upgrade() -> None:
     op.create_table(
         "dependency",
         sa.Column("job_id", sa.String(length=16), nullable=False),
-        sa.Column("role", sa.String(length=64), nullable=False),
+        sa.Column("role", sa.String(length=256), nullable=False),
         sa.Column("source", sa.String(length=32), nullable=False),
         sa.Column("subject", sa.String(length=200), nullable=False),
         sa.Column("producer_id", sa.String(length=16), nullable=True),
@@ -380,7 +380,7 @@ def upgrade() -> None:
     op.create_table(
         "provenance",
         sa.Column("output_id", _BIG_ID, nullable=False),
-        sa.Column("role", sa.String(length=64), nullable=False),
+        sa.Column("role", sa.String(length=256), nullable=False),
         sa.Column("input_id", _BIG_ID, nullable=False),
         sa.ForeignKeyConstraint(["input_id"], ["file.id"], name=op.f("fk_provenance_input_id_file")),
         sa.ForeignKeyConstraint(["output_id"], ["file.id"], name=op.f("fk_provenance_output_id_file")),

@@ -29,10 +29,11 @@ class Shelf:
         """Run a kind on what is there, and keep what it yields."""
         datasets = {
             need.role: InMemory(need.subject, self.records[need.source, need.subject])
-            for need in kind.all_needs(self.campaign, subject, parameters)
+            for need in kind.checked_needs(self.campaign, subject, parameters)
         }
         inputs = Inputs(subject, kind.context(self.campaign, subject), datasets, self.threads)
         for output in kind.run(inputs, parameters, lambda fraction, message="": None):
+            kind.checked(output)
             assert isinstance(output, DatasetOutput)
             self.records[kind.makes or kind.name, output.subject] = dict(output.records)
 

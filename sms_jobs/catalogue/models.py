@@ -231,7 +231,7 @@ class ProvenanceRow(Table):
 
     __tablename__ = "provenance"
     output_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
-    role: Mapped[str] = mapped_column(String(64), primary_key=True)
+    role: Mapped[str] = mapped_column(String(256), primary_key=True)
     input_id: Mapped[int] = mapped_column(ForeignKey("file.id"), index=True)
 
 
@@ -329,7 +329,7 @@ class DependencyRow(Table):
 
     __tablename__ = "dependency"
     job_id: Mapped[str] = mapped_column(ForeignKey("job.id"), primary_key=True)
-    role: Mapped[str] = mapped_column(String(64), primary_key=True)
+    role: Mapped[str] = mapped_column(String(256), primary_key=True)
     source: Mapped[str] = mapped_column(String(32))
     subject: Mapped[str] = mapped_column(String(200))
     producer_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), index=True)

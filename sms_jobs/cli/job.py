@@ -144,7 +144,7 @@ def _planned(
 
 @app.command()
 def kinds(as_json: Json = False) -> None:
-    """Show the job kinds and their parameters with defaults.
+    """Show the job kinds and their parameters with defaults; as JSON, what they take and give as well.
 
     Example: sms job kinds
     """
@@ -154,6 +154,8 @@ def kinds(as_json: Json = False) -> None:
             "version": kind.version,
             "per": kind.scope.value,
             "summary": kind.summary,
+            "inputs": [port.described() for port in kind.inputs],
+            "outputs": [product.described() for product in kind.outputs],
             "parameters": {
                 name: None if field.is_required() else field.get_default(call_default_factory=True)
                 for name, field in kind.parameters.model_fields.items()

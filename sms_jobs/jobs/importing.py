@@ -35,7 +35,8 @@ from sms_jobs.jobs.entering import enter_file, entered_or_discarded
 from sms_jobs.jobs.registration import index_definition, seal_definition
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.kinds.sessions import OBSERVATION, OBSERVE_BOARD
+from sms_jobs.kinds.products import BOARD
+from sms_jobs.kinds.sessions import OBSERVE_BOARD
 from sms_jobs.records.campaign import Campaign, CampaignDefinition, LoadState, Subject
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.observations import BoardObservation
@@ -162,7 +163,7 @@ def import_observations(
     subjects = [Subject(campaign.name, label, campaign.views[0]) for label in observations]
     with entered_or_discarded(archive) as sealed:
         for subject, observation in zip(subjects, observations.values(), strict=True):
-            records = {OBSERVATION: observation}
+            records = {BOARD.name: observation}
             sealed.append(_seal(archive, subject, records, parameters, now, kind.name, kind.version))
         with catalogue.writing() as session:
             for subject, file in zip(subjects, sealed, strict=True):

@@ -27,10 +27,9 @@ from sms_jobs.errors import ArchiveCorrupt
 from sms_jobs.jobs import calibration_choice
 from sms_jobs.jobs.entering import enter_file
 from sms_jobs.jobs.lifecycle import Claim
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, RECORDING, DatasetOutput, Kind, Output
+from sms_jobs.kinds.kind import CALIBRATION, DatasetOutput, Kind, Output
+from sms_jobs.kinds.products import MEASURED, RECORDED
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.measurement import Measurement
-from sms_jobs.records.recording import Recording
 
 # Every job asks this: making the statement takes longer than running it, and so does loading rows as objects.
 _EDGE = cast(Table, DependencyRow.__table__)
@@ -64,9 +63,9 @@ def sealed_output(output: Output, file: Sealed) -> SealedOutput:
     """Keep of an output what is indexed, and let its arrays go."""
     if not isinstance(output, DatasetOutput):
         return SealedOutput(output.subject, file, {}, None, {})
-    measurement, recording = output.records.get(MEASUREMENT), output.records.get(RECORDING)
-    recorded_at = measurement.recorded_at if isinstance(measurement, Measurement) else None
-    readings = recording.readings() if isinstance(recording, Recording) else {}
+    measurement, recording = output.products.get(MEASURED), output.products.get(RECORDED)
+    recorded_at = None if measurement is None else measurement.recorded_at
+    readings = {} if recording is None else recording.readings()
     return SealedOutput(output.subject, file, output.statistics, recorded_at, readings)
 
 

@@ -108,10 +108,8 @@ def _add_dependencies(
     needs: dict[str, Subject] = {}
     if kind is not None:
         parameters = _parameters(kind, provenance.parameters)
-        known = kind.needs(campaign, subject)
         if parameters is not None:
-            known = kind.all_needs(campaign, subject, parameters)
-        needs = {need.role: need.subject for need in known}
+            needs = {n.role: n.subject for n in kind.checked_needs(campaign, subject, parameters)}
     for given in provenance.inputs:
         session.add(
             DependencyRow(

@@ -122,7 +122,7 @@ def plan(
         name, subject = key
         found = inputs.setdefault(key, [])
         producers.setdefault(key, {})
-        for need in wanted[name].kind.all_needs(campaign, subject, parameters[name]):
+        for need in wanted[name].kind.checked_needs(campaign, subject, parameters[name]):
             # What is needed of another campaign must be there: this plan is not about it.
             here = need.subject.campaign == campaign.name
             maker = makers.get(need.source) if here else None

@@ -44,10 +44,10 @@ from sms_jobs.jobs.acceptances import ACCEPTANCE
 from sms_jobs.jobs.entering import enter_file
 from sms_jobs.jobs.past_definitions import PastDefinitions
 from sms_jobs.jobs.registration import CAMPAIGN
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, RECORDING
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+from sms_jobs.kinds.products import RECORDED
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import Measurement
-from sms_jobs.records.recording import Recording
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.surfaces import SURFACE
 
@@ -376,8 +376,8 @@ def _describe_output(session: Session, archive: Archive, one: Found, file: FileR
     if file.source == MEASUREMENT and file.state_id is not None and file.view is not None:
         with archive.open(one.sealed) as dataset:
             at = dataset.read(MEASUREMENT, Measurement).recorded_at
-            recorded = RECORDING in dataset.names
-            readings = dataset.read(RECORDING, Recording).readings() if recorded else {}
+            recorded = RECORDED.name in dataset.names
+            readings = dataset.read(RECORDED.name, RECORDED.record).readings() if recorded else {}
         session.add(MeasurementRow(file_id=file.id, state_id=file.state_id, view=file.view, recorded_at=at))
         lineage.note_recording(session, file, at, readings)
         valid_calibrations.note_time(session, file.state_id, at)

@@ -280,7 +280,7 @@ class Runner:
         with ExitStack() as stack:
             datasets = {i.role: stack.enter_context(self.archive.open(i)) for i in task.inputs}
             inputs = Inputs(held.subject, task.context, datasets, self.threads, task.station)
-            for output in kind.run(inputs, task.parameters, progress):
+            for output in map(kind.checked, kind.run(inputs, task.parameters, progress)):
                 yield indexing.sealed_output(output, self._seal(output, held, task))
 
     def _seal(self, output: Output, held: Claim, task: _Task) -> Sealed:

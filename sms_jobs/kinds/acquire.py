@@ -38,6 +38,7 @@ from sms_jobs.kinds.kind import (
     no_needs,
     rig_queue,
 )
+from sms_jobs.kinds.products import INTERRUPTED, MEASURED, RECORDED
 from sms_jobs.kinds.simulate import scene_at
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.artefacts import BallBar
@@ -206,10 +207,12 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
     for number, view in enumerate(task.views):
         progress(0.8 + 0.2 * number / len(task.views), f"archiving {view}")
         measurement, recording = recorded(spool, view, sequence)
-        broken = {f"interrupted_{n}": r for n, r in enumerate(interrupted(spool, view, sequence), start=1)}
+        broken = {
+            INTERRUPTED.of(str(n)): r for n, r in enumerate(interrupted(spool, view, sequence), start=1)
+        }
         yield DatasetOutput(
             Subject(inputs.subject.campaign, inputs.subject.state, view),
-            {"measurement": measurement, "recording": recording, **broken},
+            {MEASURED: measurement, RECORDED: recording, **broken},
             _statistics(recording),
         )
     progress(1.0, "; ".join(doubts) or f"recorded {len(task.views)} views")
@@ -264,6 +267,8 @@ KIND = Kind(
     version=1,
     scope=Scope.STATE,
     parameters=AcquireParameters,
+    inputs=(),
+    outputs=(MEASURED, RECORDED, INTERRUPTED),
     needs=no_needs,
     run=run,
     subjects=all_states,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,12 +25,14 @@ from sms_jobs.kinds.kind import (
     Need,
     Output,
     Parameters,
+    Port,
     Progress,
     Scope,
 )
 from sms_jobs.kinds.merge import cameras
+from sms_jobs.kinds.products import ALIGNMENT, CLOUD, MEASURED, PHASE, Product
 from sms_jobs.kinds.strain import specimen_axis
-from sms_jobs.kinds.textured_state import read_texture
+from sms_jobs.kinds.textured_state import StatePorts, read_texture
 from sms_jobs.metrology.deformation.alignment import (
     Alignment,
     CommonPoints,
@@ -44,8 +47,6 @@ from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.surfaces.continuity import continuous_labels
 from sms_jobs.records.alignment import ViewAlignment
 from sms_jobs.records.campaign import Campaign, Subject, checked_name
-from sms_jobs.records.fields import PointCloud
-from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Vector
 
@@ -105,26 +106,28 @@ class AlignParameters(ViewsParameters):
     maximum_sigma_px: float = Field(0.1, gt=0.0, description="largest standard deviation of a match")
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    return _needs_of(campaign, subject.campaign)
+_AT_REST = StatePorts(
+    Port("shape", "reconstruct", (CLOUD, PHASE), several=True),
+    Port("texture", MEASUREMENT, (MEASURED,), several=True),
+)
 
 
-def _further_needs(campaign: Campaign, subject: Subject, parameters: AlignParameters) -> Iterable[Need]:
-    for view in parameters.views:
-        yield from _needs_of(campaign, view)
+def _needs(campaign: Campaign, subject: Subject, parameters: AlignParameters) -> Iterable[Need]:
+    """Yield texture and shape at rest of one view of each camera, here and at the other positions."""
+    for name in (subject.campaign, *parameters.views):
+        for own in _at_rest(campaign, subject):
+            yield from (port.of(replace(own, campaign=name)) for port in _AT_REST)
 
 
-def _needs_of(campaign: Campaign, name: str) -> Iterable[Need]:
-    """Yield the texture and the shape at rest of one view of each camera in a campaign."""
-    for camera, views in cameras(campaign, Subject(name)).items():
-        at_rest = Subject(name, campaign.reference.label, views[0])
-        yield Need(f"texture {camera} {name}", MEASUREMENT, at_rest)
-        yield Need(f"shape {camera} {name}", "reconstruct", at_rest)
+def _at_rest(campaign: Campaign, subject: Subject) -> tuple[Subject, ...]:
+    """Return one tuple of each camera at the reference state."""
+    label = campaign.reference.label
+    return tuple(Subject(campaign.name, label, views[0]) for views in cameras(campaign, subject).values())
 
 
-def _context(campaign: Campaign, subject: Subject) -> tuple[tuple[str, ...], Vector]:
-    """Return the cameras and the specimen's axis."""
-    return tuple(cameras(campaign, subject)), specimen_axis(campaign, subject)
+def _context(campaign: Campaign, subject: Subject) -> tuple[tuple[Subject, ...], Vector]:
+    """Return a tuple of each camera at rest, and the specimen's axis."""
+    return _at_rest(campaign, subject), specimen_axis(campaign, subject)
 
 
 def run(inputs: Inputs, parameters: AlignParameters, progress: Progress) -> Iterator[Output]:
@@ -135,13 +138,14 @@ def run(inputs: Inputs, parameters: AlignParameters, progress: Progress) -> Iter
         raise InvalidInput(
             f"campaign {own} cannot be aligned with itself; name the other positions of the rig"
         )
-    here = [_view(inputs, camera, own, parameters) for camera in seen]
-    records: dict[str, Any] = {}
+    here = [_view(inputs, each, parameters) for each in seen]
+    records: dict[Product[Any], ViewAlignment] = {}
     statistics: dict[str, float] = {}
     for number, name in enumerate(parameters.views, start=1):
-        there = [_view(inputs, camera, name, parameters) for camera in seen]
+        there = [_view(inputs, replace(each, campaign=name), parameters) for each in seen]
         points, found = _aligned(here, there, parameters, inputs.threads)
-        records[f"view_{number}"] = _record(name, points, found, axis, _axis_of(inputs, seen[0], name))
+        other_axis = _axis_of(inputs, replace(seen[0], campaign=name))
+        records[ALIGNMENT.of(str(number))] = _record(name, points, found, axis, other_axis)
         statistics |= {
             f"alignment_rms_mm_{number}": found.rms_mm,
             f"alignment_scale_{number}": found.scale,
@@ -151,13 +155,11 @@ def run(inputs: Inputs, parameters: AlignParameters, progress: Progress) -> Iter
     yield DatasetOutput(inputs.subject, records, statistics)
 
 
-def _view(inputs: Inputs, camera: str, campaign: str, parameters: AlignParameters) -> View:
-    roles = f"shape {camera} {campaign}", f"texture {camera} {campaign}"
-    cloud = inputs.read(roles[0], "cloud", PointCloud)
+def _view(inputs: Inputs, about: Subject, parameters: AlignParameters) -> View:
+    cloud = inputs.read(_AT_REST.shape, CLOUD, about)
     valid = cloud.reason == Reason.VALID
-    texture, noise = read_texture(
-        inputs, *roles, CorrelateParameters(smoothing_px=parameters.smoothing_px), valid, valid
-    )
+    smoothed = CorrelateParameters(smoothing_px=parameters.smoothing_px)
+    texture, noise = read_texture(inputs, _AT_REST, smoothed, valid, valid, about)
     sigma = np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64))
     xyz = np.where(valid, cloud.xyz, np.nan)
     labels = continuous_labels(xyz, sigma, threads=inputs.threads)
@@ -191,9 +193,9 @@ def _start(here: list[View], there: list[View], range_rotation: float, threads: 
     return overlapping(here[-1], there[-1], range_rotation, threads)
 
 
-def _axis_of(inputs: Inputs, camera: str, campaign: str) -> Vector:
+def _axis_of(inputs: Inputs, about: Subject) -> Vector:
     """Return the specimen's x axis in the frame of another campaign, as its strain was stated."""
-    simulation = inputs.read(f"texture {camera} {campaign}", "measurement", Measurement).simulation
+    simulation = inputs.read(_AT_REST.frames, MEASURED, about).simulation
     if simulation is None:
         return (1.0, 0.0, 0.0)
     x, y, z = simulation.scene.placement.matrix()[:, 0]
@@ -225,8 +227,9 @@ KIND = Kind(
     version=1,
     scope=Scope.CAMPAIGN,
     parameters=AlignParameters,
+    inputs=tuple(_AT_REST),
+    outputs=(ALIGNMENT,),
     needs=_needs,
-    further_needs=_further_needs,
     run=run,
     context=_context,
     in_pipeline=False,

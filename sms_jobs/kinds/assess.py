@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from math import isfinite
 from typing import Any, TypeAlias
 
@@ -19,14 +19,14 @@ from sms_jobs.kinds.kind import (
     Need,
     Output,
     Parameters,
+    Port,
     Progress,
     Scope,
     tuples,
 )
+from sms_jobs.kinds.products import ASSESSMENT, CLOUD, DISPLACEMENT, MEASURED, STRAIN
 from sms_jobs.records.assessment import Assessment, Errors
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import DisplacementField, PointCloud, StrainField
-from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Simulation
@@ -47,30 +47,36 @@ def simulated_tuples(campaign: Campaign) -> tuple[Subject, ...]:
     return () if campaign.scene is None else tuples(campaign)
 
 
-def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+_FRAMES = Port("measurement", MEASUREMENT, (MEASURED,))
+_SHAPE = Port("shape", "reconstruct", (CLOUD,))
+_REFERENCE = Port("reference", MEASUREMENT, (MEASURED,))
+_MOVED = Port("displacement", "correlate", (DISPLACEMENT,))
+_STRAINED = Port("strain", "strain", (STRAIN,))
+
+
+def needs(campaign: Campaign, subject: Subject, parameters: AssessParameters) -> Iterable[Need]:
     """Return the results that are compared, and the measurements that say what was simulated."""
-    yield Need("measurement", MEASUREMENT, subject)
-    yield Need("shape", "reconstruct", subject)
+    yield _FRAMES.of(subject)
+    yield _SHAPE.of(subject)
     if subject.state != campaign.reference.label:
-        reference = Subject(subject.campaign, campaign.reference.label, subject.view)
-        yield Need("reference", MEASUREMENT, reference)
-        yield Need("displacement", "correlate", subject)
-        yield Need("strain", "strain", subject)
+        yield _REFERENCE.of(replace(subject, state=campaign.reference.label))
+        yield _MOVED.of(subject)
+        yield _STRAINED.of(subject)
 
 
 def run(inputs: Inputs, parameters: AssessParameters, progress: Progress) -> Iterator[Output]:
     """Compare the shape, and for a deformed state displacement and strain, with the truth."""
-    state = _simulation(inputs, "measurement")
-    cloud = inputs.read("shape", "cloud", PointCloud)
+    state = _simulation(inputs, _FRAMES)
+    cloud = inputs.read(_SHAPE, CLOUD)
     exact = exact_shape(state, threads=inputs.threads)
     progress(0.3, "comparing the shape")
     shape, shape_error = vector_errors(
         cloud.xyz - exact.xyz, cloud.covariance, cloud.reason, exact.seen & exact.lit
     )
-    if "reference" not in inputs.datasets:
+    if not inputs.has(_REFERENCE):
         yield _output(inputs.subject, Assessment(shape, None, None, shape_error))
         return
-    truth = exact_truth(_simulation(inputs, "reference"), state, threads=inputs.threads)
+    truth = exact_truth(_simulation(inputs, _REFERENCE), state, threads=inputs.threads)
     expected = truth.shape.seen & truth.shape.lit & truth.lit_and_seen_at_end
     progress(0.6, "comparing displacement and strain")
     moved, moved_error = _displacement_errors(inputs, truth, expected)
@@ -78,23 +84,23 @@ def run(inputs: Inputs, parameters: AssessParameters, progress: Progress) -> Ite
     yield _output(inputs.subject, Assessment(shape, moved, strain, shape_error, moved_error, strain_error))
 
 
-def _simulation(inputs: Inputs, role: str) -> Simulation:
-    simulation = inputs.read(role, "measurement", Measurement).simulation
+def _simulation(inputs: Inputs, port: Port) -> Simulation:
+    simulation = inputs.read(port, MEASURED).simulation
     if simulation is None:
         raise InvalidInput(
-            f"the {role} of {inputs.subject} was not simulated, so its truth is unknown; "
+            f"the {port.name} of {inputs.subject} was not simulated, so its truth is unknown; "
             "assess campaigns of the virtual rig only"
         )
     return simulation
 
 
 def _displacement_errors(inputs: Inputs, truth: Truth, expected: Flags) -> tuple[Errors, NDArray[np.float32]]:
-    field = inputs.read("displacement", "displacement", DisplacementField)
+    field = inputs.read(_MOVED, DISPLACEMENT)
     return vector_errors(field.displacement - truth.displacement, field.covariance, field.reason, expected)
 
 
 def _strain_errors(inputs: Inputs, truth: Truth, expected: Flags) -> tuple[Errors, NDArray[np.float32]]:
-    field = inputs.read("strain", "strain", StrainField)
+    field = inputs.read(_STRAINED, STRAIN)
     return strain_errors(field.strain - truth.strain(field.measure), field.sigma, field.reason, expected)
 
 
@@ -198,7 +204,7 @@ def _output(subject: Subject, assessment: Assessment) -> DatasetOutput:
     ):
         if errors is not None:
             statistics |= _named(name, asdict(errors), unit)
-    return DatasetOutput(subject, {"assessment": assessment}, statistics)
+    return DatasetOutput(subject, {ASSESSMENT: assessment}, statistics)
 
 
 def _named(name: str, values: Mapping[str, Any], unit: str) -> dict[str, float]:
@@ -217,6 +223,8 @@ KIND = Kind(
     version=1,
     scope=Scope.TUPLE,
     parameters=AssessParameters,
+    inputs=(_FRAMES, _SHAPE, _REFERENCE, _MOVED, _STRAINED),
+    outputs=(ASSESSMENT,),
     needs=needs,
     run=run,
     subjects=simulated_tuples,

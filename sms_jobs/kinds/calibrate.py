@@ -11,10 +11,8 @@ from sms_jobs.kinds.calibrate_boards import (
     CalibrateParameters,
     adjusted,
     from_last,
-    read_boards,
 )
 from sms_jobs.kinds.kind import (
-    CALIBRATION,
     Inputs,
     Kind,
     Need,
@@ -22,48 +20,48 @@ from sms_jobs.kinds.kind import (
     Progress,
     Scope,
 )
-from sms_jobs.kinds.session_adjustment import Bars, Boards, Start, rigid_pose, start_from_last
+from sms_jobs.kinds.products import BAR, BOARD, CALIBRATED, QUALITY, UNCERTAINTY
+from sms_jobs.kinds.session_adjustment import Boards, Start, rigid_pose, start_from_last
 from sms_jobs.kinds.session_doubts import alike_numbered
 from sms_jobs.kinds.sessions import (
     CALIBRATE,
-    CALIBRATE_BOARDS,
-    OBSERVATION,
-    OBSERVE_BAR,
-    OBSERVE_BOARD,
+    OBSERVED_BARS,
+    OBSERVED_BOARDS,
+    START,
+    START_OF_BOARDS,
     SessionPlan,
     bar_states,
     board_states,
     observations_of,
-    role_of,
+    observed,
     session_of,
     session_plan,
 )
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.observations import BarObservation
-from sms_jobs.records.sensors import Calibration
 
 
 def _subjects(campaign: Campaign) -> Iterable[Subject]:
     return (Subject(campaign.name),) if bar_states(campaign) else ()
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+def _needs(campaign: Campaign, subject: Subject, parameters: CalibrateParameters) -> Iterable[Need]:
     boards = board_states(campaign)
-    yield from observations_of(campaign, OBSERVE_BOARD, boards)
-    yield from observations_of(campaign, OBSERVE_BAR, bar_states(campaign))
+    yield from observations_of(campaign, OBSERVED_BOARDS, boards)
+    yield from observations_of(campaign, OBSERVED_BARS, bar_states(campaign))
     on_site = session_of(campaign).starts_from == "last-calibration"
     if boards:
-        yield Need("start", CALIBRATE_BOARDS, subject)
+        yield START_OF_BOARDS.of(subject)
     elif not on_site:
-        yield Need("start", CALIBRATION, subject)
+        yield START.of(subject)
     if on_site:
-        yield Need(LAST, CALIBRATION, subject)
+        yield LAST.of(subject)
 
 
 def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> Iterator[Output]:
     """Adjust boards and bar together, from what the boards alone gave."""
     plan: SessionPlan = inputs.context
-    boards, (bars, exchanged) = read_boards(inputs, plan), alike_numbered(_read_bars(inputs, plan))
+    boards = observed(inputs, plan, OBSERVED_BOARDS, BOARD)
+    bars, exchanged = alike_numbered(observed(inputs, plan, OBSERVED_BARS, BAR))
     if not any(len(one.sphere) for seen in bars.values() for one in seen):
         raise CalibrationFailed(
             f"nobody saw a sphere of the bar in any of its {len(bars)} poses; record them again, or use the "
@@ -75,23 +73,13 @@ def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> 
     yield from adjusted(inputs, plan, start, boards, bars, parameters, progress, origin, exchanged)
 
 
-def _read_bars(inputs: Inputs, plan: SessionPlan) -> Bars:
-    found: dict[str, list[BarObservation]] = {}
-    for pose in plan.poses:
-        for view in plan.views:
-            role = role_of(OBSERVE_BAR, pose.label, view)
-            if role in inputs.datasets:
-                found.setdefault(pose.label, []).append(inputs.read(role, OBSERVATION, BarObservation))
-    return found
-
-
 def _start(inputs: Inputs, plan: SessionPlan, boards: Boards) -> Start:
     """Return the first calibration as a start; its world stays that of the first board, if it had one.
 
     On site, lenses start from the last calibration, which says what is known of them.
     """
-    first = inputs.read("start", "calibration", Calibration) if "start" in inputs.datasets else None
-    if LAST in inputs.datasets:
+    first = inputs.read(START, CALIBRATED) if inputs.has(START) else None
+    if inputs.has(LAST):
         last = from_last(inputs, boards)
         if first is None:
             return last
@@ -114,6 +102,8 @@ KIND = Kind(
     version=3,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
+    inputs=(OBSERVED_BOARDS, OBSERVED_BARS, START, START_OF_BOARDS, LAST),
+    outputs=(CALIBRATED, UNCERTAINTY, QUALITY),
     needs=_needs,
     run=run,
     subjects=_subjects,

@@ -8,6 +8,7 @@ sensors stand is found anew. Either way all is then adjusted together.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 from pydantic import Field
 
@@ -24,9 +25,11 @@ from sms_jobs.kinds.kind import (
     Need,
     Output,
     Parameters,
+    Port,
     Progress,
     Scope,
 )
+from sms_jobs.kinds.products import BOARD, CALIBRATED, QUALITY, UNCERTAINTY, Product
 from sms_jobs.kinds.report_chapter import defaults_of_kinds
 from sms_jobs.kinds.session_adjustment import (
     Bars,
@@ -45,12 +48,11 @@ from sms_jobs.kinds.session_adjustment import (
 from sms_jobs.kinds.session_doubts import doubts_of
 from sms_jobs.kinds.sessions import (
     CALIBRATE_BOARDS,
-    OBSERVATION,
-    OBSERVE_BOARD,
+    OBSERVED_BOARDS,
     SessionPlan,
     board_states,
     observations_of,
-    role_of,
+    observed,
     session_of,
     session_plan,
 )
@@ -59,13 +61,12 @@ from sms_jobs.metrology.calibration.bundle_cross_validation import cross_validat
 from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
 from sms_jobs.metrology.calibration.initialisation import initialise
 from sms_jobs.metrology.geometry.lens import KEPT, LENS
-from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
+from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.observations import BoardObservation
 from sms_jobs.records.sensors import Calibration
 
-LAST = "last"
-"""Role of the calibration that a session on site starts from."""
+LAST = Port("last", CALIBRATION, (CALIBRATED, UNCERTAINTY, QUALITY))
+"""The calibration that a session on site starts from."""
 
 
 class CalibrateParameters(Parameters):
@@ -97,29 +98,18 @@ def _subjects(campaign: Campaign) -> Iterable[Subject]:
     return (Subject(campaign.name),) if board_states(campaign) else ()
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    yield from observations_of(campaign, OBSERVE_BOARD, board_states(campaign))
+def _needs(campaign: Campaign, subject: Subject, parameters: CalibrateParameters) -> Iterable[Need]:
+    yield from observations_of(campaign, OBSERVED_BOARDS, board_states(campaign))
     if session_of(campaign).starts_from == "last-calibration":
-        yield Need(LAST, CALIBRATION, subject)
-
-
-def read_boards(inputs: Inputs, plan: SessionPlan) -> Boards:
-    """Return what views observed of boards, by pose."""
-    found: dict[str, list[BoardObservation]] = {}
-    for pose in plan.poses:
-        for view in plan.views:
-            role = role_of(OBSERVE_BOARD, pose.label, view)
-            if role in inputs.datasets:
-                found.setdefault(pose.label, []).append(inputs.read(role, OBSERVATION, BoardObservation))
-    return found
+        yield LAST.of(subject)
 
 
 def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> Iterator[Output]:
     """Find first values, adjust everything together, and tell what the result is worth."""
     plan: SessionPlan = inputs.context
-    boards = read_boards(inputs, plan)
+    boards = observed(inputs, plan, OBSERVED_BOARDS, BOARD)
     progress(0.1, "looking for first values")
-    start = from_last(inputs, boards) if LAST in inputs.datasets else _from_nothing(plan, boards)
+    start = from_last(inputs, boards) if inputs.has(LAST) else _from_nothing(plan, boards)
     progress(0.3, "adjusting all sensors and boards together")
     origin = f"boards of session {plan.name}"
     yield from adjusted(inputs, plan, start, boards, {}, parameters, progress, origin)
@@ -127,11 +117,10 @@ def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> 
 
 def from_last(inputs: Inputs, boards: Boards) -> Start:
     """Return the start from the last calibration, and what it knew of the lenses."""
-    names = inputs.datasets[LAST].names
     return start_from_last(
-        inputs.read(LAST, "calibration", Calibration),
-        inputs.read(LAST, "uncertainty", CalibrationUncertainty) if "uncertainty" in names else None,
-        inputs.read(LAST, "quality", CalibrationQuality) if "quality" in names else None,
+        inputs.read(LAST, CALIBRATED),
+        inputs.read(LAST, UNCERTAINTY) if inputs.has(LAST, UNCERTAINTY) else None,
+        inputs.read(LAST, QUALITY) if inputs.has(LAST, QUALITY) else None,
         boards,
     )
 
@@ -179,8 +168,8 @@ def adjusted(
     doubts = (*doubts, *doubts_of(start, boards, bars))
     quality = quality_of(plan, start, calibration, found, held_out, problem, boards, bars, doubts)
     progress(0.9, "writing the page")
-    records = {"calibration": calibration, "uncertainty": uncertainty, "quality": quality}
-    yield DatasetOutput(inputs.subject, records, _statistics(calibration, quality))
+    products: dict[Product[Any], Any] = {CALIBRATED: calibration, UNCERTAINTY: uncertainty, QUALITY: quality}
+    yield DatasetOutput(inputs.subject, products, _statistics(calibration, quality))
     page = calibration_page(
         plan.name,
         start.rig,
@@ -216,6 +205,8 @@ KIND = Kind(
     version=4,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
+    inputs=(OBSERVED_BOARDS, LAST),
+    outputs=(CALIBRATED, UNCERTAINTY, QUALITY),
     needs=_needs,
     run=run,
     subjects=_subjects,

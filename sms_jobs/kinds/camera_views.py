@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.kinds.kind import Inputs, Need
+from sms_jobs.kinds.kind import Inputs, Need, Port
+from sms_jobs.kinds.products import CLOUD
 from sms_jobs.metrology.deformation.merging import merge_by_variance
 from sms_jobs.metrology.surfaces.continuity import continuous_labels
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import PointCloud
 from sms_jobs.records.reasons import Reason
 
 _DIAGONAL = [0, 3, 5]
@@ -46,16 +46,19 @@ class CameraView:
         return np.asarray(np.sqrt(self.covariance[_DIAGONAL].sum(axis=0)))
 
 
+SHAPES = Port("shape", "reconstruct", (CLOUD,), several=True)
+
+
 def cloud_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     """Return the points of every view at a state."""
     for view in campaign.shape_views:
-        yield Need(f"shape {view}", "reconstruct", Subject(subject.campaign, subject.state, view))
+        yield SHAPES.of(replace(subject, view=view))
 
 
 def camera_views(inputs: Inputs) -> Iterator[CameraView]:
     """Yield the view of each camera; the context of the kind is `merge.cameras`."""
     for camera, views in inputs.context.items():
-        clouds = [inputs.read(f"shape {view}", "cloud", PointCloud) for view in views]
+        clouds = [inputs.read(SHAPES, CLOUD, replace(inputs.subject, view=view)) for view in views]
         merged = merge_by_variance([c.xyz for c in clouds], [c.covariance for c in clouds])
         missing = merged.contributors == 0
         reason = np.zeros(missing.shape, np.uint32)

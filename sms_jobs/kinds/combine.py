@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -16,10 +17,12 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
+    Port,
     Progress,
     Scope,
     deformed_states,
 )
+from sms_jobs.kinds.products import ALIGNMENT, MESH
 from sms_jobs.metrology.deformation.joining import StrainedSurface, brought, differences
 from sms_jobs.metrology.deformation.merging import join_meshes
 from sms_jobs.metrology.geometry.camera import Pose
@@ -48,25 +51,26 @@ class CombineParameters(ViewsParameters):
     """Which campaigns are combined."""
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    yield Need("alignment", "align", Subject(subject.campaign))
-    yield Need("own", "merge", subject)
+_ALIGNED = Port("alignment", "align", (ALIGNMENT,))
+_MERGED = Port("merged", "merge", (MESH,), several=True)
 
 
-def _further_needs(campaign: Campaign, subject: Subject, parameters: CombineParameters) -> Iterable[Need]:
-    for view in parameters.views:
-        yield Need(f"view {view}", "merge", Subject(view, subject.state))
+def _needs(campaign: Campaign, subject: Subject, parameters: CombineParameters) -> Iterable[Need]:
+    yield _ALIGNED.of(Subject(subject.campaign))
+    for name in (subject.campaign, *parameters.views):
+        yield _MERGED.of(replace(subject, campaign=name))
 
 
 def run(inputs: Inputs, parameters: CombineParameters, progress: Progress) -> Iterator[Output]:
     """Bring the surfaces of the other views into this campaign's frame, and join them with its own."""
-    surfaces = [_surface(inputs.read("own", "mesh", Mesh))]
+    surfaces = [_surface(inputs.read(_MERGED, MESH))]
     known = _alignments(inputs)
     for view in parameters.views:
         lies = _of(known, view, inputs.subject.campaign)
         pose = Pose(lies.rotation, lies.translation_mm)
         own_axis, axis = np.array(lies.specimen_axis), np.array(lies.specimen_axis_there)
-        surfaces.append(brought(_surface(inputs.read(f"view {view}", "mesh", Mesh)), pose, own_axis, axis))
+        there = inputs.read(_MERGED, MESH, replace(inputs.subject, campaign=view))
+        surfaces.append(brought(_surface(there), pose, own_axis, axis))
     progress(0.3, f"brought {len(parameters.views)} views into the frame of {inputs.subject.campaign}")
     apart, pairs = differences(surfaces)
     progress(0.6, f"compared {len(pairs)} overlaps")
@@ -87,12 +91,12 @@ def run(inputs: Inputs, parameters: CombineParameters, progress: Progress) -> It
             f"overlap_vertices_{between}": float(len(both)),
         }
     progress(1.0, f"joined {len(surfaces)} views")
-    yield DatasetOutput(inputs.subject, {"mesh": mesh}, statistics)
+    yield DatasetOutput(inputs.subject, {MESH: mesh}, statistics)
 
 
 def _alignments(inputs: Inputs) -> dict[str, ViewAlignment]:
     """Return how other campaigns lie to this one, by their names."""
-    found = (inputs.read("alignment", name, ViewAlignment) for name in inputs.datasets["alignment"].names)
+    found = (inputs.read(_ALIGNED, each) for each in inputs.each(_ALIGNED, ALIGNMENT))
     return {one.campaign: one for one in found}
 
 
@@ -138,8 +142,9 @@ KIND = Kind(
     version=1,
     scope=Scope.STATE,
     parameters=CombineParameters,
+    inputs=(_ALIGNED, _MERGED),
+    outputs=(MESH,),
     needs=_needs,
-    further_needs=_further_needs,
     run=run,
     subjects=deformed_states,
     in_pipeline=False,

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from sms_jobs.kinds.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.kind import (
     CALIBRATION,
-    MEASUREMENT,
     DatasetOutput,
     Inputs,
     Kind,
     Need,
     Output,
+    Port,
     Progress,
     Scope,
     deformed_tuples,
@@ -30,7 +30,8 @@ from sms_jobs.kinds.point_matches import (
     summary,
     trusted_points,
 )
-from sms_jobs.kinds.textured_state import TexturedState, interior_of, matched_labels, read_state
+from sms_jobs.kinds.products import CALIBRATED, DISPLACEMENT, MATCHES, REGIONS
+from sms_jobs.kinds.textured_state import TexturedState, interior_of, matched_labels, read_state, state_ports
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation import correlation, displacement
 from sms_jobs.metrology.deformation.correlation import PreparedImages, prepare_images
@@ -48,7 +49,6 @@ from sms_jobs.records.fields import (
     Regions,
 )
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.sensors import Calibration
 
 _PIXEL_REASONS = {
     displacement.OUTSIDE_REGION: Reason.OUTSIDE_REGION,
@@ -58,25 +58,28 @@ _PIXEL_REASONS = {
 }
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    reference = Subject(subject.campaign, campaign.reference.label, subject.view)
-    yield Need("calibration", CALIBRATION, subject)
-    yield Need("reference_measurement", MEASUREMENT, reference)
-    yield Need("measurement", MEASUREMENT, subject)
-    yield Need("reference", "reconstruct", reference)
-    yield Need("deformed", "reconstruct", subject)
+_CALIBRATION = Port("calibration", CALIBRATION, (CALIBRATED,))
+_REFERENCE = state_ports("reference", "reference_measurement")
+_DEFORMED = state_ports("deformed", "measurement")
+_BEFORE = state_ports("previous_shape", "previous_measurement")
+_MATCHED_BEFORE = Port("previous", "correlate", (MATCHES,))
 
 
-def _further_needs(campaign: Campaign, subject: Subject, parameters: CorrelateParameters) -> Iterable[Need]:
-    """Yield what the state before gives, unless that is the reference."""
+def _needs(campaign: Campaign, subject: Subject, parameters: CorrelateParameters) -> Iterable[Need]:
+    """Yield both states and, unless that is the reference, what the state before gives."""
+    yield _CALIBRATION.of(subject)
+    for ports, about in (
+        (_REFERENCE, replace(subject, state=campaign.reference.label)),
+        (_DEFORMED, subject),
+    ):
+        yield from (port.of(about) for port in ports)
     labels = [state.label for state in tested_states(campaign)]
     place = labels.index(subject.state) if subject.state in labels else 0
     if parameters.reference == "first" or place < 2:
         return
     before = Subject(subject.campaign, labels[place - 1], subject.view)
-    yield Need("previous_measurement", MEASUREMENT, before)
-    yield Need("previous_shape", "reconstruct", before)
-    yield Need("previous", "correlate", before)
+    yield from (port.of(before) for port in _BEFORE)
+    yield _MATCHED_BEFORE.of(before)
 
 
 def _reference_label(campaign: Campaign, subject: Subject) -> str:
@@ -85,17 +88,15 @@ def _reference_label(campaign: Campaign, subject: Subject) -> str:
 
 def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> Iterator[Output]:
     """Match the textures region by region and look the displacement up in both states' shapes."""
-    sensor = inputs.read("calibration", "calibration", Calibration).rig.sensor(inputs.view.camera)
-    before = read_state(inputs, "reference", "reference_measurement", sensor, parameters, of_interest=True)
-    after = read_state(inputs, "deformed", "measurement", sensor, parameters, of_interest=False)
+    sensor = inputs.read(_CALIBRATION, CALIBRATED).rig.sensor(inputs.view.camera)
+    before = read_state(inputs, _REFERENCE, sensor, parameters, of_interest=True)
+    after = read_state(inputs, _DEFORMED, sensor, parameters, of_interest=False)
     interior = interior_of(before.regions.labels, parameters)
     labels = matched_labels(before, interior, parameters)
     progress(0.2, f"{len(before.regions.areas)} regions in the reference state")
     last = None
-    if "previous" in inputs.datasets:
-        last = read_state(
-            inputs, "previous_shape", "previous_measurement", sensor, parameters, of_interest=False
-        )
+    if inputs.has(_MATCHED_BEFORE):
+        last = read_state(inputs, _BEFORE, sensor, parameters, of_interest=False)
     grid, steps = _match(inputs, before, last, after, labels, parameters)
     apart = _come_apart(grid, before, after, parameters)
     if apart:
@@ -120,7 +121,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     progress(1.0, "looked up the displacement")
     yield DatasetOutput(
         inputs.subject,
-        {"displacement": field, "matches": matches, "regions": _regions_record(before.regions)},
+        {DISPLACEMENT: field, MATCHES: matches, REGIONS: _regions_record(before.regions)},
         _statistics(field, matches, before) | {"regions_split": float(len(apart.pieces) if apart else 0)},
     )
 
@@ -168,7 +169,7 @@ def _match(
         if parameters.reference == "first":
             return found, None
         return found, (found.matches.ending == correlation.CONVERGED).astype(np.int32)
-    followed = _followed(inputs.read("previous", "matches", ImageMatches), nodes)
+    followed = _followed(inputs.read(_MATCHED_BEFORE, MATCHES), nodes)
     between = prepared(last, matched_labels(last, interior_of(last.regions.labels, parameters), parameters))
     if parameters.reference == "auto":
         direct = prepared(before, labels)
@@ -244,8 +245,9 @@ KIND = Kind(
     version=7,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
+    inputs=(_CALIBRATION, *_REFERENCE, *_DEFORMED, *_BEFORE, _MATCHED_BEFORE),
+    outputs=(DISPLACEMENT, MATCHES, REGIONS),
     needs=_needs,
-    further_needs=_further_needs,
     run=run,
     subjects=deformed_tuples,
     context=_reference_label,

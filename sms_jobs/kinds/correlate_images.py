@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -20,6 +21,7 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
+    Port,
     Progress,
     Scope,
     deformed_images,
@@ -34,6 +36,7 @@ from sms_jobs.kinds.point_matches import (
     summary,
     trusted_points,
 )
+from sms_jobs.kinds.products import MATCHES, MEASURED, PLANAR_DISPLACEMENT
 from sms_jobs.kinds.valid_parts import fractions, textured
 from sms_jobs.metrology.deformation.correlation import Noise, prepare_images
 from sms_jobs.metrology.deformation.displacement import BLEND_RADII, blend_matches
@@ -61,10 +64,13 @@ class CorrelateImagesParameters(MatchingParameters):
     )
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    reference = Subject(subject.campaign, campaign.reference.label, subject.view)
-    yield Need("reference", MEASUREMENT, reference)
-    yield Need("measurement", MEASUREMENT, subject)
+_REFERENCE = Port("reference", MEASUREMENT, (MEASURED,))
+_DEFORMED = Port("measurement", MEASUREMENT, (MEASURED,))
+
+
+def _needs(campaign: Campaign, subject: Subject, parameters: CorrelateImagesParameters) -> Iterable[Need]:
+    yield _REFERENCE.of(replace(subject, state=campaign.reference.label))
+    yield _DEFORMED.of(subject)
 
 
 def _reference_label(campaign: Campaign, subject: Subject) -> str:
@@ -73,7 +79,7 @@ def _reference_label(campaign: Campaign, subject: Subject) -> str:
 
 def run(inputs: Inputs, parameters: CorrelateImagesParameters, progress: Progress) -> Iterator[Output]:
     """Match the white frames of two states and spread the matches over the image."""
-    before, after = (inputs.read(role, "measurement", Measurement) for role in ("reference", "measurement"))
+    before, after = (inputs.read(port, MEASURED) for port in (_REFERENCE, _DEFORMED))
     shape = before.texture.shape
     if after.texture.shape != shape:
         raise InvalidInput(
@@ -122,7 +128,7 @@ def run(inputs: Inputs, parameters: CorrelateImagesParameters, progress: Progres
     )
     progress(1.0, "spread the matches")
     yield DatasetOutput(
-        inputs.subject, {"displacement": field, "matches": matches}, _statistics(field, matches)
+        inputs.subject, {PLANAR_DISPLACEMENT: field, MATCHES: matches}, _statistics(field, matches)
     )
 
 
@@ -213,6 +219,8 @@ KIND = Kind(
     version=3,
     scope=Scope.TUPLE,
     parameters=CorrelateImagesParameters,
+    inputs=(_REFERENCE, _DEFORMED),
+    outputs=(PLANAR_DISPLACEMENT, MATCHES),
     needs=_needs,
     run=run,
     subjects=deformed_images,

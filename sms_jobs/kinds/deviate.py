@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from sms_jobs.formats.deviation_figures import write_deviation_map
-from sms_jobs.kinds.camera_views import CameraView, camera_views, cloud_needs
+from sms_jobs.kinds.camera_views import SHAPES, CameraView, camera_views, cloud_needs
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     DocumentOutput,
@@ -21,10 +21,12 @@ from sms_jobs.kinds.kind import (
     Need,
     Output,
     Parameters,
+    Port,
     Progress,
     Scope,
 )
 from sms_jobs.kinds.merge import cameras
+from sms_jobs.kinds.products import DEVIATION, MESH, REFERENCE_SURFACE, REGISTRATION, Product
 from sms_jobs.metrology.deformation.merging import join_meshes
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import rotation_matrix, turn_covariance
@@ -97,15 +99,18 @@ class _View:
     points: MeasuredPoints
 
 
-def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+_REFERENCE = Port("surface", SURFACE, (REFERENCE_SURFACE,))
+
+
+def needs(campaign: Campaign, subject: Subject, parameters: DeviateParameters) -> Iterable[Need]:
     """Return the points of every view, and the reference surface of the campaign."""
     yield from cloud_needs(campaign, subject)
-    yield Need(SURFACE, SURFACE, Subject(subject.campaign))
+    yield _REFERENCE.of(Subject(subject.campaign))
 
 
 def run(inputs: Inputs, parameters: DeviateParameters, progress: Progress) -> Iterator[Output]:
     """Lay all views on the reference surface by one rigid motion, and say by how much each pixel is off."""
-    reference = inputs.read(SURFACE, "surface", ReferenceSurface)
+    reference = inputs.read(_REFERENCE, REFERENCE_SURFACE)
     surface = triangle_surface(reference.vertices, reference.faces)
     progress(0.05, f"read {reference.filename}")
     views = [_view_of(view) for view in camera_views(inputs)]
@@ -117,10 +122,10 @@ def run(inputs: Inputs, parameters: DeviateParameters, progress: Progress) -> It
         fields[seen.view.camera] = _field(surface, seen, registration, parameters, inputs.threads)
         progress(0.6 + 0.3 * len(fields) / len(views), f"compared {seen.view.camera}")
     statistics = _statistics(fields, registration)
-    records: dict[str, Any] = dict(fields)
-    records["registration"] = _record(reference, registration)
-    records["mesh"] = _mesh(views, fields, parameters.mesh_step_px)
-    yield DatasetOutput(inputs.subject, records, statistics)
+    products: dict[Product[Any], Any] = {DEVIATION.of(camera): field for camera, field in fields.items()}
+    products[REGISTRATION] = _record(reference, registration)
+    products[MESH] = _mesh(views, fields, parameters.mesh_step_px)
+    yield DatasetOutput(inputs.subject, products, statistics)
     name = "-".join(part for part in (inputs.subject.campaign, inputs.subject.state) if part)
     for camera, field in fields.items():
         yield DocumentOutput(
@@ -261,6 +266,8 @@ KIND = Kind(
     version=1,
     scope=Scope.STATE,
     parameters=DeviateParameters,
+    inputs=(SHAPES, _REFERENCE),
+    outputs=(DEVIATION, REGISTRATION, MESH),
     needs=needs,
     run=run,
     context=cameras,

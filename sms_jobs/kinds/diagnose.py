@@ -21,9 +21,11 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
+    Port,
     Progress,
     Scope,
 )
+from sms_jobs.kinds.products import CALIBRATED, MEASURED, RESPONSE
 from sms_jobs.metrology.geometry.camera import ray_directions
 from sms_jobs.metrology.geometry.triangulation import Projector, triangulate
 from sms_jobs.metrology.phase.response import corrected_gradient
@@ -40,15 +42,19 @@ class DiagnoseParameters(SampleParameters):
     """The sample that is looked at decides all: see `fringe_response`."""
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    yield Need("measurement", MEASUREMENT, subject)
-    yield Need("calibration", CALIBRATION, subject)
+_FRAMES = Port("measurement", MEASUREMENT, (MEASURED,))
+_CALIBRATION = Port("calibration", CALIBRATION, (CALIBRATED,))
+
+
+def _needs(campaign: Campaign, subject: Subject, parameters: DiagnoseParameters) -> Iterable[Need]:
+    yield _FRAMES.of(subject)
+    yield _CALIBRATION.of(subject)
 
 
 def run(inputs: Inputs, parameters: DiagnoseParameters, progress: Progress) -> Iterator[Output]:
     """Find the response in each orientation's frames, and what its ripple does to the points."""
-    measurement = inputs.read("measurement", "measurement", Measurement)
-    calibration = inputs.read("calibration", "calibration", Calibration)
+    measurement = inputs.read(_FRAMES, MEASURED)
+    calibration = inputs.read(_CALIBRATION, CALIBRATED)
     refuse_foreign_patterns(inputs.subject, measurement, "method=temporal-unwrapping of reconstruct")
     sample = sampled_response(inputs.subject, measurement, parameters, inputs.threads)
     progress(0.9, "found the response")
@@ -62,7 +68,7 @@ def run(inputs: Inputs, parameters: DiagnoseParameters, progress: Progress) -> I
     moved = _moved(inputs.subject, calibration, measurement, sample, true)
     diagnosis = _diagnosis(inputs.subject, measurement, sample, moved, sample.omega - true)
     progress(1.0, "predicted the ripple")
-    yield DatasetOutput(inputs.subject, {"response": diagnosis}, _statistics(diagnosis))
+    yield DatasetOutput(inputs.subject, {RESPONSE: diagnosis}, _statistics(diagnosis))
 
 
 def _moved(
@@ -133,6 +139,8 @@ KIND = Kind(
     version=1,
     scope=Scope.TUPLE,
     parameters=DiagnoseParameters,
+    inputs=(_FRAMES, _CALIBRATION),
+    outputs=(RESPONSE,),
     needs=_needs,
     run=run,
     in_pipeline=False,

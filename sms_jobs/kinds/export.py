@@ -23,22 +23,25 @@ from sms_jobs.kinds.kind import (
     Need,
     Output,
     Parameters,
+    Port,
     Progress,
     Scope,
     every_deformed_state,
 )
 from sms_jobs.kinds.merge import cameras
+from sms_jobs.kinds.products import MEASURED, MERGED, MESH, PLANAR_DISPLACEMENT, PLANAR_STRAIN
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import MergedField, Mesh
-from sms_jobs.records.measurement import Measurement
-from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
+from sms_jobs.records.fields import Mesh
 
 USUAL = ("csv", "obj", "ply", "stl", "tecplot", "vtu")
 USUAL_FLAT = ("csv", "npz", "tecplot", "vtu")
 """Of a camera alone: formats of shapes have nothing to hold there."""
 
 
-_FLAT_DISPLACEMENT, _FLAT_STRAIN, _FLAT_TEXTURE = "flat displacement ", "flat strain ", "flat texture "
+_MERGED = Port("merged", "merge", (MERGED, MESH))
+_FRAMES = Port("texture", MEASUREMENT, (MEASURED,), several=True)
+_MOVED_IN_IMAGE = Port("displacement", "correlate-images", (PLANAR_DISPLACEMENT,), several=True)
+_STRAINED_IN_IMAGE = Port("strain", "strain-images", (PLANAR_STRAIN,), several=True)
 
 
 class ExportParameters(Parameters):
@@ -74,19 +77,17 @@ class ExportParameters(Parameters):
         return tuple(dict.fromkeys(formats))
 
 
-def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+def needs(campaign: Campaign, subject: Subject, parameters: ExportParameters) -> Iterable[Need]:
     """Return the merged result of the state, those of cameras alone, and each camera's texture at rest."""
     seen = cameras(campaign, subject)
+    at_rest = replace(subject, state=campaign.reference.label)
     if seen:
-        yield Need("merged", "merge", subject)
-    for camera, views in seen.items():
-        own = Subject(subject.campaign, campaign.reference.label, views[0])
-        yield Need(f"texture {camera}", MEASUREMENT, own)
-    for camera in campaign.cameras_alone:
-        own = Subject(subject.campaign, subject.state, camera)
-        yield Need(f"{_FLAT_DISPLACEMENT}{camera}", "correlate-images", own)
-        yield Need(f"{_FLAT_STRAIN}{camera}", "strain-images", own)
-        yield Need(f"{_FLAT_TEXTURE}{camera}", MEASUREMENT, replace(own, state=campaign.reference.label))
+        yield _MERGED.of(subject)
+    for view in (*(views[0] for views in seen.values()), *campaign.cameras_alone):
+        yield _FRAMES.of(replace(at_rest, view=view))
+    for view in campaign.cameras_alone:
+        yield _MOVED_IN_IMAGE.of(replace(subject, view=view))
+        yield _STRAINED_IN_IMAGE.of(replace(subject, view=view))
 
 
 def run(inputs: Inputs, parameters: ExportParameters, progress: Progress) -> Iterator[Output]:
@@ -95,18 +96,16 @@ def run(inputs: Inputs, parameters: ExportParameters, progress: Progress) -> Ite
     name = "-".join(part for part in (inputs.subject.campaign, inputs.subject.state) if part)
     if inputs.context:
         yield from _surface(inputs, parameters, name, progress)
-    for role in inputs.datasets:
-        if role.startswith(_FLAT_DISPLACEMENT):
-            camera = role.removeprefix(_FLAT_DISPLACEMENT)
-            progress(0.9, f"writing what {camera} saw")
-            yield from _image(inputs, parameters, camera, f"{name}-{camera}")
+    for own in inputs.about(_MOVED_IN_IMAGE):
+        progress(0.9, f"writing what {own.view} saw")
+        yield from _image(inputs, parameters, own, f"{name}-{own.view}")
 
 
 def _surface(
     inputs: Inputs, parameters: ExportParameters, name: str, progress: Progress
 ) -> Iterator[DocumentOutput]:
     """Write the surface that all views of a camera and a projector have measured."""
-    textures = {camera: _texture(inputs, f"texture {camera}") for camera in inputs.context}
+    textures = {camera: _texture(inputs, views[0]) for camera, views in inputs.context.items()}
     mesh = _with_texture(inputs, textures)
     formats = parameters.formats or USUAL
     for done, format_name in enumerate(formats):
@@ -118,7 +117,7 @@ def _surface(
         else:
             files = {
                 f"{name}-{camera}": source_for(
-                    exporter, inputs.read("merged", camera, MergedField), texture=texture
+                    exporter, inputs.read(_MERGED, MERGED.of(camera)), texture=texture
                 )
                 for camera, texture in textures.items()
             }
@@ -126,12 +125,12 @@ def _surface(
             yield _document(inputs, exporter, stem, source)
 
 
-def _image(inputs: Inputs, parameters: ExportParameters, camera: str, stem: str) -> Iterator[DocumentOutput]:
+def _image(inputs: Inputs, parameters: ExportParameters, own: Subject, stem: str) -> Iterator[DocumentOutput]:
     """Write displacement and strain in the image of a camera alone, together."""
     grid = planar_grid(
-        inputs.read(f"{_FLAT_DISPLACEMENT}{camera}", "displacement", PlanarDisplacement),
-        inputs.read(f"{_FLAT_STRAIN}{camera}", "strain", PlanarStrain),
-        _texture(inputs, f"{_FLAT_TEXTURE}{camera}"),
+        inputs.read(_MOVED_IN_IMAGE, PLANAR_DISPLACEMENT, own),
+        inputs.read(_STRAINED_IN_IMAGE, PLANAR_STRAIN, own),
+        _texture(inputs, own.view),
     )
     grid.known()
     mesh = planar_mesh(grid, parameters.image_step_px)
@@ -147,9 +146,10 @@ def _document(inputs: Inputs, exporter: Exporter, stem: str, source: Any) -> Doc
     return DocumentOutput(inputs.subject, f"{stem}{exporter.suffix}", exporter.media_type, write)
 
 
-def _texture(inputs: Inputs, role: str) -> NDArray[np.float32]:
-    """Return what a camera saw at rest, (rows, columns), 1 at full scale."""
-    measurement = inputs.read(role, "measurement", Measurement)
+def _texture(inputs: Inputs, view: str | None) -> NDArray[np.float32]:
+    """Return what a camera saw at rest in a view, (rows, columns), 1 at full scale."""
+    (at_rest,) = (own for own in inputs.about(_FRAMES) if own.view == view)
+    measurement = inputs.read(_FRAMES, MEASURED, at_rest)
     return (measurement.texture / np.float32(measurement.full_scale)).astype(np.float32)
 
 
@@ -159,11 +159,11 @@ def _with_texture(inputs: Inputs, textures: dict[str, NDArray[np.float32]]) -> M
     Vertices are positions of pixels, bit by bit, which is how the pixels are found again; where a vertex is
     none, its texture is NaN, and where none is, the mesh stays as it is.
     """
-    mesh = inputs.read("merged", "mesh", Mesh)
+    mesh = inputs.read(_MERGED, MESH)
     grey = np.full(len(mesh.vertices), np.nan)
     wanted = _keys(mesh.vertices)
     for camera, texture in textures.items():
-        xyz = inputs.read("merged", camera, MergedField).xyz
+        xyz = inputs.read(_MERGED, MERGED.of(camera)).xyz
         known = np.isfinite(xyz).all(axis=0)
         points = np.ascontiguousarray(xyz[:, known].T)
         if len(points) == 0:
@@ -195,6 +195,8 @@ KIND = Kind(
     version=3,
     scope=Scope.STATE,
     parameters=ExportParameters,
+    inputs=(_MERGED, _FRAMES, _MOVED_IN_IMAGE, _STRAINED_IN_IMAGE),
+    outputs=(),
     needs=needs,
     run=run,
     subjects=every_deformed_state,

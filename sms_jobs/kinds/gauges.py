@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,18 +19,20 @@ from sms_jobs.kinds.kind import (
     Need,
     Output,
     Parameters,
+    Port,
     Progress,
     Scope,
     deformed_images,
 )
 from sms_jobs.kinds.planes import as_surface
+from sms_jobs.kinds.products import CLOUD, DISPLACEMENT, GAUGES, PLANAR_DISPLACEMENT, REGIONS
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.gauges import GaugePlace, GaugeValue, read_gauge
 from sms_jobs.metrology.deformation.strain import independent_equivalent
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import turn_covariance
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import DisplacementField, PointCloud, Regions, StrainMeasure
+from sms_jobs.records.fields import StrainMeasure
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.planar import PlanarDisplacement
 from sms_jobs.records.reasons import Reason
@@ -72,12 +74,17 @@ class GaugesParameters(Parameters):
         return gauges
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+_MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS))
+_MOVED_IN_IMAGE = Port("displacement", "correlate-images", (PLANAR_DISPLACEMENT,))
+_REFERENCE = Port("reference", "reconstruct", (CLOUD,))
+
+
+def _needs(campaign: Campaign, subject: Subject, parameters: GaugesParameters) -> Iterable[Need]:
     if not view_of(subject.view).measures_shape:
-        yield Need("displacement", "correlate-images", subject)
+        yield _MOVED_IN_IMAGE.of(subject)
         return
-    yield Need("displacement", "correlate", subject)
-    yield Need("reference", "reconstruct", Subject(subject.campaign, campaign.reference.label, subject.view))
+    yield _MOVED.of(subject)
+    yield _REFERENCE.of(replace(subject, state=campaign.reference.label))
 
 
 def specimen_pose(campaign: Campaign, subject: Subject) -> Pose:
@@ -103,7 +110,7 @@ def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Ite
     statistics = {"gauges": float(len(names)), "gauges_read": float(known.sum())}
     if known.any():
         statistics["largest_gauge_strain"] = float(readings.strain[known].max())
-    yield DatasetOutput(inputs.subject, {"gauges": readings}, statistics)
+    yield DatasetOutput(inputs.subject, {GAUGES: readings}, statistics)
 
 
 @dataclass(frozen=True)
@@ -117,9 +124,9 @@ class _Found:
 
 def _on_surface(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> _Found:
     """Read gauges on a surface that fringes have measured, in the specimen's frame."""
-    moved = inputs.read("displacement", "displacement", DisplacementField)
-    regions = inputs.read("displacement", "regions", Regions)
-    cloud = inputs.read("reference", "cloud", PointCloud)
+    moved = inputs.read(_MOVED, DISPLACEMENT)
+    regions = inputs.read(_MOVED, REGIONS)
+    cloud = inputs.read(_REFERENCE, CLOUD)
     labels = np.where(moved.reason == Reason.VALID, regions.labels, 0).astype(np.int32)
     pitch = pixel_pitch(cloud.xyz, labels, 0.5)
     placement: Pose = inputs.context
@@ -152,7 +159,7 @@ def _on_surface(inputs: Inputs, parameters: GaugesParameters, progress: Progress
 
 def _in_image(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> _Found:
     """Read gauges in the image of a camera alone, where y points up as it does in stored strain."""
-    moved = inputs.read("displacement", "displacement", PlanarDisplacement)
+    moved = inputs.read(_MOVED_IN_IMAGE, PLANAR_DISPLACEMENT)
     plane = as_surface(moved)
     rows = []
     for number, text in enumerate(parameters.gauge, start=1):
@@ -212,6 +219,8 @@ KIND = Kind(
     version=1,
     scope=Scope.TUPLE,
     parameters=GaugesParameters,
+    inputs=(_MOVED, _MOVED_IN_IMAGE, _REFERENCE),
+    outputs=(GAUGES,),
     needs=_needs,
     run=run,
     subjects=deformed_images,

@@ -7,16 +7,16 @@ alone loads inputs, stores outputs, hashes and reports.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
+from sms_jobs.kinds.products import Product
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.optical_instruments import RigFile
-from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.views import View, view_of
 
 R = TypeVar("R")
@@ -48,28 +48,68 @@ class Queue(Enum):
 
 
 MEASUREMENT = "measurement"
-RECORDING = "recording"
-"""The record that lies beside a measurement which instruments made."""
 CALIBRATION = "calibration"
 
 
 @dataclass(frozen=True)
-class Need:
-    """One input of a job.
+class Port:
+    """One input of a kind, as its jobs have it.
 
     Attributes
     ----------
-    role
-        The name under which `run` finds it.
+    name
+        By which `run` asks for it, and which tells in a result's history what an input was for.
     source
-        `MEASUREMENT`, `CALIBRATION`, or the name of the kind whose result is wanted.
-    subject
-        Of the measurement or result; of a calibration, what it is for: it is valid at that state's time.
+        `MEASUREMENT`, `CALIBRATION`, `SURFACE`, or the name of the kind whose result is wanted.
+    products
+        The records of it that may be read.
+    several
+        Whether a job has one for each of several subjects.
     """
 
-    role: str
+    name: str
     source: str
+    products: tuple[Product[Any], ...]
+    several: bool = False
+
+    def of(self, subject: Subject) -> Need:
+        """Return the need for what is about a subject; a calibration is for it, at its state's time."""
+        return Need(self, subject)
+
+    def described(self) -> dict[str, Any]:
+        """Return what comes in here, for people and programs."""
+        return {
+            "name": self.name,
+            "source": self.source,
+            "several": self.several,
+            "records": [product.described() for product in self.products],
+        }
+
+    def made_by(self, source: str) -> Port:
+        """Return the same of another source."""
+        return replace(self, source=source)
+
+    def role(self, subject: Subject) -> str:
+        """Return under which name a job keeps the input about a subject."""
+        return f"{self.name} {subject}" if self.several else self.name
+
+
+@dataclass(frozen=True)
+class Need:
+    """What a job needs at one of its ports."""
+
+    port: Port
     subject: Subject
+
+    @property
+    def role(self) -> str:
+        """Under which name the job keeps it."""
+        return self.port.role(self.subject)
+
+    @property
+    def source(self) -> str:
+        """What makes it."""
+        return self.port.source
 
 
 class Dataset(Protocol):
@@ -144,9 +184,25 @@ class Inputs:
         """How the tuple is seen; raises `InvalidInput` for a job about more than a tuple."""
         return view_of(self.subject.view)
 
-    def read(self, role: str, name: str, record: type[R]) -> R:
-        """Read one record of the dataset in `role`."""
-        return self.datasets[role].read(name, record)
+    def has(self, port: Port, product: Product[Any] | None = None, about: Subject | None = None) -> bool:
+        """Say whether there is an input at a port, and in it a record."""
+        found = self.datasets.get(port.role(about or self.subject))
+        return found is not None and (product is None or product.stored_as in found.names)
+
+    def read(self, port: Port, product: Product[R], about: Subject | None = None) -> R:
+        """Read a record of what is at a port; of a port with several, of what is about a subject."""
+        if product.any_key not in port.products:
+            raise TypeError(f"port {port.name} does not declare that {product.stored_as} is read")
+        return self.datasets[port.role(about or self.subject)].read(product.stored_as, product.record)
+
+    def about(self, port: Port) -> tuple[Subject, ...]:
+        """Return what the inputs at a port with several are about, in the order of the needs."""
+        each = (dataset.subject for dataset in self.datasets.values())
+        return tuple(subject for subject in dict.fromkeys(each) if port.role(subject) in self.datasets)
+
+    def each(self, port: Port, product: Product[R]) -> tuple[Product[R], ...]:
+        """Return the records of one name, each with its key, that are at a port."""
+        return product.among(self.datasets[port.role(self.subject)].names)
 
 
 @dataclass(frozen=True)
@@ -157,8 +213,13 @@ class DatasetOutput:
     """
 
     subject: Subject
-    records: Mapping[str, Any]
+    products: Mapping[Product[Any], Any]
     statistics: Mapping[str, float]
+
+    @property
+    def records(self) -> dict[str, Any]:
+        """The records by their names in the file."""
+        return {product.stored_as: record for product, record in self.products.items()}
 
 
 @dataclass(frozen=True)
@@ -174,7 +235,7 @@ class DocumentOutput:
 Output = DatasetOutput | DocumentOutput
 
 
-def no_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+def no_needs(campaign: Campaign, subject: Subject, parameters: Any) -> Iterable[Need]:
     """Return no need: what is measured starts from nothing."""
     return ()
 
@@ -185,11 +246,6 @@ def no_context(campaign: Campaign, subject: Subject) -> None:
 
 def no_devices(campaign: Campaign, subject: Subject) -> Iterable[str]:
     """Need no device."""
-    return ()
-
-
-def no_more_needs(campaign: Campaign, subject: Subject, parameters: Any) -> Iterable[Need]:
-    """Need nothing that depends on the parameters."""
     return ()
 
 
@@ -212,12 +268,14 @@ class Kind(Generic[P]):
         What one job covers.
     parameters
         The class of its parameters.
+    inputs
+        Every port that a job may have, with the records that are read there.
+    outputs
+        Every record that its results may have; none for documents alone.
     needs
         Which inputs a job about a subject has; with `subjects`, all that the planner knows of a kind.
     run
         Pure: yields outputs, takes everything from its arguments.
-    further_needs
-        Inputs that depend on the parameters, besides `needs`.
     subjects
         Overrides the subjects that follow from the scope, e.g. to leave out the reference state. A kind
         that can do nothing in a campaign has none there.
@@ -244,9 +302,10 @@ class Kind(Generic[P]):
     version: int
     scope: Scope
     parameters: type[P]
-    needs: Callable[[Campaign, Subject], Iterable[Need]]
+    inputs: tuple[Port, ...]
+    outputs: tuple[Product[Any], ...]
+    needs: Callable[[Campaign, Subject, P], Iterable[Need]]
     run: Callable[[Inputs, P, Progress], Iterator[Output]]
-    further_needs: Callable[[Campaign, Subject, P], Iterable[Need]] = no_more_needs
     subjects: Callable[[Campaign], Iterable[Subject]] | None = None
     pipeline_subjects: Callable[[Campaign], Iterable[Subject]] | None = None
     context: Callable[[Campaign, Subject], Any] = no_context
@@ -257,9 +316,23 @@ class Kind(Generic[P]):
     devices: Callable[[Campaign, Subject], Iterable[str]] = no_devices
     with_instruments: bool = False
 
-    def all_needs(self, campaign: Campaign, subject: Subject, parameters: P) -> tuple[Need, ...]:
-        """Return every input of a job about a subject, with those that its parameters ask for."""
-        return (*self.needs(campaign, subject), *self.further_needs(campaign, subject, parameters))
+    def checked_needs(self, campaign: Campaign, subject: Subject, parameters: P) -> tuple[Need, ...]:
+        """Return every input of a job about a subject; raise `TypeError` for one that is not declared."""
+        found = tuple(self.needs(campaign, subject, parameters))
+        for need in found:
+            if need.port not in self.inputs:
+                raise TypeError(f"{self.name} does not declare its input {need.role} of {need.source}")
+        return found
+
+    def checked(self, output: Output) -> Output:
+        """Return what a job yielded; raise `TypeError` for a record that is not declared, or is another."""
+        for product, record in output.products.items() if isinstance(output, DatasetOutput) else ():
+            if product.any_key not in self.outputs:
+                raise TypeError(f"{self.name} does not declare its output {product.stored_as}")
+            if not isinstance(record, product.record):
+                classes = f"{type(record).__name__}, not {product.record.__name__}"
+                raise TypeError(f"{product.stored_as} of {self.name} is {classes}")
+        return output
 
     def queue_for(self, campaign: Campaign) -> str:
         """Return the queue of its jobs about a campaign: with instruments, that of the campaign's rig."""
@@ -338,8 +411,6 @@ def pipeline_subjects(kind: Kind[Any], campaign: Campaign) -> tuple[Subject, ...
 __all__ = [
     "CALIBRATION",
     "MEASUREMENT",
-    "RECORDING",
-    "Calibration",
     "Dataset",
     "DatasetOutput",
     "DocumentOutput",
@@ -348,6 +419,7 @@ __all__ = [
     "Need",
     "Output",
     "Parameters",
+    "Port",
     "Progress",
     "Queue",
     "Scope",

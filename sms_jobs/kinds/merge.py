@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, TypeAlias
+from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,12 @@ from sms_jobs.kinds.kind import (
     Need,
     Output,
     Parameters,
+    Port,
     Progress,
     Scope,
     deformed_states,
 )
+from sms_jobs.kinds.products import CLOUD, DISPLACEMENT, MERGED, MESH, REGIONS, STRAIN
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.merging import (
     Merged,
@@ -30,7 +33,7 @@ from sms_jobs.metrology.deformation.merging import (
 )
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import DisplacementField, MergedField, Mesh, PointCloud, Regions, StrainField
+from sms_jobs.records.fields import MergedField, Mesh
 from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.views import view_of
@@ -55,13 +58,17 @@ class MergeParameters(Parameters):
     mesh_step_px: int = Field(1, ge=1, le=64, description="distance of the mesh's vertices in the image")
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+_MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS), several=True)
+_STRAINED = Port("strain", "strain", (STRAIN,), several=True)
+_REFERENCE = Port("reference", "reconstruct", (CLOUD,), several=True)
+
+
+def _needs(campaign: Campaign, subject: Subject, parameters: MergeParameters) -> Iterable[Need]:
     for view in campaign.shape_views:
-        own = Subject(subject.campaign, subject.state, view)
-        yield Need(f"displacement {view}", "correlate", own)
-        yield Need(f"strain {view}", "strain", own)
-        reference = Subject(subject.campaign, campaign.reference.label, view)
-        yield Need(f"reference {view}", "reconstruct", reference)
+        own = replace(subject, view=view)
+        yield _MOVED.of(own)
+        yield _STRAINED.of(own)
+        yield _REFERENCE.of(replace(own, state=campaign.reference.label))
 
 
 def cameras(campaign: Campaign, subject: Subject) -> dict[str, tuple[str, ...]]:
@@ -75,18 +82,18 @@ def cameras(campaign: Campaign, subject: Subject) -> dict[str, tuple[str, ...]]:
 
 def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iterator[Output]:
     """Merge the views of every camera, then join the cameras' surfaces."""
-    records: dict[str, Any] = {}
+    fields: dict[str, MergedField] = {}
     surfaces: list[tuple[Floats, NDArray[np.int32]]] = []
     values: list[Floats] = []
     parts: dict[str, float] = {}
     for number, (camera, views) in enumerate(inputs.context.items()):
         field, measurable = _merged_camera(inputs, camera, views)
         strain = _merged_strain(inputs, views)
-        labels = combine_labels([inputs.read(f"displacement {p}", "regions", Regions).labels for p in views])
+        labels = combine_labels([inputs.read(_MOVED, REGIONS, own).labels for own in _of(inputs, views)])
         labels[field.reason != Reason.VALID] = 0
         pixels, faces = triangulate_image(labels, parameters.mesh_step_px)
         row, column = pixels.T
-        records[camera] = field
+        fields[camera] = field
         parts |= _parts(field, measurable)
         surfaces.append((field.xyz[:, row, column].T, faces))
         values.append(_vertex_values(field, strain)[:, row, column])
@@ -95,8 +102,14 @@ def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iter
     at_vertices = [values[k][:, vertex[source == k]] for k in range(len(values))]
     names, units = zip(*_VALUES, strict=True)
     mesh = Mesh(names, units, vertices, faces, np.concatenate(at_vertices, axis=1))
-    progress(1.0, f"joined {len(records)} views")
-    yield DatasetOutput(inputs.subject, {**records, "mesh": mesh}, _statistics(records, mesh) | parts)
+    progress(1.0, f"joined {len(fields)} cameras")
+    merged = {MERGED.of(camera): field for camera, field in fields.items()}
+    yield DatasetOutput(inputs.subject, {**merged, MESH: mesh}, _statistics(fields, mesh) | parts)
+
+
+def _of(inputs: Inputs, views: Sequence[str]) -> list[Subject]:
+    """Return the tuples of some views at the state."""
+    return [replace(inputs.subject, view=view) for view in views]
 
 
 def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple[MergedField, Mask]:
@@ -104,8 +117,9 @@ def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple
 
     Beside them stands where any of the views has a shape.
     """
-    moved = [inputs.read(f"displacement {p}", "displacement", DisplacementField) for p in views]
-    clouds = [inputs.read(f"reference {p}", "cloud", PointCloud) for p in views]
+    moved = [inputs.read(_MOVED, DISPLACEMENT, own) for own in _of(inputs, views)]
+    at_rest = {own.view: own for own in inputs.about(_REFERENCE)}
+    clouds = [inputs.read(_REFERENCE, CLOUD, at_rest[view]) for view in views]
     displacement = _merged([d.displacement for d in moved], [d.covariance for d in moved])
     shape = merge_by_variance(
         [np.where(d.reason == Reason.VALID, c.xyz, np.nan) for d, c in zip(moved, clouds, strict=True)],
@@ -130,7 +144,7 @@ def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple
 
 def _merged_strain(inputs: Inputs, views: tuple[str, ...]) -> Merged:
     """Merge the strain (xx, yy, xy) of the views of one camera; their tangent planes are the same."""
-    fields = [inputs.read(f"strain {p}", "strain", StrainField) for p in views]
+    fields = [inputs.read(_STRAINED, STRAIN, own) for own in _of(inputs, views)]
     variances = []
     for field in fields:
         packed = np.zeros((6, *field.reason.shape))
@@ -180,6 +194,8 @@ KIND = Kind(
     version=4,
     scope=Scope.STATE,
     parameters=MergeParameters,
+    inputs=(_MOVED, _STRAINED, _REFERENCE),
+    outputs=(MERGED, MESH),
     needs=_needs,
     run=run,
     subjects=deformed_states,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from sms_jobs.kinds.camera_views import CameraView, camera_views, cloud_needs
+from sms_jobs.kinds.camera_views import SHAPES, CameraView, camera_views, cloud_needs
 from sms_jobs.kinds.kind import (
     MEASUREMENT,
     DatasetOutput,
@@ -17,16 +18,17 @@ from sms_jobs.kinds.kind import (
     Need,
     Output,
     Parameters,
+    Port,
     Progress,
     Scope,
 )
 from sms_jobs.kinds.merge import cameras
+from sms_jobs.kinds.products import MEASURED, MESH
 from sms_jobs.metrology.deformation.merging import join_meshes
 from sms_jobs.metrology.surfaces.continuity import fill_small_holes
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import Mesh
-from sms_jobs.records.measurement import Measurement
 
 _VALUES = (("sigma of position", "mm"), ("texture", "1"), ("filled", "1"))
 
@@ -42,12 +44,14 @@ class MeshParameters(Parameters):
     )
 
 
-def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
+_FRAMES = Port("texture", MEASUREMENT, (MEASURED,), several=True)
+
+
+def needs(campaign: Campaign, subject: Subject, parameters: MeshParameters) -> Iterable[Need]:
     """Return the points of every view, and a measurement of each camera for its texture."""
     yield from cloud_needs(campaign, subject)
-    for camera, views in cameras(campaign, subject).items():
-        own = Subject(subject.campaign, subject.state, views[0])
-        yield Need(f"texture {camera}", MEASUREMENT, own)
+    for views in cameras(campaign, subject).values():
+        yield _FRAMES.of(replace(subject, view=views[0]))
 
 
 def run(inputs: Inputs, parameters: MeshParameters, progress: Progress) -> Iterator[Output]:
@@ -68,12 +72,12 @@ def run(inputs: Inputs, parameters: MeshParameters, progress: Progress) -> Itera
     mesh = Mesh(names, units, vertices, faces, np.concatenate(at_vertices, axis=1))
     statistics |= {"vertices": float(len(vertices)), "faces": float(len(faces))}
     progress(1.0, f"joined {len(surfaces)} views")
-    yield DatasetOutput(inputs.subject, {"mesh": mesh}, statistics)
+    yield DatasetOutput(inputs.subject, {MESH: mesh}, statistics)
 
 
 def _values(inputs: Inputs, view: CameraView, filled: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return the values of `_VALUES` at every pixel of a camera; a filled one has no standard deviation."""
-    measurement = inputs.read(f"texture {view.camera}", "measurement", Measurement)
+    measurement = inputs.read(_FRAMES, MEASURED, replace(inputs.subject, view=view.views[0]))
     sigma = np.where(filled, np.nan, view.sigma())
     return np.stack([sigma, measurement.texture / measurement.full_scale, filled.astype(np.float64)])
 
@@ -84,6 +88,8 @@ KIND = Kind(
     version=1,
     scope=Scope.STATE,
     parameters=MeshParameters,
+    inputs=(SHAPES, _FRAMES),
+    outputs=(MESH,),
     needs=needs,
     run=run,
     context=cameras,

@@ -7,7 +7,7 @@ predicted, and only the pixels that may show a sphere are looked at (thesis sect
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from pydantic import Field
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.kinds.kind import (
-    CALIBRATION,
     MEASUREMENT,
     DatasetOutput,
     Inputs,
@@ -23,15 +22,17 @@ from sms_jobs.kinds.kind import (
     Need,
     Output,
     Parameters,
+    Port,
     Progress,
     Scope,
 )
 from sms_jobs.kinds.phases import sensor_pair
+from sms_jobs.kinds.products import BAR, CALIBRATED, MEASURED, QUALITY
 from sms_jobs.kinds.projector_maps import ProjectorMaps, projector_maps
 from sms_jobs.kinds.sessions import (
-    CALIBRATE_BOARDS,
-    OBSERVATION,
     OBSERVE_BAR,
+    START,
+    START_OF_BOARDS,
     angles,
     bar_states,
     blur_name,
@@ -56,14 +57,13 @@ from sms_jobs.metrology.phase.texture_error import log_gradient
 from sms_jobs.metrology.targets.sphere_blur import blur_shift
 from sms_jobs.metrology.targets.spheres import SphereSearch, find_spheres
 from sms_jobs.records.artefacts import BallBar
-from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.observations import BarObservation
-from sms_jobs.records.sensors import Calibration, Sensor, SensorFormat
+from sms_jobs.records.sensors import Sensor, SensorFormat
 from sms_jobs.records.views import view_of
 
-_SPECIAL = ("home", "pan", "tilt")
+_FRAMES = Port("measurement", MEASUREMENT, (MEASURED,))
+_SPECIAL = tuple(Port(name, OBSERVE_BAR, (BAR,)) for name in ("home", "pan", "tilt"))
 
 Floats = NDArray[np.float64]
 
@@ -127,24 +127,24 @@ def _subjects(campaign: Campaign) -> Iterable[Subject]:
     return every_view(campaign, bar_states(campaign))
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    yield Need("measurement", MEASUREMENT, subject)
+def _needs(campaign: Campaign, subject: Subject, parameters: ObserveBarParameters) -> Iterable[Need]:
+    yield _FRAMES.of(subject)
     if board_states(campaign):
-        yield Need("start", CALIBRATE_BOARDS, Subject(campaign.name))
+        yield START_OF_BOARDS.of(Subject(campaign.name))
     else:
-        yield Need("start", CALIBRATION, subject)
+        yield START.of(subject)
     labels = special_labels(campaign)
     state = campaign.state(subject.state or "")
     if subject.state not in labels and angles(state) is not None:
-        for role, label in zip(_SPECIAL, labels, strict=False):
-            yield Need(role, OBSERVE_BAR, Subject(campaign.name, label, subject.view))
+        for port, label in zip(_SPECIAL, labels, strict=False):
+            yield port.of(replace(subject, state=label))
 
 
 def run(inputs: Inputs, parameters: ObserveBarParameters, progress: Progress) -> Iterator[Output]:
     """Triangulate what may show a sphere, find both, and keep evenly spread points of them."""
     shown: BarShown = inputs.context
-    measurement = inputs.read("measurement", "measurement", Measurement)
-    start = inputs.read("start", "calibration", Calibration)
+    measurement = inputs.read(_FRAMES, MEASURED)
+    start = inputs.read(START, CALIBRATED)
     camera_name, projector_name = inputs.view.camera, inputs.view.projector
     camera, projector = start.rig.sensor(camera_name), start.rig.sensor(projector_name)
     maps = projector_maps(inputs.subject, measurement, shown.projector, inputs.threads, progress)
@@ -171,14 +171,14 @@ def run(inputs: Inputs, parameters: ObserveBarParameters, progress: Progress) ->
     blur = start_blur(inputs, camera_name) if parameters.blur_px is None else parameters.blur_px
     observation = _observation(shown, camera, projector, maps, search, blur)
     progress(1.0, f"found {len(search.spheres)} spheres")
-    yield DatasetOutput(inputs.subject, {OBSERVATION: observation}, _statistics(observation, search))
+    yield DatasetOutput(inputs.subject, {BAR: observation}, _statistics(observation, search))
 
 
 def start_blur(inputs: Inputs, camera: str) -> float:
     """Return the blur of a camera that the first calibration found on the board; 0 where it found none."""
-    if "quality" not in inputs.datasets["start"].names:
+    if not inputs.has(START, QUALITY):
         return 0.0
-    quality = inputs.read("start", "quality", CalibrationQuality)
+    quality = inputs.read(START, QUALITY)
     return quality.found.get(blur_name(camera), 0.0)
 
 
@@ -186,9 +186,9 @@ def _expected(
     inputs: Inputs, shown: BarShown, camera: Sensor, margin_mm: float
 ) -> tuple[Floats | None, NDArray[np.bool_] | None]:
     """Return where the spheres should be, and which pixels may show them; None where nobody can tell."""
-    if shown.angles_rad is None or not set(_SPECIAL) <= set(inputs.datasets):
+    if shown.angles_rad is None or not all(inputs.has(port) for port in _SPECIAL):
         return None, None
-    seen = [inputs.read(role, OBSERVATION, BarObservation) for role in _SPECIAL]
+    seen = [inputs.read(port, BAR) for port in _SPECIAL]
     if not all(np.isfinite(one.centre).all() for one in seen):
         return None, None
     home = seen[0].centre
@@ -291,6 +291,8 @@ KIND = Kind(
     version=2,
     scope=Scope.TUPLE,
     parameters=ObserveBarParameters,
+    inputs=(_FRAMES, START, START_OF_BOARDS, *_SPECIAL),
+    outputs=(BAR,),
     needs=_needs,
     run=run,
     subjects=_subjects,

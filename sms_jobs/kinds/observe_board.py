@@ -19,12 +19,13 @@ from sms_jobs.kinds.kind import (
     Need,
     Output,
     Parameters,
+    Port,
     Progress,
     Scope,
 )
+from sms_jobs.kinds.products import BOARD, MEASURED
 from sms_jobs.kinds.projector_maps import projector_maps
 from sms_jobs.kinds.sessions import (
-    OBSERVATION,
     OBSERVE_BOARD,
     board_states,
     every_view,
@@ -37,7 +38,6 @@ from sms_jobs.metrology.targets.patterns import BoardPoints
 from sms_jobs.metrology.targets.projector_points import ProjectorPoints, carry_to_projector
 from sms_jobs.records.artefacts import Artefact, Chessboard, CircleBoard
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.observations import BoardObservation
 from sms_jobs.records.sensors import SensorFormat
 from sms_jobs.records.views import view_of
@@ -72,14 +72,17 @@ def _subjects(campaign: Campaign) -> Iterable[Subject]:
     return every_view(campaign, board_states(campaign))
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    yield Need("measurement", MEASUREMENT, subject)
+_FRAMES = Port("measurement", MEASUREMENT, (MEASURED,))
+
+
+def _needs(campaign: Campaign, subject: Subject, parameters: ObserveBoardParameters) -> Iterable[Need]:
+    yield _FRAMES.of(subject)
 
 
 def run(inputs: Inputs, parameters: ObserveBoardParameters, progress: Progress) -> Iterator[Output]:
     """Find the board in the fringe-free picture, and carry its points to the projector by the phase."""
     shown: BoardShown = inputs.context
-    measurement = inputs.read("measurement", "measurement", Measurement)
+    measurement = inputs.read(_FRAMES, MEASURED)
     _, rows, columns = measurement.frames.shape
     if (columns, rows) != (shown.camera.columns, shown.camera.rows):
         raise InvalidInput(
@@ -99,7 +102,7 @@ def run(inputs: Inputs, parameters: ObserveBoardParameters, progress: Progress) 
         carried = carry_to_projector(maps.pixel, both, found.centre_px, found.sigma_px, found.radius_px)
         observation = _observation(shown, found, carried)
     progress(1.0, f"found {len(observation.point)} points")
-    yield DatasetOutput(inputs.subject, {OBSERVATION: observation}, _statistics(observation))
+    yield DatasetOutput(inputs.subject, {BOARD: observation}, _statistics(observation))
 
 
 def _no_projector(count: int) -> ProjectorPoints:
@@ -156,6 +159,8 @@ KIND = Kind(
     version=1,
     scope=Scope.TUPLE,
     parameters=ObserveBoardParameters,
+    inputs=(_FRAMES,),
+    outputs=(BOARD,),
     needs=_needs,
     run=run,
     subjects=_subjects,

@@ -19,6 +19,7 @@ projector is chosen slab by slab; what cannot be told is marked, see `metrology.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +35,13 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
+    Port,
     Progress,
     Scope,
 )
 from sms_jobs.kinds.phase_task import Geometry, PhaseParameters, PhaseTask, mark
 from sms_jobs.kinds.phases import find_phases, sensor_pair
+from sms_jobs.kinds.products import CALIBRATED, CLOUD, MEASURED, PHASE, RETURNS, Product
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge, large_ray_gap, outside_box
@@ -46,7 +49,6 @@ from sms_jobs.metrology.phase.response import corrected_gradient
 from sms_jobs.metrology.phase.texture_error import Blur, correct_texture
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import PhaseMaps, PointCloud, ReturnMaps
-from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.views import Role
@@ -73,15 +75,19 @@ class ReconstructParameters(PhaseParameters):
     )
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    yield Need("measurement", MEASUREMENT, subject)
-    yield Need("calibration", CALIBRATION, subject)
+_FRAMES = Port("measurement", MEASUREMENT, (MEASURED,))
+_CALIBRATION = Port("calibration", CALIBRATION, (CALIBRATED,))
+
+
+def _needs(campaign: Campaign, subject: Subject, parameters: ReconstructParameters) -> Iterable[Need]:
+    yield _FRAMES.of(subject)
+    yield _CALIBRATION.of(subject)
 
 
 def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -> Iterator[Output]:
     """Unwrap and triangulate a tuple slab by slab, and say of every pixel whether it can be trusted."""
-    measurement = inputs.read("measurement", "measurement", Measurement)
-    calibration = inputs.read("calibration", "calibration", Calibration)
+    measurement = inputs.read(_FRAMES, MEASURED)
+    calibration = inputs.read(_CALIBRATION, CALIBRATED)
     camera_name, projector_name = inputs.view.camera, inputs.view.projector
     camera = calibration.rig.sensor(camera_name)
     projector = calibration.rig.sensor(projector_name)
@@ -117,9 +123,9 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     cloud = _as_cloud(camera_name, projector_name, points, reason)
     progress(1.0, "triangulated")
     statistics = _statistics(cloud, phase, blur)
-    records: dict[str, object] = {"cloud": cloud, "phase": phase}
+    records: dict[Product[Any], object] = {CLOUD: cloud, PHASE: phase}
     if found.returns is not None:
-        records["returns"] = found.returns
+        records[RETURNS] = found.returns
         statistics |= _pair_statistics(cloud, found.returns)
     if found.response is not None:
         statistics |= _response_statistics(found.response, measurement.sequence.steps)
@@ -208,6 +214,8 @@ KIND = Kind(
     version=7,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
+    inputs=(_FRAMES, _CALIBRATION),
+    outputs=(CLOUD, PHASE, RETURNS),
     needs=_needs,
     run=run,
 )

@@ -9,8 +9,6 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from sms_jobs.kinds.kind import (
-    CALIBRATION,
-    MEASUREMENT,
     DocumentOutput,
     Inputs,
     Kind,
@@ -22,7 +20,15 @@ from sms_jobs.kinds.kind import (
     tested_states,
     tuples,
 )
-from sms_jobs.kinds.report_chapter import ASSESS, Sampling, chapters, present, role
+from sms_jobs.kinds.report_chapter import (
+    ASSESSMENTS,
+    CALIBRATION_SHOWN,
+    RECORDINGS,
+    SHOWN,
+    Sampling,
+    chapters,
+    present,
+)
 from sms_jobs.kinds.report_pages import ReportPages
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
 
@@ -74,28 +80,23 @@ def shown_states(campaign: Campaign, most: int) -> tuple[LoadState, ...]:
     return tuple(deformed[place] for place in sorted(places_of))
 
 
-def needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    """Return everything that the report shows; errors where the truth is known."""
-    found: dict[str, Need] = {}
+def needs(campaign: Campaign, subject: Subject, parameters: PageParameters) -> Iterable[Need]:
+    """Return everything that the report shows, also what was asked for; errors where the truth is known."""
+    return dict.fromkeys(_needs(campaign, parameters))
+
+
+def _needs(campaign: Campaign, parameters: PageParameters) -> Iterable[Need]:
     if campaign.shape_views:
-        found["calibration"] = Need("calibration", CALIBRATION, Subject(campaign.name))
+        yield CALIBRATION_SHOWN.of(Subject(campaign.name))
     for state in tested_states(campaign):
         for view in campaign.views:
-            recorded = role(MEASUREMENT, state.label, view)
-            found[recorded] = Need(recorded, MEASUREMENT, Subject(campaign.name, state.label, view))
-    for chapter in chapters():
-        found |= {need.role: need for need in chapter.needs(campaign)}
-    for each in tuples(campaign) if campaign.scene is not None else ():
-        assessed = role(ASSESS, each.state or "", each.view or "")
-        found[assessed] = Need(assessed, ASSESS, each)
-    return found.values()
-
-
-def further_needs(campaign: Campaign, subject: Subject, parameters: PageParameters) -> Iterable[Need]:
-    """Return what is shown because it was asked for."""
+            yield RECORDINGS.of(Subject(campaign.name, state.label, view))
     for chapter in present(campaign):
+        yield from chapter.needs(campaign)
         for name in parameters.also:
             yield from chapter.also.get(name, no_further)(campaign)
+    if campaign.scene is not None:
+        yield from map(ASSESSMENTS.of, tuples(campaign))
 
 
 def no_further(campaign: Campaign) -> Iterable[Need]:
@@ -135,8 +136,9 @@ KIND = Kind(
     version=3,
     scope=Scope.CAMPAIGN,
     parameters=ReportParameters,
+    inputs=SHOWN,
+    outputs=(),
     needs=needs,
-    further_needs=further_needs,
     run=run,
     subjects=_subjects,
     context=whole_campaign,

@@ -8,11 +8,49 @@ from typing import Any
 
 from sms_jobs.discovery import declared
 from sms_jobs.formats.report.view import Sampler, View
-from sms_jobs.kinds.kind import Inputs, Need
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Inputs, Need, Port
+from sms_jobs.kinds.products import (
+    ASSESSMENT,
+    CALIBRATED,
+    CLOUD,
+    GAUGES,
+    MATCHES,
+    MEASURED,
+    MERGED,
+    PLANAR_DISPLACEMENT,
+    PLANAR_STRAIN,
+    QUALITY,
+    RECORDED,
+    REGIONS,
+    STRAIN,
+)
 from sms_jobs.records.campaign import Campaign, LoadState
 
-ASSESS = "assess"
-"""The kind that compares with the truth where it is known."""
+CALIBRATION_SHOWN = Port("calibration", CALIBRATION, (CALIBRATED, QUALITY))
+RECORDINGS = Port("measurement", MEASUREMENT, (MEASURED, RECORDED), several=True)
+SHAPES = Port("shape", "reconstruct", (CLOUD,), several=True)
+DISPLACEMENTS = Port("displacement", "correlate", (REGIONS,), several=True)
+STRAINS = Port("strain", "strain", (STRAIN,), several=True)
+MERGED_STATES = Port("merged", "merge", (MERGED,), several=True)
+PLANAR_DISPLACEMENTS = Port(
+    "displacement in the image", "correlate-images", (PLANAR_DISPLACEMENT, MATCHES), several=True
+)
+PLANAR_STRAINS = Port("strain in the image", "strain-images", (PLANAR_STRAIN,), several=True)
+GAUGES_READ = Port("gauges", "gauges", (GAUGES,), several=True)
+ASSESSMENTS = Port("assessment", "assess", (ASSESSMENT,), several=True)
+"""What compares with the truth where it is known."""
+SHOWN = (
+    CALIBRATION_SHOWN,
+    RECORDINGS,
+    SHAPES,
+    DISPLACEMENTS,
+    STRAINS,
+    MERGED_STATES,
+    PLANAR_DISPLACEMENTS,
+    PLANAR_STRAINS,
+    GAUGES_READ,
+    ASSESSMENTS,
+)
 
 
 @dataclass(frozen=True)
@@ -48,7 +86,7 @@ class Chapter:
     introduction
         What the reader has to know: frames, signs, what standard deviations cover.
     needs
-        Every input, with a role of its own; none for a campaign that is not measured in this way.
+        Every input, at one of the ports `SHOWN`; none for a campaign that is not measured in this way.
     reference
         Yields what is shown of the reference state, one view at a time.
     deformed
@@ -74,11 +112,6 @@ def chapters() -> tuple[Chapter, ...]:
 def present(campaign: Campaign) -> tuple[Chapter, ...]:
     """Return the chapters about what is measured in a campaign."""
     return tuple(c for c in chapters() if next(iter(c.needs(campaign)), None) is not None)
-
-
-def role(source: str, state: str, view: str = "") -> str:
-    """Return the role of an input of a report: `<kind>/<state>/<view>`."""
-    return "/".join(part for part in (source, state, view) if part)
 
 
 def defaults_of_kinds() -> dict[str, Mapping[str, Any]]:

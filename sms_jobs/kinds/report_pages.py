@@ -23,14 +23,21 @@ from sms_jobs.formats.report.origins import origin_sections
 from sms_jobs.formats.report.page import Page, Part, Section
 from sms_jobs.formats.report.tables import accuracy, campaign_facts, load_states
 from sms_jobs.formats.report.view import View
-from sms_jobs.kinds.kind import MEASUREMENT, RECORDING, Inputs, Progress, tested_states, tuples
-from sms_jobs.kinds.report_chapter import ASSESS, Chapter, Sampling, defaults_of_kinds, present, role
+from sms_jobs.kinds.kind import Inputs, Progress, tested_states, tuples
+from sms_jobs.kinds.products import ASSESSMENT, CALIBRATED, MEASURED, QUALITY, RECORDED
+from sms_jobs.kinds.report_chapter import (
+    ASSESSMENTS,
+    CALIBRATION_SHOWN,
+    RECORDINGS,
+    Chapter,
+    Sampling,
+    defaults_of_kinds,
+    present,
+)
 from sms_jobs.records.assessment import Assessment
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
-from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.recording import Recording, as_recorded, mean_readings
-from sms_jobs.records.sensors import Calibration
 
 _INTRODUCTION = (
     "Grey in a map means that nothing could be measured there. Standard deviations are one sigma, without a "
@@ -192,10 +199,10 @@ class ReportPages:
 
     def _closing(self) -> list[Section]:
         found: list[Section] = []
-        if any(role.startswith(f"{ASSESS}/") for role in self._inputs.datasets):
+        if self._inputs.about(ASSESSMENTS):
             found.append(self._accuracy())
-        if "calibration" in self._inputs.datasets:
-            calibration = self._inputs.read("calibration", "calibration", Calibration)
+        if self._inputs.has(CALIBRATION_SHOWN):
+            calibration = self._inputs.read(CALIBRATION_SHOWN, CALIBRATED)
             found.append(Section("Calibration", certificate.calibration_summary(calibration, self._quality)))
         if self._recordings:
             found.append(Section("Recordings", certificate.recordings(self._recordings)))
@@ -204,10 +211,9 @@ class ReportPages:
 
     @cached_property
     def _quality(self) -> CalibrationQuality | None:
-        dataset = self._inputs.datasets.get("calibration")
-        if dataset is None or "quality" not in dataset.names:
+        if not self._inputs.has(CALIBRATION_SHOWN, QUALITY):
             return None
-        return dataset.read("quality", CalibrationQuality)
+        return self._inputs.read(CALIBRATION_SHOWN, QUALITY)
 
     @cached_property
     def _recordings(self) -> Mapping[str, Recording]:
@@ -218,20 +224,18 @@ class ReportPages:
         """Return when the reference state was recorded; the others say so themselves."""
         label = self._campaign.reference.label
         for view in self._campaign.views:
-            name = role(MEASUREMENT, label, view)
-            if name in self._inputs.datasets:
-                return {label: self._inputs.read(name, "measurement", Measurement).recorded_at}
+            own = Subject(self._campaign.name, label, view)
+            if self._inputs.has(RECORDINGS, about=own):
+                return {label: self._inputs.read(RECORDINGS, MEASURED, own).recorded_at}
         return {}
 
     def _accuracy(self) -> Section:
         """List measured minus true of every tuple."""
-        diagonal = self._inputs.read("calibration", "calibration", Calibration).volume.diagonal_mm
+        diagonal = self._inputs.read(CALIBRATION_SHOWN, CALIBRATED).volume.diagonal_mm
         found: dict[tuple[str, str], Assessment] = {}
         for each in tuples(self._campaign):
-            state, view = each.state or "", each.view or ""
-            found[(state, view)] = _without_images(
-                self._inputs.read(role(ASSESS, state, view), "assessment", Assessment)
-            )
+            assessment = self._inputs.read(ASSESSMENTS, ASSESSMENT, each)
+            found[each.state or "", each.view or ""] = _without_images(assessment)
         words = html.paragraph(
             "The rig is virtual, so the truth is known: errors are measured minus true over all valid "
             "pixels, nothing trimmed. An error over its predicted standard deviation is 1 for an honest "
@@ -275,9 +279,9 @@ def _heading(state: LoadState) -> str:
 
 def _recordings(inputs: Inputs) -> Iterator[tuple[Subject, Recording]]:
     """Yield what instruments said of the recordings that they made, with the tuple of each."""
-    for name, dataset in inputs.datasets.items():
-        if name.startswith(f"{MEASUREMENT}/") and RECORDING in dataset.names:
-            yield dataset.subject, dataset.read(RECORDING, Recording)
+    for subject in inputs.about(RECORDINGS):
+        if inputs.has(RECORDINGS, RECORDED, subject):
+            yield subject, inputs.read(RECORDINGS, RECORDED, subject)
 
 
 def _as_recorded(inputs: Inputs, campaign: Campaign) -> tuple[LoadState, ...]:

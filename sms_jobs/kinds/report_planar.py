@@ -3,56 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 from sms_jobs.formats.report.planar import planar_view, texture_view
 from sms_jobs.formats.report.view import View
-from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Need, deformed_images_alone, tested_states
-from sms_jobs.kinds.report_chapter import Chapter, Sampling, role
-from sms_jobs.kinds.report_surface import GAUGES
+from sms_jobs.kinds.kind import Inputs, Need, deformed_images_alone, tested_states
+from sms_jobs.kinds.products import GAUGES, MATCHES, MEASURED, PLANAR_DISPLACEMENT, PLANAR_STRAIN
+from sms_jobs.kinds.report_chapter import (
+    GAUGES_READ,
+    PLANAR_DISPLACEMENTS,
+    PLANAR_STRAINS,
+    RECORDINGS,
+    Chapter,
+    Sampling,
+)
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
-from sms_jobs.records.fields import ImageMatches
-from sms_jobs.records.gauges import GaugeReadings
-from sms_jobs.records.measurement import Measurement
-from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
 
 
 def _needs(campaign: Campaign) -> Iterable[Need]:
-    reference = campaign.reference.label
-    for camera in campaign.cameras_alone if tested_states(campaign) else ():
-        at_rest = Subject(campaign.name, reference, camera)
-        yield Need(role(MEASUREMENT, reference, camera), MEASUREMENT, at_rest)
+    for view in campaign.cameras_alone if tested_states(campaign) else ():
+        yield RECORDINGS.of(Subject(campaign.name, campaign.reference.label, view))
     for each in deformed_images_alone(campaign):
-        for kind in ("correlate-images", "strain-images"):
-            yield Need(role(kind, each.state or "", each.view or ""), kind, each)
+        yield PLANAR_DISPLACEMENTS.of(each)
+        yield PLANAR_STRAINS.of(each)
 
 
 def _gauges(campaign: Campaign) -> Iterable[Need]:
-    for each in deformed_images_alone(campaign):
-        yield Need(role(GAUGES, each.state or "", each.view or ""), GAUGES, each)
+    return map(GAUGES_READ.of, deformed_images_alone(campaign))
 
 
 def _reference(inputs: Inputs, campaign: Campaign, sampling: Sampling) -> Iterator[View]:
     """Show the image of every camera, and what of it was measured."""
-    label = campaign.reference.label
     deformed = tested_states(campaign)[1:]
-    for camera in campaign.cameras_alone:
+    for view in campaign.cameras_alone:
+        at_rest = Subject(campaign.name, campaign.reference.label, view)
         reason = None
         if deformed:
-            moved = role("correlate-images", deformed[0].label, camera)
-            reason = inputs.read(moved, "displacement", PlanarDisplacement).reason
-        measurement = inputs.read(role(MEASUREMENT, label, camera), "measurement", Measurement)
-        yield texture_view(camera, measurement, reason, sampling.of(measurement.texture.shape))
+            moved = replace(at_rest, state=deformed[0].label)
+            reason = inputs.read(PLANAR_DISPLACEMENTS, PLANAR_DISPLACEMENT, moved).reason
+        measurement = inputs.read(RECORDINGS, MEASURED, at_rest)
+        yield texture_view(view, measurement, reason, sampling.of(measurement.texture.shape))
 
 
 def _deformed(inputs: Inputs, campaign: Campaign, state: LoadState, sampling: Sampling) -> Iterator[View]:
     """Show displacement and strain in the image of every camera."""
-    for camera in campaign.cameras_alone:
-        found = role("correlate-images", state.label, camera)
-        moved = inputs.read(found, "displacement", PlanarDisplacement)
-        matches = inputs.read(found, "matches", ImageMatches)
-        strain = inputs.read(role("strain-images", state.label, camera), "strain", PlanarStrain)
-        readings = role(GAUGES, state.label, camera)
-        gauges = inputs.read(readings, "gauges", GaugeReadings) if readings in inputs.datasets else None
+    for view in campaign.cameras_alone:
+        own = Subject(campaign.name, state.label, view)
+        moved = inputs.read(PLANAR_DISPLACEMENTS, PLANAR_DISPLACEMENT, own)
+        matches = inputs.read(PLANAR_DISPLACEMENTS, MATCHES, own)
+        strain = inputs.read(PLANAR_STRAINS, PLANAR_STRAIN, own)
+        gauges = inputs.read(GAUGES_READ, GAUGES, own) if inputs.has(GAUGES_READ, about=own) else None
         yield planar_view(moved, matches, strain, sampling.of(moved.reason.shape), gauges)
 
 
@@ -67,5 +67,5 @@ CHAPTER = Chapter(
     needs=_needs,
     reference=_reference,
     deformed=_deformed,
-    also={GAUGES: _gauges},
+    also={GAUGES.name: _gauges},
 )

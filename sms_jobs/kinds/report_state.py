@@ -17,7 +17,7 @@ from sms_jobs.kinds.kind import (
     Scope,
     every_deformed_state,
 )
-from sms_jobs.kinds.report_chapter import Sampling, present
+from sms_jobs.kinds.report_chapter import SHOWN, Sampling, present
 from sms_jobs.kinds.report_pages import ReportPages
 from sms_jobs.records.campaign import Campaign, Subject
 
@@ -34,12 +34,8 @@ def _subjects(campaign: Campaign) -> Iterable[Subject]:
     return every_deformed_state(campaign) if present(campaign) else ()
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    return report.needs(two_states(campaign, subject), subject)
-
-
-def _further_needs(campaign: Campaign, subject: Subject, parameters: report.PageParameters) -> Iterable[Need]:
-    return report.further_needs(two_states(campaign, subject), subject, parameters)
+def _needs(campaign: Campaign, subject: Subject, parameters: report.PageParameters) -> Iterable[Need]:
+    return report.needs(two_states(campaign, subject), subject, parameters)
 
 
 def run(inputs: Inputs, parameters: report.PageParameters, progress: Progress) -> Iterator[Output]:
@@ -58,8 +54,9 @@ KIND = Kind(
     version=2,
     scope=Scope.STATE,
     parameters=report.PageParameters,
+    inputs=SHOWN,
+    outputs=(),
     needs=_needs,
-    further_needs=_further_needs,
     run=run,
     subjects=_subjects,
     context=two_states,

@@ -3,60 +3,55 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from sms_jobs.formats.report.surface import deformed_view, reference_view
 from sms_jobs.formats.report.view import View
-from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Need, deformed_tuples, tuples
-from sms_jobs.kinds.report_chapter import Chapter, Sampling, role
+from sms_jobs.kinds.kind import Inputs, Need, deformed_tuples, tuples
+from sms_jobs.kinds.merge import cameras
+from sms_jobs.kinds.products import CLOUD, GAUGES, MEASURED, MERGED, REGIONS, STRAIN
+from sms_jobs.kinds.report_chapter import (
+    DISPLACEMENTS,
+    GAUGES_READ,
+    MERGED_STATES,
+    RECORDINGS,
+    SHAPES,
+    STRAINS,
+    Chapter,
+    Sampling,
+)
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
-from sms_jobs.records.fields import MergedField, PointCloud, Regions, StrainField
-from sms_jobs.records.gauges import GaugeReadings
-from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.fields import StrainField
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.views import view_of
-
-GAUGES = "gauges"
-
-
-def views_by_camera(campaign: Campaign) -> dict[str, tuple[str, ...]]:
-    """Return the views of every camera that measures shape, in the campaign's order."""
-    views: dict[str, tuple[str, ...]] = {}
-    for view in campaign.shape_views:
-        camera = view_of(view).camera
-        views[camera] = (*views.get(camera, ()), view)
-    return views
 
 
 def _needs(campaign: Campaign) -> Iterable[Need]:
-    reference = campaign.reference.label
     for each in tuples(campaign):
-        state, view = each.state or "", each.view or ""
-        if state == reference:
-            yield Need(role(MEASUREMENT, state, view), MEASUREMENT, each)
-            yield Need(role("reconstruct", state, view), "reconstruct", each)
+        if each.state == campaign.reference.label:
+            yield RECORDINGS.of(each)
+            yield SHAPES.of(each)
         else:
-            yield Need(role("strain", state, view), "strain", each)
-        if len(campaign.states) > 1 and state == campaign.states[1].label:
-            yield Need(role("correlate", state, view), "correlate", each)
+            yield STRAINS.of(each)
+        if len(campaign.states) > 1 and each.state == campaign.states[1].label:
+            yield DISPLACEMENTS.of(each)
     for loaded in campaign.states[1:] if campaign.shape_views else ():
-        yield Need(role("merge", loaded.label), "merge", Subject(campaign.name, loaded.label))
+        yield MERGED_STATES.of(Subject(campaign.name, loaded.label))
 
 
 def _gauges(campaign: Campaign) -> Iterable[Need]:
-    for each in deformed_tuples(campaign):
-        yield Need(role(GAUGES, each.state or "", each.view or ""), GAUGES, each)
+    return map(GAUGES_READ.of, deformed_tuples(campaign))
 
 
 def _best_views(inputs: Inputs, campaign: Campaign) -> Mapping[str, str]:
     """Return, by camera, the view that sees most of the surface at the reference state."""
-    label = campaign.reference.label
+    at_rest = Subject(campaign.name, campaign.reference.label)
     best: dict[str, str] = {}
-    for camera, views in views_by_camera(campaign).items():
+    for camera, views in cameras(campaign, inputs.subject).items():
         seen: dict[str, int] = {}
         for view in views if len(views) > 1 else ():
-            cloud = inputs.read(role("reconstruct", label, view), "cloud", PointCloud)
+            cloud = inputs.read(SHAPES, CLOUD, replace(at_rest, view=view))
             seen[view] = int(np.count_nonzero(cloud.reason == Reason.VALID))
             del cloud
         best[camera] = max(views, key=lambda view: seen.get(view, 0))
@@ -65,30 +60,31 @@ def _best_views(inputs: Inputs, campaign: Campaign) -> Mapping[str, str]:
 
 def _reference(inputs: Inputs, campaign: Campaign, sampling: Sampling) -> Iterator[View]:
     """Show texture and shape of every camera, by the view that sees most."""
-    label = campaign.reference.label
     for view in _best_views(inputs, campaign).values():
+        at_rest = Subject(campaign.name, campaign.reference.label, view)
         regions = None
         if len(campaign.states) > 1:
-            regions = inputs.read(role("correlate", campaign.states[1].label, view), "regions", Regions)
-        measurement = inputs.read(role(MEASUREMENT, label, view), "measurement", Measurement)
-        cloud = inputs.read(role("reconstruct", label, view), "cloud", PointCloud)
+            regions = inputs.read(DISPLACEMENTS, REGIONS, replace(at_rest, state=campaign.states[1].label))
+        measurement = inputs.read(RECORDINGS, MEASURED, at_rest)
+        cloud = inputs.read(SHAPES, CLOUD, at_rest)
         yield reference_view(view, measurement, cloud, regions, sampling.of(cloud.reason.shape))
 
 
 def _deformed(inputs: Inputs, campaign: Campaign, state: LoadState, sampling: Sampling) -> Iterator[View]:
     """Show displacement of every camera, and strain by the view that sees most of the surface there."""
-    for camera, views in views_by_camera(campaign).items():
-        merged = inputs.read(role("merge", state.label), camera, MergedField)
+    for camera, views in cameras(campaign, inputs.subject).items():
+        own = Subject(campaign.name, state.label)
+        merged = inputs.read(MERGED_STATES, MERGED.of(camera), own)
         best: tuple[str, StrainField] | None = None
         for view in views:
-            strain = inputs.read(role("strain", state.label, view), "strain", StrainField)
+            strain = inputs.read(STRAINS, STRAIN, replace(own, view=view))
             if best is None or _valid(strain) > _valid(best[1]):
                 best = (view, strain)
             del strain
         if best is None:
             continue
-        readings = role(GAUGES, state.label, best[0])
-        gauges = inputs.read(readings, "gauges", GaugeReadings) if readings in inputs.datasets else None
+        of_best = replace(own, view=best[0])
+        gauges = inputs.read(GAUGES_READ, GAUGES, of_best) if inputs.has(GAUGES_READ, about=of_best) else None
         yield deformed_view(merged, *best, sampling.of(merged.reason.shape), gauges)
 
 
@@ -106,5 +102,5 @@ CHAPTER = Chapter(
     needs=_needs,
     reference=_reference,
     deformed=_deformed,
-    also={GAUGES: _gauges},
+    also={GAUGES.name: _gauges},
 )

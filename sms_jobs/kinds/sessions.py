@@ -8,7 +8,8 @@ from datetime import datetime
 from itertools import combinations
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.kind import Need
+from sms_jobs.kinds.kind import CALIBRATION, Inputs, Need, Port
+from sms_jobs.kinds.products import BAR, BOARD, CALIBRATED, QUALITY, Product, R
 from sms_jobs.records.artefacts import Artefact, BallBar
 from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Subject
 from sms_jobs.records.sensors import SensorFormat
@@ -18,7 +19,11 @@ OBSERVE_BOARD = "observe-board"
 CALIBRATE_BOARDS = "calibrate-boards"
 OBSERVE_BAR = "observe-bar"
 CALIBRATE = "calibrate"
-OBSERVATION = "observation"
+OBSERVED_BOARDS = Port("board", OBSERVE_BOARD, (BOARD,), several=True)
+OBSERVED_BARS = Port("bar", OBSERVE_BAR, (BAR,), several=True)
+START = Port("start", CALIBRATION, (CALIBRATED, QUALITY))
+"""A calibration to begin with."""
+START_OF_BOARDS = START.made_by(CALIBRATE_BOARDS)
 """Name of the record that `observe-board` and `observe-bar` make."""
 
 
@@ -120,15 +125,20 @@ def every_view(campaign: Campaign, states: Iterable[LoadState]) -> tuple[Subject
     return tuple(Subject(campaign.name, s.label, p) for s in states for p in campaign.views)
 
 
-def observations_of(campaign: Campaign, kind: str, states: Iterable[LoadState]) -> Iterable[Need]:
+def observations_of(campaign: Campaign, port: Port, states: Iterable[LoadState]) -> Iterable[Need]:
     """Return the need for what every view observed in some states."""
-    for subject in every_view(campaign, states):
-        yield Need(role_of(kind, subject.state or "", subject.view or ""), kind, subject)
+    return map(port.of, every_view(campaign, states))
 
 
-def role_of(kind: str, state: str, view: str) -> str:
-    """Return the role of an observation among the inputs of a calibration."""
-    return f"{kind}/{state}/{view}"
+def observed(inputs: Inputs, plan: SessionPlan, port: Port, product: Product[R]) -> dict[str, list[R]]:
+    """Return what every view observed, by pose."""
+    found: dict[str, list[R]] = {}
+    for pose in plan.poses:
+        for view in plan.views:
+            own = Subject(plan.name, pose.label, view)
+            if inputs.has(port, about=own):
+                found.setdefault(pose.label, []).append(inputs.read(port, product, own))
+    return found
 
 
 def blur_name(camera: str) -> str:

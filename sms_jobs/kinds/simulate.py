@@ -26,6 +26,7 @@ from sms_jobs.kinds.kind import (
     Scope,
     no_needs,
 )
+from sms_jobs.kinds.products import MEASURED
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.measurement import UNTIMED, FringeSequence, Measurement
 from sms_jobs.records.scene import Deformation, Scene
@@ -120,7 +121,7 @@ def run(inputs: Inputs, parameters: SimulateParameters, progress: Progress) -> I
         progress(number / len(task.views), f"recording {view}")
         measurement = _recorded(rig, task, view, parameters, inputs.threads)
         subject = Subject(inputs.subject.campaign, task.state, view)
-        yield DatasetOutput(subject, {"measurement": measurement}, _statistics(measurement))
+        yield DatasetOutput(subject, {MEASURED: measurement}, _statistics(measurement))
     progress(1.0, f"recorded {len(task.views)} views")
 
 
@@ -158,6 +159,8 @@ KIND = Kind(
     version=3,
     scope=Scope.STATE,
     parameters=SimulateParameters,
+    inputs=(),
+    outputs=(MEASURED,),
     needs=no_needs,
     run=run,
     subjects=simulated_states,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
@@ -14,15 +15,17 @@ from sms_jobs.kinds.kind import (
     Need,
     Output,
     Parameters,
+    Port,
     Progress,
     Scope,
     deformed_tuples,
 )
+from sms_jobs.kinds.products import CLOUD, DISPLACEMENT, REGIONS, STRAIN
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.strain import independent_equivalent, surface_strain
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import DisplacementField, PointCloud, Regions, StrainField, StrainMeasure
+from sms_jobs.records.fields import PointCloud, StrainField, StrainMeasure
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Vector
 
@@ -45,9 +48,13 @@ class StrainParameters(Parameters):
     )
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    yield Need("displacement", "correlate", subject)
-    yield Need("reference", "reconstruct", Subject(subject.campaign, campaign.reference.label, subject.view))
+_MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS))
+_REFERENCE = Port("reference", "reconstruct", (CLOUD,))
+
+
+def _needs(campaign: Campaign, subject: Subject, parameters: StrainParameters) -> Iterable[Need]:
+    yield _MOVED.of(subject)
+    yield _REFERENCE.of(replace(subject, state=campaign.reference.label))
 
 
 def specimen_axis(campaign: Campaign, subject: Subject) -> Vector:
@@ -60,9 +67,9 @@ def specimen_axis(campaign: Campaign, subject: Subject) -> Vector:
 
 def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Iterator[Output]:
     """Differentiate the stored displacement over the stored shape; nothing is correlated again."""
-    moved = inputs.read("displacement", "displacement", DisplacementField)
-    regions = inputs.read("displacement", "regions", Regions)
-    cloud = inputs.read("reference", "cloud", PointCloud)
+    moved = inputs.read(_MOVED, DISPLACEMENT)
+    regions = inputs.read(_MOVED, REGIONS)
+    cloud = inputs.read(_REFERENCE, CLOUD)
     pitch = pixel_pitch(cloud.xyz, np.where(moved.reason == Reason.VALID, regions.labels, 0), 0.5)
     found = surface_strain(
         cloud.xyz,
@@ -93,7 +100,7 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
         reason,
     )
     progress(1.0, "fitted the strain")
-    yield DatasetOutput(inputs.subject, {"strain": field}, _statistics(field, cloud))
+    yield DatasetOutput(inputs.subject, {STRAIN: field}, _statistics(field, cloud))
 
 
 def _statistics(field: StrainField, cloud: PointCloud) -> dict[str, float]:
@@ -116,6 +123,8 @@ KIND = Kind(
     version=3,
     scope=Scope.TUPLE,
     parameters=StrainParameters,
+    inputs=(_MOVED, _REFERENCE),
+    outputs=(STRAIN,),
     needs=_needs,
     run=run,
     subjects=deformed_tuples,

@@ -15,17 +15,19 @@ from sms_jobs.kinds.kind import (
     Need,
     Output,
     Parameters,
+    Port,
     Progress,
     Scope,
     deformed_images,
     deformed_images_alone,
 )
 from sms_jobs.kinds.planes import as_surface
+from sms_jobs.kinds.products import PLANAR_DISPLACEMENT, PLANAR_STRAIN
 from sms_jobs.kinds.valid_parts import fractions, textured
 from sms_jobs.metrology.deformation.strain import independent_equivalent, surface_strain
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import StrainMeasure
-from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
+from sms_jobs.records.planar import PlanarStrain
 from sms_jobs.records.reasons import Reason
 
 
@@ -43,13 +45,16 @@ class StrainImagesParameters(Parameters):
     )
 
 
-def _needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
-    yield Need("displacement", "correlate-images", subject)
+_MOVED = Port("displacement", "correlate-images", (PLANAR_DISPLACEMENT,))
+
+
+def _needs(campaign: Campaign, subject: Subject, parameters: StrainImagesParameters) -> Iterable[Need]:
+    yield _MOVED.of(subject)
 
 
 def run(inputs: Inputs, parameters: StrainImagesParameters, progress: Progress) -> Iterator[Output]:
     """Differentiate the stored displacement; nothing is correlated again."""
-    moved = inputs.read("displacement", "displacement", PlanarDisplacement)
+    moved = inputs.read(_MOVED, PLANAR_DISPLACEMENT)
     gauge = parameters.gauge_length_px
     if parameters.gauge_length_mm is not None:
         if moved.mm_per_px is None:
@@ -96,7 +101,7 @@ def run(inputs: Inputs, parameters: StrainImagesParameters, progress: Progress) 
             "median_sigma_strain": float(np.median(field.sigma[:, valid])),
         }
     progress(1.0, "fitted the strain")
-    yield DatasetOutput(inputs.subject, {"strain": field}, statistics)
+    yield DatasetOutput(inputs.subject, {PLANAR_STRAIN: field}, statistics)
 
 
 KIND = Kind(
@@ -105,6 +110,8 @@ KIND = Kind(
     version=2,
     scope=Scope.TUPLE,
     parameters=StrainImagesParameters,
+    inputs=(_MOVED,),
+    outputs=(PLANAR_STRAIN,),
     needs=_needs,
     run=run,
     subjects=deformed_images,

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.kinds.correlate_parameters import CorrelateParameters
-from sms_jobs.kinds.kind import Inputs
+from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Port
+from sms_jobs.kinds.products import CLOUD, MEASURED, PHASE
 from sms_jobs.metrology.deformation.correlation import Noise
 from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
 from sms_jobs.metrology.images.segmentation import ContinuousRegions, label_regions, pixel_footprint
 from sms_jobs.metrology.images.smoothing import noise_after_smoothing, smooth
+from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps, PointCloud
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
@@ -29,6 +32,18 @@ class TexturedState:
     cloud: PointCloud
     regions: ContinuousRegions
     of_interest: NDArray[np.bool_]
+
+
+class StatePorts(NamedTuple):
+    """Where the shape of a state comes in, and its frames."""
+
+    shape: Port
+    frames: Port
+
+
+def state_ports(shape: str, frames: str) -> StatePorts:
+    """Return the ports of a state, by their names."""
+    return StatePorts(Port(shape, "reconstruct", (CLOUD, PHASE)), Port(frames, MEASUREMENT, (MEASURED,)))
 
 
 def interior_of(labels: NDArray[np.int32], parameters: CorrelateParameters) -> NDArray[np.bool_]:
@@ -51,21 +66,20 @@ def matched_labels(
 
 def read_state(
     inputs: Inputs,
-    shape_role: str,
-    frames_role: str,
+    ports: StatePorts,
     sensor: Sensor,
     parameters: CorrelateParameters,
     *,
     of_interest: bool,
 ) -> TexturedState:
     """Read one state, choose its texture and find its regions, all or those of interest."""
-    cloud = inputs.read(shape_role, "cloud", PointCloud)
+    cloud = inputs.read(ports.shape, CLOUD)
     chosen = np.ones(cloud.reason.shape, dtype=bool)
     if of_interest and parameters.region_of_interest:
         chosen = inside_outlines(parse_outlines(parameters.region_of_interest), cloud.reason.shape)
     measured = cloud.reason == Reason.VALID
     valid = measured & chosen
-    smoothed, noise = read_texture(inputs, shape_role, frames_role, parameters, measured, valid)
+    smoothed, noise = read_texture(inputs, ports, parameters, measured, valid)
     if parameters.regions == "none":
         return TexturedState(smoothed, noise, cloud, _one_region(valid), chosen)
     regions = label_regions(
@@ -81,22 +95,23 @@ def read_state(
 
 def read_texture(
     inputs: Inputs,
-    shape_role: str,
-    frames_role: str,
+    ports: StatePorts,
     parameters: CorrelateParameters,
     measured: NDArray[np.bool_],
     of_interest: NDArray[np.bool_],
+    about: Subject | None = None,
 ) -> tuple[NDArray[np.floating], Noise]:
     """Read the texture of a state, filtered, and its noise.
 
-    `measured` and `of_interest`, (rows, columns), are the pixels with a shape and those whose noise it is.
+    `measured` and `of_interest`, (rows, columns), are the pixels with a shape and those whose noise it is;
+    `about` says of what, where the ports have several.
     """
-    measurement = inputs.read(frames_role, "measurement", Measurement)
+    measurement = inputs.read(ports.frames, MEASURED, about)
     if parameters.texture == "white":
         texture: NDArray[np.floating] = measurement.texture.astype(np.float64)
         noise = Noise(measurement.read_noise**2, measurement.gain)
     else:
-        phase = inputs.read(shape_role, "phase", PhaseMaps)
+        phase = inputs.read(ports.shape, PHASE, about)
         texture = phase.mean_intensity
         noise = average_noise(measurement, phase, measured)
     smoothed = smooth(texture, parameters.smoothing_px)

@@ -61,7 +61,7 @@ def written(folder: Path) -> Path:
     subject, archive = Subject("coupon"), Archive(folder / "archive")
     with ExitStack() as stack:
         datasets = {}
-        for place, need in enumerate(report.KIND.needs(campaign, subject)):
+        for place, need in enumerate(report.KIND.needs(campaign, subject, report.ReportParameters())):
             made = Provenance(
                 need.source, 1, need.subject, f"{place:032x}", 1, WHEN, {}, (), "0.1", "here", "me"
             )

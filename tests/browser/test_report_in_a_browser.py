@@ -15,6 +15,7 @@ from support.report_results import campaign, run_on_results
 
 from sms_jobs.archive import Archive
 from sms_jobs.kinds import report
+from sms_jobs.kinds.products import MERGED
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import MergedField
 from sms_jobs.records.quantity import SYMMETRIC
@@ -90,7 +91,7 @@ def merged(folder: Path, state: str) -> MergedField:
     archive = Archive(folder / "archive")
     (path,) = (folder / "archive" / "plate" / state).glob("merge-*.h5")
     with archive.open_unrecorded(str(path.relative_to(folder / "archive"))) as dataset:
-        return dataset.read("C1", MergedField)
+        return dataset.read(MERGED.of("C1").stored_as, MergedField)
 
 
 def test_the_page_asks_for_nothing_and_runs_no_stranger(page: Browser, folder: Path) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sms_jobs.bench.in_memory import InMemory, unheard
 from sms_jobs.kinds import calibrate, calibrate_boards, observe_bar, observe_board, simulate
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs
-from sms_jobs.kinds.sessions import OBSERVATION, bar_states, board_states, every_view
+from sms_jobs.kinds.sessions import bar_states, board_states, every_view
 from sms_jobs.kinds.simulate import recipe
 from sms_jobs.metrology.calibration.pair_points import meet_rays
 from sms_jobs.metrology.geometry.camera import project, ray_directions
@@ -139,11 +139,11 @@ class SessionInMemory:
 
     def put(self, kind: str, subject: Subject, observation: BoardObservation | BarObservation) -> None:
         """Take an observation as the result of a job."""
-        self.records[kind, str(subject)] = {OBSERVATION: observation}
+        self.records[kind, str(subject)] = {"observation": observation}
 
     def observation(self, kind: str, state: str, view: str) -> Any:
         """Return what a view observed in a state."""
-        return self.records[kind, f"{self.campaign.name}/{state}/{view}"][OBSERVATION]
+        return self.records[kind, f"{self.campaign.name}/{state}/{view}"]["observation"]
 
     def changed(
         self, kind: str, change: Callable[[Any], Any], states: Iterable[str] = (), views: Iterable[str] = ()
@@ -155,7 +155,7 @@ class SessionInMemory:
             if name != kind or (states and subject.state not in states):
                 continue
             if not views or subject.view in views:
-                records[name, text] = {OBSERVATION: change(held[OBSERVATION])}
+                records[name, text] = {"observation": change(held["observation"])}
         return SessionInMemory(self.campaign, records)
 
     def copy(self) -> SessionInMemory:
@@ -178,12 +178,13 @@ class SessionInMemory:
     def run(self, module: Any, subject: Subject, threads: int = 2, **options: Any) -> Mapping[str, Any]:
         """Run a kind of the session; return its records."""
         kind = module.KIND
+        parameters = kind.parameters(**options)
         datasets = {
             need.role: InMemory(need.subject, self.records[need.source, str(need.subject)])
-            for need in kind.needs(self.campaign, subject)
+            for need in kind.checked_needs(self.campaign, subject, parameters)
         }
         inputs = Inputs(subject, kind.context(self.campaign, subject), datasets, threads)
-        for output in kind.run(inputs, kind.parameters(**options), unheard):
+        for output in map(kind.checked, kind.run(inputs, parameters, unheard)):
             if isinstance(output, DatasetOutput):
                 self.records[kind.name, str(subject)] = output.records
                 self.statistics[kind.name, str(subject)] = output.statistics

@@ -13,6 +13,7 @@ import numpy as np
 
 from sms_jobs.archive import Archive, Provenance
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DocumentOutput, Inputs, Need
+from sms_jobs.kinds.products import MERGED
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.assessment import Assessment, Errors
@@ -83,7 +84,9 @@ def records_for(need: Need, size: tuple[int, int]) -> Mapping[str, Any]:
     if need.source == "merge":
         names = np.ones(size, np.uint8)
         fields = {
-            c: MergedField(c, ("C1P1", "C1P2"), 0.012, shift, np.stack([x, y, z]), covariance, names, reason)
+            MERGED.of(c).stored_as: MergedField(
+                c, ("C1P1", "C1P2"), 0.012, shift, np.stack([x, y, z]), covariance, names, reason
+            )
             for c in CAMERAS
         }
         return {**fields, "mesh": mesh()}
@@ -117,7 +120,7 @@ def run_on_results(
     with ExitStack() as stack:
         datasets = {}
         parameters = kind.parameters(**given)
-        for place, need in enumerate(kind.all_needs(campaign, subject, parameters)):
+        for place, need in enumerate(kind.checked_needs(campaign, subject, parameters)):
             made = Provenance(
                 need.source,
                 1,

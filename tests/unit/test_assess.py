@@ -104,7 +104,7 @@ def assessed(subject: Subject, **records: Any) -> tuple[Assessment, dict[str, fl
     datasets["measurement"] = Held(subject, {"measurement": measurement(subject.state or "")})
     if subject != REFERENCE:
         datasets["reference"] = Held(REFERENCE, {"measurement": measurement("S00")})
-    assert set(datasets) == {need.role for need in KIND.needs(CAMPAIGN, subject)}
+    assert set(datasets) == {need.role for need in KIND.needs(CAMPAIGN, subject, KIND.parameters())}
     (output,) = KIND.run(
         Inputs(subject, None, datasets), AssessParameters(), lambda fraction, message="": None
     )

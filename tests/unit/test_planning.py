@@ -96,7 +96,7 @@ def test_what_is_needed_of_another_campaign_must_be_there() -> None:
     def nothing_of_others(need: Need) -> Existing | None:
         return everything_exists(need) if need.subject.campaign == "hat" else None
 
-    with pytest.raises(NotFound, match="needs the measurement of other/S00/C1P1"):
+    with pytest.raises(NotFound, match="needs the reconstruct of other/S00/C1P1"):
         plan(CAMPAIGN, requests, nothing_of_others)
 
 

@@ -115,7 +115,7 @@ def test_only_campaigns_of_the_virtual_rig_can_be_recorded() -> None:
 
 def test_it_makes_measurements_from_nothing() -> None:
     assert KIND.makes == MEASUREMENT
-    assert not list(KIND.needs(CAMPAIGN, Subject("plate", "S00")))
+    assert not list(KIND.needs(CAMPAIGN, Subject("plate", "S00"), KIND.parameters()))
     assert [str(s) for s in default_subjects(KIND, CAMPAIGN)] == ["plate/S00", "plate/S01"]
     assert KIND.repeatable(SimulateParameters())
 

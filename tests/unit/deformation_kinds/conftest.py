@@ -50,7 +50,7 @@ class Plate:
     ) -> DatasetOutput:
         """Run a kind on what its needs name."""
         chosen = parameters or kind.parameters()
-        needs = kind.all_needs(self.campaign, subject, chosen)
+        needs = kind.checked_needs(self.campaign, subject, chosen)
         datasets = {need.role: self.find(need) for need in needs}
         inputs = Inputs(subject, kind.context(self.campaign, subject), datasets, threads)
         done: list[float] = []
@@ -58,7 +58,7 @@ class Plate:
         def progress(fraction: float, message: str = "") -> None:
             done.append(fraction)
 
-        outputs = list(kind.run(inputs, chosen, progress))
+        outputs = [kind.checked(output) for output in kind.run(inputs, chosen, progress)]
         assert done == sorted(done)
         assert done[-1] == 1.0
         assert len(outputs) == 1

@@ -112,9 +112,9 @@ def test_a_plate_that_turns_is_followed(turning_plate: Any, reference: Any) -> N
     found = replace(turning_plate, results=dict(turning_plate.results))
     chosen = CorrelateParameters(reference=reference, spacing_px=6)
     first, second = (found.subject(label, VIEW) for label in ("S01", "S02"))
-    roles = {need.role for need in correlate.KIND.all_needs(found.campaign, second, chosen)}
+    roles = {need.role for need in correlate.KIND.checked_needs(found.campaign, second, chosen)}
     assert {"previous", "previous_measurement", "previous_shape"} < roles
-    assert len(correlate.KIND.all_needs(found.campaign, first, chosen)) == len(roles) - 3
+    assert len(correlate.KIND.checked_needs(found.campaign, first, chosen)) == len(roles) - 3
     found.keep(correlate.KIND, first, chosen)
     output = found.run(correlate.KIND, second, chosen)
     field, matches = output.records["displacement"], output.records["matches"]

@@ -14,7 +14,7 @@ from sms_jobs.records.reasons import Reason
 
 
 def test_the_merged_field_is_nearer_to_the_truth_than_its_pairs(plate: Any) -> None:
-    merged = plate.results["merge", plate.subject("S01")]["C1"]
+    merged = plate.results["merge", plate.subject("S01")]["merged_C1"]
     truth = plate.truth("C1P1").displacement
     views = [plate.results["correlate", plate.subject("S01", p)]["displacement"] for p in merged.views]
     both = (merged.contributors == 2) & np.isfinite(truth[0])
@@ -33,7 +33,7 @@ def test_the_merged_field_is_nearer_to_the_truth_than_its_pairs(plate: Any) -> N
 
 def test_the_merged_sigma_is_that_of_the_error(plate: Any) -> None:
     records = plate.results["merge", plate.subject("S01")]
-    merged, mesh = records["C1"], records["mesh"]
+    merged, mesh = records["merged_C1"], records["mesh"]
     truth = plate.truth("C1P1")
     error = np.sum((merged.displacement - truth.displacement) ** 2, axis=0)
     both = (merged.contributors == 2) & np.isfinite(error)
@@ -49,7 +49,7 @@ def test_the_merged_sigma_is_that_of_the_error(plate: Any) -> None:
 
 
 def test_every_value_is_known_or_has_a_reason(plate: Any) -> None:
-    merged = plate.results["merge", plate.subject("S01")]["C1"]
+    merged = plate.results["merge", plate.subject("S01")]["merged_C1"]
     valid = merged.reason == Reason.VALID
     np.testing.assert_array_equal(valid, merged.contributors > 0)
     for values in (merged.displacement, merged.xyz, merged.covariance):
@@ -58,7 +58,7 @@ def test_every_value_is_known_or_has_a_reason(plate: Any) -> None:
 
 def test_the_mesh_covers_the_plate_and_looks_outwards(plate: Any) -> None:
     records = plate.results["merge", plate.subject("S01")]
-    assert list(records) == ["C1", "mesh"]
+    assert list(records) == ["merged_C1", "mesh"]
     mesh = records["mesh"]
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
@@ -95,5 +95,5 @@ def test_nothing_measured_gives_an_empty_mesh_and_no_error(plate: Any) -> None:
         results[key] = {**results[key], "displacement": lost}
     output = replace(plate, results=results).run(merge.KIND, plate.subject("S01"))
     assert len(output.records["mesh"].faces) == 0
-    assert (output.records["C1"].reason == Reason.NO_MATCH).all()
+    assert (output.records["merged_C1"].reason == Reason.NO_MATCH).all()
     assert output.statistics["valid_fraction_C1"] == output.statistics["valid_fraction_of_image_C1"] == 0.0

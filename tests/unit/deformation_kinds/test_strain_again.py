@@ -37,6 +37,6 @@ def test_neither_reads_frames_or_textures(plate: Any) -> None:
         (gauges.KIND, GaugesParameters(gauge=("G1 x=0 y=0 length=40",))),
     )
     for kind, chosen in asked:
-        sources = {need.source for need in kind.all_needs(plate.campaign, subject, chosen)}
+        sources = {need.source for need in kind.checked_needs(plate.campaign, subject, chosen)}
         assert sources == {"correlate", "reconstruct"}
         assert plate.run(kind, subject, chosen).records

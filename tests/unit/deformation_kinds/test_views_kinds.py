@@ -165,7 +165,7 @@ def test_the_views_differ_by_what_is_stated(views: tuple[Shelf, Shelf]) -> None:
     subject = Subject("left", "S01")
     datasets = {
         need.role: InMemory(need.subject, left.records[need.source, need.subject])
-        for need in combine.KIND.all_needs(left.campaign, subject, parameters)
+        for need in combine.KIND.checked_needs(left.campaign, subject, parameters)
     }
     (output,) = combine.KIND.run(
         Inputs(subject, None, datasets), parameters, lambda fraction, message="": None

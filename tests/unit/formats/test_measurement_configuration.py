@@ -88,7 +88,7 @@ MISTAKES = [
     (
         "<fx>1900</fx>",
         "<fx>-1</fx>",
-        "scene.sensors[P1].fx should be greater than 0",
+        "scene.sensors[P1].fx should be greater than or equal to 1",
         "calibration/sensors/sensor[3]/fx",
     ),
     (

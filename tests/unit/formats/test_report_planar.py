@@ -112,7 +112,8 @@ def test_where_nothing_was_found_there_is_a_view_all_the_same() -> None:
 def test_a_report_of_a_camera_alone_wants_no_calibration() -> None:
     states = tuple(LoadState(label) for label in ("00", "01"))
     campaign = Campaign("coupon", Specimen("coupon"), "camera", states, ("C1",))
-    sources = [need.source for need in report.KIND.needs(campaign, Subject("coupon"))]
+    needs = report.KIND.checked_needs(campaign, Subject("coupon"), report.ReportParameters())
+    sources = [need.source for need in needs]
     assert sorted(sources) == ["correlate-images", "measurement", "measurement", "strain-images"]
 
 
@@ -130,5 +131,5 @@ def test_gauges_that_were_read_can_be_asked_for() -> None:
     states = tuple(LoadState(label) for label in ("00", "01"))
     campaign = Campaign("coupon", Specimen("coupon"), "camera", states, ("C1",))
     asked = report.ReportParameters(also=("gauges",))
-    needs = report.KIND.all_needs(campaign, Subject("coupon"), asked)
+    needs = report.KIND.checked_needs(campaign, Subject("coupon"), asked)
     assert [str(need.subject) for need in needs if need.source == "gauges"] == ["coupon/01/C1"]

@@ -17,9 +17,8 @@ from sms_jobs.cli.importing import app
 from sms_jobs.errors import SmsError
 from sms_jobs.formats.importers.board_points import COLUMNS, PROJECTOR_COLUMNS, read_points
 from sms_jobs.jobs.reindexing import reindex, unknown_files
-from sms_jobs.kinds.sessions import OBSERVATION
+from sms_jobs.kinds.products import BOARD
 from sms_jobs.records.artefacts import Chessboard
-from sms_jobs.records.observations import BoardObservation
 
 HEADER = ",".join(COLUMNS + PROJECTOR_COLUMNS) + "\n"
 SIZES = ("--size", "C1=640x480", "--size", "P1=800x600")
@@ -70,7 +69,7 @@ def test_points_stand_where_a_job_would_have_put_them(file: Path, tmp_path: Path
         assert campaign.states[0].artefact == "board"
         (path,) = (p for p in services.archive.files() if "/A/" in p)
         with services.archive.open_unrecorded(path) as dataset:
-            assert len(dataset.read(OBSERVATION, BoardObservation).point) == 12
+            assert len(dataset.read(BOARD.name, BOARD.record).point) == 12
         # The archive alone tells all of it again.
         Table.metadata.drop_all(services.catalogue.engine)
         with services.catalogue.writing() as session:

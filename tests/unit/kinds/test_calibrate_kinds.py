@@ -17,7 +17,6 @@ from support.calibration_sessions import SessionInMemory, observed_session, poin
 
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.kinds import calibrate
-from sms_jobs.kinds.calibrate_boards import LAST
 from sms_jobs.kinds.sessions import CALIBRATE, OBSERVE_BAR, OBSERVE_BOARD, bar_states
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.calibration import CalibrationQuality
@@ -272,8 +271,9 @@ def test_results_do_not_depend_on_threads() -> None:
 
 def test_what_a_calibration_needs_follows_from_the_session() -> None:
     def roles(campaign: Campaign) -> set[str]:
-        found = {n.role for n in calibrate.KIND.needs(campaign, Subject(campaign.name))}
-        return {r for r in found if "/" not in r}
+        subject, parameters = Subject(campaign.name), calibrate.KIND.parameters()
+        needs = calibrate.KIND.checked_needs(campaign, subject, parameters)
+        return {need.role for need in needs if not need.port.several}
 
     campaign = session().campaign
     assert campaign.session is not None
@@ -281,5 +281,5 @@ def test_what_a_calibration_needs_follows_from_the_session() -> None:
     bars = {"states": bar_states(campaign)}
     assert roles(campaign) == {"start"}
     assert roles(replace(campaign, **bars)) == {"start"}
-    assert roles(on_site) == {"start", LAST}
-    assert roles(replace(on_site, **bars)) == {LAST}
+    assert roles(on_site) == {"start", "last"}
+    assert roles(replace(on_site, **bars)) == {"last"}

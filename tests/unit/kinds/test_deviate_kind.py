@@ -83,7 +83,7 @@ def run(tmp_path: Path) -> Run:
     def run_kind(kind: Any, **given: Any) -> list[Any]:
         with ExitStack() as stack:
             datasets = {}
-            for place, need in enumerate(kind.needs(CAMPAIGN, STATE)):
+            for place, need in enumerate(kind.checked_needs(CAMPAIGN, STATE, kind.parameters(**given))):
                 job = f"{place:032x}"
                 made = Provenance(
                     need.source, 1, need.subject, job, 1, WHEN, {}, (), "0.1", "host", "operator"
@@ -110,7 +110,7 @@ def test_a_dent_is_found_with_a_verdict(run: Run, tmp_path: Path) -> None:
     data, picture = run(deviate.KIND, **GIVEN, lower_mm=-0.4, upper_mm=0.4)
     assert isinstance(data, DatasetOutput)
     assert isinstance(picture, DocumentOutput)
-    assert list(data.records) == ["C1", "registration", "mesh"]
+    assert list(data.records) == ["deviation_C1", "registration", "mesh"]
     field, found, joined = (data.records[name] for name in data.records)
     assert isinstance(field, DeviationField)
     assert isinstance(found, SurfaceRegistration)

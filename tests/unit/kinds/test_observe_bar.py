@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from support.calibration_sessions import SessionInMemory, observed_session, recorded_session, simulation
 
 from sms_jobs.kinds import observe_bar
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Need
 from sms_jobs.kinds.sessions import CALIBRATE_BOARDS, OBSERVE_BAR, bar_states, blur_name, every_view
 from sms_jobs.metrology.targets.sphere_blur import sphere_image_in_projector
 from sms_jobs.records.calibration import CalibrationQuality
@@ -60,6 +60,10 @@ def about_sphere(number: int, reach_px: float = 26.0) -> NDArray[np.bool_]:
     x, y = true_bar(simulation(recorded_session().campaign, ORDINARY)).camera_px[number - 1]
     rows, columns = np.mgrid[:256, :256]
     return np.asarray(np.hypot(columns - x, rows - y) < reach_px)
+
+
+def needs_of(session: SessionInMemory, subject: Subject) -> tuple[Need, ...]:
+    return observe_bar.KIND.checked_needs(session.campaign, subject, observe_bar.ObserveBarParameters())
 
 
 def test_points_scatter_about_the_exact_image_as_stated() -> None:
@@ -120,9 +124,9 @@ def test_a_start_without_quality_tells_no_blur() -> None:
 def test_ordinary_poses_need_the_special_ones_and_search_little() -> None:
     session = observed_session()
     assert observe_bar.special_labels(session.campaign) == ("S01", "S02", "S03")
-    roles = {n.role for n in observe_bar.KIND.needs(session.campaign, ORDINARY)}
+    roles = {n.role for n in needs_of(session, ORDINARY)}
     assert roles == {"measurement", "start", "home", "pan", "tilt"}
-    assert {n.role for n in observe_bar.KIND.needs(session.campaign, ORDINARY_FIRST)} == {
+    assert {n.role for n in needs_of(session, ORDINARY_FIRST)} == {
         "measurement",
         "start",
     }
@@ -213,7 +217,7 @@ def test_points_are_as_many_as_asked_for_and_do_not_depend_on_threads() -> None:
 def test_a_session_of_a_bar_alone_starts_from_the_calibration_that_is_valid() -> None:
     recorded = recorded_session()
     session = recorded.showing(lambda s: s.artefact == "bar")
-    needs: dict[str, Any] = {n.role: n for n in observe_bar.KIND.needs(session.campaign, ORDINARY_FIRST)}
+    needs: dict[str, Any] = {n.role: n for n in needs_of(session, ORDINARY_FIRST)}
     assert needs["start"].source == CALIBRATION
     session.know({"calibration": recorded.records[CALIBRATE_BOARDS, "session"]["calibration"]})
     found = session.run(observe_bar, ORDINARY_FIRST, blur_px=0.577)["observation"]

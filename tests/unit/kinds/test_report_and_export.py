@@ -17,7 +17,7 @@ from support.report_results import campaign, grid, records_for, run_on_results
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds import all_kinds, export, report, report_state
-from sms_jobs.kinds.kind import MEASUREMENT, DocumentOutput, Need
+from sms_jobs.kinds.kind import MEASUREMENT, DocumentOutput, Port
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Mesh
 
@@ -95,7 +95,7 @@ def test_everything_that_people_wrote_is_escaped(run: Run) -> None:
 
 
 def test_a_real_campaign_has_no_table_of_errors(run: Run) -> None:
-    needs = list(report.needs(campaign(virtual=False), Subject("plate")))
+    needs = list(report.needs(campaign(virtual=False), Subject("plate"), report.ReportParameters()))
     assert "assess" not in {need.source for need in needs}
     ((_, path),) = run(report.KIND, campaign(virtual=False), Subject("plate"))
     assert "Accuracy" not in path.read_text(encoding="utf-8")
@@ -189,7 +189,7 @@ def test_export_gives_each_vertex_the_texture_of_its_pixel(run: Run) -> None:
     of_pixels = Mesh(("u",), ("mm",), corners, np.array([[0, 1, 2]], np.int32), np.ones((1, 3)))
     subject = Subject("plate", "S02")
     ((_, path),) = run(export.KIND, campaign(), subject, formats=("npz",), instead={"mesh": of_pixels})
-    need = Need("", MEASUREMENT, Subject("plate", "S00", "C1P1"))
+    need = Port("", MEASUREMENT, ()).of(Subject("plate", "S00", "C1P1"))
     texture = records_for(need, (45, 60))["measurement"].texture
     with np.load(path) as found:
         # Full scale is 4095; single precision.

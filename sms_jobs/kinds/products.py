@@ -1,0 +1,102 @@
+"""What jobs give each other: every record of a result, its name in the file and its class."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+from sms_jobs.records.alignment import ViewAlignment
+from sms_jobs.records.assessment import Assessment
+from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
+from sms_jobs.records.diagnosis import ResponseDiagnosis
+from sms_jobs.records.fields import (
+    DisplacementField,
+    ImageMatches,
+    MergedField,
+    Mesh,
+    PhaseMaps,
+    PointCloud,
+    Regions,
+    ReturnMaps,
+    StrainField,
+)
+from sms_jobs.records.gauges import GaugeReadings
+from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.observations import BarObservation, BoardObservation
+from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
+from sms_jobs.records.recording import InterruptedRecording, Recording
+from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.surfaces import DeviationField, ReferenceSurface, SurfaceRegistration
+
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Product(Generic[R]):
+    """A record of a result.
+
+    Attributes
+    ----------
+    name
+        In the file.
+    record
+        Its class.
+    key
+        Which one, where a file has several of a name, such as one for each camera.
+    """
+
+    name: str
+    record: type[R]
+    key: str = ""
+
+    @property
+    def stored_as(self) -> str:
+        """The name of the record in the file."""
+        return f"{self.name}_{self.key}" if self.key else self.name
+
+    @property
+    def any_key(self) -> Product[R]:
+        """The same whatever the key."""
+        return replace(self, key="")
+
+    def of(self, key: str) -> Product[R]:
+        """Return the one of several with a key."""
+        return replace(self, key=key)
+
+    def described(self) -> dict[str, str]:
+        """Return its name and class, for people and programs."""
+        return {"name": self.name, "record": self.record.__name__}
+
+    def among(self, names: Iterable[str]) -> tuple[Product[R], ...]:
+        """Return those of this name that a file with records of some names has, in its order."""
+        parted = [name.partition("_") for name in names]
+        return tuple(self.of(key) for name, _, key in parted if name == self.name)
+
+
+MEASURED = Product("measurement", Measurement)
+RECORDED = Product("recording", Recording)
+INTERRUPTED = Product("interrupted", InterruptedRecording)
+CALIBRATED = Product("calibration", Calibration)
+QUALITY = Product("quality", CalibrationQuality)
+UNCERTAINTY = Product("uncertainty", CalibrationUncertainty)
+BOARD = Product("observation", BoardObservation)
+BAR = Product("observation", BarObservation)
+CLOUD = Product("cloud", PointCloud)
+PHASE = Product("phase", PhaseMaps)
+RETURNS = Product("returns", ReturnMaps)
+RESPONSE = Product("response", ResponseDiagnosis)
+DISPLACEMENT = Product("displacement", DisplacementField)
+PLANAR_DISPLACEMENT = Product("displacement", PlanarDisplacement)
+MATCHES = Product("matches", ImageMatches)
+REGIONS = Product("regions", Regions)
+STRAIN = Product("strain", StrainField)
+PLANAR_STRAIN = Product("strain", PlanarStrain)
+GAUGES = Product("gauges", GaugeReadings)
+MERGED = Product("merged", MergedField)
+MESH = Product("mesh", Mesh)
+ALIGNMENT = Product("view", ViewAlignment)
+REFERENCE_SURFACE = Product("surface", ReferenceSurface)
+DEVIATION = Product("deviation", DeviationField)
+REGISTRATION = Product("registration", SurfaceRegistration)
+ASSESSMENT = Product("assessment", Assessment)
