@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import Field, SecretStr, ValidationError
+from pydantic import AfterValidator, Field, SecretStr, ValidationError
 from pydantic_settings import (
     BaseSettings,
     InitSettingsSource,
@@ -22,6 +23,21 @@ from sms_jobs.errors import ConfigurationError
 
 FILE_NAME = "sms.toml"
 _PREFIX = "SMS_"
+_LONGEST_NAME, _LONGEST_PATH = 255, 4095
+"""Bytes that Linux and macOS take at most in a name, and Linux in a path."""
+
+
+def _possible(place: Path) -> Path:
+    """Refuse what no file system has a place for, before one is asked."""
+    longest = max((len(os.fsencode(part)) for part in place.parts), default=0)
+    if longest > _LONGEST_NAME or len(os.fsencode(place)) > _LONGEST_PATH:
+        raise ValueError(
+            f"a name in it has {longest} bytes, and {_LONGEST_NAME} are possible, {_LONGEST_PATH} in all"
+        )
+    return place
+
+
+_Place = Annotated[Path, AfterValidator(_possible)]
 
 
 class Settings(BaseSettings):
@@ -64,9 +80,9 @@ class Settings(BaseSettings):
     home: Path
     database_url: SecretStr = SecretStr("")
     broker_url: SecretStr = SecretStr("")
-    archive: Path | None = None
-    spool: Path | None = None
-    environment_file: Path | None = None
+    archive: _Place | None = None
+    spool: _Place | None = None
+    environment_file: _Place | None = None
     workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=256)
     threads: int = Field(default=1, ge=1, le=256)
     lease_s: float = Field(default=30.0, ge=1.0, le=3600.0)

@@ -127,6 +127,19 @@ def test_an_archive_that_is_no_folder(home: Path, monkeypatch: pytest.MonkeyPatc
         bootstrap.initialise(home)
 
 
+@pytest.mark.parametrize("name", ["archive", "spool", "environment_file"])
+@pytest.mark.parametrize("place", ["{" * 300, "a/" * 3000])
+def test_a_place_that_no_file_system_has(
+    name: str, place: str, home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from sms_jobs import bootstrap
+
+    bootstrap.initialise(home)
+    (home / "sms.toml").write_text(f'{name} = "{place}"\n')
+    with pytest.raises(ConfigurationError, match=r"255 are possible|cannot be read"), bootstrap.services(home):
+        pass
+
+
 def test_a_covariance_of_other_parameters_is_not_taken_for_ours(rng: np.random.Generator) -> None:
     count = 2 * len(SENSOR_PARAMETERS)
     covariance = rng.standard_normal((count, count))
