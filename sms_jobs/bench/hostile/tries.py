@@ -24,7 +24,7 @@ SLOW = frozenset(
     {"data pack", "data unpack", "archive verify", "archive repair", "archive reindex", "db backup",
      "db restore", "doctor", "calibration compare", "calibration check", "campaign exact", "init"}
 )  # fmt: skip
-COSTLY = 0.2
+COSTLY = 0.08
 """How often, among the others, a command is tried that takes seconds when it is not refused."""
 
 _WRITTEN = frozenset({"out", "to", "home", "plan_out"})
