@@ -235,10 +235,11 @@ def test_hosts_are_upgraded_under_load_one_after_the_other(tmp_path: Path) -> No
         assert {job["reused_from"] for job in listed} == {None}
         files = one.answer("data", "find", "--limit", "5000")
         assert set(Counter((f["source"], f["subject"]) for f in files).values()) == {1}
-        assert Counter(f["source"] for f in files) == {"measurement": STATES, "reconstruct": STATES}
+        made_by_jobs = [f for f in files if f["source"] in ("measurement", "reconstruct")]
+        assert Counter(f["source"] for f in made_by_jobs) == {"measurement": STATES, "reconstruct": STATES}
         archive = Archive(tmp_path / "shared")
         by = Counter()
-        for file in files:
+        for file in made_by_jobs:
             made = archive.provenance(file["path"])
             assert made is not None
             by[made.host, made.program_version] += 1

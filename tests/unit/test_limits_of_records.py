@@ -136,7 +136,10 @@ def test_a_place_that_no_file_system_has(
 
     bootstrap.initialise(home)
     (home / "sms.toml").write_text(f'{name} = "{place}"\n')
-    with pytest.raises(ConfigurationError, match=r"255 are possible|cannot be read"), bootstrap.services(home):
+    with (
+        pytest.raises(ConfigurationError, match=r"255 are possible|cannot be read"),
+        bootstrap.services(home),
+    ):
         pass
 
 
