@@ -1,0 +1,58 @@
+"""Kinds take and give what they declare, and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from sms_jobs.bench.in_memory import InMemory
+from sms_jobs.kinds import all_kinds, strain
+from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Port
+from sms_jobs.kinds.products import CLOUD, MERGED, MESH, REGIONS, STRAIN
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.fields import Regions
+from sms_jobs.virtual_rig.campaigns import small_plate
+
+SUBJECT = Subject("plate", "S01", "C1P1")
+
+
+@pytest.mark.parametrize("kind", all_kinds().values(), ids=lambda kind: str(kind.name))
+def test_ports_and_products_of_a_kind_can_be_told_apart(kind: Kind[Any]) -> None:
+    # A name may stand for two sources, of which a job has one; a source and name, once.
+    assert len({(port.name, port.source) for port in kind.inputs}) == len(kind.inputs)
+    assert len({product.name for product in kind.outputs}) == len(kind.outputs)
+
+
+def test_what_is_not_declared_is_refused() -> None:
+    _, campaign = small_plate("plate")
+    silent = replace(strain.KIND, inputs=())
+    with pytest.raises(TypeError, match="strain does not declare its input displacement of correlate"):
+        silent.checked_needs(campaign, SUBJECT, strain.StrainParameters())
+    regions = Regions((), None)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="strain does not declare its output regions"):
+        strain.KIND.checked(DatasetOutput(SUBJECT, {REGIONS: regions}, {}))
+    with pytest.raises(TypeError, match="strain of strain is Regions, not StrainField"):
+        strain.KIND.checked(DatasetOutput(SUBJECT, {STRAIN: regions}, {}))
+
+
+def test_a_port_gives_only_what_it_declares() -> None:
+    port = Port("shape", "reconstruct", (CLOUD,), several=True)
+    other = replace(SUBJECT, view="C1P2")
+    datasets = {port.role(one): InMemory(one, {"cloud": one.view}) for one in (SUBJECT, other)}
+    inputs = Inputs(Subject("plate", "S01"), None, datasets)
+    assert inputs.about(port) == (SUBJECT, other)
+    assert inputs.read(port, CLOUD, other) == "C1P2"
+    assert inputs.has(port, CLOUD, other)
+    assert not inputs.has(port, MESH, other)
+    assert not inputs.has(port)
+    with pytest.raises(TypeError, match="port shape does not declare that mesh is read"):
+        inputs.read(port, MESH, other)
+
+
+def test_products_with_keys_are_found_among_names() -> None:
+    names = ["merged_C1", "mesh", "merged_C2", "merges"]
+    assert [one.key for one in MERGED.among(names)] == ["C1", "C2"]
+    assert MERGED.of("C1").stored_as == "merged_C1"
+    assert MERGED.of("C1").any_key == MERGED
