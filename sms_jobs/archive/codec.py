@@ -150,9 +150,10 @@ def checked_array(name: str, field: ArrayField, value: Any) -> Any:
             raise TypeError(f"{name} is {dtype}, but declared {field.dtype}")
         array = np.ascontiguousarray(array, dtype=dtype.newbyteorder("<")).reshape(shape)
     axes, components = field.quantity.axes, field.quantity.components
+    counts = {len(components), len(field.quantity.in_plane or components)}
     if len(shape) != len(axes):
         raise TypeError(f"{name} has shape {shape}, but is declared over {axes}")
-    if components and "component" in axes and shape[axes.index("component")] != len(components):
+    if components and "component" in axes and shape[axes.index("component")] not in counts:
         raise TypeError(f"{name} has shape {shape}, but its components are {components}")
     return array
 

@@ -182,12 +182,13 @@ class ArchivedDataset:
         about: dict[str, dict[str, dict[str, Any]]] = {}
         for name in self.names:
             arrays = layout_of(self.record_class(name)).arrays
+            units = {told["name"]: told["unit"] for told in self._manifest[name]["arrays"]}
             with ExitStack() as briefly, readable(self.path):
                 group = self._group(name, briefly)
                 about[name] = {
                     field_name: {
                         "shape": list(group[field_name].shape),
-                        "unit": field.quantity.unit,
+                        "unit": units[field_name],
                         "meaning": field.quantity.meaning,
                     }
                     for field_name, field in arrays.items()

@@ -21,7 +21,7 @@ from sms_jobs.archive.hashing import ArrayDigest, FramesHash, RecordDigest, Slab
 from sms_jobs.archive.limits import LARGEST_TEXT_BYTES
 from sms_jobs.archive.provenance import Provenance, digest, provenance_to_json
 from sms_jobs.errors import InvalidInput, OtherFormat
-from sms_jobs.records.quantity import Quantity
+from sms_jobs.records.quantity import Quantity, quantities_of
 from sms_jobs.records.reasons import Reason
 
 FORMAT = "sms-archive"
@@ -165,18 +165,19 @@ def _write_record(entry: h5py.Group, name: str, record: Any) -> RecordDigest:
         raise InvalidInput(f"'{name}' cannot be the name of a record in a file")
     group = entry.create_group(name)
     arrays: list[ArrayDigest] = []
+    known = quantities_of(record)
     for field_name, field in layout.arrays.items():
         value = getattr(record, field_name)
         if value is None and field.optional:
             continue
         array = checked_array(f"{name}.{field_name}", field, value)
         dataset = _create(group, field_name, array.shape, array.dtype, field.streamed)
-        _describe(dataset, field.quantity)
+        _describe(dataset, known[field_name])
         told: ArrayDigest = {
             "name": field_name,
             "dtype": dataset.dtype.str,
             "shape": list(dataset.shape),
-            "unit": field.quantity.unit,
+            "unit": known[field_name].unit,
             "sha256": "",
         }
         if field.streamed:

@@ -18,11 +18,12 @@ from sms_jobs.kinds.phase_task import PhaseTask
 from sms_jobs.kinds.phases import sensor_pair
 from sms_jobs.kinds.ranged_phases import transfers
 from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
+from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.images.masks import outside_box
 from sms_jobs.metrology.phase.sequences import reverse_exponential
 from sms_jobs.metrology.phase.texture_error import correct_texture
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Simulation
@@ -59,14 +60,14 @@ class Plate:
     twice: Flags
     hinge_mm: Floats
 
-    def points(self, parameters: dict[str, Any], threads: int) -> PointCloud:
+    def points(self, parameters: dict[str, Any], threads: int) -> Surface:
         """Reconstruct the plate with some parameters of the kind."""
         records = {"measurement": self.measurement, "calibration": self.calibration}
         output = run_kind(KIND, SUBJECT, records, threads, ReconstructParameters(**parameters))
-        cloud: PointCloud = output.records["cloud"]
+        cloud: Surface = output.records["surface"]
         return cloud
 
-    def peeled(self, refinements: int, threads: int) -> PointCloud:
+    def peeled(self, refinements: int, threads: int) -> Surface:
         """Reconstruct the plate by peeling, pairs by the least ray gap, masked by volume and modulation."""
         measurement, sequence, volume = self.measurement, self.measurement.sequence, self.calibration.volume
         camera, projector = (self.calibration.rig.sensor(name) for name in ("C1", "P1"))
@@ -111,22 +112,22 @@ class Plate:
         bad = outside_box(points.xyz, volume.low, volume.high) | np.isnan(points.xyz[0]) | weak | beside
         points.xyz[:, bad] = np.nan
         reason = np.where(bad, np.uint32(Reason.OUT_OF_VOLUME), np.uint32(Reason.VALID))
-        return PointCloud("C1", "P1", points.xyz, points.covariance, points.ray_gap, reason)
+        return Surface("C1P1", "mm", points.xyz, reason, points.covariance, points.ray_gap)
 
-    def off_plane(self, cloud: PointCloud) -> Floats:
+    def off_plane(self, cloud: Surface) -> Floats:
         """Return how far every point lies off the plane through those that are lit once, in mm.
 
         (rows, columns), NaN beside the plate and where nothing valid was measured.
         """
-        flat = cloud.xyz[:, self.once & (cloud.reason == Reason.VALID)]
-        off = np.tensordot(_normal(flat), cloud.xyz - flat.mean(axis=1)[:, None, None], axes=1)
+        flat = cloud.position[:, self.once & (cloud.reason == Reason.VALID)]
+        off = np.tensordot(_normal(flat), cloud.position - flat.mean(axis=1)[:, None, None], axes=1)
         return np.where(self.once | self.twice, off, np.nan)
 
-    def off_plane_sigma(self, cloud: PointCloud) -> Floats:
+    def off_plane_sigma(self, cloud: Surface) -> Floats:
         """Return the standard deviation that the points' covariance states for `off_plane`."""
-        x, y, z = _normal(cloud.xyz[:, self.once & (cloud.reason == Reason.VALID)])
+        x, y, z = _normal(cloud.position[:, self.once & (cloud.reason == Reason.VALID)])
         weights = [x * x, 2.0 * x * y, 2.0 * x * z, y * y, 2.0 * y * z, z * z]
-        variance = np.tensordot(weights, cloud.covariance.astype(np.float64), axes=1)
+        variance = np.tensordot(weights, position_covariance(cloud), axes=1)
         return np.where(self.once | self.twice, np.sqrt(np.maximum(variance, 0.0)), np.nan)
 
 
@@ -191,6 +192,6 @@ UNMASKED = {
 """Every pixel that is measured inside the volume counts, however doubtful: the thesis masks none of them."""
 
 
-def unwrapped(plate: Plate, threads: int, masks: dict[str, Any]) -> PointCloud:
+def unwrapped(plate: Plate, threads: int, masks: dict[str, Any]) -> Surface:
     """Reconstruct the plate from its frames of 32, 31, 30, 28, 24 and 16 fringes alone."""
     return only(plate, reverse_exponential(32)).points({"method": "temporal-unwrapping", **masks}, threads)

@@ -24,6 +24,7 @@ from sms_jobs.catalogue.models import (
 )
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import NotFound
+from sms_jobs.records.views import is_view, view_of
 
 _MOST_DIGITS = 18
 
@@ -43,6 +44,12 @@ class FileView:
     created_at: datetime
     recorded_at: datetime | None
     job_id: str | None
+
+    @property
+    def in_plane(self) -> bool:
+        """Whether it is about what a camera alone saw."""
+        view = self.subject.rpartition("/")[2]
+        return is_view(view) and not view_of(view).measures_shape
 
 
 def find_files(

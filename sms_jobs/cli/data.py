@@ -36,7 +36,6 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.figures import plot_record
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.measurement import Measurement
-from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
 
 app = typer.Typer(help="Measurements and results in the archive.", no_args_is_help=True)
 app.add_typer(saved_queries.app, name="query")
@@ -202,7 +201,7 @@ def plot(
             name = record or dataset.names[0]
             read: Any = dataset.read(name, dataset.record_class(name))
         behind = None
-        if isinstance(read, PlanarDisplacement | PlanarStrain):
+        if view.in_plane:
             behind = _reference_image(services, inputs)
     png = plot_record(read, field, component, behind=behind)
     writing.write_file(out, png, force)

@@ -238,7 +238,7 @@ def _records(dataset: ArchivedDataset, exporter: Exporter) -> list[str]:
     any_record = object in exporter.takes
     if meshes and (any_record or Mesh in exporter.takes):
         return meshes
-    fitting = [name for name, fields in known.items() if (fields if any_record else "xyz" in fields)]
+    fitting = [name for name, fields in known.items() if (fields if any_record else "position" in fields)]
     # If none fits, the first tells why.
     return fitting or [dataset.names[0]]
 
@@ -247,10 +247,10 @@ def _texture(dataset: ArchivedDataset, record: Any) -> Any:
     """Return the mean brightness beside a cloud, 1 at its largest; None where the file has none."""
     import numpy as np
 
-    if "phase" not in dataset.names or isinstance(record, Mesh) or not hasattr(record, "xyz"):
+    if "phase" not in dataset.names or isinstance(record, Mesh) or not hasattr(record, "position"):
         return None
     mean = dataset.read("phase", PhaseMaps).mean_intensity
-    return None if mean.shape != record.xyz.shape[1:] else mean / max(float(np.nanmax(mean)), 1e-9)
+    return None if mean.shape != record.position.shape[1:] else mean / max(float(np.nanmax(mean)), 1e-9)
 
 
 def _target(out: Path | None, name: str, force: bool) -> Path:

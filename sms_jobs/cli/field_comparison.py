@@ -19,14 +19,13 @@ from sms_jobs.cli import output, writing
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.other_fields import PointField, draw_difference, read_point_field
-from sms_jobs.formats.planar_surfaces import planar_grid, planar_mesh
+from sms_jobs.kinds.products import MESH
+from sms_jobs.metrology.geometry.planes import in_space
 from sms_jobs.records.fields import Mesh
-from sms_jobs.records.planar import PlanarDisplacement
 
 Floats: TypeAlias = NDArray[np.float64]
 
 _AXES = ("X", "Y", "Z")
-_IMAGE_STEP_PX = 4
 
 
 def compare(
@@ -69,7 +68,7 @@ def compare(
     with bootstrap.services(home) as services:
         found = difference_of(services, file, other, how)
     facts = found.facts()
-    for axis, values in zip(_AXES, found.difference[found.known].T, strict=True):
+    for axis, values in zip(_AXES, found.difference[found.known].T, strict=False):
         facts[f"mean_{axis}_mm"] = float(values.mean())
         facts[f"rms_{axis}_mm"] = float(np.sqrt(np.mean(values**2)))
     if out is not None:
@@ -99,8 +98,11 @@ class Difference:
 
     Attributes
     ----------
-    points, difference
-        (n, 3) in mm; NaN where the other has nothing near.
+    points
+        (n, 3) in mm.
+    difference
+        (n, 3) in mm, (n, 2) where what was measured lies in the plane of an image; NaN where the other has
+        nothing near.
     sigma
         (n,), stated of the measured displacement, in mm.
     alignment_rms_mm
@@ -141,7 +143,7 @@ def difference_of(services: Services, file: str, other: str, how: How) -> Differ
     from sms_jobs.metrology.deformation.comparison import free_of_motion, laid_on, values_at
     from sms_jobs.metrology.geometry.transforms import transform
 
-    mine, sigma = _merged(services, file)
+    mine, sigma, axes = _merged(services, file)
     if other.isdigit():
         theirs = _merged(services, other)[0]
     else:
@@ -151,7 +153,7 @@ def difference_of(services: Services, file: str, other: str, how: How) -> Differ
         pose, residual = laid_on(theirs.points, mine.points)
         theirs = PointField(transform(pose, theirs.points), theirs.values @ pose.matrix().T)
     difference = mine.values - values_at(theirs.points, theirs.values, mine.points, how.within_mm)
-    found = Difference(mine.points, difference, sigma, residual)
+    found = Difference(mine.points, difference[:, :axes], sigma, residual)
     met = np.count_nonzero(found.known)
     if met < 3:
         raise InvalidInput(
@@ -159,7 +161,9 @@ def difference_of(services: Services, file: str, other: str, how: How) -> Differ
             "their shapes one frame with --align, their lengths one unit with --scale-mm, or a larger "
             "--within-mm"
         )
-    return replace(found, difference=free_of_motion(mine.points, difference)) if how.free else found
+    if how.free:
+        return replace(found, difference=free_of_motion(mine.points, difference)[:, :axes])
+    return found
 
 
 def _short(value: float) -> str:
@@ -171,40 +175,28 @@ def _written(out: Path, points: Floats, difference: Floats, title: str) -> bytes
         return draw_difference(points, difference, title)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([f"{axis}_mm" for axis in _AXES] + [f"difference_{axis}_mm" for axis in _AXES])
+    parts = [f"difference_{axis}_mm" for axis, _ in zip(_AXES, difference.T, strict=False)]
+    writer.writerow([f"{axis}_mm" for axis in _AXES] + parts)
     writer.writerows(np.column_stack([points, difference]).round(7).tolist())
     return text.getvalue().encode()
 
 
-def _merged(services: Services, key: str) -> tuple[PointField, Floats]:
-    """Return the displacement of a merged result at its vertices, and its standard deviation."""
+def _merged(services: Services, key: str) -> tuple[PointField, Floats, int]:
+    """Return the displacement of a merged result at its vertices, its standard deviation, and its axes."""
     with services.catalogue.reading() as session:
         view = search.file_view(session, key)
-    if view.source == "correlate-images":
-        return _in_image(services, view)
     if view.source not in ("merge", "combine"):
-        raise InvalidInput(
-            f"file {key} is a {view.source}; choose a merged or combined result of a state, or displacement "
-            "in the image of a camera alone"
-        )
+        raise InvalidInput(f"file {key} is a {view.source}; choose a merged or combined result of a state")
     with services.archive.open(view) as dataset:
-        mesh = dataset.read("mesh", Mesh)
-    values = dict(zip(mesh.value_names, mesh.values, strict=True))
-    displacement = np.stack([values[f"displacement {axis}"] for axis in _AXES], axis=1)
-    return PointField(mesh.vertices, displacement), values["sigma of displacement"]
-
-
-def _in_image(services: Services, view: search.FileView) -> tuple[PointField, np.ndarray[Any, Any]]:
-    """Return displacement in an image as that of a flat surface in mm, X to the right and Y up."""
-    with services.archive.open(view) as dataset:
-        moved = dataset.read("displacement", PlanarDisplacement)
-    if moved.mm_per_px is None:
+        meshes = [dataset.read(one.stored_as, Mesh) for one in MESH.among(dataset.names)]
+    in_mm = [mesh for mesh in meshes if mesh.unit == "mm"]
+    if not in_mm:
         raise InvalidInput(
-            f"the displacement of {view.subject} has no scale, and what it is compared with is in mm; "
-            "correlate again with mm-per-px"
+            f"the displacement of {view.subject} has no scale, and what it is compared with is in mm; give "
+            "the size of a pixel as plane.mm_per_px and compute it again"
         )
-    mesh = planar_mesh(planar_grid(moved, None), _IMAGE_STEP_PX)
-    values = dict(zip(mesh.value_names, mesh.values, strict=True))
-    x, y = values["displacement X"], values["displacement Y"]
-    sigma = np.hypot(values["sigma of displacement X"], values["sigma of displacement Y"])
-    return PointField(mesh.vertices, np.stack([x, y, np.zeros_like(x)], axis=1)), sigma
+    mesh = in_mm[0]
+    axes = _AXES if mesh.has_depth else _AXES[:2]
+    displacement = np.stack([mesh.value(f"displacement {axis}") for axis in axes])
+    points = in_space(mesh.vertices.T).T
+    return PointField(points, in_space(displacement).T), mesh.value("sigma of displacement"), len(axes)

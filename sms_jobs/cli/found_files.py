@@ -23,7 +23,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.row_tables import write_csv, write_parquet
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
-from sms_jobs.records.surfaces import SURFACE
+from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
 _PAGE = 1000
 """Files that are fetched at once, however many are wanted."""
@@ -94,7 +94,9 @@ def vocabulary() -> Vocabulary:
 def _words() -> tuple[frozenset[str], frozenset[str]]:
     kinds = all_kinds().values()
     return (
-        frozenset({MEASUREMENT, CALIBRATION, SURFACE} | {kind.makes or kind.name for kind in kinds}),
+        frozenset(
+            {MEASUREMENT, CALIBRATION, REFERENCE_SURFACES} | {kind.makes or kind.name for kind in kinds}
+        ),
         frozenset(name for kind in kinds for name in kind.parameters.model_fields),
     )
 

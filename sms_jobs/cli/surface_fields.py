@@ -20,9 +20,8 @@ from sms_jobs.catalogue.search import FileView
 from sms_jobs.cli import completion, output, writing
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.fields import Surface
 from sms_jobs.records.gauges import GaugeReadings
-from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
 
 if TYPE_CHECKING:
     from sms_jobs.formats.gauge_descriptions import GaugeReading
@@ -200,8 +199,8 @@ def section(
             name = record or dataset.names[0]
             read: Any = dataset.read(name, dataset.record_class(name))
             values = named_field(read, field)
-            flat = isinstance(read, PlanarDisplacement | PlanarStrain)
-            own = dataset.read("cloud", PointCloud).xyz if "cloud" in dataset.names else values.xyz
+            own = dataset.read("surface", Surface).position if "surface" in dataset.names else values.position
+        flat = view.in_plane
         if flat:
             own = _pixels(values.values.shape[-2:])
         elif own is None:
@@ -241,7 +240,7 @@ def _shape_of(services: Services, parents: Sequence[Ancestor], file: str) -> np.
     if shape is None:
         raise InvalidInput(f"file {file} does not say where its pixels are; choose a result of a view")
     with services.archive.open(shape) as dataset:
-        return dataset.read("cloud", PointCloud).xyz
+        return dataset.read("surface", Surface).position
 
 
 def _plain(value: float) -> float | None:

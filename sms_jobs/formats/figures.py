@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.quantity import XYZ, Quantity, quantities
+from sms_jobs.records.quantity import XYZ, Quantity, quantities, quantities_of
 from sms_jobs.records.reasons import Reason
 
 if TYPE_CHECKING:
@@ -206,7 +206,8 @@ def _draw_points(record: Any, values: NDArray[Any], title: str, unit: str, width
     axes = figure.add_subplot()
     low, high = robust_limits(values)
     if hasattr(record, "vertices"):
-        x, y, names = record.vertices[:, 0], record.vertices[:, 1], ("X [mm]", "Y [mm]")
+        x, y = record.vertices[:, 0], record.vertices[:, 1]
+        names = (f"X [{record.unit}]", f"Y [{record.unit}]")
     else:
         x, y, names = record.x, record.y, ("x [px]", "y [px]")
         axes.invert_yaxis()
@@ -229,10 +230,10 @@ def _components(record: Any, name: str, quantity: Quantity, count: int) -> tuple
 
 
 def _default_component(name: str, quantity: Quantity, names: tuple[str, ...]) -> str:
-    """Return Z of a position, the magnitude of any other vector in the world, else the first component."""
-    if quantity.components != XYZ:
+    """Return the last of a position, Z if it has one, the magnitude of any other vector, else the first."""
+    if quantity.components not in (XYZ, XYZ[:2]):
         return names[0]
-    return "Z" if name == "xyz" else MAGNITUDE
+    return names[-1] if name == "position" else MAGNITUDE
 
 
 def _chosen(record: Any, name: str, quantity: Quantity, component: str | None) -> tuple[Any, str, str]:
@@ -301,7 +302,7 @@ def plot_record(
     if field is not None and field not in names:
         raise InvalidInput(f"a {kind} has no field '{field}' to draw; choose one of {', '.join(names)}")
     name = field or names[0]
-    quantity = quantities(type(record))[name]
+    quantity = quantities_of(record)[name]
     values, chosen, unit = _chosen(record, name, quantity, component)
     title = f"{quantity.meaning}, {chosen}" if chosen else quantity.meaning
     if not quantity.is_image:

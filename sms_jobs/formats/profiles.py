@@ -13,7 +13,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.figures import as_png, new_figure
 from sms_jobs.formats.gauge_descriptions import GaugeReading
 from sms_jobs.metrology.deformation.gauges import Profile
-from sms_jobs.records.quantity import quantities
+from sms_jobs.records.quantity import quantities_of
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ class NamedField:
     values: Floats
     columns: tuple[str, ...]
     unit: str
-    xyz: Floats | None
+    position: Floats | None
 
 
 def named_field(record: Any, name: str | None) -> NamedField:
@@ -95,8 +95,7 @@ def named_field(record: Any, name: str | None) -> NamedField:
 
     Raises `InvalidInput` where there is none of that name.
     """
-    images = {key: q for key, q in quantities(type(record)).items() if q.is_image and len(q.axes) <= 3}
-    images = {key: q for key, q in images.items() if getattr(record, key) is not None}
+    images = {key: q for key, q in quantities_of(record).items() if q.is_image and len(q.axes) <= 3}
     if not images:
         raise InvalidInput(f"a {type(record).__name__} has no field over an image")
     chosen = name or next(iter(images))
@@ -107,8 +106,7 @@ def named_field(record: Any, name: str | None) -> NamedField:
     values = values if values.ndim == 3 else values[None]
     names = quantity.components or tuple(str(k) for k in range(len(values)))
     columns = tuple(f"{chosen}_{part}" for part in names) if len(values) > 1 else (chosen,)
-    xyz = getattr(record, "xyz", None)
-    return NamedField(values, columns, quantity.unit, xyz)
+    return NamedField(values, columns, quantity.unit, getattr(record, "position", None))
 
 
 def draw_profile(profile: Profile, field: NamedField, length_unit: str = "mm") -> bytes:

@@ -25,7 +25,7 @@ from sms_jobs.metrology.calibration.drift import DriftCheck, DriftOptions, check
 from sms_jobs.metrology.calibration.pair_points import Parameters
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.fields import PhaseMaps, PointCloud
+from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import UNTIMED, FringeSequence
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Box, Calibration, Rig
@@ -288,7 +288,7 @@ def check(
         view, number = search.file_view(session, str(shape)), used.number
     known = known_calibration(catalogue, archive, number)
     with archive.open(view) as dataset:
-        phase, cloud = dataset.read("phase", PhaseMaps), dataset.read("cloud", PointCloud)
+        phase, cloud = dataset.read("phase", PhaseMaps), dataset.read("surface", Surface)
     return CalibrationCheck(
         str(subject),
         number,
@@ -301,7 +301,7 @@ def drift_of(
     view: str,
     sequence: FringeSequence,
     phase: PhaseMaps,
-    cloud: PointCloud,
+    cloud: Surface,
     baseline_mm: float,
     false_alarm: float,
     threads: int,

@@ -237,7 +237,8 @@ def _changes(session: Session, earlier: JobRow, job: JobRow) -> list[str]:
     for name in sorted(earlier.parameters.keys() | job.parameters.keys()):
         then, now = earlier.parameters.get(name), job.parameters.get(name)
         if then != now:
-            changes.append(f"parameter {name} was {then}, now {now}")
+            was, is_now = ("not given" if value is None else value for value in (then, now))
+            changes.append(f"parameter {name} was {was}, now {is_now}")
     then_hashes, now_hashes = _input_hashes(session, earlier.id), _input_hashes(session, job.id)
     changes += [
         f"the content of its input '{role}' is another"

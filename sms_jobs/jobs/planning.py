@@ -23,7 +23,7 @@ from sms_jobs.kinds.kind import (
     pipeline_subjects,
 )
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.surfaces import SURFACE
+from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
 PIPELINE = "pipeline"
 
@@ -240,7 +240,7 @@ def _existing(need: Need, find: Callable[[Need], Existing | None], who: str) -> 
 
 
 def _way_to(need: Need) -> str:
-    if need.source == SURFACE:
+    if need.source == REFERENCE_SURFACES:
         return f"bring one in with 'sms import surface FILE -c {need.subject.campaign}'"
     if need.source == CALIBRATION:
         return "bring one in with 'sms calibration import', or certify one that was measured"

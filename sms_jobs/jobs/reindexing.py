@@ -49,7 +49,7 @@ from sms_jobs.kinds.products import RECORDED
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.sensors import Calibration
-from sms_jobs.records.surfaces import SURFACE
+from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
 Outcome: TypeAlias = Literal["indexed", "incomplete", "refused", "no-campaign", "too-new"]
 
@@ -272,7 +272,7 @@ def _judge_output(session: Session, archived: _Archived, one: Found) -> None:
         )
     if subject.state is not None:
         campaign.state(subject.state)
-    if provenance.kind != SURFACE:
+    if provenance.kind != REFERENCE_SURFACES:
         # No job made a surface: attempts tell those apart that were brought in within one second.
         _judge_job(session, provenance)
         objection = past_jobs.objection(session, provenance, _newest_attempt(archived, path, provenance))

@@ -15,8 +15,9 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, StatisticRow
 from sms_jobs.jobs.entering import enter_file, entered_or_discarded
+from sms_jobs.kinds.products import REFERENCE_SURFACE
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.surfaces import SURFACE, ReferenceSurface
+from sms_jobs.records.surfaces import REFERENCE_SURFACES, ReferenceSurface
 
 
 def register_surface(
@@ -50,7 +51,7 @@ def register_surface(
 
 def _present(session: Session, campaign: str, content_hash: str) -> int | None:
     """Return the campaign's present surface, if it is that one."""
-    number = campaigns.newest_file(session, SURFACE, Subject(campaign), DATASET_MEDIA_TYPE)
+    number = campaigns.newest_file(session, REFERENCE_SURFACES, Subject(campaign), DATASET_MEDIA_TYPE)
     if number is None or session.get_one(FileRow, number).content_hash != content_hash:
         return None
     return number
@@ -61,7 +62,7 @@ def _seal(
 ) -> tuple[Sealed, dict[str, float]]:
     statistics = {"vertices": float(len(surface.vertices)), "faces": float(len(surface.faces))}
     provenance = Provenance(
-        kind=SURFACE,
+        kind=REFERENCE_SURFACES,
         kind_version=1,
         subject=Subject(campaign),
         job_id="",
@@ -81,13 +82,13 @@ def _seal(
     )
     while archive.path(layout.dataset_path(provenance)).exists():
         provenance = replace(provenance, attempt=provenance.attempt + 1)
-    return archive.seal_dataset({"surface": surface}, provenance), statistics
+    return archive.seal_dataset({REFERENCE_SURFACE.stored_as: surface}, provenance), statistics
 
 
 def _index(
     session: Session, campaign: str, sealed: Sealed, statistics: dict[str, float], now: datetime
 ) -> int:
     number = campaigns.campaign_id(session, campaign)
-    file = enter_file(session, sealed, SURFACE, now, campaign_id=number)
+    file = enter_file(session, sealed, REFERENCE_SURFACES, now, campaign_id=number)
     session.add_all(StatisticRow(file_id=file.id, name=n, value=v) for n, v in statistics.items())
     return file.id

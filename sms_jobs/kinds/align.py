@@ -16,23 +16,22 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from sms_jobs.errors import InvalidInput, MeasurementFailed
+from sms_jobs.kinds.camera_views import cameras
 from sms_jobs.kinds.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.kind import (
-    MEASUREMENT,
     DatasetOutput,
     Inputs,
     Kind,
     Need,
     Output,
     Parameters,
-    Port,
     Progress,
     Scope,
 )
-from sms_jobs.kinds.merge import cameras
-from sms_jobs.kinds.products import ALIGNMENT, CLOUD, MEASURED, PHASE, Product
+from sms_jobs.kinds.products import ALIGNMENT, MEASURED, SURFACE, Product
 from sms_jobs.kinds.strain import specimen_axis
-from sms_jobs.kinds.textured_state import StatePorts, read_texture
+from sms_jobs.kinds.surface_ports import position_covariance, state_ports
+from sms_jobs.kinds.textured_state import read_texture
 from sms_jobs.metrology.deformation.alignment import (
     Alignment,
     CommonPoints,
@@ -106,17 +105,14 @@ class AlignParameters(ViewsParameters):
     maximum_sigma_px: float = Field(0.1, gt=0.0, description="largest standard deviation of a match")
 
 
-_AT_REST = StatePorts(
-    Port("shape", "reconstruct", (CLOUD, PHASE), several=True),
-    Port("texture", MEASUREMENT, (MEASURED,), several=True),
-)
+_AT_REST = state_ports("shape", "texture", several=True)
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: AlignParameters) -> Iterable[Need]:
     """Yield texture and shape at rest of one view of each camera, here and at the other positions."""
     for name in (subject.campaign, *parameters.views):
         for own in _at_rest(campaign, subject):
-            yield from (port.of(replace(own, campaign=name)) for port in _AT_REST)
+            yield from _AT_REST.of(campaign, replace(own, campaign=name))
 
 
 def _at_rest(campaign: Campaign, subject: Subject) -> tuple[Subject, ...]:
@@ -156,14 +152,15 @@ def run(inputs: Inputs, parameters: AlignParameters, progress: Progress) -> Iter
 
 
 def _view(inputs: Inputs, about: Subject, parameters: AlignParameters) -> View:
-    cloud = inputs.read(_AT_REST.shape, CLOUD, about)
-    valid = cloud.reason == Reason.VALID
+    surface = inputs.read(_AT_REST.surface.port, SURFACE, about)
+    valid = surface.reason == Reason.VALID
     smoothed = CorrelateParameters(smoothing_px=parameters.smoothing_px)
     texture, noise = read_texture(inputs, _AT_REST, smoothed, valid, valid, about)
-    sigma = np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64))
-    xyz = np.where(valid, cloud.xyz, np.nan)
+    covariance = position_covariance(surface).astype(np.float64)
+    sigma = np.sqrt(covariance[[0, 3, 5]].sum(axis=0))
+    xyz = np.where(valid, surface.position, np.nan)
     labels = continuous_labels(xyz, sigma, threads=inputs.threads)
-    view = View(texture, noise, xyz, cloud.covariance.astype(np.float64), labels)
+    view = View(texture, noise, xyz, covariance, labels)
     return view.averaged(parameters.averaging_radius_px, inputs.threads)
 
 
@@ -227,7 +224,7 @@ KIND = Kind(
     version=1,
     scope=Scope.CAMPAIGN,
     parameters=AlignParameters,
-    inputs=tuple(_AT_REST),
+    inputs=(_AT_REST.surface.measured, _AT_REST.frames),
     outputs=(ALIGNMENT,),
     needs=_needs,
     run=run,

@@ -24,7 +24,8 @@ from sms_jobs.kinds.kind import (
     Scope,
     tuples,
 )
-from sms_jobs.kinds.products import ASSESSMENT, CLOUD, DISPLACEMENT, MEASURED, STRAIN
+from sms_jobs.kinds.products import ASSESSMENT, DISPLACEMENT, MEASURED, STRAIN, SURFACE
+from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.records.assessment import Assessment, Errors
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.quantity import SYMMETRIC
@@ -48,7 +49,7 @@ def simulated_tuples(campaign: Campaign) -> tuple[Subject, ...]:
 
 
 _FRAMES = Port("measurement", MEASUREMENT, (MEASURED,))
-_SHAPE = Port("shape", "reconstruct", (CLOUD,))
+_SHAPE = Port("shape", "reconstruct", (SURFACE,))
 _REFERENCE = Port("reference", MEASUREMENT, (MEASURED,))
 _MOVED = Port("displacement", "correlate", (DISPLACEMENT,))
 _STRAINED = Port("strain", "strain", (STRAIN,))
@@ -67,11 +68,11 @@ def needs(campaign: Campaign, subject: Subject, parameters: AssessParameters) ->
 def run(inputs: Inputs, parameters: AssessParameters, progress: Progress) -> Iterator[Output]:
     """Compare the shape, and for a deformed state displacement and strain, with the truth."""
     state = _simulation(inputs, _FRAMES)
-    cloud = inputs.read(_SHAPE, CLOUD)
+    surface = inputs.read(_SHAPE, SURFACE)
     exact = exact_shape(state, threads=inputs.threads)
     progress(0.3, "comparing the shape")
     shape, shape_error = vector_errors(
-        cloud.xyz - exact.xyz, cloud.covariance, cloud.reason, exact.seen & exact.lit
+        surface.position - exact.xyz, position_covariance(surface), surface.reason, exact.seen & exact.lit
     )
     if not inputs.has(_REFERENCE):
         yield _output(inputs.subject, Assessment(shape, None, None, shape_error))

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.kinds.kind import Inputs, Need, Port
-from sms_jobs.kinds.products import CLOUD
+from sms_jobs.kinds.products import SURFACE
+from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.deformation.merging import merge_by_variance
 from sms_jobs.metrology.surfaces.continuity import continuous_labels
 from sms_jobs.records.campaign import Campaign, Subject
@@ -46,7 +47,13 @@ class CameraView:
         return np.asarray(np.sqrt(self.covariance[_DIAGONAL].sum(axis=0)))
 
 
-SHAPES = Port("shape", "reconstruct", (CLOUD,), several=True)
+def cameras(campaign: Campaign, subject: Subject) -> dict[str, tuple[str, ...]]:
+    """Return the views of each camera that measures shape, in the campaign's order."""
+    alone = campaign.cameras_alone
+    return {camera: views for camera, views in campaign.views_by_camera().items() if camera not in alone}
+
+
+SHAPES = Port("shape", "reconstruct", (SURFACE,), several=True)
 
 
 def cloud_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
@@ -56,10 +63,10 @@ def cloud_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
 
 
 def camera_views(inputs: Inputs) -> Iterator[CameraView]:
-    """Yield the view of each camera; the context of the kind is `merge.cameras`."""
+    """Yield the view of each camera; the context of the kind is `cameras`."""
     for camera, views in inputs.context.items():
-        clouds = [inputs.read(SHAPES, CLOUD, replace(inputs.subject, view=view)) for view in views]
-        merged = merge_by_variance([c.xyz for c in clouds], [c.covariance for c in clouds])
+        clouds = [inputs.read(SHAPES, SURFACE, replace(inputs.subject, view=view)) for view in views]
+        merged = merge_by_variance([c.position for c in clouds], [position_covariance(c) for c in clouds])
         missing = merged.contributors == 0
         reason = np.zeros(missing.shape, np.uint32)
         reason[missing] = np.bitwise_or.reduce([c.reason for c in clouds])[missing]

@@ -13,8 +13,8 @@ from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX
 from sms_jobs.metrology.images.spline import Interpolant
 
 
-class MatchingParameters(Parameters):
-    """What all matching of textures has in common."""
+class CorrelateParameters(Parameters):
+    """How textures are matched and where."""
 
     region_of_interest: str = Field(
         "",
@@ -80,14 +80,11 @@ class MatchingParameters(Parameters):
             parse_outlines(text)
         return text
 
-
-class CorrelateParameters(MatchingParameters):
-    """How textures are matched and where."""
-
     texture: Literal["white", "fringe-average"] = Field(
         "fringe-average",
         description="image that is matched: the white frame, or the mean of all fringe frames, in which the "
-        "fringes cancel and the camera's noise is lower by the square root of their number",
+        "fringes cancel and the camera's noise is lower by the square root of their number; a camera alone "
+        "has but the white frame",
     )
     method: Method = Field(
         "gauss-newton",
@@ -104,7 +101,8 @@ class CorrelateParameters(MatchingParameters):
     regions: Literal["measured", "none"] = Field(
         "measured",
         description="whether subsets end at the discontinuities of the measured shape, or, as in plain image "
-        "correlation, know none: then they hold whatever is in their square",
+        "correlation, know none: then they hold whatever is in their square; of a camera alone they end "
+        "where its surface does",
     )
     edge_spacing_px: int | None = Field(
         None,

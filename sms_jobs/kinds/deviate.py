@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from sms_jobs.formats.deviation_figures import write_deviation_map
-from sms_jobs.kinds.camera_views import SHAPES, CameraView, camera_views, cloud_needs
+from sms_jobs.kinds.camera_views import SHAPES, CameraView, camera_views, cameras, cloud_needs
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     DocumentOutput,
@@ -25,7 +25,6 @@ from sms_jobs.kinds.kind import (
     Progress,
     Scope,
 )
-from sms_jobs.kinds.merge import cameras
 from sms_jobs.kinds.products import DEVIATION, MESH, REFERENCE_SURFACE, REGISTRATION, Product
 from sms_jobs.metrology.deformation.merging import join_meshes
 from sms_jobs.metrology.geometry.camera import Pose
@@ -44,7 +43,12 @@ from sms_jobs.metrology.surfaces.triangle_surface import TriangleSurface, triang
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.surfaces import SURFACE, DeviationField, ReferenceSurface, SurfaceRegistration
+from sms_jobs.records.surfaces import (
+    REFERENCE_SURFACES,
+    DeviationField,
+    ReferenceSurface,
+    SurfaceRegistration,
+)
 
 _VALUES = (
     ("deviation", "mm"),
@@ -99,7 +103,7 @@ class _View:
     points: MeasuredPoints
 
 
-_REFERENCE = Port("surface", SURFACE, (REFERENCE_SURFACE,))
+_REFERENCE = Port("surface", REFERENCE_SURFACES, (REFERENCE_SURFACE,))
 
 
 def needs(campaign: Campaign, subject: Subject, parameters: DeviateParameters) -> Iterable[Need]:
@@ -220,7 +224,7 @@ def _mesh(views: list[_View], fields: dict[str, DeviationField], step: int) -> M
         labels = np.where(np.isfinite(field.deviation), seen.view.labels, 0).astype(np.int32)
         pixels, faces = triangulate_image(labels, step)
         row, column = pixels.T
-        surfaces.append((np.ascontiguousarray(field.xyz[:, row, column].T), faces))
+        surfaces.append((np.ascontiguousarray(field.position[:, row, column].T), faces))
         deviation, sigma = field.deviation[row, column], field.sigma[row, column].astype(np.float64)
         verdict = field.verdict[row, column].astype(np.float64)
         values.append(np.stack([deviation, sigma, deviation / sigma, verdict]))

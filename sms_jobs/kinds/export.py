@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -14,7 +14,6 @@ from pydantic import Field, field_validator
 from sms_jobs.formats.exporters import all_exporters, exporter_named
 from sms_jobs.formats.exporters.exporter import TEXTURE, Exporter
 from sms_jobs.formats.exporters.sources import source_for
-from sms_jobs.formats.planar_surfaces import planar_grid, planar_mesh
 from sms_jobs.kinds.kind import (
     MEASUREMENT,
     DocumentOutput,
@@ -28,8 +27,7 @@ from sms_jobs.kinds.kind import (
     Scope,
     every_deformed_state,
 )
-from sms_jobs.kinds.merge import cameras
-from sms_jobs.kinds.products import MEASURED, MERGED, MESH, PLANAR_DISPLACEMENT, PLANAR_STRAIN
+from sms_jobs.kinds.products import MEASURED, MERGED, MESH
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import Mesh
 
@@ -40,8 +38,6 @@ USUAL_FLAT = ("csv", "npz", "tecplot", "vtu")
 
 _MERGED = Port("merged", "merge", (MERGED, MESH))
 _FRAMES = Port("texture", MEASUREMENT, (MEASURED,), several=True)
-_MOVED_IN_IMAGE = Port("displacement", "correlate-images", (PLANAR_DISPLACEMENT,), several=True)
-_STRAINED_IN_IMAGE = Port("strain", "strain-images", (PLANAR_STRAIN,), several=True)
 
 
 class ExportParameters(Parameters):
@@ -55,10 +51,6 @@ class ExportParameters(Parameters):
     )
     fields: tuple[str, ...] = Field(
         (), description="values of the mesh to write, e.g. 'displacement Z'; all if not given"
-    )
-
-    image_step_px: int = Field(
-        4, ge=1, le=64, description="distance of the points of a camera alone in its image"
     )
 
     @field_validator("formats", "fields", mode="before")
@@ -78,67 +70,38 @@ class ExportParameters(Parameters):
 
 
 def needs(campaign: Campaign, subject: Subject, parameters: ExportParameters) -> Iterable[Need]:
-    """Return the merged result of the state, those of cameras alone, and each camera's texture at rest."""
-    seen = cameras(campaign, subject)
+    """Return the merged result of the state, and each camera's texture at rest."""
+    yield _MERGED.of(subject)
     at_rest = replace(subject, state=campaign.reference.label)
-    if seen:
-        yield _MERGED.of(subject)
-    for view in (*(views[0] for views in seen.values()), *campaign.cameras_alone):
-        yield _FRAMES.of(replace(at_rest, view=view))
-    for view in campaign.cameras_alone:
-        yield _MOVED_IN_IMAGE.of(replace(subject, view=view))
-        yield _STRAINED_IN_IMAGE.of(replace(subject, view=view))
+    for views in campaign.views_by_camera().values():
+        yield _FRAMES.of(replace(at_rest, view=views[0]))
+
+
+def _first_views(campaign: Campaign, subject: Subject) -> dict[str, str]:
+    """Return the view whose texture is shown, by camera."""
+    return {camera: views[0] for camera, views in campaign.views_by_camera().items()}
 
 
 def run(inputs: Inputs, parameters: ExportParameters, progress: Progress) -> Iterator[Output]:
-    """Write the surface of a state: a file for each format, and for each camera if it is over an image."""
+    """Write the surfaces of a state: a file for each format, and for each camera if it is over an image."""
     progress(0.0, "reading")
     name = "-".join(part for part in (inputs.subject.campaign, inputs.subject.state) if part)
-    if inputs.context:
-        yield from _surface(inputs, parameters, name, progress)
-    for own in inputs.about(_MOVED_IN_IMAGE):
-        progress(0.9, f"writing what {own.view} saw")
-        yield from _image(inputs, parameters, own, f"{name}-{own.view}")
-
-
-def _surface(
-    inputs: Inputs, parameters: ExportParameters, name: str, progress: Progress
-) -> Iterator[DocumentOutput]:
-    """Write the surface that all views of a camera and a projector have measured."""
-    textures = {camera: _texture(inputs, views[0]) for camera, views in inputs.context.items()}
-    mesh = _with_texture(inputs, textures)
-    formats = parameters.formats or USUAL
-    for done, format_name in enumerate(formats):
-        progress(0.9 * done / len(formats), f"writing {format_name}")
-        exporter = exporter_named(format_name)
-        files: dict[str, Any]
-        if Mesh in exporter.takes or object in exporter.takes:
-            files = {name: source_for(exporter, mesh, parameters.fields)}
-        else:
-            files = {
-                f"{name}-{camera}": source_for(
-                    exporter, inputs.read(_MERGED, MERGED.of(camera)), texture=texture
-                )
-                for camera, texture in textures.items()
-            }
-        for stem, source in files.items():
-            yield _document(inputs, exporter, stem, source)
-
-
-def _image(inputs: Inputs, parameters: ExportParameters, own: Subject, stem: str) -> Iterator[DocumentOutput]:
-    """Write displacement and strain in the image of a camera alone, together."""
-    grid = planar_grid(
-        inputs.read(_MOVED_IN_IMAGE, PLANAR_DISPLACEMENT, own),
-        inputs.read(_STRAINED_IN_IMAGE, PLANAR_STRAIN, own),
-        _texture(inputs, own.view),
-    )
-    grid.known()
-    mesh = planar_mesh(grid, parameters.image_step_px)
-    for format_name in parameters.formats or USUAL_FLAT:
-        exporter = exporter_named(format_name)
-        meshed = Mesh in exporter.takes or object in exporter.takes
-        source = source_for(exporter, mesh, parameters.fields) if meshed else grid
-        yield _document(inputs, exporter, stem, source)
+    textures = {camera: _texture(inputs, view) for camera, view in inputs.context.items()}
+    found = inputs.each(_MERGED, MESH)
+    for number, product in enumerate(found):
+        mesh = _with_texture(inputs.read(_MERGED, product), textures)
+        # The world is one; of planes each is a world of its own.
+        stem = f"{name}-{product.key}" if product.key else name
+        progress((number + 1) / (len(found) + 1), f"writing {stem}")
+        for format_name in parameters.formats or (USUAL if mesh.has_depth else USUAL_FLAT):
+            exporter = exporter_named(format_name)
+            if Mesh in exporter.takes or object in exporter.takes:
+                yield _document(inputs, exporter, stem, source_for(exporter, mesh, parameters.fields))
+                continue
+            for camera in mesh.cameras:
+                field = inputs.read(_MERGED, MERGED.of(camera))
+                seen = source_for(exporter, field, texture=textures[camera])
+                yield _document(inputs, exporter, f"{name}-{camera}", seen)
 
 
 def _document(inputs: Inputs, exporter: Exporter, stem: str, source: Any) -> DocumentOutput:
@@ -153,52 +116,28 @@ def _texture(inputs: Inputs, view: str | None) -> NDArray[np.float32]:
     return (measurement.texture / np.float32(measurement.full_scale)).astype(np.float32)
 
 
-def _with_texture(inputs: Inputs, textures: dict[str, NDArray[np.float32]]) -> Mesh:
-    """Return the merged mesh with the texture of the pixel that each vertex is.
-
-    Vertices are positions of pixels, bit by bit, which is how the pixels are found again; where a vertex is
-    none, its texture is NaN, and where none is, the mesh stays as it is.
-    """
-    mesh = inputs.read(_MERGED, MESH)
-    grey = np.full(len(mesh.vertices), np.nan)
-    wanted = _keys(mesh.vertices)
-    for camera, texture in textures.items():
-        xyz = inputs.read(_MERGED, MERGED.of(camera)).xyz
-        known = np.isfinite(xyz).all(axis=0)
-        points = np.ascontiguousarray(xyz[:, known].T)
-        if len(points) == 0:
-            continue
-        keys = _keys(points)
-        order = np.argsort(keys)
-        place = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(order) - 1)]
-        found = (points[place] == mesh.vertices).all(axis=1)
-        grey[found] = texture[known][place[found]]
-    if not np.isfinite(grey).any():
+def _with_texture(mesh: Mesh, textures: Mapping[str, NDArray[np.float32]]) -> Mesh:
+    """Return a mesh with the texture of the pixel that each vertex is."""
+    if mesh.camera is None or mesh.pixel is None:
         return mesh
-    return replace(
-        mesh,
-        value_names=(*mesh.value_names, TEXTURE),
-        value_units=(*mesh.value_units, "1"),
-        values=np.concatenate([mesh.values, grey[None]]),
-    )
-
-
-def _keys(points: NDArray[np.float64]) -> NDArray[np.uint64]:
-    """Return a number for each of the points (n, 3) that equal points share and others hardly ever do."""
-    x, y, z = (np.ascontiguousarray(column).view(np.uint64) for column in points.T)
-    return x * np.uint64(0x9E3779B97F4A7C15) + y * np.uint64(0xC2B2AE3D27D4EB4F) + z
+    grey = np.full(len(mesh.vertices), np.nan)
+    for number, camera in enumerate(mesh.cameras):
+        own = mesh.camera == number
+        column, row = mesh.pixel[:, own]
+        grey[own] = textures[camera][row, column]
+    return mesh.with_value(TEXTURE, "1", grey)
 
 
 KIND = Kind(
     name="export",
     summary="write what is known of a state for Tecplot, ParaView, CAD, MATLAB and spreadsheets",
-    version=3,
+    version=4,
     scope=Scope.STATE,
     parameters=ExportParameters,
-    inputs=(_MERGED, _FRAMES, _MOVED_IN_IMAGE, _STRAINED_IN_IMAGE),
+    inputs=(_MERGED, _FRAMES),
     outputs=(),
     needs=needs,
     run=run,
     subjects=every_deformed_state,
-    context=cameras,
+    context=_first_views,
 )

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.gauge_descriptions import DescribedGauge, described_gauge, gauge_from
+from sms_jobs.formats.gauge_descriptions import described_gauge, gauge_from
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     Inputs,
@@ -22,19 +21,19 @@ from sms_jobs.kinds.kind import (
     Port,
     Progress,
     Scope,
-    deformed_images,
+    deformed_views,
 )
-from sms_jobs.kinds.planes import as_surface
-from sms_jobs.kinds.products import CLOUD, DISPLACEMENT, GAUGES, PLANAR_DISPLACEMENT, REGIONS
+from sms_jobs.kinds.products import DISPLACEMENT, GAUGES, REGIONS, SURFACE
+from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.gauges import GaugePlace, GaugeValue, read_gauge
 from sms_jobs.metrology.deformation.strain import independent_equivalent
 from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.metrology.geometry.transforms import turn_covariance
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import StrainMeasure
+from sms_jobs.records.fields import StrainMeasure, Surface
 from sms_jobs.records.gauges import GaugeReadings
-from sms_jobs.records.planar import PlanarDisplacement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import AT_ORIGIN
 from sms_jobs.records.views import view_of
@@ -75,155 +74,111 @@ class GaugesParameters(Parameters):
 
 
 _MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS))
-_MOVED_IN_IMAGE = Port("displacement", "correlate-images", (PLANAR_DISPLACEMENT,))
-_REFERENCE = Port("reference", "reconstruct", (CLOUD,))
+_REFERENCE = surface_port("reference")
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: GaugesParameters) -> Iterable[Need]:
-    if not view_of(subject.view).measures_shape:
-        yield _MOVED_IN_IMAGE.of(subject)
-        return
     yield _MOVED.of(subject)
-    yield _REFERENCE.of(replace(subject, state=campaign.reference.label))
+    yield _REFERENCE.of(campaign, replace(subject, state=campaign.reference.label))
 
 
-def specimen_pose(campaign: Campaign, subject: Subject) -> Pose:
-    """Return what brings the specimen's frame into the world; they are one where there is no scene."""
-    return AT_ORIGIN if campaign.scene is None else campaign.scene.placement
+def _frame_of_gauges(campaign: Campaign, subject: Subject) -> Pose:
+    """Return what brings the gauges' frame into that of the surface: the specimen's, where it is known."""
+    known = campaign.scene is not None and view_of(subject.view).measures_shape
+    return campaign.scene.placement if known and campaign.scene is not None else AT_ORIGIN
 
 
 def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Iterator[Output]:
     """Fit the stored displacement under each gauge; nothing is correlated again."""
-    on_surface = inputs.view.measures_shape
-    found = (_on_surface if on_surface else _in_image)(inputs, parameters, progress)
-    names = tuple(described_gauge(text).name for text in parameters.gauge)
-    readings = GaugeReadings(
-        parameters.measure,
-        names,
-        np.array([value.strain for value in found.values]),
-        np.array([value.sigma for value in found.values], dtype=np.float32),
-        found.place_mm,
-        np.array([value.pixels for value in found.values], dtype=np.int32),
-        found.place_px,
-    )
-    known = np.isfinite(readings.strain)
-    statistics = {"gauges": float(len(names)), "gauges_read": float(known.sum())}
-    if known.any():
-        statistics["largest_gauge_strain"] = float(readings.strain[known].max())
-    yield DatasetOutput(inputs.subject, {GAUGES: readings}, statistics)
-
-
-@dataclass(frozen=True)
-class _Found:
-    """What the gauges read, and where their middles are: (gauges, 3) in mm, (gauges, 2) in px."""
-
-    values: list[GaugeValue]
-    place_mm: NDArray[np.float64]
-    place_px: NDArray[np.float64] | None = None
-
-
-def _on_surface(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> _Found:
-    """Read gauges on a surface that fringes have measured, in the specimen's frame."""
     moved = inputs.read(_MOVED, DISPLACEMENT)
     regions = inputs.read(_MOVED, REGIONS)
-    cloud = inputs.read(_REFERENCE, CLOUD)
+    surface = inputs.read(_REFERENCE.port, SURFACE)
+    places = [_place_on(surface, text) for text in parameters.gauge]
     labels = np.where(moved.reason == Reason.VALID, regions.labels, 0).astype(np.int32)
-    pitch = pixel_pitch(cloud.xyz, labels, 0.5)
-    placement: Pose = inputs.context
-    turn = placement.matrix().T
-    xyz = np.einsum("ij,jrc->irc", turn, cloud.xyz - np.array(placement.translation)[:, None, None])
-    displacement = np.einsum("ij,jrc->irc", turn, moved.displacement)
-    rows = []
-    for number, text in enumerate(parameters.gauge, start=1):
-        name, place = gauge_from(text)
+    position = in_space(surface.position)
+    pitch = pixel_pitch(position, labels, 0.5)
+    frame: Pose = inputs.context
+    turn = frame.matrix().T
+    position = np.einsum("ij,jrc->irc", turn, position - np.array(frame.translation)[:, None, None])
+    displacement = np.einsum("ij,jrc->irc", turn, in_space(moved.displacement))
+    own, at_rest = covariance_in_space(moved.covariance), position_covariance(surface)
+    found = []
+    for number, place in enumerate(places, start=1):
         covariance = independent_equivalent(
-            moved.covariance,
-            cloud.covariance,
+            own,
+            at_rest,
             averaging_radius_px=moved.averaging_radius_px,
             subset_radius_px=moved.subset_radius_px,
-            disc_radius_px=_equal_disc(place) / pitch,
+            disc_radius_px=float(np.sqrt(place.length * place.width / np.pi)) / pitch,
         )
-        rows.append(
+        found.append(
             read_gauge(
                 place,
-                xyz,
+                position,
                 displacement,
                 turn_covariance(turn, covariance),
                 labels,
                 green_lagrange=parameters.measure == "green-lagrange",
             )
         )
-        progress(number / len(parameters.gauge), f"read {name}")
-    return _Found(rows, np.stack([row.middle for row in rows]))
+        progress(number / len(places), f"read {number} of {len(places)} gauges")
+    readings = _readings(found, surface, parameters)
+    known = np.isfinite(readings.strain)
+    statistics = {"gauges": float(len(places)), "gauges_read": float(known.sum())}
+    if known.any():
+        statistics["largest_gauge_strain"] = float(readings.strain[known].max())
+    yield DatasetOutput(inputs.subject, {GAUGES: readings}, statistics)
 
 
-def _in_image(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> _Found:
-    """Read gauges in the image of a camera alone, where y points up as it does in stored strain."""
-    moved = inputs.read(_MOVED_IN_IMAGE, PLANAR_DISPLACEMENT)
-    plane = as_surface(moved)
-    rows = []
-    for number, text in enumerate(parameters.gauge, start=1):
-        gauge = described_gauge(text)
-        place = _in_pixels(gauge, moved, inputs.subject)
-        covariance = independent_equivalent(
-            plane.covariance,
-            np.zeros_like(plane.covariance),
-            averaging_radius_px=0.0,
-            subset_radius_px=moved.subset_radius_px,
-            disc_radius_px=_equal_disc(place),
-        )
-        rows.append(
-            read_gauge(
-                place,
-                plane.xyz,
-                plane.displacement,
-                covariance,
-                plane.labels,
-                green_lagrange=parameters.measure == "green-lagrange",
-            )
-        )
-        progress(number / len(parameters.gauge), f"read {gauge.name}")
-    middle = np.stack([row.middle for row in rows])
-    scale = np.nan if moved.mm_per_px is None else moved.mm_per_px
-    return _Found(rows, middle * scale, middle[:, :2] * (1.0, -1.0))
+def _place_on(surface: Surface, text: str) -> GaugePlace:
+    """Return where a gauge lies in the unit of a surface; `InvalidInput` where its own says nothing there.
 
-
-def _equal_disc(place: GaugePlace) -> float:
-    """Return the radius of the disc that is as large as a grid."""
-    return float(np.sqrt(place.length_mm * place.width_mm / np.pi))
-
-
-def _in_pixels(gauge: DescribedGauge, moved: PlanarDisplacement, subject: Subject) -> GaugePlace:
-    """Return a place in pixels, y up; raise `InvalidInput` for one in mm where no scale is known."""
+    In an image places are given from the first pixel with y down, and y points up here.
+    """
+    if surface.has_depth:
+        _, place = gauge_from(text)
+        return place
+    gauge = described_gauge(text)
     scale = 1.0
-    if gauge.unit == "mm":
-        if moved.mm_per_px is None:
-            raise InvalidInput(
-                f"the displacement of {subject} has no scale, so a place in mm of gauge {gauge.name} means "
-                "nothing; write px behind its lengths, or correlate again with mm-per-px"
-            )
-        scale = 1.0 / moved.mm_per_px
+    if gauge.unit == "px" and surface.mm_per_px is not None:
+        scale = surface.mm_per_px
+    if gauge.unit == "mm" and surface.unit == "px":
+        raise InvalidInput(
+            f"the image of {surface.view} has no scale, so a place in mm of gauge {gauge.name} means "
+            "nothing; write px behind its lengths, or give the size of a pixel as plane.mm_per_px"
+        )
     place = gauge.place
     return GaugePlace(
-        scale * place.x_mm,
-        -scale * place.y_mm,
-        scale * place.length_mm,
-        scale * place.width_mm,
-        place.angle_rad,
+        scale * place.x, -scale * place.y, scale * place.length, scale * place.width, place.angle_rad
+    )
+
+
+def _readings(found: list[GaugeValue], surface: Surface, parameters: GaugesParameters) -> GaugeReadings:
+    """Return what the gauges read, and where their middles are."""
+    middle = np.stack([value.middle for value in found])
+    size = 1.0 if surface.mm_per_px is None else surface.mm_per_px
+    return GaugeReadings(
+        parameters.measure,
+        tuple(described_gauge(text).name for text in parameters.gauge),
+        np.array([value.strain for value in found]),
+        np.array([value.sigma for value in found], dtype=np.float32),
+        middle if surface.unit == "mm" else np.full_like(middle, np.nan),
+        np.array([value.pixels for value in found], dtype=np.int32),
+        None if surface.has_depth else middle[:, :2] * (1.0, -1.0) / size,
     )
 
 
 KIND = Kind(
     name="gauges",
     summary="strain that virtual gauges at given places read, from stored displacement",
-    version=1,
+    version=2,
     scope=Scope.TUPLE,
     parameters=GaugesParameters,
-    inputs=(_MOVED, _MOVED_IN_IMAGE, _REFERENCE),
+    inputs=(_MOVED, *_REFERENCE),
     outputs=(GAUGES,),
     needs=_needs,
     run=run,
-    subjects=deformed_images,
-    context=specimen_pose,
+    subjects=deformed_views,
+    context=_frame_of_gauges,
     in_pipeline=False,
 )

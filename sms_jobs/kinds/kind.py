@@ -60,7 +60,7 @@ class Port:
     name
         By which `run` asks for it, and which tells in a result's history what an input was for.
     source
-        `MEASUREMENT`, `CALIBRATION`, `SURFACE`, or the name of the kind whose result is wanted.
+        `MEASUREMENT`, `CALIBRATION`, `REFERENCE_SURFACES`, or the name of the kind whose result is wanted.
     products
         The records of it that may be read.
     several
@@ -355,18 +355,26 @@ def tuples(campaign: Campaign) -> tuple[Subject, ...]:
 
 
 def deformed_tuples(campaign: Campaign) -> tuple[Subject, ...]:
-    """Return every tuple whose shape can be measured but those of the reference state."""
-    return _deformed(campaign, tuples(campaign))
+    """Return every tuple by which displacement is measured: all states but the reference."""
+    return _deformed(campaign, _tuples(campaign, campaign.measured_views))
 
 
-def deformed_images(campaign: Campaign) -> tuple[Subject, ...]:
-    """Return every tuple of a specimen but those of the reference state, with a projector or without."""
+def deformed_views(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return every tuple of a specimen but those of the reference state, also of cameras that see more."""
     return _deformed(campaign, _tuples(campaign, campaign.views))
 
 
-def deformed_images_alone(campaign: Campaign) -> tuple[Subject, ...]:
-    """Return every tuple of a camera without a projector but those of the reference state."""
-    return _deformed(campaign, _tuples(campaign, campaign.cameras_alone))
+def planes(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return the tuples of cameras without a projector at the reference state, whose image is a plane."""
+    states = tested_states(campaign)[:1]
+    alone = [view for view in campaign.views if not view_of(view).measures_shape]
+    return tuple(Subject(campaign.name, state.label, view) for state in states for view in alone)
+
+
+def planes_alone(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return those of cameras that measure in no other way, where there is a state to compare with."""
+    moved = len(tested_states(campaign)) > 1
+    return tuple(one for one in planes(campaign) if moved and one.view in campaign.cameras_alone)
 
 
 def _tuples(campaign: Campaign, views: tuple[str, ...]) -> tuple[Subject, ...]:
@@ -426,13 +434,14 @@ __all__ = [
     "Station",
     "always",
     "default_subjects",
-    "deformed_images",
-    "deformed_images_alone",
     "deformed_states",
     "deformed_tuples",
+    "deformed_views",
     "every_deformed_state",
     "no_devices",
     "pipeline_subjects",
+    "planes",
+    "planes_alone",
     "rig_queue",
     "tested_states",
     "tuples",

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
-from typing import TypeAlias
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,10 @@ from sms_jobs.kinds.kind import (
     Port,
     Progress,
     Scope,
-    deformed_states,
+    every_deformed_state,
 )
-from sms_jobs.kinds.products import CLOUD, DISPLACEMENT, MERGED, MESH, REGIONS, STRAIN
+from sms_jobs.kinds.products import DISPLACEMENT, MERGED, MESH, REGIONS, STRAIN, SURFACE, Product
+from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.merging import (
     Merged,
@@ -31,80 +32,114 @@ from sms_jobs.metrology.deformation.merging import (
     join_meshes,
     merge_by_variance,
 )
+from sms_jobs.metrology.deformation.strain import principal_and_equivalent
+from sms_jobs.metrology.geometry.planes import covariance_in_plane, covariance_in_space, in_space
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import MergedField, Mesh
-from sms_jobs.records.quantity import SYMMETRIC
+from sms_jobs.records.quantity import SYMMETRIC, XYZ
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.views import view_of
 
 Floats: TypeAlias = NDArray[np.float64]
 Mask: TypeAlias = NDArray[np.bool_]
 
 _DIAGONAL = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
-_VALUES = (
-    *((f"displacement {axis}", "mm") for axis in "XYZ"),
-    ("displacement", "mm"),
-    ("sigma of displacement", "mm"),
-    *((f"strain {component}", "1") for component in ("xx", "yy", "xy")),
-    *((f"sigma of strain {component}", "1") for component in ("xx", "yy", "xy")),
-)
-"""Names and units of the values at the vertices of the mesh."""
+_STEP_PX, _STEP_IN_PLANE_PX = 1, 4
 
 
 class MergeParameters(Parameters):
     """How fine the common surface is."""
 
-    mesh_step_px: int = Field(1, ge=1, le=64, description="distance of the mesh's vertices in the image")
+    mesh_step_px: int | None = Field(
+        None,
+        ge=1,
+        le=64,
+        description="distance of the mesh's vertices in the image; if not given "
+        f"{_STEP_PX}, and {_STEP_IN_PLANE_PX} of a camera alone",
+    )
 
 
 _MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS), several=True)
 _STRAINED = Port("strain", "strain", (STRAIN,), several=True)
-_REFERENCE = Port("reference", "reconstruct", (CLOUD,), several=True)
+_REFERENCE = surface_port("reference", several=True)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What one camera sees: its merged field, its mesh with values, and where it could measure."""
+
+    field: MergedField
+    mesh: Mesh
+    measurable: Mask
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: MergeParameters) -> Iterable[Need]:
-    for view in campaign.shape_views:
+    for view in campaign.measured_views:
         own = replace(subject, view=view)
         yield _MOVED.of(own)
         yield _STRAINED.of(own)
-        yield _REFERENCE.of(replace(own, state=campaign.reference.label))
+        yield _REFERENCE.of(campaign, replace(own, state=campaign.reference.label))
 
 
-def cameras(campaign: Campaign, subject: Subject) -> dict[str, tuple[str, ...]]:
-    """Return the views of each camera that measures shape, in the campaign's order."""
-    found: dict[str, tuple[str, ...]] = {}
-    for view in campaign.shape_views:
-        camera = view_of(view).camera
-        found[camera] = (*found.get(camera, ()), view)
-    return found
+def _views_by_camera(campaign: Campaign, subject: Subject) -> dict[str, tuple[str, ...]]:
+    return campaign.views_by_camera()
 
 
 def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iterator[Output]:
-    """Merge the views of every camera, then join the cameras' surfaces."""
-    fields: dict[str, MergedField] = {}
-    surfaces: list[tuple[Floats, NDArray[np.int32]]] = []
-    values: list[Floats] = []
-    parts: dict[str, float] = {}
+    """Merge the views of every camera, then join the surfaces of all that measure in one frame."""
+    seen = []
     for number, (camera, views) in enumerate(inputs.context.items()):
-        field, measurable = _merged_camera(inputs, camera, views)
-        strain = _merged_strain(inputs, views)
-        labels = combine_labels([inputs.read(_MOVED, REGIONS, own).labels for own in _of(inputs, views)])
-        labels[field.reason != Reason.VALID] = 0
-        pixels, faces = triangulate_image(labels, parameters.mesh_step_px)
-        row, column = pixels.T
-        fields[camera] = field
-        parts |= _parts(field, measurable)
-        surfaces.append((field.xyz[:, row, column].T, faces))
-        values.append(_vertex_values(field, strain)[:, row, column])
+        seen.append(_of_camera(inputs, camera, views, parameters))
         progress(0.8 * (number + 1) / len(inputs.context), f"merged {', '.join(views)}")
-    vertices, faces, source, vertex = join_meshes(surfaces)
-    at_vertices = [values[k][:, vertex[source == k]] for k in range(len(values))]
-    names, units = zip(*_VALUES, strict=True)
-    mesh = Mesh(names, units, vertices, faces, np.concatenate(at_vertices, axis=1))
-    progress(1.0, f"joined {len(fields)} cameras")
-    merged = {MERGED.of(camera): field for camera, field in fields.items()}
-    yield DatasetOutput(inputs.subject, {**merged, MESH: mesh}, _statistics(fields, mesh) | parts)
+    records: dict[Product[Any], object] = {MERGED.of(one.field.camera): one.field for one in seen}
+    in_world = [one for one in seen if one.field.has_depth]
+    meshes = {MESH.of(s.field.camera): _joined([s.mesh]) for s in seen if s not in in_world}
+    if in_world:
+        meshes[MESH] = _joined([one.mesh for one in in_world])
+    progress(1.0, f"joined {len(in_world)} cameras")
+    yield DatasetOutput(inputs.subject, {**records, **meshes}, _statistics(seen, list(meshes.values())))
+
+
+def _of_camera(inputs: Inputs, camera: str, views: tuple[str, ...], parameters: MergeParameters) -> _Seen:
+    """Merge what the views of one camera say, and put triangles between its pixels."""
+    field, measurable = _merged_camera(inputs, camera, views)
+    strain = _merged_strain(inputs, views)
+    labels = combine_labels([inputs.read(_MOVED, REGIONS, own).labels for own in _of(inputs, views)])
+    labels[field.reason != Reason.VALID] = 0
+    usual = _STEP_PX if field.has_depth else _STEP_IN_PLANE_PX
+    pixels, faces = triangulate_image(labels, parameters.mesh_step_px or usual)
+    row, column = pixels.T
+    names, units, values = zip(*_values(field, strain), strict=True)
+    mesh = Mesh(
+        names,
+        units,
+        np.ascontiguousarray(field.position[:, row, column].T),
+        faces,
+        np.stack([value[row, column] for value in values]),
+        field.unit,
+        (camera,),
+        np.zeros(len(row), np.uint8),
+        np.stack([column, row]).astype(np.int32),
+    )
+    return _Seen(field, mesh, measurable)
+
+
+def _joined(meshes: Sequence[Mesh]) -> Mesh:
+    """Join the surfaces of cameras in one frame; of what two see, the first keeps its triangles."""
+    vertices, faces, source, vertex = join_meshes([(mesh.vertices, mesh.faces) for mesh in meshes])
+    each = [vertex[source == number] for number in range(len(meshes))]
+    together = list(zip(meshes, each, strict=True))
+    return replace(
+        meshes[0],
+        vertices=vertices,
+        faces=faces,
+        values=np.concatenate([mesh.values[:, kept] for mesh, kept in together], axis=1),
+        cameras=tuple(name for mesh in meshes for name in mesh.cameras),
+        camera=source.astype(np.uint8),
+        pixel=np.concatenate(
+            [mesh.pixel[:, kept] for mesh, kept in together if mesh.pixel is not None], axis=1
+        ),
+    )
 
 
 def _of(inputs: Inputs, views: Sequence[str]) -> list[Subject]:
@@ -118,28 +153,37 @@ def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple
     Beside them stands where any of the views has a shape.
     """
     moved = [inputs.read(_MOVED, DISPLACEMENT, own) for own in _of(inputs, views)]
-    at_rest = {own.view: own for own in inputs.about(_REFERENCE)}
-    clouds = [inputs.read(_REFERENCE, CLOUD, at_rest[view]) for view in views]
-    displacement = _merged([d.displacement for d in moved], [d.covariance for d in moved])
-    shape = merge_by_variance(
-        [np.where(d.reason == Reason.VALID, c.xyz, np.nan) for d, c in zip(moved, clouds, strict=True)],
-        [c.covariance for c in clouds],
+    at_rest = {own.view: own for own in inputs.about(_REFERENCE.port)}
+    surfaces = [inputs.read(_REFERENCE.port, SURFACE, at_rest[view]) for view in views]
+    displacement = _merged(
+        [in_space(d.displacement) for d in moved], [covariance_in_space(d.covariance) for d in moved]
+    )
+    position = merge_by_variance(
+        [
+            np.where(d.reason == Reason.VALID, in_space(s.position), np.nan)
+            for d, s in zip(moved, surfaces, strict=True)
+        ],
+        [position_covariance(s) for s in surfaces],
     )
     missing = displacement.contributors == 0
     reason = np.zeros(missing.shape, dtype=np.uint32)
     reason[missing] = np.bitwise_or.reduce([d.reason for d in moved])[missing]
+    covariance = displacement.covariance.astype(np.float32)
+    axes = len(surfaces[0].position)
     field = MergedField(
         camera,
         views,
+        surfaces[0].unit,
         displacement.discrepancy_rms,
-        displacement.value,
-        shape.value,
-        displacement.covariance.astype(np.float32),
+        displacement.value[:axes],
+        position.value[:axes],
+        covariance if surfaces[0].has_depth else covariance_in_plane(covariance),
         displacement.contributors,
         reason,
         displacement.discrepancy.astype(np.float32),
+        surfaces[0].mm_per_px,
     )
-    return field, np.logical_or.reduce([c.reason == Reason.VALID for c in clouds])
+    return field, np.logical_or.reduce([s.reason == Reason.VALID for s in surfaces])
 
 
 def _merged_strain(inputs: Inputs, views: tuple[str, ...]) -> Merged:
@@ -158,46 +202,58 @@ def _merged(values: Sequence[Floats], covariances: Sequence[NDArray[np.floating]
     return merge_by_variance(values, covariances, correlation_of_pairs(values, covariances))
 
 
-def _vertex_values(field: MergedField, strain: Merged) -> Floats:
-    """Return the values of `_VALUES` at every pixel of a camera."""
-    return np.concatenate(
-        [
-            field.displacement,
-            np.linalg.norm(field.displacement, axis=0)[None],
-            np.sqrt(field.covariance[_DIAGONAL].sum(axis=0, dtype=np.float64))[None],
-            strain.value,
-            np.sqrt(strain.covariance[_DIAGONAL]),
-        ]
+def _values(field: MergedField, strain: Merged) -> list[tuple[str, str, Floats]]:
+    """Return what is known of every pixel of a camera: names, units and (rows, columns)."""
+    sigma = np.sqrt(covariance_in_space(field.covariance)[_DIAGONAL].sum(axis=0, dtype=np.float64))
+    principal, von_mises = principal_and_equivalent(strain.value)
+    components = list(
+        zip(("xx", "yy", "xy"), strain.value, np.sqrt(strain.covariance[_DIAGONAL]), strict=True)
     )
+    return [
+        *(
+            (f"displacement {axis}", field.unit, value)
+            for axis, value in zip(XYZ, field.displacement, strict=False)
+        ),
+        ("displacement", field.unit, np.linalg.norm(field.displacement, axis=0)),
+        ("sigma of displacement", field.unit, sigma),
+        *((f"strain {name}", "1", value) for name, value, _ in components),
+        *((f"sigma of strain {name}", "1", value) for name, _, value in components),
+        ("principal first", "1", principal[0]),
+        ("principal second", "1", principal[1]),
+        ("von_mises", "1", von_mises),
+    ]
 
 
-def _parts(field: MergedField, measurable: Mask) -> dict[str, float]:
-    """Return which part of what a camera could measure is valid, and of its image."""
-    found = fractions(field.reason == Reason.VALID, measurable)
-    return {f"{name}_{field.camera}": value for name, value in found.items()}
-
-
-def _statistics(fields: dict[str, MergedField], mesh: Mesh) -> dict[str, float]:
+def _statistics(seen: Sequence[_Seen], meshes: Sequence[Mesh]) -> dict[str, float]:
     """Return what people search by; a discrepancy only where views overlap."""
-    statistics = {"vertices": float(len(mesh.vertices)), "faces": float(len(mesh.faces))}
-    for camera, field in fields.items():
-        if np.isfinite(field.discrepancy_rms_mm):
-            statistics[f"discrepancy_rms_mm_{camera}"] = field.discrepancy_rms_mm
-    if len(mesh.vertices):
-        statistics["maximum_displacement_mm"] = float(mesh.values[3].max())
+    statistics = {
+        "vertices": float(sum(len(mesh.vertices) for mesh in meshes)),
+        "faces": float(sum(len(mesh.faces) for mesh in meshes)),
+    }
+    for one in seen:
+        found = fractions(one.field.reason == Reason.VALID, one.measurable)
+        statistics |= {f"{name}_{one.field.camera}": value for name, value in found.items()}
+        if np.isfinite(one.field.discrepancy_rms):
+            statistics[f"discrepancy_rms_{one.field.unit}_{one.field.camera}"] = one.field.discrepancy_rms
+    for unit in dict.fromkeys(mesh.unit for mesh in meshes):
+        largest = [
+            mesh.value("displacement").max() for mesh in meshes if mesh.unit == unit and len(mesh.vertices)
+        ]
+        if largest:
+            statistics[f"maximum_displacement_{unit}"] = float(max(largest))
     return statistics
 
 
 KIND = Kind(
     name="merge",
     summary="views of a camera merged by inverse variance, and all cameras joined into one surface",
-    version=4,
+    version=5,
     scope=Scope.STATE,
     parameters=MergeParameters,
-    inputs=(_MOVED, _STRAINED, _REFERENCE),
+    inputs=(_MOVED, _STRAINED, *_REFERENCE),
     outputs=(MERGED, MESH),
     needs=_needs,
     run=run,
-    subjects=deformed_states,
-    context=cameras,
+    subjects=every_deformed_state,
+    context=_views_by_camera,
 )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from sms_jobs.kinds.camera_views import SHAPES, CameraView, camera_views, cloud_needs
+from sms_jobs.kinds.camera_views import SHAPES, CameraView, camera_views, cameras, cloud_needs
 from sms_jobs.kinds.kind import (
     MEASUREMENT,
     DatasetOutput,
@@ -22,7 +22,6 @@ from sms_jobs.kinds.kind import (
     Progress,
     Scope,
 )
-from sms_jobs.kinds.merge import cameras
 from sms_jobs.kinds.products import MEASURED, MESH
 from sms_jobs.metrology.deformation.merging import join_meshes
 from sms_jobs.metrology.surfaces.continuity import fill_small_holes

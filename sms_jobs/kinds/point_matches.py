@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.kinds.correlate_parameters import MatchingParameters
+from sms_jobs.kinds.correlate_parameters import CorrelateParameters
 from sms_jobs.metrology.deformation import correlation
 from sms_jobs.metrology.deformation.correlation import MatchSettings
 from sms_jobs.metrology.deformation.displacement import ImagePoints
@@ -33,7 +33,7 @@ _IN_WORDS = {
 }
 
 
-def match_settings(parameters: MatchingParameters, minimum_part: float = 0.2) -> MatchSettings:
+def match_settings(parameters: CorrelateParameters, minimum_part: float = 0.2) -> MatchSettings:
     """Return how subsets are matched; `minimum_part` of one has to lie on its point's region."""
     return MatchSettings(
         parameters.subset_radius_px,
@@ -43,7 +43,7 @@ def match_settings(parameters: MatchingParameters, minimum_part: float = 0.2) ->
     )
 
 
-def search_settings(parameters: MatchingParameters) -> SearchSettings:
+def search_settings(parameters: CorrelateParameters) -> SearchSettings:
     """Return how far seeds look."""
     return SearchSettings(
         parameters.search_range_x_px,

@@ -16,15 +16,14 @@ from sms_jobs.records.fields import (
     MergedField,
     Mesh,
     PhaseMaps,
-    PointCloud,
     Regions,
     ReturnMaps,
     StrainField,
+    Surface,
 )
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.observations import BarObservation, BoardObservation
-from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
 from sms_jobs.records.recording import InterruptedRecording, Recording
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.surfaces import DeviationField, ReferenceSurface, SurfaceRegistration
@@ -82,21 +81,19 @@ QUALITY = Product("quality", CalibrationQuality)
 UNCERTAINTY = Product("uncertainty", CalibrationUncertainty)
 BOARD = Product("observation", BoardObservation)
 BAR = Product("observation", BarObservation)
-CLOUD = Product("cloud", PointCloud)
+SURFACE = Product("surface", Surface)
 PHASE = Product("phase", PhaseMaps)
 RETURNS = Product("returns", ReturnMaps)
 RESPONSE = Product("response", ResponseDiagnosis)
 DISPLACEMENT = Product("displacement", DisplacementField)
-PLANAR_DISPLACEMENT = Product("displacement", PlanarDisplacement)
 MATCHES = Product("matches", ImageMatches)
 REGIONS = Product("regions", Regions)
 STRAIN = Product("strain", StrainField)
-PLANAR_STRAIN = Product("strain", PlanarStrain)
 GAUGES = Product("gauges", GaugeReadings)
 MERGED = Product("merged", MergedField)
 MESH = Product("mesh", Mesh)
 ALIGNMENT = Product("view", ViewAlignment)
-REFERENCE_SURFACE = Product("surface", ReferenceSurface)
+REFERENCE_SURFACE = Product("reference", ReferenceSurface)
 DEVIATION = Product("deviation", DeviationField)
 REGISTRATION = Product("registration", SurfaceRegistration)
 ASSESSMENT = Product("assessment", Assessment)

@@ -41,14 +41,14 @@ from sms_jobs.kinds.kind import (
 )
 from sms_jobs.kinds.phase_task import Geometry, PhaseParameters, PhaseTask, mark
 from sms_jobs.kinds.phases import find_phases, sensor_pair
-from sms_jobs.kinds.products import CALIBRATED, CLOUD, MEASURED, PHASE, RETURNS, Product
+from sms_jobs.kinds.products import CALIBRATED, MEASURED, PHASE, RETURNS, SURFACE, Product
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge, large_ray_gap, outside_box
 from sms_jobs.metrology.phase.response import corrected_gradient
 from sms_jobs.metrology.phase.texture_error import Blur, correct_texture
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import PhaseMaps, PointCloud, ReturnMaps
+from sms_jobs.records.fields import PhaseMaps, ReturnMaps, Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.views import Role
@@ -120,13 +120,13 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     progress(0.9, "corrected for the texture")
     points = pair.meet(phase.omega, phase.omega_sigma)
     _mark_points(points, calibration, parameters, reason)
-    cloud = _as_cloud(camera_name, projector_name, points, reason)
+    surface = _as_surface(str(inputs.view), points, reason)
     progress(1.0, "triangulated")
-    statistics = _statistics(cloud, phase, blur)
-    records: dict[Product[Any], object] = {CLOUD: cloud, PHASE: phase}
+    statistics = _statistics(points, phase, reason, blur)
+    records: dict[Product[Any], object] = {SURFACE: surface, PHASE: phase}
     if found.returns is not None:
         records[RETURNS] = found.returns
-        statistics |= _pair_statistics(cloud, found.returns)
+        statistics |= _pair_statistics(reason, found.returns)
     if found.response is not None:
         statistics |= _response_statistics(found.response, measurement.sequence.steps)
     if phase.exposure is not None:
@@ -151,27 +151,27 @@ def _mark_points(
     mark(reason, at_edge(reason == Reason.VALID, _SMALLEST_GAP), Reason.OUTSIDE_REGION)
 
 
-def _as_cloud(camera: str, projector: str, points: Triangulation, reason: Reasons) -> PointCloud:
-    """Return the point cloud, NaN where there is a reason."""
+def _as_surface(view: str, points: Triangulation, reason: Reasons) -> Surface:
+    """Return the surface, NaN where there is a reason."""
     bad = reason != Reason.VALID
     for values in (points.xyz, points.covariance, points.ray_gap[None]):
         values[:, bad] = np.nan
-    return PointCloud(camera, projector, points.xyz, points.covariance, points.ray_gap, reason)
+    return Surface(view, "mm", points.xyz, reason, points.covariance, points.ray_gap)
 
 
-def _statistics(cloud: PointCloud, phase: PhaseMaps, blur: Blur) -> dict[str, float]:
+def _statistics(points: Triangulation, phase: PhaseMaps, reason: Reasons, blur: Blur) -> dict[str, float]:
     """Return what people search by; where nothing is valid, only the fractions."""
-    valid = cloud.reason == Reason.VALID
-    lit = (cloud.reason & (Reason.LOW_MODULATION | Reason.OUT_OF_VOLUME)) == 0
+    valid = reason == Reason.VALID
+    lit = (reason & (Reason.LOW_MODULATION | Reason.OUT_OF_VOLUME)) == 0
     statistics = {
         **fractions(valid, lit),
         "blur_px": float(np.sqrt(blur.variance)),
     }
     if valid.any():
-        sigma = np.sqrt(cloud.covariance[[0, 3, 5]][:, valid].sum(axis=0))
+        sigma = np.sqrt(points.covariance[[0, 3, 5]][:, valid].sum(axis=0))
         statistics |= {
             "median_sigma_mm": float(np.median(sigma)),
-            "ray_gap_rms_mm": float(np.sqrt(np.mean(np.square(cloud.ray_gap[valid], dtype=np.float64)))),
+            "ray_gap_rms_mm": float(np.sqrt(np.mean(np.square(points.ray_gap[valid], dtype=np.float64)))),
             "median_modulation_count": float(np.median(phase.modulation[:, valid])),
             "median_phase_error_rad": float(np.nanmedian(phase.phase_error[:, valid])),
         }
@@ -197,11 +197,11 @@ def _exposure_statistics(chosen: NDArray[np.float32], exposures: tuple[float, ..
     }
 
 
-def _pair_statistics(cloud: PointCloud, returns: ReturnMaps) -> dict[str, float]:
+def _pair_statistics(reason: Reasons, returns: ReturnMaps) -> dict[str, float]:
     """Return how many of the pixels with a return have several, and how many of those are ambiguous."""
     found = returns.label > 0
     several = np.isfinite(returns.omega[:, 1]).any(axis=0)
-    ambiguous = several & (cloud.reason & Reason.AMBIGUOUS_PAIR != 0)
+    ambiguous = several & (reason & Reason.AMBIGUOUS_PAIR != 0)
     return {
         "several_returns_fraction": float(several.sum() / max(found.sum(), 1)),
         "ambiguous_pair_fraction": float(ambiguous.sum() / max(several.sum(), 1)),
@@ -211,11 +211,11 @@ def _pair_statistics(cloud: PointCloud, returns: ReturnMaps) -> dict[str, float]
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=7,
+    version=8,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     inputs=(_FRAMES, _CALIBRATION),
-    outputs=(CLOUD, PHASE, RETURNS),
+    outputs=(SURFACE, PHASE, RETURNS),
     needs=_needs,
     run=run,
 )

@@ -12,42 +12,33 @@ from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Inputs, Need, Port
 from sms_jobs.kinds.products import (
     ASSESSMENT,
     CALIBRATED,
-    CLOUD,
     GAUGES,
-    MATCHES,
     MEASURED,
     MERGED,
-    PLANAR_DISPLACEMENT,
-    PLANAR_STRAIN,
     QUALITY,
     RECORDED,
     REGIONS,
     STRAIN,
 )
+from sms_jobs.kinds.surface_ports import surface_port
 from sms_jobs.records.campaign import Campaign, LoadState
 
 CALIBRATION_SHOWN = Port("calibration", CALIBRATION, (CALIBRATED, QUALITY))
 RECORDINGS = Port("measurement", MEASUREMENT, (MEASURED, RECORDED), several=True)
-SHAPES = Port("shape", "reconstruct", (CLOUD,), several=True)
+SURFACES = surface_port("shape", several=True)
 DISPLACEMENTS = Port("displacement", "correlate", (REGIONS,), several=True)
 STRAINS = Port("strain", "strain", (STRAIN,), several=True)
 MERGED_STATES = Port("merged", "merge", (MERGED,), several=True)
-PLANAR_DISPLACEMENTS = Port(
-    "displacement in the image", "correlate-images", (PLANAR_DISPLACEMENT, MATCHES), several=True
-)
-PLANAR_STRAINS = Port("strain in the image", "strain-images", (PLANAR_STRAIN,), several=True)
 GAUGES_READ = Port("gauges", "gauges", (GAUGES,), several=True)
 ASSESSMENTS = Port("assessment", "assess", (ASSESSMENT,), several=True)
 """What compares with the truth where it is known."""
 SHOWN = (
     CALIBRATION_SHOWN,
     RECORDINGS,
-    SHAPES,
+    *SURFACES,
     DISPLACEMENTS,
     STRAINS,
     MERGED_STATES,
-    PLANAR_DISPLACEMENTS,
-    PLANAR_STRAINS,
     GAUGES_READ,
     ASSESSMENTS,
 )

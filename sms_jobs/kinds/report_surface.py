@@ -9,16 +9,15 @@ import numpy as np
 
 from sms_jobs.formats.report.surface import deformed_view, reference_view
 from sms_jobs.formats.report.view import View
-from sms_jobs.kinds.kind import Inputs, Need, deformed_tuples, tuples
-from sms_jobs.kinds.merge import cameras
-from sms_jobs.kinds.products import CLOUD, GAUGES, MEASURED, MERGED, REGIONS, STRAIN
+from sms_jobs.kinds.kind import Inputs, Need, deformed_tuples, tested_states
+from sms_jobs.kinds.products import GAUGES, MEASURED, MERGED, REGIONS, STRAIN, SURFACE
 from sms_jobs.kinds.report_chapter import (
     DISPLACEMENTS,
     GAUGES_READ,
     MERGED_STATES,
     RECORDINGS,
-    SHAPES,
     STRAINS,
+    SURFACES,
     Chapter,
     Sampling,
 )
@@ -28,16 +27,18 @@ from sms_jobs.records.reasons import Reason
 
 
 def _needs(campaign: Campaign) -> Iterable[Need]:
-    for each in tuples(campaign):
-        if each.state == campaign.reference.label:
-            yield RECORDINGS.of(each)
-            yield SHAPES.of(each)
-        else:
-            yield STRAINS.of(each)
-        if len(campaign.states) > 1 and each.state == campaign.states[1].label:
+    deformed = deformed_tuples(campaign)
+    measured = campaign.measured_views if tested_states(campaign) else ()
+    for view in measured if deformed else [v for v in measured if v in campaign.shape_views]:
+        at_rest = Subject(campaign.name, campaign.reference.label, view)
+        yield RECORDINGS.of(at_rest)
+        yield SURFACES.of(campaign, at_rest)
+    for each in deformed:
+        yield STRAINS.of(each)
+        if each.state == campaign.states[1].label:
             yield DISPLACEMENTS.of(each)
-    for loaded in campaign.states[1:] if campaign.shape_views else ():
-        yield MERGED_STATES.of(Subject(campaign.name, loaded.label))
+    for loaded in dict.fromkeys(each.state for each in deformed):
+        yield MERGED_STATES.of(Subject(campaign.name, loaded))
 
 
 def _gauges(campaign: Campaign) -> Iterable[Need]:
@@ -48,12 +49,12 @@ def _best_views(inputs: Inputs, campaign: Campaign) -> Mapping[str, str]:
     """Return, by camera, the view that sees most of the surface at the reference state."""
     at_rest = Subject(campaign.name, campaign.reference.label)
     best: dict[str, str] = {}
-    for camera, views in cameras(campaign, inputs.subject).items():
+    for camera, views in campaign.views_by_camera().items():
         seen: dict[str, int] = {}
         for view in views if len(views) > 1 else ():
-            cloud = inputs.read(SHAPES, CLOUD, replace(at_rest, view=view))
-            seen[view] = int(np.count_nonzero(cloud.reason == Reason.VALID))
-            del cloud
+            surface = inputs.read(SURFACES.port, SURFACE, replace(at_rest, view=view))
+            seen[view] = int(np.count_nonzero(surface.reason == Reason.VALID))
+            del surface
         best[camera] = max(views, key=lambda view: seen.get(view, 0))
     return best
 
@@ -66,13 +67,13 @@ def _reference(inputs: Inputs, campaign: Campaign, sampling: Sampling) -> Iterat
         if len(campaign.states) > 1:
             regions = inputs.read(DISPLACEMENTS, REGIONS, replace(at_rest, state=campaign.states[1].label))
         measurement = inputs.read(RECORDINGS, MEASURED, at_rest)
-        cloud = inputs.read(SHAPES, CLOUD, at_rest)
-        yield reference_view(view, measurement, cloud, regions, sampling.of(cloud.reason.shape))
+        surface = inputs.read(SURFACES.port, SURFACE, at_rest)
+        yield reference_view(view, measurement, surface, regions, sampling.of(surface.reason.shape))
 
 
 def _deformed(inputs: Inputs, campaign: Campaign, state: LoadState, sampling: Sampling) -> Iterator[View]:
     """Show displacement of every camera, and strain by the view that sees most of the surface there."""
-    for camera, views in cameras(campaign, inputs.subject).items():
+    for camera, views in campaign.views_by_camera().items():
         own = Subject(campaign.name, state.label)
         merged = inputs.read(MERGED_STATES, MERGED.of(camera), own)
         best: tuple[str, StrainField] | None = None
@@ -93,12 +94,16 @@ def _valid(field: StrainField) -> int:
 
 
 CHAPTER = Chapter(
-    name="Shape, displacement and strain of the surface",
+    name="Shape, displacement and strain",
     rank=0,
-    introduction="Lengths are in millimetres in the frame of the calibration, strains in microstrain (µε) "
-    "in the plane of the surface. Standard deviations cover the camera's noise, not the calibration. Of a "
-    "camera with several projectors displacement is merged of all, shape and strain are of the view that "
-    "sees most of the surface.",
+    introduction="Lengths are in millimetres in the frame of the calibration, strains in microstrain (µε) in "
+    "the plane of the surface. Standard deviations cover the camera's noise and the misfit of "
+    "the subsets, not the calibration. Of a camera with several projectors displacement is "
+    "merged of all, shape and strain are of the view that sees most of the surface. A camera "
+    "alone measures in the plane of its image: X points to the right and Y up, both as the "
+    "camera sees the specimen, lengths are in millimetres where the size of a pixel was given "
+    "and in pixels of the reference image elsewhere, and motion towards the camera or out of "
+    "the plane looks like strain; where nothing was measured the image itself shows.",
     needs=_needs,
     reference=_reference,
     deformed=_deformed,

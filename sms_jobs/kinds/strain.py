@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field
 
+from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     Inputs,
@@ -19,22 +20,37 @@ from sms_jobs.kinds.kind import (
     Progress,
     Scope,
     deformed_tuples,
+    deformed_views,
 )
-from sms_jobs.kinds.products import CLOUD, DISPLACEMENT, REGIONS, STRAIN
+from sms_jobs.kinds.products import DISPLACEMENT, REGIONS, STRAIN, SURFACE
+from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.strain import independent_equivalent, surface_strain
+from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import PointCloud, StrainField, StrainMeasure
+from sms_jobs.records.fields import StrainField, StrainMeasure, Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Vector
+from sms_jobs.records.views import view_of
+
+_USUAL_MM, _USUAL_PX = 20.0, 60.0
 
 
 class StrainParameters(Parameters):
     """Over what length strain is taken, and which strain."""
 
-    gauge_length_mm: float = Field(
-        20.0, gt=0.0, description="diameter of the disc of surface over which displacement is fitted"
+    gauge_length_mm: float | None = Field(
+        None,
+        gt=0.0,
+        description=f"diameter of the disc of surface over which displacement is fitted; {_USUAL_MM:g} mm "
+        "if not given",
+    )
+    gauge_length_px: float | None = Field(
+        None,
+        gt=2.0,
+        description="the same in the image of a camera alone, where its length in mm is not given; "
+        f"{_USUAL_PX:g} px if neither is",
     )
     measure: StrainMeasure = Field(
         "green-lagrange", description="Green-Lagrange strain, which no rotation changes, or small strain"
@@ -49,12 +65,12 @@ class StrainParameters(Parameters):
 
 
 _MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS))
-_REFERENCE = Port("reference", "reconstruct", (CLOUD,))
+_REFERENCE = surface_port("reference")
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: StrainParameters) -> Iterable[Need]:
     yield _MOVED.of(subject)
-    yield _REFERENCE.of(replace(subject, state=campaign.reference.label))
+    yield _REFERENCE.of(campaign, replace(subject, state=campaign.reference.label))
 
 
 def specimen_axis(campaign: Campaign, subject: Subject) -> Vector:
@@ -65,24 +81,50 @@ def specimen_axis(campaign: Campaign, subject: Subject) -> Vector:
     return (float(x), float(y), float(z))
 
 
+def _x_axis(campaign: Campaign, subject: Subject) -> Vector:
+    """Return the x axis of strain: the specimen's, in an image that along its rows."""
+    in_world = view_of(subject.view).measures_shape
+    return specimen_axis(campaign, subject) if in_world else (1.0, 0.0, 0.0)
+
+
+def gauge_length_of(surface: Surface, parameters: StrainParameters) -> float:
+    """Return the gauge length in the unit of a surface; `InvalidInput` for mm where no scale is known."""
+    in_mm, in_px = parameters.gauge_length_mm, parameters.gauge_length_px
+    if surface.has_depth:
+        return _USUAL_MM if in_mm is None else in_mm
+    size = 1.0 if surface.mm_per_px is None else surface.mm_per_px
+    if in_mm is None:
+        return size * (_USUAL_PX if in_px is None else in_px)
+    if surface.unit == "mm":
+        return in_mm
+    if in_px is None:
+        raise InvalidInput(
+            f"the image of {surface.view} has no scale, so a gauge length of {in_mm:g} mm means nothing "
+            "there; give gauge-length-px, or the size of a pixel as plane.mm_per_px"
+        )
+    return in_px
+
+
 def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Iterator[Output]:
-    """Differentiate the stored displacement over the stored shape; nothing is correlated again."""
+    """Differentiate the stored displacement over the stored surface; nothing is correlated again."""
+    surface = inputs.read(_REFERENCE.port, SURFACE)
+    gauge_length = gauge_length_of(surface, parameters)
     moved = inputs.read(_MOVED, DISPLACEMENT)
     regions = inputs.read(_MOVED, REGIONS)
-    cloud = inputs.read(_REFERENCE, CLOUD)
-    pitch = pixel_pitch(cloud.xyz, np.where(moved.reason == Reason.VALID, regions.labels, 0), 0.5)
+    position = in_space(surface.position)
+    pitch = pixel_pitch(position, np.where(moved.reason == Reason.VALID, regions.labels, 0), 0.5)
     found = surface_strain(
-        cloud.xyz,
-        moved.displacement,
+        position,
+        in_space(moved.displacement),
         independent_equivalent(
-            moved.covariance,
-            cloud.covariance,
+            covariance_in_space(moved.covariance),
+            position_covariance(surface),
             averaging_radius_px=moved.averaging_radius_px,
             subset_radius_px=moved.subset_radius_px,
-            disc_radius_px=0.5 * parameters.gauge_length_mm / pitch,
+            disc_radius_px=0.5 * gauge_length / pitch,
         ),
         regions.labels,
-        gauge_length_mm=parameters.gauge_length_mm,
+        gauge_length=gauge_length,
         x_axis=inputs.context,
         green_lagrange=parameters.measure == "green-lagrange",
         fold_angle_rad=float(np.radians(parameters.fold_angle_deg)),
@@ -92,7 +134,8 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
     reason[(reason == Reason.VALID) & np.isnan(found.strain[0])] = Reason.TOO_FEW_NEIGHBOURS
     field = StrainField(
         parameters.measure,
-        parameters.gauge_length_mm,
+        moved.unit,
+        gauge_length,
         found.strain,
         found.sigma.astype(np.float32),
         found.principal,
@@ -100,13 +143,13 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
         reason,
     )
     progress(1.0, "fitted the strain")
-    yield DatasetOutput(inputs.subject, {STRAIN: field}, _statistics(field, cloud))
+    yield DatasetOutput(inputs.subject, {STRAIN: field}, _statistics(field, surface))
 
 
-def _statistics(field: StrainField, cloud: PointCloud) -> dict[str, float]:
+def _statistics(field: StrainField, surface: Surface) -> dict[str, float]:
     """Return what people search by; where nothing is valid, only the fractions."""
     valid = field.reason == Reason.VALID
-    statistics = fractions(valid, cloud.reason == Reason.VALID)
+    statistics = fractions(valid, surface.reason == Reason.VALID)
     if valid.any():
         statistics |= {
             "maximum_principal_strain": float(field.principal[0][valid].max()),
@@ -120,13 +163,14 @@ def _statistics(field: StrainField, cloud: PointCloud) -> dict[str, float]:
 KIND = Kind(
     name="strain",
     summary="strain in the tangent plane, with principal and equivalent strain, over a stated gauge length",
-    version=3,
+    version=4,
     scope=Scope.TUPLE,
     parameters=StrainParameters,
-    inputs=(_MOVED, _REFERENCE),
+    inputs=(_MOVED, *_REFERENCE),
     outputs=(STRAIN,),
     needs=_needs,
     run=run,
-    subjects=deformed_tuples,
-    context=specimen_axis,
+    subjects=deformed_views,
+    pipeline_subjects=deformed_tuples,
+    context=_x_axis,
 )

@@ -223,7 +223,21 @@ class Campaign:
     @property
     def cameras_alone(self) -> tuple[str, ...]:
         """The cameras that have no projector here: what they measure is in the plane of their image."""
-        return tuple(view for view in self.views if not view_of(view).measures_shape)
+        with_shape = {view_of(view).camera for view in self.shape_views}
+        return tuple(view for view in self.views if view_of(view).camera not in with_shape)
+
+    @property
+    def measured_views(self) -> tuple[str, ...]:
+        """The views that displacement and strain are measured by: best by each camera."""
+        return tuple(v for v in self.views if v in self.shape_views or v in self.cameras_alone)
+
+    def views_by_camera(self) -> dict[str, tuple[str, ...]]:
+        """Return the measured views of each camera, in order."""
+        found: dict[str, tuple[str, ...]] = {}
+        for view in self.measured_views:
+            camera = view_of(view).camera
+            found[camera] = (*found.get(camera, ()), view)
+        return found
 
     def state(self, label: str) -> LoadState:
         """Return the state of that label; raise `InvalidInput` where there is none."""

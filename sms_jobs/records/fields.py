@@ -6,13 +6,15 @@ Fields are component-first: a vector over an image is (3, rows, columns), a pack
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.records.quantity import IMAGE, SYMMETRIC, XYZ, array
+from sms_jobs.errors import InvalidInput
+from sms_jobs.records.quantity import IMAGE, SYMMETRIC, UNIT, XYZ, LengthUnit, array
+from sms_jobs.records.views import view_of
 
 Double = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -78,17 +80,40 @@ class ReturnMaps:
 
 
 @dataclass(frozen=True)
-class PointCloud:
-    """One point for each camera pixel, in the world's frame."""
+class Surface:
+    """What every pixel of a view's camera sees: a point of the world, or of the plane of the image.
 
-    camera: str
-    projector: str
-    xyz: Double = array("mm", "position", VECTOR_IMAGE, XYZ)
-    covariance: Single = array(
-        "mm^2", "covariance of the position, from phase noise", VECTOR_IMAGE, SYMMETRIC
-    )
-    ray_gap: Single = array("mm", "distance between camera and projector ray at closest approach")
+    In the world a position is (X, Y, Z) in mm. A camera alone knows its image as a plane: x points to the
+    right and y up, from the middle of the first pixel, in mm where the size of a pixel is known and in px
+    elsewhere; there is no Z, and no covariance, since a pixel is where it is.
+
+    Attributes
+    ----------
+    mm_per_px
+        Size of a pixel in the plane; None in the world, and where it is not known.
+    """
+
+    view: str
+    unit: LengthUnit
+    position: Double = array(UNIT, "position", VECTOR_IMAGE, XYZ)
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
+    covariance: Single | None = array(
+        f"{UNIT}^2", "covariance of the position, from phase noise", VECTOR_IMAGE, SYMMETRIC, default=None
+    )
+    ray_gap: Single | None = array(
+        "mm", "distance between camera and projector ray at closest approach", default=None
+    )
+    mm_per_px: float | None = None
+
+    @property
+    def camera(self) -> str:
+        """The camera whose pixels these are."""
+        return view_of(self.view).camera
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether it lies in space, not in the plane of an image."""
+        return len(self.position) == len(XYZ)
 
 
 @dataclass(frozen=True)
@@ -141,14 +166,15 @@ class DisplacementField:
     """Displacement of the material point seen by each pixel of the reference image.
 
     Errors of neighbouring pixels go together: those of shape over `averaging_radius_px`, those of the match
-    over `subset_radius_px`; 0 where they are independent.
+    over `subset_radius_px`; 0 where they are independent. Frame and unit are those of the surface: in the
+    plane of an image there is no displacement along Z.
     """
 
-    camera: str
-    projector: str
+    view: str
     reference_state: str
-    displacement: Double = array("mm", "displacement", VECTOR_IMAGE, XYZ)
-    covariance: Single = array("mm^2", "covariance of the displacement", VECTOR_IMAGE, SYMMETRIC)
+    unit: LengthUnit
+    displacement: Double = array(UNIT, "displacement", VECTOR_IMAGE, XYZ)
+    covariance: Single = array(f"{UNIT}^2", "covariance of the displacement", VECTOR_IMAGE, SYMMETRIC)
     image_displacement: Double = array("px", "displacement in the image", VECTOR_IMAGE, ("u", "v"))
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
     averaging_radius_px: float = 0.0
@@ -163,11 +189,13 @@ class StrainField:
     """In-plane strain at each pixel of the reference image.
 
     The frame at a point lies in the tangent plane of the reference surface: x is the specimen's x axis
-    projected onto that plane, z the outward normal (towards the camera), y completes it.
+    projected onto that plane, z the outward normal (towards the camera), y completes it. In the plane of an
+    image x points to the right and y up. The gauge length is in `unit`.
     """
 
     measure: StrainMeasure
-    gauge_length_mm: float
+    unit: LengthUnit
+    gauge_length: float
     strain: Double = array("1", "strain", VECTOR_IMAGE, ("xx", "yy", "xy"))
     sigma: Single = array("1", "standard deviation of the strain", VECTOR_IMAGE, ("xx", "yy", "xy"))
     principal: Double = array("1", "principal strains, larger first", VECTOR_IMAGE, ("first", "second"))
@@ -177,29 +205,68 @@ class StrainField:
 
 @dataclass(frozen=True)
 class MergedField:
-    """Shape and displacement of one camera's view, all its projectors taken together."""
+    """Surface and displacement as one camera sees them, all its views taken together; in `unit`."""
 
     camera: str
     views: tuple[str, ...]
-    discrepancy_rms_mm: float
-    displacement: Double = array("mm", "displacement", VECTOR_IMAGE, XYZ)
-    xyz: Double = array("mm", "position at the reference state", VECTOR_IMAGE, XYZ)
-    covariance: Single = array("mm^2", "covariance of the displacement", VECTOR_IMAGE, SYMMETRIC)
+    unit: LengthUnit
+    discrepancy_rms: float
+    displacement: Double = array(UNIT, "displacement", VECTOR_IMAGE, XYZ)
+    position: Double = array(UNIT, "position at the reference state", VECTOR_IMAGE, XYZ)
+    covariance: Single = array(f"{UNIT}^2", "covariance of the displacement", VECTOR_IMAGE, SYMMETRIC)
     contributors: NDArray[np.uint8] = array("1", "number of views that gave a value")
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
     discrepancy: Single | None = array(
-        "mm", "rms distance between the displacements of the views", default=None
+        UNIT, "rms distance between the displacements of the views", default=None
     )
+    mm_per_px: float | None = None
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether it lies in space, not in the plane of an image."""
+        return len(self.position) == len(XYZ)
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles over measured points, with values at the points."""
+    """Triangles over measured points, with values at the points.
+
+    Where the points are pixels, `cameras[camera[k]]` is what saw vertex k, at (column, row) `pixel[:, k]`.
+    In the plane of an image vertices have no Z.
+    """
 
     value_names: tuple[str, ...]
     value_units: tuple[str, ...]
-    vertices: Double = array("mm", "position at the reference state", ("vertex", "component"), XYZ)
+    vertices: Double = array(UNIT, "position at the reference state", ("vertex", "component"), XYZ)
     faces: NDArray[np.int32] = array(
         "1", "vertex indices, counter-clockwise seen from outside", ("face", "corner")
     )
     values: Double = array("mixed", "values at the vertices, see value_names", ("value", "vertex"))
+    unit: LengthUnit = "mm"
+    cameras: tuple[str, ...] = ()
+    camera: NDArray[np.uint8] | None = array(
+        "1", "which of the cameras saw the vertex", ("vertex",), default=None
+    )
+    pixel: NDArray[np.int32] | None = array(
+        "px", "where it saw the vertex", ("component", "vertex"), ("column", "row"), default=None
+    )
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether it lies in space, not in the plane of an image."""
+        return bool(self.vertices.shape[1] == len(XYZ))
+
+    def value(self, name: str) -> Any:
+        """Return one of the values, (vertices,); raise `InvalidInput` for one that it has not got."""
+        if name not in self.value_names:
+            raise InvalidInput(f"the mesh has no '{name}'; it has {', '.join(self.value_names) or 'none'}")
+        return self.values[self.value_names.index(name)]
+
+    def with_value(self, name: str, unit: str, values: Double) -> Mesh:
+        """Return it with one value more, (vertices,)."""
+        return replace(
+            self,
+            value_names=(*self.value_names, name),
+            value_units=(*self.value_units, unit),
+            values=np.concatenate([self.values, values[None]]),
+        )

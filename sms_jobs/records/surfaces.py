@@ -12,7 +12,7 @@ from sms_jobs.records.quantity import SYMMETRIC, XYZ, array
 Double = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-SURFACE = "surface"
+REFERENCE_SURFACES = "surface"
 """The source of files that hold a reference surface."""
 
 
@@ -96,7 +96,7 @@ class DeviationField:
     deviation: Double = array("mm", "deviation from the reference surface, positive outside the material")
     sigma: Single = array("mm", "standard deviation of the deviation")
     verdict: NDArray[np.uint8] = array("1", "verdict: 1 within tolerance, 2 undecided, 3 outside")
-    xyz: Double = array(
+    position: Double = array(
         "mm", "position in the frame of the reference surface", ("component", "row", "column"), XYZ
     )
     covariance: Single = array(

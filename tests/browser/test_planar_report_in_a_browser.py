@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from PIL import Image
 from support.browser import Browser, browser_or_skip
+from support.planes import merged_in_plane, moved_in_plane, one_region, plane, strain_in_plane
 
 from sms_jobs.archive import Archive, Provenance
 from sms_jobs.kinds import report
 from sms_jobs.kinds.kind import DocumentOutput, Inputs, Need
+from sms_jobs.kinds.products import MERGED
 from sms_jobs.kinds.report import ReportParameters
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
-from sms_jobs.records.fields import ImageMatches
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
-from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
 from sms_jobs.records.reasons import Reason
 
 WHEN = datetime(2026, 1, 2, tzinfo=UTC)
@@ -39,19 +39,14 @@ def records_for(need: Need) -> Mapping[str, Any]:
             )
         }
     reason = np.where(column < EDGE, np.uint32(Reason.NO_TEXTURE), np.uint32(0)).astype(np.uint32)
-    value = np.where(reason == 0, 1e-3 * column, np.nan)
-    sigma = np.where(reason == 0, 1e-5, np.nan).astype(np.float32)
-    if need.source == "strain-images":
-        three, narrow = np.stack([value] * 3), np.stack([sigma] * 3)
-        return {"strain": PlanarStrain("small", 20.0, None, three, narrow, three[:2], value, reason)}
-    one = np.ones(1)
-    single = one.astype(np.float32)
-    matches = ImageMatches(
-        one, one, one.astype(np.int32), one, one, np.zeros((4, 1)), single, single, single,
-        one.astype(np.int32), np.zeros(1, np.uint32),
-    )  # fmt: skip
-    moved = PlanarDisplacement("C1", "00", 10, None, np.stack([value] * 2), np.stack([sigma] * 2), reason)
-    return {"displacement": moved, "matches": matches}
+    surface = plane(reason)
+    moved = moved_in_plane(surface, 1e-3 * column, 0.0 * column)
+    return {
+        "plane": {"surface": surface},
+        "correlate": {"regions": one_region(surface)},
+        "strain": {"strain": strain_in_plane(surface)},
+        "merge": {MERGED.of("C1").stored_as: merged_in_plane(surface, moved)},
+    }[need.source]
 
 
 def written(folder: Path) -> Path:

@@ -126,7 +126,7 @@ def test_pointing_shows_what_the_archive_holds(page: Browser, folder: Path) -> N
         # A step of 4 %, and two digits of a number that begins with 1.
         assert sigma == pytest.approx(true_sigma, rel=0.02 + 0.05)
         # 300 mm in 65,533 steps, written to a thousandth.
-        assert place == pytest.approx(list(field.xyz[:, row, column]), abs=300 / 65_533 / 2 + 0.0005)
+        assert place == pytest.approx(list(field.position[:, row, column]), abs=300 / 65_533 / 2 + 0.0005)
 
 
 def test_a_pixel_without_a_value_says_why(page: Browser) -> None:

@@ -85,10 +85,10 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]
     with service(home):
         answer(
             "job", "submit", "pipeline", "gauges", "-c", "coupon", "--wait",
-            "--set", f"correlate-images.mm_per_px={SCALE}",
-            "--set", "correlate-images.search_range_x_px=8",
-            "--set", "correlate-images.search_range_y_px=8",
-            "--set", "strain-images.gauge_length_mm=2",
+            "--set", f"plane.mm_per_px={SCALE}",
+            "--set", "correlate.search_range_x_px=8",
+            "--set", "correlate.search_range_y_px=8",
+            "--set", "strain.gauge_length_mm=2",
             "--set", "export.formats=vtu",
             "--set", f"gauges.gauge={GAUGE}",
             *at,
@@ -110,14 +110,14 @@ def test_images_loads_and_gauges_come_in_by_name_and_by_time(done: tuple[Path, d
         (f"{k:02}", "C1", "imported") for k in range(3)
     ]
     assert said["loads"]["states"] == said["gauges"]["states"] == ["00", "01", "02"]
-    found = found_of(home, "strain-images where load_kN > 0.9")
+    found = found_of(home, "strain where load_kN > 0.9")
     # Of 0, 0.5 and 1 kN.
     assert [one["subject"] for one in found] == ["coupon/02/C1"]
 
 
 def test_strain_is_that_of_the_coupon(done: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     home, _ = done
-    (found,) = found_of(home, "strain-images where load_kN > 0.9")
+    (found,) = found_of(home, "strain where load_kN > 0.9")
     section = run(
         home, "data", "section", str(found["id"]), "--from", "64,30", "--to", "64,100", "--field", "strain"
     )
@@ -141,15 +141,15 @@ def test_strain_is_that_of_the_coupon(done: tuple[Path, dict[str, Any]], tmp_pat
 
 def test_two_states_are_compared(done: tuple[Path, dict[str, Any]]) -> None:
     home, _ = done
-    (early,) = found_of(home, "correlate-images where load_kN < 0.9")
-    (late,) = found_of(home, "correlate-images where load_kN > 0.9")
+    (early,) = found_of(home, "merge where load_kN < 0.9")
+    (late,) = found_of(home, "merge where load_kN > 0.9")
     found = run(home, "data", "compare", str(late["id"]), "--with", str(early["id"]))
     # Held at the lower end: half the length moves by half of what the states differ by in strain, upwards.
     expected = (ALONG[2] - ALONG[1]) * SIZE / 2 * SCALE
     # A tenth: the rows that could be matched are not quite the image's.
     assert found["mean_Y_mm"] == pytest.approx(expected, rel=0.1)
     assert abs(found["mean_X_mm"]) < 0.02 * SCALE
-    assert found["rms_Z_mm"] == 0.0
+    assert "rms_Z_mm" not in found
 
 
 def test_a_virtual_gauge_stands_beside_the_real_one(done: tuple[Path, dict[str, Any]]) -> None:
@@ -169,12 +169,12 @@ def test_the_report_shows_it(done: tuple[Path, dict[str, Any]], tmp_path: Path) 
     run(home, "data", "export", "--kind", "report", "-c", "coupon", "-o", str(page))
     text = page.read_text()
     for words in (
-        "Displacement and strain in the image",
+        "Shape, displacement and strain",
         "gauge length of 2 mm (40 px)",
-        "strain yy, median",
+        "yy, median",
         "load [N]",
         "cameras alone",
-        "correlate-images, version",
+        "correlate, version",
     ):
         assert words in text
     assert "fringe densities" not in text
@@ -186,4 +186,4 @@ def test_what_a_camera_alone_cannot_do_is_said(done: tuple[Path, dict[str, Any]]
     assert refused.returncode == USAGE
     told = " ".join(refused.stderr.split())
     assert "measured by C1 without a projector" in told
-    assert "correlate-images" in told
+    assert "correlate" in told

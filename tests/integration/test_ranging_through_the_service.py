@@ -10,7 +10,7 @@ import pytest
 from support.command import answer, service, sms
 
 from sms_jobs.archive import Archive
-from sms_jobs.records.fields import PhaseMaps, PointCloud, ReturnMaps
+from sms_jobs.records.fields import PhaseMaps, ReturnMaps, Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 
@@ -115,18 +115,18 @@ def test_two_returns_are_found_paired_and_kept(done: tuple[Path, str]) -> None:
     statistics = run(home, "data", "show", str(found["id"]))["statistics"]
     assert statistics["several_returns_fraction"] > 0.3
     with Archive(home / "archive").open_unrecorded(found["path"]) as dataset:
-        assert dataset.names == ("cloud", "phase", "returns")
+        assert dataset.names == ("surface", "phase", "returns")
         assert dataset.provenance.parameters["method"] == "fdr"
-        cloud, returns = dataset.read("cloud", PointCloud), dataset.read("returns", ReturnMaps)
+        cloud, returns = dataset.read("surface", Surface), dataset.read("returns", ReturnMaps)
     valid = cloud.reason == Reason.VALID
     # The plate faces the scanner; where it is lit twice its points lie on the plane of the others. Within
     # 80 mm of the hinge the two returns are less than a bin apart with so few fringes.
-    twice = valid & np.isfinite(returns.omega[:, 1]).all(axis=0) & (cloud.xyz[1] > -30.0)
+    twice = valid & np.isfinite(returns.omega[:, 1]).all(axis=0) & (cloud.position[1] > -30.0)
     once = valid & np.isnan(returns.omega[:, 1]).all(axis=0)
     assert min(twice.sum(), once.sum()) > 300
-    centre = cloud.xyz[:, once].mean(axis=1)
-    normal = np.linalg.svd((cloud.xyz[:, once].T - centre), full_matrices=False)[2][2]
-    off = np.abs(normal @ (cloud.xyz[:, twice] - centre[:, None]))
+    centre = cloud.position[:, once].mean(axis=1)
+    normal = np.linalg.svd((cloud.position[:, once].T - centre), full_matrices=False)[2][2]
+    off = np.abs(normal @ (cloud.position[:, twice] - centre[:, None]))
     # Noise alone gives 0.08 mm with 16 fringes. A pixel of 4 mm blurs the two returns unequally, which the
     # model lacks, and as much again comes from that; mixed returns would be off by millimetres.
     assert np.median(off) < 0.4
@@ -157,12 +157,14 @@ def test_a_bracket_that_acquire_chose_is_archived_and_merged(done: tuple[Path, s
     assert statistics["gamma"] == pytest.approx(1.0, abs=0.02)
     with archive.open_unrecorded(found["path"]) as dataset:
         assert dataset.provenance.parameters["response"] == "measured"
-        cloud, phase = dataset.read("cloud", PointCloud), dataset.read("phase", PhaseMaps)
+        cloud, phase = dataset.read("surface", Surface), dataset.read("phase", PhaseMaps)
     assert phase.exposure is not None
     assert set(np.unique(phase.exposure)) == {np.float32(e) for e in sequence.exposures}
     # All of the highlight but what a shadow's edge takes: it is measured as any other part.
     assert (cloud.reason[dazzled] == Reason.VALID).mean() > 0.9
     valid = cloud.reason == Reason.VALID
-    off = np.hypot(cloud.xyz[0], cloud.xyz[2] + 300.0)[valid & dazzled] - 300.0  # about the axis x = 0
+    off = (
+        np.hypot(cloud.position[0], cloud.position[2] + 300.0)[valid & dazzled] - 300.0
+    )  # about the axis x = 0
     # Noise of 0.1 mm in a shorter exposure.
     assert np.median(np.abs(off)) < 0.2

@@ -154,7 +154,7 @@ class ArchiveCare(RuleBasedStateMachine):
                 sealed = self.archive.seal_dataset({MEASUREMENT: recorded}, came_from)
                 yield SealedOutput(subject, sealed, {}, recorded.recorded_at, {})
                 continue
-            sealed = self.archive.seal_dataset({"cloud": point_cloud(self.rng)}, came_from)
+            sealed = self.archive.seal_dataset({"surface": point_cloud(self.rng)}, came_from)
             yield SealedOutput(subject, sealed, numbers, None, {})
             came_from = Provenance(**{**vars(came_from), "statistics": {}})
             text = str(self.rng.random())

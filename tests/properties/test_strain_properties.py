@@ -30,8 +30,8 @@ def test_strain_is_that_before_any_rigid_motion(
     rotation = Rotation.from_rotvec(turn).as_matrix()
     after = np.einsum("ij,jrc->irc", rotation, xyz + grown) + np.array([50.0, -30.0, 8.0])[:, None, None]
     labels, none = np.ones((24, 24), np.int32), np.zeros((6, 24, 24))
-    still = surface_strain(xyz, grown, none, labels, gauge_length_mm=7.0, x_axis=axis)
-    moved = surface_strain(xyz, after - xyz, none, labels, gauge_length_mm=7.0, x_axis=axis)
+    still = surface_strain(xyz, grown, none, labels, gauge_length=7.0, x_axis=axis)
+    moved = surface_strain(xyz, after - xyz, none, labels, gauge_length=7.0, x_axis=axis)
     # Rounding of displacements of 100 mm over a disc of 7 mm.
     np.testing.assert_allclose(moved.strain, still.strain, atol=1e-11)
     np.testing.assert_allclose(

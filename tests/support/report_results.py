@@ -18,7 +18,7 @@ from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.assessment import Assessment, Errors
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
-from sms_jobs.records.fields import MergedField, Mesh, PointCloud, Region, Regions, StrainField
+from sms_jobs.records.fields import MergedField, Mesh, Region, Regions, StrainField, Surface
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.scene import HalvesApart, Plane, Scene
@@ -71,7 +71,7 @@ def records_for(need: Need, size: tuple[int, int]) -> Mapping[str, Any]:
         gap = np.zeros(size, np.float32)
         if need.subject.view == "C1P1":
             reason = reason | 1  # sees nothing: its neighbour C1P2 is shown
-        return {"cloud": PointCloud("C1", "P1", np.stack([x, y, z]) * full, covariance, gap, reason)}
+        return {"surface": Surface("C1P1", "mm", np.stack([x, y, z]) * full, reason, covariance, gap)}
     if need.source == "correlate":
         labels = np.where(z > 0, 1, 2).astype(np.int32) * (reason == 0)
         return {
@@ -80,12 +80,12 @@ def records_for(need: Need, size: tuple[int, int]) -> Mapping[str, Any]:
     if need.source == "strain":
         strain = np.stack([0.001 + 1e-5 * x, -0.0003 + 0 * x, 0 * x]) * load * full
         sigma = np.full((3, *size), 3e-5, np.float32)
-        return {"strain": StrainField("small", 20.0, strain, sigma, strain[:2], strain[0], reason)}
+        return {"strain": StrainField("small", "mm", 20.0, strain, sigma, strain[:2], strain[0], reason)}
     if need.source == "merge":
         names = np.ones(size, np.uint8)
         fields = {
             MERGED.of(c).stored_as: MergedField(
-                c, ("C1P1", "C1P2"), 0.012, shift, np.stack([x, y, z]), covariance, names, reason
+                c, ("C1P1", "C1P2"), "mm", 0.012, shift, np.stack([x, y, z]), covariance, names, reason
             )
             for c in CAMERAS
         }
@@ -101,9 +101,18 @@ def records_for(need: Need, size: tuple[int, int]) -> Mapping[str, Any]:
     return {"assessment": Assessment(errors, errors, replace(errors, rms=42e-6), np.zeros(size, np.float32))}
 
 
-def mesh() -> Mesh:
+def mesh(cameras: tuple[str, ...] = ("C1",)) -> Mesh:
     corners = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]])
-    return Mesh(("u",), ("mm",), corners, np.array([[0, 1, 2]], np.int32), np.ones((1, 3)))
+    return Mesh(
+        ("u",),
+        ("mm",),
+        corners,
+        np.array([[0, 1, 2]], np.int32),
+        np.ones((1, 3)),
+        cameras=cameras,
+        camera=np.zeros(3, np.uint8),
+        pixel=np.array([[5, 6, 5], [3, 3, 4]], np.int32),
+    )
 
 
 def run_on_results(

@@ -12,7 +12,7 @@ from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.fields import PointCloud, Region, Regions
+from sms_jobs.records.fields import Region, Regions, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
 from sms_jobs.records.views import Role
@@ -52,13 +52,13 @@ def measurement(rng: np.random.Generator, rows: int = 150, columns: int = 90) ->
     )
 
 
-def point_cloud(rng: np.random.Generator) -> PointCloud:
+def point_cloud(rng: np.random.Generator) -> Surface:
     """Return points of noise."""
     image = (40, 30)
-    return PointCloud(
-        camera="C1",
-        projector="P1",
-        xyz=rng.normal(size=(3, *image)),
+    return Surface(
+        view="C1P1",
+        unit="mm",
+        position=rng.normal(size=(3, *image)),
         covariance=rng.normal(size=(6, *image)).astype(np.float32),
         ray_gap=rng.normal(size=image).astype(np.float32),
         reason=np.zeros(image, np.uint32),

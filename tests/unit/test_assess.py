@@ -14,7 +14,7 @@ from sms_jobs.kinds.assess import KIND, AssessParameters
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, default_subjects
 from sms_jobs.records.assessment import Assessment
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.fields import DisplacementField, PointCloud, StrainField
+from sms_jobs.records.fields import DisplacementField, StrainField, Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Simulation
@@ -77,29 +77,29 @@ def covariance(rows: int, columns: int) -> np.ndarray:
     return packed
 
 
-def cloud(label: str, error: np.ndarray | float = 0.0) -> PointCloud:
+def cloud(label: str, error: np.ndarray | float = 0.0) -> Surface:
     exact = shape(label)
     rows, columns = exact.seen.shape
     reason = np.where(exact.seen, Reason.VALID, Reason.LOW_MODULATION).astype(np.uint32)
     gap = np.zeros((rows, columns), np.float32)
-    return PointCloud("C1", "P1", exact.xyz + error, covariance(rows, columns), gap, reason)
+    return Surface("C1P1", "mm", exact.xyz + error, reason, covariance(rows, columns), gap)
 
 
 def displacement(error: np.ndarray | float = 0.0) -> DisplacementField:
     base = cloud("S00")
     moved = truth().displacement + error
-    return DisplacementField("C1", "P1", "S00", moved, base.covariance, moved[:2], base.reason)
+    return DisplacementField("C1P1", "S00", "mm", moved, base.covariance, moved[:2], base.reason)
 
 
 def strain(error: np.ndarray | float = 0.0, measure: Any = "green-lagrange") -> StrainField:
     base = cloud("S00")
     found = truth().strain(measure) + error
     sigma = np.full(found.shape, SIGMA_STRAIN, np.float32)
-    return StrainField(measure, 10.0, found, sigma, found[:2], found[0], base.reason)
+    return StrainField(measure, "mm", 10.0, found, sigma, found[:2], found[0], base.reason)
 
 
 def assessed(subject: Subject, **records: Any) -> tuple[Assessment, dict[str, float]]:
-    names = {"shape": "cloud", "displacement": "displacement", "strain": "strain"}
+    names = {"shape": "surface", "displacement": "displacement", "strain": "strain"}
     datasets = {role: Held(subject, {names[role]: record}) for role, record in records.items()}
     datasets["measurement"] = Held(subject, {"measurement": measurement(subject.state or "")})
     if subject != REFERENCE:
@@ -181,12 +181,12 @@ def test_one_wild_pixel_is_counted_and_one_beside_the_plate_is_told_apart() -> N
     good = cloud("S00")
     seen = np.argwhere(shape("S00").seen)
     nothing = np.argwhere(~shape("S00").seen)
-    xyz, reason = good.xyz.copy(), good.reason.copy()
+    xyz, reason = good.position.copy(), good.reason.copy()
     xyz[2, *seen[0]] += 100.0
     xyz[:, *nothing[0]] = 5.0
     reason[*nothing[0]] = Reason.VALID
     reason[*seen[1]] = Reason.HIGH_PHASE_ERROR
-    found, _ = assessed(REFERENCE, shape=replace(good, xyz=xyz, reason=reason))
+    found, _ = assessed(REFERENCE, shape=replace(good, position=xyz, reason=reason))
     assert found.shape.count == len(seen) - 1
     assert found.shape.largest == pytest.approx(100.0)
     assert found.shape.rms == pytest.approx(100.0 / np.sqrt(len(seen) - 1))

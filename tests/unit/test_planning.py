@@ -202,8 +202,10 @@ def test_the_pipeline_of_a_camera_alone_needs_neither_calibration_nor_shape() ->
     jobs = plan(alone("C1", "C2"), [Request("pipeline")], images_exist)
     kinds = counted(jobs)
     # 3 deformed states of 2 cameras.
-    assert kinds["correlate-images"] == kinds["strain-images"] == 6
-    assert not {"reconstruct", "correlate", "strain", "merge", "assess"} & set(kinds)
+    assert kinds["plane"] == 2
+    assert kinds["correlate"] == kinds["strain"] == 6
+    assert kinds["merge"] == 3
+    assert not {"reconstruct", "assess"} & set(kinds)
     assert all(need.source != CALIBRATION for job in jobs for need in (i.need for i in job.inputs))
 
 
@@ -213,16 +215,22 @@ def test_each_pair_of_a_mixed_campaign_goes_its_own_way() -> None:
     by_kind: dict[str, set[str | None]] = {}
     for job in jobs:
         by_kind.setdefault(job.kind.name, set()).add(job.subject.view)
-    assert by_kind["correlate"] == by_kind["strain"] == {"C1P1"}
-    assert by_kind["correlate-images"] == by_kind["strain-images"] == {"C2"}
-    # What the pipeline leaves to the view with a projector can still be asked for.
-    asked = plan(mixed, [Request("correlate-images")], everything_exists)
-    assert {job.subject.view for job in asked} == {"C1P1", "C2"}
+    assert by_kind["correlate"] == by_kind["strain"] == {"C1P1", "C2"}
+    assert (by_kind["reconstruct"], by_kind["plane"]) == ({"C1P1"}, {"C2"})
 
 
-@pytest.mark.parametrize("kind", ["reconstruct", "correlate", "merge", "mesh", "assess"])
+def test_a_camera_that_measures_shape_has_no_plane_in_the_pipeline() -> None:
+    both = replace(CAMPAIGN, views=("C1P1", "C1"), scene=None)
+    jobs = plan(both, [Request("pipeline")], everything_exists)
+    assert {job.subject.view for job in jobs if job.kind.name in ("correlate", "plane")} == {"C1P1"}
+    # It can still be asked for.
+    asked = plan(both, [Request("correlate")], everything_exists)
+    assert {job.subject.view for job in asked} == {"C1P1", "C1"}
+
+
+@pytest.mark.parametrize("kind", ["reconstruct", "mesh", "assess"])
 def test_a_kind_that_can_do_nothing_in_a_campaign_is_refused(kind: str) -> None:
-    with pytest.raises(InvalidInput, match=f"{kind} has nothing to do .* C1 without a projector.*strain-im"):
+    with pytest.raises(InvalidInput, match=f"{kind} has nothing to do .* C1 without a projector.*strain"):
         plan(alone("C1"), [Request(kind)], images_exist)
-    with pytest.raises(InvalidInput, match="KIND one of correlate-images"):
-        plan(alone("C1"), [Request("pipeline", {"strain.gauge_length_mm": 5})], images_exist)
+    with pytest.raises(InvalidInput, match="KIND one of correlate, export"):
+        plan(alone("C1"), [Request("pipeline", {"reconstruct.blur_px": 5})], images_exist)

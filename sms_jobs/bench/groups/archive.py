@@ -13,7 +13,7 @@ import numpy as np
 from sms_jobs.archive import Archive, Provenance
 from sms_jobs.bench.figures import REPEATS, Condition, Figure, Found, Group, Run
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 
 ROWS, COLUMNS, FRAMES = 1024, 1280, 48
@@ -40,12 +40,13 @@ def _measurement(random: np.random.Generator, frames: int) -> Measurement:
     return Measurement(_AT, FringeSequence(), 4095, 0.1, 2.0, made[0], ArrayStack(made))
 
 
-def _cloud(random: np.random.Generator) -> PointCloud:
+def _cloud(random: np.random.Generator) -> Surface:
     image = (ROWS, COLUMNS)
     y, x = np.mgrid[0:ROWS, 0:COLUMNS]
     xyz = np.stack([0.3 * x, 0.3 * y, 50.0 * np.cos(x / 300.0)]) + random.normal(0.0, 0.01, (3, *image))
     covariance = random.normal(1e-4, 1e-6, (6, *image)).astype(np.float32)
-    return PointCloud("C1", "P1", xyz, covariance, np.abs(covariance[0]) ** 0.5, np.zeros(image, np.uint32))
+    gap = np.abs(covariance[0]) ** 0.5
+    return Surface("C1P1", "mm", xyz, np.zeros(image, np.uint32), covariance, gap)
 
 
 def _seconds(work: Callable[[], object]) -> float:
@@ -88,7 +89,7 @@ def measure(run: Run) -> Iterator[Found]:
 
     def read_fields() -> None:
         with archive.open(fields) as dataset:
-            dataset.read("record", PointCloud)
+            dataset.read("record", Surface)
 
     yield Figure("write_frames_mb_s", size / _seconds(lambda: seal(record)), "MB / s", 500.0)
     yield Figure("read_slab_mb_s", size / _seconds(read_slabs), "MB / s", 1400.0)

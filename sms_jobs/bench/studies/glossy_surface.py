@@ -15,8 +15,9 @@ from sms_jobs.bench.returns import rms
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds import reconstruct, simulate
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Cylinder, Gloss
@@ -78,13 +79,13 @@ def judged(method: Any, adaptive: str) -> Judged:
     measurement = _recorded(campaign, adaptive)
     records = {"measurement": measurement, "calibration": calibration}
     wanted = reconstruct.ReconstructParameters(method=method)
-    cloud: PointCloud = run_kind(reconstruct.KIND, _TUPLE, records, 1, wanted).records["cloud"]
+    cloud: Surface = run_kind(reconstruct.KIND, _TUPLE, records, 1, wanted).records["surface"]
     assert measurement.simulation is not None
     shape = exact_shape(measurement.simulation)
     inside = ndimage.binary_erosion(shape.seen & shape.lit, iterations=4)
     valid = inside & (cloud.reason == Reason.VALID)
-    error = np.where(valid, np.linalg.norm(cloud.xyz - shape.xyz, axis=0), np.nan)
-    sigma = np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64))
+    error = np.where(valid, np.linalg.norm(cloud.position - shape.xyz, axis=0), np.nan)
+    sigma = np.sqrt(position_covariance(cloud)[[0, 3, 5]].sum(axis=0, dtype=np.float64))
     return Judged(error, sigma, float(valid.sum() / inside.sum()), measurement)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from sms_jobs.bench.plate_mirror import UNMASKED, Floats, Plate, only, record, rms_off, unwrapped
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure
 from sms_jobs.metrology.phase.sequences import ranging
-from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.fields import Surface
 from sms_jobs.records.reasons import Reason
 
 FRINGES = (8, 16, 32, 64)
@@ -18,7 +18,7 @@ _THREADS = 2
 _FAR_MM = 50.0
 _SHOWN_MM = 0.2
 
-METHODS: dict[str, Callable[[Plate], PointCloud]] = {
+METHODS: dict[str, Callable[[Plate], Surface]] = {
     "thesis, no refinement": lambda plate: plate.peeled(0, _THREADS),
     "thesis, 1 refinement": lambda plate: plate.peeled(1, _THREADS),
     "thesis, 2 refinements": lambda plate: plate.peeled(2, _THREADS),
@@ -29,12 +29,13 @@ METHODS: dict[str, Callable[[Plate], PointCloud]] = {
 UNWRAPPING = "unwrapping of 32 .. 16"
 
 
-def _row(plate: Plate, cloud: PointCloud, fringes: int, name: str) -> tuple[Any, ...]:
+def _row(plate: Plate, cloud: Surface, fringes: int, name: str) -> tuple[Any, ...]:
     off = plate.off_plane(cloud)
     once, _ = rms_off(off, plate.once)
     twice, part = rms_off(off, plate.twice)
     far, _ = rms_off(off, plate.twice & (plate.hinge_mm > _FAR_MM))
     wrong = float(np.mean(np.abs(off[plate.twice]) > _SHOWN_MM))
+    assert cloud.ray_gap is not None
     measured = plate.twice & (cloud.reason == Reason.VALID)
     gap = float(np.median(np.abs(cloud.ray_gap[measured])))
     return (fringes, name, once, far, far / once, twice, wrong, gap, part)

@@ -14,8 +14,9 @@ from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.bench.returns import rms
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds import reconstruct
+from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import ProjectorResponse, Simulation
@@ -47,10 +48,10 @@ def judged(gamma: float, steps: int, method: Any) -> tuple[Cell, ...]:
     def reconstructed(**parameters: Any) -> tuple[float, float, float]:
         wanted = reconstruct.ReconstructParameters(method=method, blur_px=0.0, **parameters)
         records = {"measurement": measurement, "calibration": calibration}
-        cloud: PointCloud = run_kind(reconstruct.KIND, _TUPLE, records, 1, wanted).records["cloud"]
+        cloud: Surface = run_kind(reconstruct.KIND, _TUPLE, records, 1, wanted).records["surface"]
         valid = inside & (cloud.reason == Reason.VALID)
-        error = np.linalg.norm(cloud.xyz - shape.xyz, axis=0)[valid]
-        sigma = np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0))[valid]
+        error = np.linalg.norm(cloud.position - shape.xyz, axis=0)[valid]
+        sigma = np.sqrt(position_covariance(cloud)[[0, 3, 5]].sum(axis=0))[valid]
         kept = 100.0 * float(valid.sum() / inside.sum())
         return (kept, 1e3 * rms(error), rms(error / sigma)) if valid.any() else (0.0, np.nan, np.nan)
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.exporters.exporter import Exporter, labels_of, length_unit_of, placed, write_rows
+from sms_jobs.formats.exporters.exporter import Exporter, labels_of, placed, write_rows
 from sms_jobs.formats.exporters.formulas import with_formula
 from sms_jobs.records.fields import Mesh
-from sms_jobs.records.quantity import quantities
+from sms_jobs.records.quantity import XYZ, quantities_of
 
 
 def _save(
@@ -31,8 +31,9 @@ def write(record: Any, path: Path) -> None:
         return
     mesh = placed(record)
     labels = [with_formula(n, label) for n, label in zip(mesh.value_names, labels_of(mesh), strict=True)]
-    unit = length_unit_of(mesh)
-    _save(path, [f"X [{unit}]", f"Y [{unit}]", f"Z [{unit}]", *labels], [*mesh.vertices.T, *mesh.values])
+    unit = mesh.unit
+    axes = [f"{axis} [{unit}]" for axis, _ in zip(XYZ, mesh.vertices.T, strict=False)]
+    _save(path, [*axes, *labels], [*mesh.vertices.T, *mesh.values])
 
 
 def write_pixels(record: Any, path: Path) -> None:
@@ -44,7 +45,7 @@ def write_pixels(record: Any, path: Path) -> None:
         When the record has no field over an image.
     """
     labels, columns = [], []
-    for name, quantity in quantities(type(record)).items():
+    for name, quantity in quantities_of(record).items():
         values = getattr(record, name)
         if not quantity.is_image or not isinstance(values, np.ndarray):
             continue

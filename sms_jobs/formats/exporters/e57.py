@@ -139,10 +139,10 @@ def write(grid: PointGrid, path: Path) -> None:
 
     Raises `InvalidInput` for an image of more than 65,536 rows or columns, and for positions in pixels.
     """
-    if grid.length_unit != "mm":
+    if grid.unit != "mm":
         raise InvalidInput(
-            f"positions are in {grid.length_unit} and E57 holds metres: give the size of a pixel, as "
-            "'--set correlate-images.mm_per_px=0.05' does, or choose another format"
+            f"positions are in {grid.unit} and E57 holds metres: give the size of a pixel, as "
+            "'--set plane.mm_per_px=0.05' does, or choose another format"
         )
     known = grid.known()
     if max(known.shape) > _LARGEST_INDEX + 1:

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
+from sms_jobs.metrology.geometry.planes import in_space
 from sms_jobs.records.fields import Mesh
+from sms_jobs.records.quantity import LengthUnit
 
 TEXTURE = "texture"
 """The value of a mesh that formats with colours show as grey: 0 is black, 1 the camera's full scale."""
@@ -29,14 +31,14 @@ class PointGrid:
     Attributes
     ----------
     xyz
-        (3, rows, columns); NaN where there is no point.
+        (3, rows, columns); NaN where there is no point. Z is 0 in the plane of an image.
     value_names, value_units
         Of `values`.
     values
         (values, rows, columns).
     texture
         (rows, columns), 0 for black to 1 for white; None where it is not known.
-    length_unit
+    unit
         Of `xyz`: mm, or px for an image of which nothing else is known.
     """
 
@@ -45,7 +47,7 @@ class PointGrid:
     value_units: tuple[str, ...]
     values: NDArray[np.floating]
     texture: NDArray[np.floating] | None = None
-    length_unit: str = "mm"
+    unit: LengthUnit = "mm"
 
     def known(self) -> NDArray[np.bool_]:
         """Return where there is a point, (rows, columns); raise `MeasurementFailed` where there is none."""
@@ -53,18 +55,6 @@ class PointGrid:
         if not known.any():
             raise MeasurementFailed("the image has no point with a position: there is nothing to export")
         return known
-
-
-@dataclass(frozen=True)
-class PlanarMesh(Mesh):
-    """A flat mesh over an image, whose vertices are in `length_unit`: mm, or px where no scale is known."""
-
-    length_unit: str = "mm"
-
-
-def length_unit_of(points: Mesh | PointGrid) -> str:
-    """Return the unit of positions."""
-    return points.length_unit if isinstance(points, PlanarMesh | PointGrid) else "mm"
 
 
 @dataclass(frozen=True)
@@ -98,6 +88,12 @@ def faces_of(mesh: Mesh) -> NDArray[np.int32]:
     return mesh.faces
 
 
+def with_depth(mesh: Mesh) -> Mesh:
+    """Return a placed mesh for formats that know no plane: in the plane of an image its Z is 0."""
+    mesh = placed(mesh)
+    return replace(mesh, vertices=np.ascontiguousarray(in_space(mesh.vertices.T).T))
+
+
 def placed(mesh: Mesh) -> Mesh:
     """Return a mesh without the vertices that have no position, and the faces that they were corners of.
 
@@ -112,6 +108,8 @@ def placed(mesh: Mesh) -> Mesh:
             vertices=mesh.vertices[known],
             faces=number[faces].astype(np.int32),
             values=mesh.values[:, known],
+            camera=None if mesh.camera is None else mesh.camera[known],
+            pixel=None if mesh.pixel is None else mesh.pixel[:, known],
         )
     faces_of(mesh)
     return mesh

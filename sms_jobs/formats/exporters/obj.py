@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sms_jobs.formats.exporters.exporter import Exporter, length_unit_of, placed, texture_of, write_rows
+from sms_jobs.formats.exporters.exporter import Exporter, texture_of, with_depth, write_rows
 from sms_jobs.records.fields import Mesh
 
 
 def write(mesh: Mesh, path: Path) -> None:
     """Write the vertices and triangles of a mesh; its texture as red, green and blue behind each position."""
-    mesh = placed(mesh)
+    mesh = with_depth(mesh)
     texture = texture_of(mesh)
     with path.open("w", encoding="ascii") as file:
-        file.write(f"# surface in {length_unit_of(mesh)}\n")
+        file.write(f"# surface in {mesh.unit}\n")
         if texture is None:
             write_rows(file, mesh.vertices.T, "v %.9g %.9g %.9g")
         else:

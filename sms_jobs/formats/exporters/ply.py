@@ -11,9 +11,8 @@ from sms_jobs.formats.exporters.exporter import (
     ROWS_AT_ONCE,
     Exporter,
     labels_of,
-    length_unit_of,
-    placed,
     texture_of,
+    with_depth,
 )
 from sms_jobs.records.fields import Mesh
 
@@ -36,14 +35,14 @@ def _property_names(mesh: Mesh) -> list[str]:
 
 def write(mesh: Mesh, path: Path) -> None:
     """Write a mesh and its values; the units stand in comments, what is missing is NaN."""
-    mesh = placed(mesh)
+    mesh = with_depth(mesh)
     names, texture = _property_names(mesh), texture_of(mesh)
     colours = () if texture is None else _COLOURS
     doubles = ["x", "y", "z", *names]
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        f"comment positions in {length_unit_of(mesh)}",
+        f"comment positions in {mesh.unit}",
         *(f"comment {n} is {label}" for n, label in zip(names, labels_of(mesh), strict=True)),
         f"element vertex {len(mesh.vertices)}",
         *(f"property double {n}" for n in doubles),

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.exporters.exporter import length_unit_of, placed
+from sms_jobs.formats.exporters.exporter import placed
 from sms_jobs.records.fields import Mesh
-from sms_jobs.records.quantity import quantities
+from sms_jobs.records.quantity import quantities_of
 
 _LONGEST = 63  # of a name in MATLAB
 
@@ -49,15 +49,15 @@ def arrays_of(record: Any) -> Iterator[NamedArray]:
     taken: set[str] = set()
     if isinstance(record, Mesh):
         mesh = placed(record)
-        unit = length_unit_of(mesh)
+        unit = mesh.unit
         yield NamedArray(_identifier("vertices", unit, taken), unit, "position", mesh.vertices)
         meaning = "vertex indices, counter-clockwise seen from outside"
         yield NamedArray(_identifier("faces", "1", taken), "1", meaning, mesh.faces)
-        for name, unit, values in zip(mesh.value_names, mesh.value_units, mesh.values, strict=True):
-            yield NamedArray(_identifier(name, unit, taken), unit, name, values)
+        for name, of_value, values in zip(mesh.value_names, mesh.value_units, mesh.values, strict=True):
+            yield NamedArray(_identifier(name, of_value, taken), of_value, name, values)
         return
     found = False
-    for name, quantity in quantities(type(record)).items():
+    for name, quantity in quantities_of(record).items():
         values = getattr(record, name)
         if isinstance(values, np.ndarray):
             found = True

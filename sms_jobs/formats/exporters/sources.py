@@ -11,19 +11,18 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.exporters.exporter import TEXTURE, Exporter, PointGrid
-from sms_jobs.formats.planar_surfaces import planar_grid, planar_mesh
+from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.records.fields import Mesh
-from sms_jobs.records.planar import PlanarDisplacement, PlanarStrain
-from sms_jobs.records.quantity import QUANTITY, Quantity, quantities
+from sms_jobs.records.quantity import QUANTITY, LengthUnit, Quantity, quantities_of
 
-_POSITION = "xyz"
+_POSITION = "position"
 
 
 def value_fields(record: Any) -> list[str]:
     """Return the names by which values of a record are chosen."""
     if isinstance(record, Mesh):
         return list(record.value_names)
-    return [n for n in quantities(type(record)) if isinstance(getattr(record, n), np.ndarray)]
+    return [n for n in quantities_of(record) if isinstance(getattr(record, n), np.ndarray)]
 
 
 def source_for(
@@ -57,23 +56,16 @@ def source_for(
         )
     if object in exporter.takes:
         return _record_with(record, chosen)
-    if isinstance(record, PlanarDisplacement | PlanarStrain):
-        return _flat(exporter, record, chosen, texture)
     grid = grid_of(record, chosen, texture, exporter.name)
-    return grid if PointGrid in exporter.takes else mesh_of(grid, getattr(record, "covariance", None))
+    return grid if PointGrid in exporter.takes else mesh_of(grid, _sigma_of(record))
 
 
-def _flat(
-    exporter: Exporter,
-    record: PlanarDisplacement | PlanarStrain,
-    chosen: Sequence[str],
-    texture: NDArray[Any] | None,
-) -> PointGrid | Mesh:
-    """Return what a format takes, made of a result in the plane of an image."""
-    moved = record if isinstance(record, PlanarDisplacement) else None
-    strain = record if isinstance(record, PlanarStrain) else None
-    grid = planar_grid(moved, strain, texture, chosen)
-    return grid if PointGrid in exporter.takes else planar_mesh(grid)
+def _sigma_of(record: Any) -> NDArray[np.float64] | None:
+    """Return the standard deviation of positions, (rows, columns), of a record that knows it."""
+    covariance = getattr(record, "covariance", None)
+    if covariance is None:
+        return None
+    return np.asarray(np.sqrt(covariance_in_space(covariance)[[0, 3, 5]].sum(axis=0, dtype=np.float64)))
 
 
 def grid_of(
@@ -83,13 +75,13 @@ def grid_of(
 
     Raises `InvalidInput` when the record has no positions.
     """
-    known = quantities(type(record))
+    known = quantities_of(record)
     if _POSITION not in known:
         raise InvalidInput(
             f"a {type(record).__name__} has no positions, which {wanted_by} needs: choose another record of "
             "the file, a file of the kind merge, or a format for any record: csv, npz, matlab"
         )
-    shape = record.xyz.shape[1:]
+    shape = record.position.shape[1:]
     names, units, values = [], [], []
     for name, quantity in known.items():
         field = getattr(record, name)
@@ -102,7 +94,8 @@ def grid_of(
             units.append(quantity.unit)
             values.append(part)
     stacked = np.stack(values) if values else np.zeros((0, *shape))
-    return PointGrid(record.xyz, tuple(names), tuple(units), stacked, texture)
+    unit: LengthUnit = getattr(record, "unit", "mm")
+    return PointGrid(in_space(record.position), tuple(names), tuple(units), stacked, texture, unit)
 
 
 def _over(field: Any, quantity: Quantity, shape: tuple[int, ...]) -> bool:
@@ -115,15 +108,15 @@ def _over(field: Any, quantity: Quantity, shape: tuple[int, ...]) -> bool:
     )
 
 
-def mesh_of(grid: PointGrid, covariance: NDArray[np.floating] | None = None, step: int = 1) -> Mesh:
+def mesh_of(grid: PointGrid, sigma: NDArray[np.float64] | None = None, step: int = 1) -> Mesh:
     """Return triangles between the neighbouring points of a grid; none across discontinuities and holes.
 
     Parameters
     ----------
     grid
         Points and values.
-    covariance
-        (6, rows, columns) in mm^2, of the positions; None where it is not known.
+    sigma
+        (rows, columns) in mm, of the positions; None where it is not known.
     step
         Distance of the vertices in pixels.
     """
@@ -131,7 +124,6 @@ def mesh_of(grid: PointGrid, covariance: NDArray[np.floating] | None = None, ste
     from sms_jobs.metrology.surfaces.continuity import continuous_labels
     from sms_jobs.metrology.surfaces.meshing import triangulate_image
 
-    sigma = None if covariance is None else np.sqrt(covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64))
     pixels, faces = triangulate_image(continuous_labels(grid.xyz, sigma), step)
     row, column = pixels.T
     names, units = grid.value_names, grid.value_units
@@ -139,7 +131,8 @@ def mesh_of(grid: PointGrid, covariance: NDArray[np.floating] | None = None, ste
     if grid.texture is not None and TEXTURE not in names:
         names, units = (*names, TEXTURE), (*units, "1")
         values = np.concatenate([values, np.asarray(grid.texture[row, column], np.float64)[None]])
-    return Mesh(names, units, np.ascontiguousarray(grid.xyz[:, row, column].T), faces, values)
+    vertices = np.ascontiguousarray(grid.xyz[:, row, column].T)
+    return Mesh(names, units, vertices, faces, values, grid.unit)
 
 
 def _check(record: Any, chosen: Sequence[str]) -> None:

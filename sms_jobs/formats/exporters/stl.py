@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sms_jobs.formats.exporters.exporter import ROWS_AT_ONCE, Exporter, length_unit_of, placed
+from sms_jobs.formats.exporters.exporter import ROWS_AT_ONCE, Exporter, with_depth
 from sms_jobs.records.fields import Mesh
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -14,11 +14,10 @@ _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute
 
 def write(mesh: Mesh, path: Path) -> None:
     """Write the triangles of a mesh; normals follow from the order of the corners, zero without area."""
-    mesh = placed(mesh)
+    mesh = with_depth(mesh)
     with path.open("wb") as file:
         file.write(
-            f"surface in {length_unit_of(mesh)}".encode().ljust(80)
-            + np.uint32(len(mesh.faces)).astype("<u4").tobytes()
+            f"surface in {mesh.unit}".encode().ljust(80) + np.uint32(len(mesh.faces)).astype("<u4").tobytes()
         )
         for start in range(0, len(mesh.faces), ROWS_AT_ONCE):
             corners = mesh.vertices[mesh.faces[start : start + ROWS_AT_ONCE]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TextIO
 
-from sms_jobs.formats.exporters.exporter import Exporter, labels_of, length_unit_of, placed, write_rows
+from sms_jobs.formats.exporters.exporter import Exporter, labels_of, with_depth, write_rows
 from sms_jobs.records.fields import Mesh
 
 
@@ -15,7 +15,7 @@ def write_header(mesh: Mesh, packing: str, stream: TextIO) -> None:
     Readers know the coordinates by the bare names X, Y and Z, so their unit stands in the title.
     """
     variables = ", ".join(f'"{name}"' for name in ["X", "Y", "Z", *labels_of(mesh)])
-    stream.write(f'TITLE = "shape and displacement, X, Y, Z in {length_unit_of(mesh)}"\n')
+    stream.write(f'TITLE = "shape and displacement, X, Y, Z in {mesh.unit}"\n')
     stream.write(f"VARIABLES = {variables}\n")
     stream.write(
         f'ZONE T="surface", N={len(mesh.vertices)}, E={len(mesh.faces)}, '
@@ -25,7 +25,7 @@ def write_header(mesh: Mesh, packing: str, stream: TextIO) -> None:
 
 def write(mesh: Mesh, path: Path) -> None:
     """Write a mesh and its values; values that are missing are written as NaN."""
-    mesh = placed(mesh)
+    mesh = with_depth(mesh)
     columns = [*mesh.vertices.T, *mesh.values]
     with path.open("w", encoding="ascii", errors="replace") as file:
         write_header(mesh, "POINT", file)

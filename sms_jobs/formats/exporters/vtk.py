@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from sms_jobs.formats.exporters.exporter import ROWS_AT_ONCE, Exporter, labels_of, length_unit_of, placed
+from sms_jobs.formats.exporters.exporter import ROWS_AT_ONCE, Exporter, labels_of, with_depth
 from sms_jobs.records.fields import Mesh
 
 
@@ -16,9 +16,9 @@ def write(mesh: Mesh, path: Path) -> None:
 
     Names may have no blanks in this format: they are percent-encoded, as VTK itself does.
     """
-    mesh = placed(mesh)
+    mesh = with_depth(mesh)
     with path.open("wb") as file:
-        title = f"surface, positions in {length_unit_of(mesh)}"
+        title = f"surface, positions in {mesh.unit}"
         file.write(f"# vtk DataFile Version 3.0\n{title}\nBINARY\nDATASET POLYDATA\n".encode())
         file.write(f"POINTS {len(mesh.vertices)} double\n".encode())
         for start in range(0, len(mesh.vertices), ROWS_AT_ONCE):

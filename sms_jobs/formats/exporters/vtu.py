@@ -11,7 +11,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.formats.exporters.exporter import ROWS_AT_ONCE, Exporter, labels_of, length_unit_of, placed
+from sms_jobs.formats.exporters.exporter import ROWS_AT_ONCE, Exporter, labels_of, with_depth
 from sms_jobs.records.fields import Mesh
 
 _TYPES = {"<f8": "Float64", "<i4": "Int32", "<i8": "Int64", "|u1": "UInt8"}
@@ -50,14 +50,14 @@ class _Appended:
 
 def write(mesh: Mesh, path: Path) -> None:
     """Write a mesh and its values; what is missing is NaN."""
-    mesh = placed(mesh)
+    mesh = with_depth(mesh)
     points = mesh.vertices.astype("<f8", copy=False)
     cells = mesh.faces.astype("<i4", copy=False)
     ends = np.arange(3, 3 * len(cells) + 1, 3, dtype="<i8")
     appended = _Appended()
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
-        f"<!-- positions in {length_unit_of(mesh)} -->",
+        f"<!-- positions in {mesh.unit} -->",
         '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64">',
         "<UnstructuredGrid>",
         f'<Piece NumberOfPoints="{len(points)}" NumberOfCells="{len(cells)}">',

@@ -10,7 +10,6 @@ from sms_jobs.formats.exporters.exporter import (
     Exporter,
     PointGrid,
     labels_of,
-    length_unit_of,
     placed,
     write_rows,
 )
@@ -19,7 +18,7 @@ from sms_jobs.records.fields import Mesh
 
 def write(points: Mesh | PointGrid, path: Path) -> None:
     """Write points that have a position, and behind it their values; what is missing is nan."""
-    places, unit = None, length_unit_of(points)
+    places, unit = None, points.unit
     if isinstance(points, PointGrid):
         places = np.flatnonzero(points.known())
         columns = [*points.xyz.reshape(3, -1), *points.values.reshape(len(points.values), -1)]

@@ -1,4 +1,4 @@
-"""Views of a surface that fringes measure: shape at rest, displacement and strain of a deformed state."""
+"""Views of a surface: texture and shape at rest, displacement and strain of a deformed state."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.formats.report.view import Field, Sampler, Statistic, View
-from sms_jobs.records.fields import MergedField, PointCloud, Regions, StrainField
+from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
+from sms_jobs.metrology.images.texture_quality import speckle_width
+from sms_jobs.records.fields import MergedField, Regions, StrainField, Surface
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.quantity import SYMMETRIC, XYZ
@@ -20,46 +22,87 @@ PER_CENT = 100.0
 POSITION = ("position X", "position Y", "position Z")
 MOVEMENT = ("displacement X", "displacement Y", "displacement Z")
 
+_LEAST_IMAGE_PX = 16
 _DIAGONAL = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
 
 
 def reference_view(
-    view: str, measurement: Measurement, cloud: PointCloud, regions: Regions | None, sampler: Sampler
+    view: str, measurement: Measurement, surface: Surface, regions: Regions | None, sampler: Sampler
 ) -> View:
     """Return texture and shape as a view sees them at the reference state."""
-    deviation = np.sqrt(cloud.covariance[_DIAGONAL])
-    valid = cloud.reason == Reason.VALID
-    fields: list[Field] = []
+    valid = surface.reason == Reason.VALID
     labels = regions.labels if regions is not None else None
-    for place, name in reversed(list(enumerate(POSITION))):
-        shown = name == POSITION[2]
-        fields.append(
-            sampler.field(name, "mm", cloud.xyz[place], deviation[place], still=shown, still_sigma=shown)
-        )
-    if measurement.texture.shape == cloud.reason.shape:
+    fields, statistics = _shape(surface, sampler) if surface.has_depth else ([], [])
+    if measurement.texture.shape == surface.reason.shape:
         fields.append(sampler.field("texture", "count", measurement.texture, still=True, outlines=labels))
-    fields.append(sampler.field("gap between the rays", "mm", cloud.ray_gap, grain=_grain(cloud.ray_gap)))
-    fields.append(sampler.reasons("status", cloud.reason))
-    statistics = (
-        Statistic("valid", "%", PER_CENT * float(valid.mean())),
-        *_spans(cloud.xyz),
-        Statistic("sigma Z, median", "mm", _median(deviation[2])),
-        Statistic("gap between the rays, rms", "mm", _rms(cloud.ray_gap)),
-    )
+        statistics += texture_statistics(measurement, valid if labels is None else labels > 0)
+    if surface.ray_gap is not None:
+        gap = surface.ray_gap
+        fields.append(sampler.field("gap between the rays", "mm", gap, grain=_grain(gap)))
+        statistics.append(Statistic("gap between the rays, rms", "mm", _rms(gap)))
+    fields.append(sampler.reasons("status", surface.reason))
     notes: tuple[str, ...] = ()
     if regions is not None:
         count = len(regions.regions)
         notes = (f"The outlines show {count} continuous piece{'s' if count != 1 else ''} of surface.",)
     return View(
-        f"{cloud.camera} ({view})",
-        cloud.camera,
+        f"{surface.camera} ({view})" if surface.has_depth else view,
+        surface.camera,
         sampler.size,
         sampler.step_px,
         tuple(fields),
-        statistics,
-        POSITION,
+        (Statistic("valid", "%", PER_CENT * float(valid.mean())), *statistics),
+        POSITION if surface.has_depth else None,
+        mm_per_px=surface.mm_per_px,
         notes=notes,
     )
+
+
+def _shape(surface: Surface, sampler: Sampler) -> tuple[list[Field], list[Statistic]]:
+    """Return what is shown of positions in space."""
+    deviation: list[NDArray[np.floating] | None] = [None] * len(XYZ)
+    statistics = [*_spans(surface.position)]
+    if surface.covariance is not None:
+        deviation = list(np.sqrt(surface.covariance[_DIAGONAL]))
+        statistics.append(
+            Statistic("sigma Z, median", "mm", _median(np.sqrt(surface.covariance[_DIAGONAL[2]])))
+        )
+    fields = []
+    for place, name in reversed(list(enumerate(POSITION))):
+        shown = name == POSITION[2]
+        values, sigma = surface.position[place], deviation[place]
+        fields.append(sampler.field(name, "mm", values, sigma, still=shown, still_sigma=shown))
+    return fields, statistics
+
+
+def texture_statistics(measurement: Measurement, shown: NDArray[np.bool_]) -> list[Statistic]:
+    """Return how good the texture of the pixels (rows, columns) that show the specimen is."""
+    texture = measurement.texture.astype(np.float64)
+    level = float(texture[shown].mean()) if shown.any() else None
+    noise = float(np.sqrt(measurement.read_noise**2 + measurement.gain * (level or 0.0)))
+    return [
+        Statistic("image", "Mpx", texture.size / 1e6),
+        Statistic("mean grey level", "count", level),
+        Statistic(
+            "scatter of the grey levels", "count", float(texture[shown].std()) if shown.any() else None
+        ),
+        Statistic("noise there", "count", noise),
+        Statistic("speckle, full width at half maximum", "px", _speckle(texture, shown, noise)),
+        Statistic("saturated", "%", PER_CENT * float(np.mean(texture >= measurement.full_scale))),
+    ]
+
+
+def _speckle(texture: NDArray[np.float64], shown: NDArray[np.bool_], noise: float) -> float | None:
+    """Return the width of the speckle; what is not of the specimen gets its mean level."""
+    rows, columns = (np.flatnonzero(shown.any(axis=axis)) for axis in (1, 0))
+    if rows.size == 0:
+        return None
+    filled = np.where(shown, texture, texture[shown].mean())
+    part = filled[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    if min(part.shape) < _LEAST_IMAGE_PX:
+        return None
+    width = speckle_width(part, noise)
+    return width if np.isfinite(width) else None
 
 
 def deformed_view(
@@ -70,27 +113,27 @@ def deformed_view(
     gauges: GaugeReadings | None = None,
 ) -> View:
     """Return the displacement of a camera's view, and strain and gauge readings of one view."""
-    components = np.sqrt(merged.covariance[_DIAGONAL])
     length, length_sigma = _length(merged)
+    deep = merged.has_depth
+    title = f"{merged.camera} (displacement {', '.join(merged.views)}; strain {view})"
     fields = [
-        sampler.field("displacement", "mm", length, length_sigma, still=True, followed=True),
-        *(
-            sampler.field(name, "mm", merged.displacement[k], components[k], still=k == XYZ.index("Z"))
-            for k, name in enumerate(MOVEMENT)
-        ),
+        sampler.field("displacement", merged.unit, length, length_sigma, still=True, followed=True),
+        *_components(merged, sampler),
         *_strain_fields(strain, sampler),
-        *(sampler.field(name, "mm", merged.xyz[k]) for k, name in enumerate(POSITION)),
     ]
+    if deep:
+        fields += [sampler.field(name, "mm", merged.position[k]) for k, name in enumerate(POSITION)]
     if merged.discrepancy is not None and len(merged.views) > 1:
+        grain = _grain(length_sigma)
         fields.append(
-            sampler.field("disagreement of the views", "mm", merged.discrepancy, grain=_grain(length_sigma))
+            sampler.field("disagreement of the views", merged.unit, merged.discrepancy, grain=grain)
         )
     fields += [
         sampler.reasons("status of the displacement", merged.reason),
         sampler.reasons("status of the strain", strain.reason),
     ]
     return View(
-        f"{merged.camera} (displacement {', '.join(merged.views)}; strain {view})",
+        title if deep else merged.camera,
         merged.camera,
         sampler.size,
         sampler.step_px,
@@ -100,10 +143,29 @@ def deformed_view(
             *_strain_statistics(strain),
             *gauge_statistics(gauges),
         ),
-        POSITION,
-        MOVEMENT,
-        notes=(f"Strain: {strain.measure}, over a gauge length of {strain.gauge_length_mm:.4g} mm.",),
+        POSITION if deep else None,
+        MOVEMENT if deep else None,
+        mm_per_px=merged.mm_per_px,
+        notes=(_method(strain, merged.mm_per_px),),
     )
+
+
+def _components(merged: MergedField, sampler: Sampler) -> list[Field]:
+    """Return the components of the displacement; printed is that along Z, in a plane both."""
+    deviations = np.sqrt(covariance_in_space(merged.covariance)[_DIAGONAL])
+    printed = XYZ[2:] if merged.has_depth else XYZ[:2]
+    return [
+        sampler.field(f"displacement {axis}", merged.unit, values, sigma, still=axis in printed)
+        for axis, values, sigma in zip(XYZ, merged.displacement, deviations, strict=False)
+    ]
+
+
+def _method(strain: StrainField, mm_per_px: float | None) -> str:
+    measure = strain.measure.replace("green-lagrange", "Green-Lagrange")
+    length = f"{strain.gauge_length:.4g} {strain.unit}"
+    if mm_per_px is not None:
+        length += f" ({strain.gauge_length / mm_per_px:.4g} px)"
+    return f"Strain: {measure}, over a gauge length of {length}."
 
 
 def _length(merged: MergedField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -112,8 +174,8 @@ def _length(merged: MergedField) -> tuple[NDArray[np.float64], NDArray[np.float6
     Of a displacement d with covariance C the length has the variance d' C d / d' d, to first order; where
     nothing moves that has no direction, and the largest that it can be is taken, the trace of C.
     """
-    d = merged.displacement
-    c = dict(zip(SYMMETRIC, merged.covariance.astype(np.float64), strict=True))
+    d = in_space(merged.displacement)
+    c = dict(zip(SYMMETRIC, covariance_in_space(merged.covariance.astype(np.float64)), strict=True))
     squared = np.sum(d**2, axis=0)
     along = (
         c["XX"] * d[0] ** 2
@@ -171,18 +233,19 @@ def _displacement_statistics(
     group = "Displacement"
     known = np.isfinite(length)
     largest = np.unravel_index(int(np.argmax(np.where(known, length, -1.0))), length.shape)
-    most = Statistic("largest displacement", "mm", None, group=group)
+    unit = merged.unit
+    most = Statistic("largest displacement", unit, None, group=group)
     if known.any():
-        most = Statistic(most.name, "mm", float(length[largest]), float(sigma[largest]), group=group)
+        most = Statistic(most.name, unit, float(length[largest]), float(sigma[largest]), group=group)
     return (
         Statistic("valid", "%", PER_CENT * float(np.mean(merged.reason == Reason.VALID)), group=group),
         *(
-            Statistic(f"{axis}, median", "mm", _median(component), group=group)
-            for axis, component in zip(XYZ, merged.displacement, strict=True)
+            Statistic(f"{axis}, median", unit, _median(component), group=group)
+            for axis, component in zip(XYZ, merged.displacement, strict=False)
         ),
         most,
-        Statistic("sigma, median", "mm", _median(sigma), group=group),
-        Statistic("disagreement of the views, rms", "mm", _finite(merged.discrepancy_rms_mm), group=group),
+        Statistic("sigma, median", unit, _median(sigma), group=group),
+        Statistic("disagreement of the views, rms", unit, _finite(merged.discrepancy_rms), group=group),
     )
 
 
@@ -190,7 +253,7 @@ def _strain_statistics(field: StrainField) -> tuple[Statistic, ...]:
     group = "Strain"
     return (
         Statistic("valid", "%", PER_CENT * float(np.mean(field.reason == Reason.VALID)), group=group),
-        Statistic("gauge length", "mm", field.gauge_length_mm, group=group),
+        Statistic("gauge length", field.unit, field.gauge_length, group=group),
         *(
             Statistic(f"{name}, median", "µε", _median(MICROSTRAIN * field.strain[k]), group=group)
             for k, name in enumerate(("xx", "yy", "xy"))

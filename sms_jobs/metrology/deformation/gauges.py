@@ -21,18 +21,18 @@ class GaugePlace:
 
     Attributes
     ----------
-    x_mm, y_mm
+    x, y
         Middle of its grid, seen along the frame's z axis.
-    length_mm, width_mm
+    length, width
         Of the grid, along the direction that it measures and across it.
     angle_rad
         Direction that it measures, from the frame's x axis towards its y axis.
     """
 
-    x_mm: float
-    y_mm: float
-    length_mm: float
-    width_mm: float
+    x: float
+    y: float
+    length: float
+    width: float
     angle_rad: float = 0.0
 
 
@@ -84,11 +84,11 @@ def read_gauge(
     along the direction e, the strain is e . d, and with Green-Lagrange strain (d . d) / 2 more.
     """
     valid = (labels > 0) & np.isfinite(xyz).all(axis=0) & np.isfinite(displacement).all(axis=0)
-    flat = np.hypot(xyz[0] - place.x_mm, xyz[1] - place.y_mm)
+    flat = np.hypot(xyz[0] - place.x, xyz[1] - place.y)
     flat[~valid] = np.inf
     nearest = np.unravel_index(np.argmin(flat), flat.shape)
-    half = 0.5 * np.hypot(place.length_mm, place.width_mm)
-    if not flat[nearest] <= 0.25 * min(place.length_mm, place.width_mm) + half / _LEAST_PIXELS:
+    half = 0.5 * np.hypot(place.length, place.width)
+    if not flat[nearest] <= 0.25 * min(place.length, place.width) + half / _LEAST_PIXELS:
         return _MISSING
     middle = xyz[:, nearest[0], nearest[1]]
     near = valid & (labels == labels[nearest])
@@ -98,7 +98,7 @@ def read_gauge(
         return _MISSING
     along, across = _grid_axes(points, place.angle_rad)
     s, t = along @ points, across @ points
-    under = (np.abs(s) <= 0.5 * place.length_mm) & (np.abs(t) <= 0.5 * place.width_mm)
+    under = (np.abs(s) <= 0.5 * place.length) & (np.abs(t) <= 0.5 * place.width)
     if np.count_nonzero(under) < _LEAST_PIXELS:
         return _MISSING
     s, t = s[under] - s[under].mean(), t[under] - t[under].mean()

@@ -379,13 +379,21 @@ def _positive(packed: Floats) -> Floats:
     return pack((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
+def principal_and_equivalent(strain: Floats) -> tuple[Floats, Floats]:
+    """Return the principal strains (2, ...), larger first, and the equivalent strain (...) of xx, yy, xy."""
+    xx, yy, xy = strain
+    middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    first, second = middle + half, middle - half
+    return np.stack([first, second]), np.sqrt(first**2 - first * second + second**2)
+
+
 def surface_strain(
     xyz: Floats,
     displacement: Floats,
     covariance: NDArray[np.floating],
     labels: NDArray[np.int32],
     *,
-    gauge_length_mm: float,
+    gauge_length: float,
     x_axis: tuple[float, float, float] = (1.0, 0.0, 0.0),
     green_lagrange: bool = True,
     minimum_pixels: int = 12,
@@ -397,12 +405,12 @@ def surface_strain(
     Parameters
     ----------
     xyz
-        (3, rows, columns) in mm, positions at the reference state.
+        (3, rows, columns), positions at the reference state, in any unit of length.
     displacement, covariance
-        (3, rows, columns) in mm and (6, rows, columns) in mm^2; NaN where there is none.
+        (3, rows, columns) and (6, rows, columns) in that unit; NaN where there is none.
     labels
         (rows, columns), continuous regions; a gauge disc holds points of its centre's region only.
-    gauge_length_mm
+    gauge_length
         Diameter of the gauge disc, a ball's cut with the surface.
     x_axis
         Unit vector in the world whose projection onto the surface is the strain's x.
@@ -428,7 +436,7 @@ def surface_strain(
     """
     valid = np.isfinite(displacement).all(axis=0) & (labels > 0)
     used = np.where(valid, labels, 0).astype(np.int32)
-    radius = 0.5 * gauge_length_mm
+    radius = 0.5 * gauge_length
     reach_px = radius / pixel_pitch(xyz, used, 0.01)
     side = max(1, round(reach_px / _DISC_CELLS))
     cells = cell_means(xyz, displacement, np.asarray(covariance, dtype=np.float64), used, side)
@@ -445,8 +453,4 @@ def surface_strain(
         )  # fmt: skip
 
     in_row_blocks(work, labels.shape[0], threads)
-    xx, yy, xy = strain
-    middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
-    first, second = middle + half, middle - half
-    von_mises = np.sqrt(first**2 - first * second + second**2)
-    return SurfaceStrain(strain, sigma, np.stack([first, second]), von_mises)
+    return SurfaceStrain(strain, sigma, *principal_and_equivalent(strain))

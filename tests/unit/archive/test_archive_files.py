@@ -33,7 +33,7 @@ from support.sealing import (
 from sms_jobs.archive import Archive, Sealed
 from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, NotFound, OtherFormat, StorageFull
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.fields import ImageMatches, PointCloud
+from sms_jobs.records.fields import ImageMatches, Surface
 from sms_jobs.records.measurement import ArrayStack, Measurement
 
 # --- sealing -----------------------------------------------------------------------------------------
@@ -65,20 +65,20 @@ def test_frames_are_read_from_the_open_file(archive: Archive, sealed: Sealed) ->
 def test_more_datasets_than_open_files_can_be_used_at_once(
     archive: Archive, rng: np.random.Generator
 ) -> None:
-    sealed = archive.seal_dataset({"cloud": point_cloud(rng)}, provenance())
+    sealed = archive.seal_dataset({"surface": point_cloud(rng)}, provenance())
     before = len(list(Path("/proc/self/fd").iterdir()))
     with ExitStack() as stack:
         datasets = [stack.enter_context(archive.open(sealed)) for _ in range(20)]
-        assert [dataset.read("cloud", PointCloud).camera for dataset in datasets] == ["C1"] * 20
+        assert [dataset.read("surface", Surface).camera for dataset in datasets] == ["C1"] * 20
         assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
 def test_what_is_asked_for_must_be_there(archive: Archive, sealed: Sealed) -> None:
     with archive.open(sealed) as dataset:
         with pytest.raises(NotFound, match="it has measurement"):
-            dataset.read("strain", PointCloud)
-        with pytest.raises(InvalidInput, match="is a Measurement, not a PointCloud"):
-            dataset.read("measurement", PointCloud)
+            dataset.read("strain", Surface)
+        with pytest.raises(InvalidInput, match="is a Measurement, not a Surface"):
+            dataset.read("measurement", Surface)
 
 
 def test_a_file_describes_its_arrays_without_reading_them(archive: Archive, sealed: Sealed) -> None:
@@ -198,9 +198,11 @@ def test_frames_are_never_in_memory_as_a_whole(archive: Archive, rng: np.random.
 
 def test_the_hash_depends_on_contents_alone(archive: Archive, rng: np.random.Generator) -> None:
     cloud = point_cloud(rng)
-    first = archive.seal_dataset({"cloud": cloud}, provenance())
+    first = archive.seal_dataset({"surface": cloud}, provenance())
     later = provenance(attempt=2, created_at=datetime(2027, 1, 1, tzinfo=UTC), host="there", operator="x")
-    again = archive.seal_dataset({"cloud": replace(cloud, xyz=cloud.xyz[::1].copy(order="F"))}, later)
+    again = archive.seal_dataset(
+        {"surface": replace(cloud, position=cloud.position[::1].copy(order="F"))}, later
+    )
     assert first.content_hash == again.content_hash
 
 
@@ -210,16 +212,16 @@ def test_the_hash_changes_with_everything_that_is_said(
 ) -> None:
     cloud = point_cloud(rng)
     other = point_cloud(rng)
-    records = {"cloud": cloud, "regions": regions()}
+    records = {"surface": cloud, "regions": regions()}
     before = archive.seal_dataset(records, provenance())
-    xyz = cloud.xyz.copy()
+    xyz = cloud.position.copy()
     xyz[2, -1, -1] = np.nextafter(xyz[2, -1, -1], np.inf)
     changed: dict[str, dict[str, Any]] = {
-        "value": records | {"cloud": replace(cloud, xyz=xyz)},
-        "text": records | {"cloud": replace(cloud, camera="C2")},
+        "value": records | {"surface": replace(cloud, position=xyz)},
+        "text": records | {"surface": replace(cloud, view="C2P1")},
         "name": {"points": cloud, "regions": regions()},
-        "order": {"regions": regions(), "cloud": cloud},
-        "field": records | {"cloud": replace(cloud, ray_gap=other.ray_gap)},
+        "order": {"regions": regions(), "surface": cloud},
+        "field": records | {"surface": replace(cloud, ray_gap=other.ray_gap)},
     }
     after = archive.seal_dataset(changed[what], provenance(attempt=2))
     assert before.content_hash != after.content_hash
@@ -229,7 +231,7 @@ def test_the_hash_can_be_computed_from_the_description_of_the_format(
     archive: Archive, rng: np.random.Generator
 ) -> None:
     # Only h5py, hashlib and json: what docs/archive_format.md says, and nothing of the program.
-    records = {"cloud": point_cloud(rng), "calibration": calibration(), "regions": regions()}
+    records = {"surface": point_cloud(rng), "calibration": calibration(), "regions": regions()}
     sealed = archive.seal_dataset(records, provenance())
     manifest = []
     with h5py.File(archive.path(sealed.path)) as file:
@@ -361,23 +363,23 @@ def test_viewers_open_a_measurement_with_its_texture(archive: Archive, sealed: S
 
 
 def test_viewers_open_a_result_with_its_first_image(archive: Archive, rng: np.random.Generator) -> None:
-    result = archive.seal_dataset({"cloud": point_cloud(rng), "regions": regions()}, provenance())
+    result = archive.seal_dataset({"surface": point_cloud(rng), "regions": regions()}, provenance())
     _, signal, shape, axes = default_plot(archive.path(result.path))
-    assert (signal, shape, axes) == ("xyz", (3, 40, 30), [None, "row", "column"])
+    assert (signal, shape, axes) == ("position", (3, 40, 30), [None, "row", "column"])
     with h5py.File(archive.path(result.path)) as file:
-        cloud = file["entry/cloud"]
+        cloud = file["entry/surface"]
         assert cloud["reason"].attrs["flag_names"][0] == "LOW_MODULATION"
-        assert list(cloud["xyz"].attrs["components"]) == ["X", "Y", "Z"]
-        assert cloud["xyz"].attrs["units"] == "mm"
+        assert list(cloud["position"].attrs["components"]) == ["X", "Y", "Z"]
+        assert cloud["position"].attrs["units"] == "mm"
         assert all(cloud[name].fletcher32 for name in cloud.attrs["arrays"])
 
 
 def test_viewers_pass_over_what_cannot_be_plotted(archive: Archive, rng: np.random.Generator) -> None:
-    records = {"calibration": calibration(), "cloud": point_cloud(rng)}
+    records = {"calibration": calibration(), "surface": point_cloud(rng)}
     result = archive.seal_dataset(records, provenance())
-    assert default_plot(archive.path(result.path))[1] == "xyz"
+    assert default_plot(archive.path(result.path))[1] == "position"
     with archive.open(result) as dataset:
-        assert dataset.names == ("calibration", "cloud")
+        assert dataset.names == ("calibration", "surface")
 
 
 def test_viewers_open_points_as_a_scatter_plot(archive: Archive, rng: np.random.Generator) -> None:

@@ -14,7 +14,7 @@ from support.sealing import calibration, damaged, measurement, point_cloud, prov
 
 from sms_jobs.archive import Archive, Sealed
 from sms_jobs.errors import ArchiveCorrupt
-from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.sensors import Calibration
 
@@ -65,14 +65,14 @@ def test_files_that_were_exchanged_are_noticed(archive: Archive, rng: np.random.
 def test_an_array_with_other_values_is_noticed_when_it_is_read(
     archive: Archive, rng: np.random.Generator
 ) -> None:
-    sealed = archive.seal_dataset({"cloud": point_cloud(rng)}, provenance())
-    changed(archive, sealed, lambda file: put(file["entry/cloud/ray_gap"], (3, 4), 7.0))
+    sealed = archive.seal_dataset({"surface": point_cloud(rng)}, provenance())
+    changed(archive, sealed, lambda file: put(file["entry/surface/ray_gap"], (3, 4), 7.0))
     size = archive.path(sealed.path).stat().st_size
     with (
         archive.open(replace(sealed, size_bytes=size, sha256="")) as dataset,
-        pytest.raises(ArchiveCorrupt, match=r"cloud\.ray_gap is not what was sealed"),
+        pytest.raises(ArchiveCorrupt, match=r"surface\.ray_gap is not what was sealed"),
     ):
-        dataset.read("cloud", PointCloud)
+        dataset.read("surface", Surface)
 
 
 @pytest.mark.parametrize(("frame", "row"), [(0, 0), (2, 63), (3, 64), (5, 149)])

@@ -37,7 +37,7 @@ def test_the_exact_field_lifts_as_the_bond_opens_and_has_no_error(truth: Truth) 
     reason = np.where(truth.shape.lit & truth.lit_and_seen_at_end, 0, 1).astype(np.uint32)
     rows, columns = reason.shape
     exact = DisplacementField(
-        "C1", "P1", "S00", truth.displacement, np.zeros((6, rows, columns), np.float32),
+        "C1P1", "S00", "mm", truth.displacement, np.zeros((6, rows, columns), np.float32),
         np.zeros((2, rows, columns)), reason,
     )  # fmt: skip
     assert part_errors(exact, truth) == dict.fromkeys(("skin", "foot", "web"), (0.0, 1.0))

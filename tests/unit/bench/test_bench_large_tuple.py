@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sms_jobs.bench import large_tuple
-from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.reasons import Reason
 
@@ -43,12 +43,12 @@ def test_a_sealed_tuple_is_reconstructed_in_place(home: Path) -> None:
     size = large_tuple.seal(home, "tiny", 48, 1)
     assert 0.0 < size < 0.01
     output = large_tuple.reconstruct(home, "tiny", 1)
-    cloud = output.records["cloud"]
-    assert isinstance(cloud, PointCloud)
+    cloud = output.records["surface"]
+    assert isinstance(cloud, Surface)
     valid = cloud.reason == Reason.VALID
     assert valid.mean() > 0.5
     # The plate is in z = 0; half of it is lit twice, and its points scatter by some hundredths of a mm.
-    assert np.median(np.abs(cloud.xyz[2, valid])) < 0.1
+    assert np.median(np.abs(cloud.position[2, valid])) < 0.1
     assert len(list((home / "archive").rglob("reconstruct-*.h5"))) == 1
 
 

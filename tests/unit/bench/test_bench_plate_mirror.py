@@ -10,7 +10,7 @@ import pytest
 from sms_jobs.bench import plate_mirror
 from sms_jobs.bench.plate_mirror import Plate, only, record, rms_off
 from sms_jobs.kinds.reconstruct import ReconstructParameters
-from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.fields import Surface
 from sms_jobs.virtual_rig.light import trace
 
 
@@ -47,7 +47,7 @@ def test_the_plane_is_that_of_what_is_lit_once(plate: Plate) -> None:
     xyz = np.stack([x, y, 0.2 * x - 0.1 * y + 5.0])
     xyz[2, plate.twice] += 0.3 * np.sqrt(1.0 + 0.2**2 + 0.1**2)  # 0.3 along the normal
     none = np.zeros((6, rows, columns), np.float32)
-    cloud = PointCloud("C1", "P1", xyz, none, none[0], np.zeros((rows, columns), np.uint32))
+    cloud = Surface("C1P1", "mm", xyz, np.zeros((rows, columns), np.uint32), none, none[0])
     off = plate.off_plane(cloud)
     assert rms_off(off, plate.once)[0] < 1e-9
     assert rms_off(off, plate.twice) == (pytest.approx(0.3), 1.0)
@@ -59,7 +59,7 @@ def test_the_plane_is_that_of_what_is_lit_once(plate: Plate) -> None:
     stated = plate.off_plane_sigma(noisy)[plate.once]
     np.testing.assert_allclose(stated, np.sqrt(normal @ tensor @ normal), rtol=1e-6)
     half = replace(cloud, reason=np.where(plate.twice & (x % 2 == 0), 4, 0).astype(np.uint32))
-    half.xyz[:, half.reason > 0] = np.nan
+    half.position[:, half.reason > 0] = np.nan
     assert rms_off(plate.off_plane(half), plate.twice)[1] == pytest.approx(0.5, abs=0.01)
 
 

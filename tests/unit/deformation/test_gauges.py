@@ -59,7 +59,7 @@ def test_a_gauge_off_the_surface_or_across_regions_reads_nothing_false() -> None
     xyz = tilted()
     moved = np.einsum("ij,jrc->irc", GRADIENT, xyz)
     place = GaugePlace(0.0, 0.0, 8.0, 4.0)
-    assert np.isnan(read_gauge(replace(place, x_mm=40.0), xyz, moved, NONE, ONE).strain)
+    assert np.isnan(read_gauge(replace(place, x=40.0), xyz, moved, NONE, ONE).strain)
     assert np.isnan(read_gauge(place, xyz, moved * np.nan, NONE, ONE).strain)
     labels = ONE.copy()
     labels[:, COLUMNS // 2 + 2 :] = 2

@@ -35,9 +35,7 @@ def test_uniform_strain_of_a_plane_is_exact_in_any_frame() -> None:
     xyz = plane((0.4, -0.2))
     gradient = np.array([[2e-3, 1e-3, 0.0], [-4e-4, -1e-3, 5e-4], [3e-3, 0.0, 1e-3]])
     axis = np.array([0.8, 0.6, 0.0])
-    found = surface_strain(
-        xyz, carried(gradient, xyz), NONE, ALL, gauge_length_mm=6.0, x_axis=(0.8, 0.6, 0.0)
-    )
+    found = surface_strain(xyz, carried(gradient, xyz), NONE, ALL, gauge_length=6.0, x_axis=(0.8, 0.6, 0.0))
     normal = np.array([-0.4, 0.2, 1.0]) / np.linalg.norm([-0.4, 0.2, 1.0])
     x = axis - normal * (normal @ axis)
     frame = np.stack([x / np.linalg.norm(x), np.cross(normal, x / np.linalg.norm(x))], axis=1)
@@ -56,7 +54,7 @@ def test_uniform_strain_of_a_plane_is_exact_in_any_frame() -> None:
         carried(gradient, xyz),
         NONE,
         ALL,
-        gauge_length_mm=6.0,
+        gauge_length=6.0,
         x_axis=(0.8, 0.6, 0.0),
         green_lagrange=False,
     )
@@ -73,11 +71,11 @@ def test_a_rigid_motion_is_no_strain(surface: np.ndarray) -> None:
     labels = ALL.copy()
     labels[:, :7] = 0
     labels[20:30, 30:45] = 0
-    found = surface_strain(surface, moved, NONE, labels, gauge_length_mm=8.0)
+    found = surface_strain(surface, moved, NONE, labels, gauge_length=8.0)
     # Exact even at the edges, see the function's notes; rounding of 3 mm over 8 mm.
     assert np.nanmax(np.abs(found.strain)) < 1e-13
     assert np.isfinite(found.strain[0]).sum() == (labels > 0).sum()
-    small = surface_strain(surface, moved, NONE, labels, gauge_length_mm=8.0, green_lagrange=False)
+    small = surface_strain(surface, moved, NONE, labels, gauge_length=8.0, green_lagrange=False)
     assert np.nanmax(np.abs(small.strain)) > 0.01  # small strain is not meant for rotations
 
 
@@ -85,7 +83,7 @@ def test_a_stretched_cylinder_has_hoop_and_axial_strain() -> None:
     xyz = cylinder()
     swollen = 1e-3 * (xyz + np.array([0.0, 0.0, 40.0])[:, None, None])
     swollen[1] = -3e-4 * xyz[1]
-    found = surface_strain(xyz, swollen, NONE, ALL, gauge_length_mm=4.0)
+    found = surface_strain(xyz, swollen, NONE, ALL, gauge_length=4.0)
     inner = np.s_[10:-10, 10:-10]
     # Chords instead of arcs: (gauge / radius)^2 / 32 of the strain, 3 x 10^-7; quadratic terms 10^-3 of it.
     np.testing.assert_allclose(found.strain[0][inner], 1e-3 + 0.5e-6, atol=2e-6)
@@ -98,9 +96,9 @@ def test_regions_do_not_strain_each_other() -> None:
     labels = ALL.copy()
     labels[:, 32:] = 2
     moved = np.where(labels == 2, 5.0, 0.0) * np.ones((3, 1, 1))
-    found = surface_strain(xyz, moved, NONE, labels, gauge_length_mm=8.0)
+    found = surface_strain(xyz, moved, NONE, labels, gauge_length=8.0)
     assert np.abs(found.strain).max() < 1e-12
-    joined = surface_strain(xyz, moved, NONE, ALL, gauge_length_mm=8.0)
+    joined = surface_strain(xyz, moved, NONE, ALL, gauge_length=8.0)
     assert np.abs(joined.strain).max() > 0.5
 
 
@@ -117,8 +115,7 @@ def test_strain_does_not_reach_across_a_fold() -> None:
     expected = np.where(right, 2e-3 + 0.5 * 2e-3**2, 0.0)
     error = {
         angle: np.abs(
-            surface_strain(xyz, moved, NONE, ALL, gauge_length_mm=8.0, fold_angle_rad=angle).strain[0]
-            - expected
+            surface_strain(xyz, moved, NONE, ALL, gauge_length=8.0, fold_angle_rad=angle).strain[0] - expected
         )
         for angle in (np.pi, 0.35)
     }
@@ -135,11 +132,11 @@ def test_missing_displacement_and_lonely_points_have_no_strain() -> None:
     labels = ALL.copy()
     labels[50:, :] = 0
     labels[55, 10:14] = 3
-    found = surface_strain(xyz, moved, NONE, labels, gauge_length_mm=5.0)
+    found = surface_strain(xyz, moved, NONE, labels, gauge_length=5.0)
     assert np.isnan(found.strain[0, 20:40, 20:40]).all()
     assert np.isnan(found.strain[0, 55, 10:14]).all()
     assert np.isfinite(found.strain[0, :20]).all()
-    nothing = surface_strain(xyz, np.full_like(xyz, np.nan), NONE, ALL, gauge_length_mm=5.0)
+    nothing = surface_strain(xyz, np.full_like(xyz, np.nan), NONE, ALL, gauge_length=5.0)
     assert np.isnan(nothing.strain).all()
 
 
@@ -153,7 +150,7 @@ def test_scatter_is_as_predicted(rng: np.random.Generator, gauge_mm: float) -> N
     trials = []
     for _ in range(40):
         noise = sigma[:, None, None] * rng.normal(size=xyz.shape)
-        found = surface_strain(xyz, moved + noise, covariance, ALL, gauge_length_mm=gauge_mm)
+        found = surface_strain(xyz, moved + noise, covariance, ALL, gauge_length=gauge_mm)
         trials.append(found.strain)
     ratio = np.std(trials, axis=0)[:, 5:-5:8, 5:-5:8] / found.sigma[:, 5:-5:8, 5:-5:8]
     # 40 trials at a dozen or more independent places: 3 %, 10 % for the larger gauge.
@@ -170,7 +167,7 @@ def test_averaged_noise_is_seen_through_its_filter(rng: np.random.Generator, gau
     for _ in range(40):
         raw = 0.004 * rng.normal(size=xyz.shape)
         moved, averaged = average_in_region(raw, 2.0 * cloud, ALL, ALL > 0, radius)
-        trials.append(surface_strain(xyz, moved, averaged, ALL, gauge_length_mm=gauge_mm).strain)
+        trials.append(surface_strain(xyz, moved, averaged, ALL, gauge_length=gauge_mm).strain)
     equivalent = independent_equivalent(
         averaged,
         cloud,
@@ -178,7 +175,7 @@ def test_averaged_noise_is_seen_through_its_filter(rng: np.random.Generator, gau
         subset_radius_px=0.0,
         disc_radius_px=0.5 * gauge_mm / PITCH,
     )
-    sigma = surface_strain(xyz, moved, equivalent, ALL, gauge_length_mm=gauge_mm).sigma
+    sigma = surface_strain(xyz, moved, equivalent, ALL, gauge_length=gauge_mm).sigma
     inner = np.s_[:, 14:-14:6, 14:-14:6]
     ratio = np.sqrt(np.mean(np.var(trials, axis=0)[inner] / sigma[inner] ** 2, axis=(1, 2)))
     # The required 20 %: 5 % for 40 trials at a few independent places, 10 % for the fitted factor.
@@ -195,7 +192,7 @@ def test_independent_errors_stay_as_they_are(rng: np.random.Generator) -> None:
 
 def test_threads_do_not_matter(rng: np.random.Generator) -> None:
     xyz, moved = cylinder(), rng.normal(size=(3, ROWS, COLUMNS))
-    one = surface_strain(xyz, moved, NONE + 1.0, ALL, gauge_length_mm=6.0, threads=1)
-    three = surface_strain(xyz, moved, NONE + 1.0, ALL, gauge_length_mm=6.0, threads=3)
+    one = surface_strain(xyz, moved, NONE + 1.0, ALL, gauge_length=6.0, threads=1)
+    three = surface_strain(xyz, moved, NONE + 1.0, ALL, gauge_length=6.0, threads=3)
     np.testing.assert_array_equal(one.strain, three.strain)
     np.testing.assert_array_equal(one.sigma, three.sigma)

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from sms_jobs.kinds import correlate
 from sms_jobs.kinds.correlate_parameters import CorrelateParameters
-from sms_jobs.records.fields import DisplacementField, ImageMatches, PointCloud, Regions
+from sms_jobs.records.fields import DisplacementField, ImageMatches, Regions, Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.virtual_rig.truth import exact_truth
 
@@ -220,14 +220,14 @@ def test_poor_data_give_reasons_and_no_error(plate: Any, spoilt: str) -> None:
         results[key] = {**results[key], "phase": blank}
     else:
         key = ("reconstruct", subject if spoilt.endswith("after") else plate.subject("S00", VIEW))
-        cloud: PointCloud = results[key]["cloud"]
+        cloud: Surface = results[key]["surface"]
         lost = replace(
             cloud,
-            xyz=np.full_like(cloud.xyz, np.nan),
+            position=np.full_like(cloud.position, np.nan),
             covariance=np.full_like(cloud.covariance, np.nan),
             reason=np.full_like(cloud.reason, Reason.LOW_MODULATION),
         )
-        results[key] = {**results[key], "cloud": lost}
+        results[key] = {**results[key], "surface": lost}
     output = replace(plate, results=results).run(correlate.KIND, subject)
     field = output.records["displacement"]
     assert (field.reason != Reason.VALID).all()

@@ -27,7 +27,7 @@ def test_the_merged_field_is_nearer_to_the_truth_than_its_pairs(plate: Any) -> N
     expected = a * b / (a + b) + 2.0 * rho * (a * b) ** 1.5 / (a + b) ** 2
     np.testing.assert_allclose(merged.covariance[[0, 3, 5]].sum(axis=0)[both], expected, rtol=1e-4)
     difference = np.linalg.norm(views[0].displacement - views[1].displacement, axis=0)
-    assert merged.discrepancy_rms_mm == pytest.approx(np.sqrt(np.nanmean(difference**2)))
+    assert merged.discrepancy_rms == pytest.approx(np.sqrt(np.nanmean(difference**2)))
     assert merged.views == ("C1P1", "C1P2")
 
 
@@ -52,7 +52,7 @@ def test_every_value_is_known_or_has_a_reason(plate: Any) -> None:
     merged = plate.results["merge", plate.subject("S01")]["merged_C1"]
     valid = merged.reason == Reason.VALID
     np.testing.assert_array_equal(valid, merged.contributors > 0)
-    for values in (merged.displacement, merged.xyz, merged.covariance):
+    for values in (merged.displacement, merged.position, merged.covariance):
         np.testing.assert_array_equal(np.isfinite(values).all(axis=0), valid)
 
 

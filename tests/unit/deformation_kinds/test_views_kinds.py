@@ -185,7 +185,7 @@ def test_a_camera_that_sees_nothing_of_the_overlap_does_no_harm(views: tuple[She
         for source in ("measurement", "reconstruct"):
             records[source, Subject(name, "S00", "C9P1")] = records[source, at_rest]
         blind = dict(records["reconstruct", at_rest])
-        blind["cloud"] = replace(blind["cloud"], reason=np.ones_like(blind["cloud"].reason))
+        blind["surface"] = replace(blind["surface"], reason=np.ones_like(blind["surface"].reason))
         records["reconstruct", Subject(name, "S00", "C9P1")] = blind
     campaign = replace(views[0].campaign, views=("C9P1", VIEW))
     both = replace(views[0], campaign=campaign, records=records)

@@ -17,7 +17,7 @@ from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridReader
 from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.formats.exporters import all_exporters, exporter_named
 from sms_jobs.formats.exporters.comma_separated import write_pixels
-from sms_jobs.records.fields import Mesh, PointCloud
+from sms_jobs.records.fields import Mesh, Surface
 
 # Positions below are up to 300 mm and values up to 1: text has 9 digits, so half a unit of the ninth is
 # 5e-7 mm and below 1e-9; STL, and the readers of OBJ, STL and PLY, keep 24 bits, 300 mm * 2^-24 = 1.8e-5 mm.
@@ -140,26 +140,27 @@ def test_csv(mesh: Mesh, tmp_path: Path) -> None:
 
 
 def test_csv_of_pixels_leaves_out_those_without_a_value(rng: np.random.Generator, tmp_path: Path) -> None:
-    cloud = PointCloud(
-        "C1",
-        "P1",
+    cloud = Surface(
+        "C1P1",
+        "mm",
         rng.normal(size=(3, 4, 5)),
+        np.zeros((4, 5), np.uint32),
         rng.normal(size=(6, 4, 5)).astype(np.float32),
         rng.normal(size=(4, 5)).astype(np.float32),
-        np.zeros((4, 5), np.uint32),
     )
-    for field in (cloud.xyz, cloud.covariance, cloud.ray_gap):
+    for field in (cloud.position, cloud.covariance, cloud.ray_gap):
         field[..., 2, 3] = np.nan
     write_pixels(cloud, tmp_path / "pixels.csv")
     with (tmp_path / "pixels.csv").open(newline="") as file:
         header, *rows = csv.reader(file)
-    assert header[:5] == ["column [px]", "row [px]", "xyz X [mm]", "xyz Y [mm]", "xyz Z [mm]"]
-    assert header[-2:] == ["ray_gap [mm]", "reason [bit]"]
+    assert header[:5] == ["column [px]", "row [px]", "position X [mm]", "position Y [mm]", "position Z [mm]"]
+    assert header[5] == "reason [bit]"
+    assert header[-1] == "ray_gap [mm]"
     table = np.array(rows, float)
     assert len(table) == 4 * 5 - 1
     column, row = table[:, 0].astype(int), table[:, 1].astype(int)
     # 9 digits
-    np.testing.assert_allclose(table[:, 4], cloud.xyz[2, row, column], rtol=5e-9)
+    np.testing.assert_allclose(table[:, 4], cloud.position[2, row, column], rtol=5e-9)
     with pytest.raises(InvalidInput, match="no field over an image"):
         write_pixels(
             Mesh((), (), np.zeros((3, 3)), np.zeros((1, 3), np.int32), np.zeros((0, 3))), tmp_path / "a"

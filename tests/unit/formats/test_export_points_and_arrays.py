@@ -22,7 +22,7 @@ from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.formats.exporters import all_exporters, exporter_named
 from sms_jobs.formats.exporters.exporter import PointGrid
 from sms_jobs.formats.exporters.sources import mesh_of, source_for, value_fields
-from sms_jobs.records.fields import DisplacementField, Mesh, PointCloud
+from sms_jobs.records.fields import DisplacementField, Mesh, Surface
 
 ROWS, COLUMNS = 9, 13
 # Nine digits of positions up to 300 mm: half a unit of the ninth is 5e-7 mm.
@@ -30,7 +30,7 @@ TEXT_MM = 5e-7
 
 
 @pytest.fixture
-def cloud(rng: np.random.Generator) -> PointCloud:
+def cloud(rng: np.random.Generator) -> Surface:
     """A bent sheet of 9 x 13 pixels with a hole of two."""
     y, x = np.mgrid[0:ROWS, 0:COLUMNS].astype(float)
     xyz = np.stack([20.0 * x - 120.0, 20.0 * y, 30.0 * np.cos(x / 6.0)])
@@ -40,7 +40,7 @@ def cloud(rng: np.random.Generator) -> PointCloud:
     reason[4, 5:7] = 1
     for field in (xyz, covariance, gap):
         field[..., 4, 5:7] = np.nan
-    return PointCloud("C1", "P1", xyz, covariance, gap, reason)
+    return Surface("C1P1", "mm", xyz, reason, covariance, gap)
 
 
 @pytest.fixture
@@ -55,22 +55,22 @@ def written(name: str, record: Any, tmp_path: Path, **given: Any) -> Path:
     return path
 
 
-def seen(cloud: PointCloud) -> Any:
-    return np.isfinite(cloud.xyz).all(axis=0)
+def seen(cloud: Surface) -> Any:
+    return np.isfinite(cloud.position).all(axis=0)
 
 
-def test_xyz_has_every_point_with_a_position(cloud: PointCloud, tmp_path: Path) -> None:
+def test_xyz_has_every_point_with_a_position(cloud: Surface, tmp_path: Path) -> None:
     path = written("xyz", cloud, tmp_path)
     table = np.loadtxt(path, comments="//")
     known = seen(cloud)
     assert len(table) == ROWS * COLUMNS - 2
-    np.testing.assert_allclose(table[:, :3], cloud.xyz[:, known].T, atol=TEXT_MM)
+    np.testing.assert_allclose(table[:, :3], cloud.position[:, known].T, atol=TEXT_MM)
     names = path.read_text().splitlines()[0].split()
     assert names[:4] == ["//", "X_[mm]", "Y_[mm]", "Z_[mm]"]
     np.testing.assert_allclose(table[:, names.index("ray_gap_[mm]") - 1], cloud.ray_gap[known], rtol=5e-9)
 
 
-def test_ptx_is_the_grid_with_grey(cloud: PointCloud, texture: Any, tmp_path: Path) -> None:
+def test_ptx_is_the_grid_with_grey(cloud: Surface, texture: Any, tmp_path: Path) -> None:
     lines = written("ptx", cloud, tmp_path, texture=texture).read_text().splitlines()
     assert (int(lines[0]), int(lines[1])) == (COLUMNS, ROWS)
     np.testing.assert_array_equal(np.loadtxt(lines[3:6]), np.eye(3))
@@ -78,7 +78,7 @@ def test_ptx_is_the_grid_with_grey(cloud: PointCloud, texture: Any, tmp_path: Pa
     # Column by column, each from below.
     table = np.loadtxt(lines[10:]).reshape(COLUMNS, ROWS, 4)[:, ::-1].transpose(2, 1, 0)
     known = seen(cloud)
-    np.testing.assert_allclose(table[:3, known], cloud.xyz[:, known], atol=TEXT_MM)
+    np.testing.assert_allclose(table[:3, known], cloud.position[:, known], atol=TEXT_MM)
     np.testing.assert_allclose(table[3, known], texture[known], atol=5e-5)  # four digits
     assert not table[:, ~known].any()
 
@@ -93,7 +93,7 @@ def checksum(page: bytes) -> int:
     return crc ^ 0xFFFFFFFF
 
 
-def test_e57_is_built_as_the_standard_says(cloud: PointCloud, texture: Any, tmp_path: Path) -> None:
+def test_e57_is_built_as_the_standard_says(cloud: Surface, texture: Any, tmp_path: Path) -> None:
     assert checksum(b"123456789") == 0xE3069283  # the check value of CRC-32C
     raw = written("e57", cloud, tmp_path, texture=texture).read_bytes()
     pages = [raw[i : i + 1024] for i in range(0, len(raw), 1024)]
@@ -113,14 +113,14 @@ def test_e57_is_built_as_the_standard_says(cloud: PointCloud, texture: Any, tmp_
     assert (kind, (length + 1) % 4, streams) == (1, 0, 6)
     xyz = np.frombuffer(logical, "<f8", 3 * count, packet + 6 + 12).reshape(3, count)
     # The standard wants metres; a double is rounded twice on the way, 300 mm * 2^-52.
-    np.testing.assert_allclose(xyz * 1e3, cloud.xyz[:, known], rtol=1e-15, atol=1e-13)
+    np.testing.assert_allclose(xyz * 1e3, cloud.position[:, known], rtol=1e-15, atol=1e-13)
 
 
-def test_e57_is_read_by_another_library(cloud: PointCloud, texture: Any, tmp_path: Path) -> None:
+def test_e57_is_read_by_another_library(cloud: Surface, texture: Any, tmp_path: Path) -> None:
     pye57 = pytest.importorskip("pye57", reason="pye57 is not installed")
     large = replace(
         cloud,
-        xyz=np.tile(cloud.xyz, (1, 20, 10)),  # several packets
+        position=np.tile(cloud.position, (1, 20, 10)),  # several packets
         covariance=np.tile(cloud.covariance, (1, 20, 10)),
         ray_gap=np.tile(cloud.ray_gap, (20, 10)),
         reason=np.tile(cloud.reason, (20, 10)),
@@ -130,28 +130,28 @@ def test_e57_is_read_by_another_library(cloud: PointCloud, texture: Any, tmp_pat
     found = file.read_scan_raw(0)
     file.close()
     known = seen(large)
-    for axis, expected in zip("XYZ", large.xyz[:, known], strict=True):
+    for axis, expected in zip("XYZ", large.position[:, known], strict=True):
         np.testing.assert_allclose(found[f"cartesian{axis}"] * 1e3, expected, rtol=1e-15, atol=1e-13)
     np.testing.assert_array_equal(found["rowIndex"], np.nonzero(known)[0])
     np.testing.assert_array_equal(found["columnIndex"], np.nonzero(known)[1])
     np.testing.assert_allclose(found["intensity"], grey[known], rtol=2.0**-24)  # single precision
 
 
-def test_npz_keeps_every_bit_and_says_the_units(cloud: PointCloud, tmp_path: Path) -> None:
+def test_npz_keeps_every_bit_and_says_the_units(cloud: Surface, tmp_path: Path) -> None:
     with np.load(written("npz", cloud, tmp_path), allow_pickle=False) as found:
-        np.testing.assert_array_equal(found["xyz_mm"], cloud.xyz)
+        np.testing.assert_array_equal(found["position_mm"], cloud.position)
         np.testing.assert_array_equal(found["covariance_mm2"], cloud.covariance)
         np.testing.assert_array_equal(found["reason"], cloud.reason)
         units = dict(zip(found["names"], found["units"], strict=True))
-    assert units == {"xyz_mm": "mm", "covariance_mm2": "mm^2", "ray_gap_mm": "mm", "reason": "bit"}
+    assert units == {"position_mm": "mm", "covariance_mm2": "mm^2", "ray_gap_mm": "mm", "reason": "bit"}
 
 
-def test_matlab_has_images_first_and_counts_from_one(cloud: PointCloud, tmp_path: Path) -> None:
+def test_matlab_has_images_first_and_counts_from_one(cloud: Surface, tmp_path: Path) -> None:
     path = written("matlab", cloud, tmp_path)
     found = loadmat(path, simplify_cells=True)
-    np.testing.assert_array_equal(np.moveaxis(found["xyz_mm"], 2, 0), cloud.xyz)
+    np.testing.assert_array_equal(np.moveaxis(found["position_mm"], 2, 0), cloud.position)
     assert found["units"]["covariance_mm2"] == "mm^2"
-    assert found["meanings"]["xyz_mm"] == "position"
+    assert found["meanings"]["position_mm"] == "position"
     mesh = source_for(exporter_named("ply"), cloud)
     found = loadmat(written("matlab", mesh, tmp_path), simplify_cells=True)
     np.testing.assert_array_equal(found["faces"], mesh.faces + 1)
@@ -159,14 +159,12 @@ def test_matlab_has_images_first_and_counts_from_one(cloud: PointCloud, tmp_path
 
 
 @pytest.mark.parametrize("name", list(all_exporters()))
-def test_the_same_result_makes_the_same_file(
-    name: str, cloud: PointCloud, texture: Any, tmp_path: Path
-) -> None:
+def test_the_same_result_makes_the_same_file(name: str, cloud: Surface, texture: Any, tmp_path: Path) -> None:
     first = written(name, cloud, tmp_path, texture=texture).read_bytes()
     assert written(name, cloud, tmp_path, texture=texture).read_bytes() == first
 
 
-def test_tecplot_packed_by_variable(cloud: PointCloud, tmp_path: Path) -> None:
+def test_tecplot_packed_by_variable(cloud: Surface, tmp_path: Path) -> None:
     mesh = source_for(exporter_named("tecplot"), cloud)
     path = written("tecplot-block", mesh, tmp_path)
     lines = path.read_text().splitlines()
@@ -184,7 +182,7 @@ def test_tecplot_packed_by_variable(cloud: PointCloud, tmp_path: Path) -> None:
     np.testing.assert_allclose(columns[3:], mesh.values, rtol=5e-9)
 
 
-def test_vtk_legacy(cloud: PointCloud, tmp_path: Path) -> None:
+def test_vtk_legacy(cloud: Surface, tmp_path: Path) -> None:
     mesh = source_for(exporter_named("vtk"), cloud)
     reader = vtkPolyDataReader()
     reader.SetFileName(str(written("vtk", mesh, tmp_path)))
@@ -197,7 +195,7 @@ def test_vtk_legacy(cloud: PointCloud, tmp_path: Path) -> None:
     np.testing.assert_array_equal(values, mesh.values[mesh.value_names.index("covariance XX")])
 
 
-def test_obj_and_ply_show_the_texture_as_grey(cloud: PointCloud, texture: Any, tmp_path: Path) -> None:
+def test_obj_and_ply_show_the_texture_as_grey(cloud: Surface, texture: Any, tmp_path: Path) -> None:
     texture[0, 0] = np.nan
     mesh = source_for(exporter_named("obj"), cloud, texture=texture)
     expected = np.nan_to_num(mesh.values[mesh.value_names.index("texture")], nan=0.0)
@@ -209,12 +207,12 @@ def test_obj_and_ply_show_the_texture_as_grey(cloud: PointCloud, texture: Any, t
     read = meshio.read(written("ply", mesh, tmp_path))
     np.testing.assert_array_equal(read.points, mesh.vertices)
     np.testing.assert_array_equal(read.cells_dict["triangle"], mesh.faces)
-    np.testing.assert_array_equal(read.point_data["scalar_ray_gap"], mesh.values[6])
+    np.testing.assert_array_equal(read.point_data["scalar_ray_gap"], mesh.value("ray_gap"))
     for colour in ("red", "green", "blue"):
         np.testing.assert_array_equal(read.point_data[colour].astype(np.uint8), np.rint(255 * expected))
 
 
-def test_csv_says_how_a_value_is_computed(cloud: PointCloud, tmp_path: Path) -> None:
+def test_csv_says_how_a_value_is_computed(cloud: Surface, tmp_path: Path) -> None:
     mesh = replace(
         source_for(exporter_named("csv"), mesh_of_cloud(cloud), chosen=["ray_gap"]),
         value_names=("displacement",),
@@ -223,14 +221,14 @@ def test_csv_says_how_a_value_is_computed(cloud: PointCloud, tmp_path: Path) -> 
     assert header == '"X [mm]","Y [mm]","Z [mm]","displacement [mm]: sqrt(X^2 + Y^2 + Z^2)"'
 
 
-def mesh_of_cloud(cloud: PointCloud) -> Mesh:
+def mesh_of_cloud(cloud: Surface) -> Mesh:
     mesh = source_for(exporter_named("ply"), cloud)
     assert isinstance(mesh, Mesh)
     return mesh
 
 
-def test_the_mesh_of_a_cloud_has_no_triangle_over_a_step_or_a_hole(cloud: PointCloud) -> None:
-    cloud.xyz[2, :, 8:] += 200.0  # ten pixels high
+def test_the_mesh_of_a_cloud_has_no_triangle_over_a_step_or_a_hole(cloud: Surface) -> None:
+    cloud.position[2, :, 8:] += 200.0  # ten pixels high
     mesh = mesh_of_cloud(cloud)
     corners = mesh.vertices[mesh.faces]
     heights = np.ptp(corners[:, :, 2], axis=1)
@@ -241,7 +239,7 @@ def test_the_mesh_of_a_cloud_has_no_triangle_over_a_step_or_a_hole(cloud: PointC
     assert 2 * (8 * 7 + 8 * 4) - 10 <= len(mesh.faces) <= 2 * (8 * 7 + 8 * 4) - 8
 
 
-def test_vertices_without_a_position_take_their_triangles_along(cloud: PointCloud, tmp_path: Path) -> None:
+def test_vertices_without_a_position_take_their_triangles_along(cloud: Surface, tmp_path: Path) -> None:
     mesh = mesh_of_cloud(cloud)
     lost = mesh.faces[0, 0]
     mesh.vertices[lost] = np.nan
@@ -251,25 +249,33 @@ def test_vertices_without_a_position_take_their_triangles_along(cloud: PointClou
     assert len(read.cells_dict["triangle"]) == np.count_nonzero(left)
     with pytest.raises(MeasurementFailed, match="no face"):
         written("obj", replace(mesh, vertices=np.full_like(mesh.vertices, np.nan)), tmp_path)
-    nowhere = replace(cloud, xyz=np.full_like(cloud.xyz, np.nan))
+    nowhere = replace(cloud, position=np.full_like(cloud.position, np.nan))
     with pytest.raises(MeasurementFailed, match="no point with a position"):
         written("ptx", nowhere, tmp_path)
 
 
-def test_fields_are_chosen_by_name(cloud: PointCloud, tmp_path: Path) -> None:
-    assert value_fields(cloud) == ["xyz", "covariance", "ray_gap", "reason"]
+def test_fields_are_chosen_by_name(cloud: Surface, tmp_path: Path) -> None:
+    assert value_fields(cloud) == ["position", "reason", "covariance", "ray_gap"]
     mesh = source_for(exporter_named("vtu"), cloud, ["ray_gap"])
     assert (mesh.value_names, mesh.value_units) == (("ray_gap",), ("mm",))
-    with np.load(written("npz", cloud, tmp_path, chosen=["xyz"])) as found:
-        assert list(found["names"]) == ["xyz_mm"]
-    with pytest.raises(InvalidInput, match=re.escape("no field 'strain'; choose among xyz, covariance")):
+    with np.load(written("npz", cloud, tmp_path, chosen=["position"])) as found:
+        assert list(found["names"]) == ["position_mm"]
+    with pytest.raises(
+        InvalidInput, match=re.escape("no field 'strain'; choose among position, reason, covariance")
+    ):
         source_for(exporter_named("csv"), cloud, ["strain"])
 
 
-def test_what_a_format_cannot_hold_is_refused_with_a_way_out(cloud: PointCloud) -> None:
+def test_what_a_format_cannot_hold_is_refused_with_a_way_out(cloud: Surface) -> None:
     zeros = np.zeros((6, 4, 4), np.float32)
     moved = DisplacementField(
-        "C1", "P1", "S00", zeros[:3].astype(float), zeros, zeros[:2].astype(float), zeros[0].astype(np.uint32)
+        "C1P1",
+        "S00",
+        "mm",
+        zeros[:3].astype(float),
+        zeros,
+        zeros[:2].astype(float),
+        zeros[0].astype(np.uint32),
     )
     with pytest.raises(InvalidInput, match="DisplacementField has no positions, which ply needs"):
         source_for(exporter_named("ply"), moved)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.figures import Map, draw_map, plot_record, plottable, reduced, robust_limits
-from sms_jobs.records.fields import DisplacementField, ImageMatches, Mesh, PhaseMaps, PointCloud
+from sms_jobs.records.fields import DisplacementField, ImageMatches, Mesh, PhaseMaps, Surface
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.reasons import Reason
 
@@ -22,40 +22,40 @@ def pixels(png: bytes) -> NDArray[np.float32]:
 
 
 @pytest.fixture
-def cloud(rng: np.random.Generator) -> PointCloud:
+def cloud(rng: np.random.Generator) -> Surface:
     y, x = np.mgrid[0:60, 0:80]
     xyz = np.stack([x, y, 0.01 * x**2]).astype(float)
     reason = np.zeros((60, 80), np.uint32)
     reason[:20, :20] = Reason.LOW_MODULATION | Reason.SATURATED
     xyz[:, :20, :20] = np.nan
-    return PointCloud(
-        "C1", "P1", xyz, np.ones((6, 60, 80), np.float32), rng.random((60, 80), np.float32), reason
+    return Surface(
+        "C1P1", "mm", xyz, reason, np.ones((6, 60, 80), np.float32), rng.random((60, 80), np.float32)
     )
 
 
-def test_every_field_of_a_record_can_be_drawn(cloud: PointCloud) -> None:
-    assert plottable(PointCloud) == ("xyz", "covariance", "ray_gap", "reason")
-    for field in plottable(PointCloud):
+def test_every_field_of_a_record_can_be_drawn(cloud: Surface) -> None:
+    assert plottable(Surface) == ("position", "reason", "covariance", "ray_gap")
+    for field in plottable(Surface):
         assert pixels(plot_record(cloud, field)).shape[1] == 900
 
 
-def test_a_picture_depends_on_field_and_component(cloud: PointCloud) -> None:
+def test_a_picture_depends_on_field_and_component(cloud: Surface) -> None:
     z = plot_record(cloud)
-    assert z == plot_record(cloud, "xyz", "Z")
-    assert z != plot_record(cloud, "xyz", "X")
-    assert plot_record(cloud, "xyz", "magnitude") not in (z, plot_record(cloud, "xyz", "X"))
+    assert z == plot_record(cloud, "position", "Z")
+    assert z != plot_record(cloud, "position", "X")
+    assert plot_record(cloud, "position", "magnitude") not in (z, plot_record(cloud, "position", "X"))
 
 
 def test_a_displacement_is_drawn_by_its_magnitude(rng: np.random.Generator) -> None:
     vector = rng.normal(size=(3, 20, 30))
     covariance = np.ones((6, 20, 30), np.float32)
     reason = np.zeros((20, 30), np.uint32)
-    field = DisplacementField("C1", "P1", "S00", vector, covariance, vector[:2], reason)
+    field = DisplacementField("C1P1", "S00", "mm", vector, covariance, vector[:2], reason)
     assert plot_record(field) == plot_record(field, "displacement", "magnitude")
     assert plot_record(field) != plot_record(field, "displacement", "Z")
 
 
-def test_missing_values_are_grey(cloud: PointCloud) -> None:
+def test_missing_values_are_grey(cloud: Surface) -> None:
     image = pixels(plot_record(cloud))
     grey = np.isclose(image[..., :3], 0.75, atol=1 / 255).all(axis=-1)
     # A twelfth of the image is missing; the image takes about half of the picture. Grey is in no other place.
@@ -94,13 +94,13 @@ def test_one_frame_of_a_measurement(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize(
     ("field", "component", "complaint"),
     [
-        ("colour", None, "no field 'colour' to draw; choose one of xyz, covariance"),
-        ("xyz", "T", "no component 'T'; choose one of X, Y, Z, magnitude"),
+        ("colour", None, "no field 'colour' to draw; choose one of position, reason"),
+        ("position", "T", "no component 'T'; choose one of X, Y, Z, magnitude"),
         ("ray_gap", "X", "has no components"),
     ],
 )
 def test_what_cannot_be_drawn_is_named(
-    cloud: PointCloud, field: str, component: str | None, complaint: str
+    cloud: Surface, field: str, component: str | None, complaint: str
 ) -> None:
     with pytest.raises(InvalidInput, match=complaint):
         plot_record(cloud, field, component)

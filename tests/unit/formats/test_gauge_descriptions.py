@@ -17,7 +17,7 @@ from sms_jobs.metrology.deformation.gauges import GaugePlace
 def test_a_gauge_is_read_with_its_defaults() -> None:
     assert gauge_from("G1 x=10 y=-20 length=6") == ("G1", GaugePlace(10.0, -20.0, 6.0, 3.0, 0.0))
     name, place = gauge_from("top y=0 x=1.5 width=2 angle=90 length=4")
-    assert (name, place.width_mm) == ("top", 2.0)
+    assert (name, place.width) == ("top", 2.0)
     assert place.angle_rad == pytest.approx(pi / 2)
 
 

@@ -128,7 +128,7 @@ def made(tmp_path: Path, rng: Any) -> Iterator[tuple[Catalogue, Archive, Sealed,
         created_at=NOW + timedelta(seconds=1),
         statistics={"median_sigma_mm": 0.01},
     )
-    points = archive.seal_dataset({"cloud": point_cloud(rng)}, later)
+    points = archive.seal_dataset({"surface": point_cloud(rng)}, later)
     archive.seal_document("page.txt", "text/plain", lambda path: path.write_text("page"), later)
     paths = reindexing.unknown_files(catalogue, archive)
     assert {one.outcome for one in reindexing.reindex(catalogue, archive, paths)} == {"indexed"}

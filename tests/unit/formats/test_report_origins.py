@@ -58,13 +58,13 @@ def test_a_command_says_what_differs_from_the_defaults_alone() -> None:
 
 
 def test_a_command_gives_the_parameters_back() -> None:
-    changed = {"subset_radius_px": 11, "region_of_interest": "rectangle 1 2 3 4"}
-    (line,), _ = listed(made("correlate-images", "S01", "C1", **changed))
+    changed = {"mm_per_px": 0.05, "outline": "none"}
+    (line,), _ = listed(made("plane", "S01", "C1", **changed))
     words = shlex.split(line)
-    assert words[:6] == ["sms", "job", "submit", "correlate-images", "-c", "wing"]
-    kinds, settings = split_words(["correlate-images", *words[6:]])
+    assert words[:6] == ["sms", "job", "submit", "plane", "-c", "wing"]
+    kinds, settings = split_words(["plane", *words[6:]])
     again = kind_named(*kinds).parameters(**given_parameters(settings))
-    assert again == kind_named("correlate-images").parameters(**changed)
+    assert again == kind_named("plane").parameters(**changed)
 
 
 def test_results_made_in_two_ways_have_two_commands_with_their_states() -> None:

@@ -27,6 +27,7 @@ def merged(displacement: np.ndarray, covariance: np.ndarray) -> MergedField:
     return MergedField(
         "C1",
         ("C1P1",),
+        "mm",
         np.nan,
         np.broadcast_to(displacement[:, None, None], shape).copy(),
         np.zeros(shape),
@@ -40,7 +41,7 @@ def strain(values: np.ndarray | None = None) -> StrainField:
     xx = np.zeros(SIZE) if values is None else values
     components = np.stack([xx, 0 * xx, 0 * xx])
     sigma = np.full((3, *SIZE), 1e-5, np.float32)
-    return StrainField("small", 20.0, components, sigma, components[:2], xx, np.zeros(SIZE, np.uint32))
+    return StrainField("small", "mm", 20.0, components, sigma, components[:2], xx, np.zeros(SIZE, np.uint32))
 
 
 def view(field: MergedField, of: StrainField | None = None, gauges: GaugeReadings | None = None) -> View:

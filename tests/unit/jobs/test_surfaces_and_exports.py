@@ -23,8 +23,8 @@ from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.reindexing import reindex, unknown_files
 from sms_jobs.jobs.submission import submit
 from sms_jobs.jobs.surfaces import register_surface
-from sms_jobs.records.fields import Mesh, PointCloud
-from sms_jobs.records.surfaces import SURFACE, ReferenceSurface
+from sms_jobs.records.fields import Mesh, Surface
+from sms_jobs.records.surfaces import REFERENCE_SURFACES, ReferenceSurface
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]])
@@ -42,16 +42,16 @@ def reference(scale: float = 1.0) -> ReferenceSurface:
     return ReferenceSurface("part.stl", "0" * 64, "mm", False, scale * CORNERS, TRIANGLE)
 
 
-def cloud(height: float = 0.0) -> PointCloud:
+def cloud(height: float = 0.0) -> Surface:
     y, x = np.mgrid[0:6, 0:8].astype(float)
     zeros = np.zeros((6, 8), np.float32)
-    return PointCloud(
-        "C1",
-        "P1",
+    return Surface(
+        "C1P1",
+        "mm",
         np.stack([x, y, height + 0.0 * x]),
+        zeros.astype(np.uint32),
         np.full((6, 6, 8), 1e-6, np.float32),
         zeros,
-        zeros.astype(np.uint32),
     )
 
 
@@ -73,11 +73,11 @@ def test_the_newest_surface_of_a_campaign_counts_and_is_entered_once(services: S
     third, new = add(reference(), 1)  # back to the first: the newest has to be that again
     assert new
     with services.catalogue.reading() as session:
-        files = search.find_files(session, source=SURFACE, campaign="plate")
+        files = search.find_files(session, source=REFERENCE_SURFACES, campaign="plate")
         assert [f.id for f in files] == [third, second, first]
         assert search.statistics(session, third) == {"vertices": 3.0, "faces": 1.0}
     with services.archive.open(files[0]) as dataset:
-        np.testing.assert_array_equal(dataset.read("surface", ReferenceSurface).vertices, CORNERS)
+        np.testing.assert_array_equal(dataset.read("reference", ReferenceSurface).vertices, CORNERS)
         assert dataset.provenance.parameters["file_sha256"] == "0" * 64
     with pytest.raises(NotFound, match="no campaign 'other'"):
         register_surface(services.catalogue, services.archive, "other", reference(), WHEN)
@@ -85,7 +85,7 @@ def test_the_newest_surface_of_a_campaign_counts_and_is_entered_once(services: S
 
 def test_a_comparison_needs_a_surface_and_takes_the_newest(services: Services) -> None:
     for view in small_plate("plate")[1].views:
-        stored(services, "reconstruct", f"plate/S00/{view}", {"cloud": cloud()})
+        stored(services, "reconstruct", f"plate/S00/{view}", {"surface": cloud()})
     request = [Request("deviate", states=("S00",))]
     with (
         pytest.raises(NotFound, match="bring one in with 'sms import surface FILE -c plate'"),
@@ -108,13 +108,13 @@ def test_surfaces_are_told_by_files_alone(services: Services, tmp_path: Path) ->
         outcomes = [one.outcome for one in reindex(again.catalogue, services.archive, paths)]
         assert set(outcomes) == {"indexed"}
         with again.catalogue.reading() as session:
-            found = search.find_files(session, source=SURFACE, campaign="plate")
+            found = search.find_files(session, source=REFERENCE_SURFACES, campaign="plate")
             assert len(found) == 3
             newest = found[0]
             assert newest.job_id is None
             assert search.statistics(session, newest.id) == {"vertices": 3.0, "faces": 1.0}
         with services.archive.open(newest) as dataset:
-            np.testing.assert_array_equal(dataset.read("surface", ReferenceSurface).vertices, 3.0 * CORNERS)
+            np.testing.assert_array_equal(dataset.read("reference", ReferenceSurface).vertices, 3.0 * CORNERS)
 
 
 def test_a_surface_is_imported_from_a_file(
@@ -164,7 +164,7 @@ def test_a_result_is_written_in_the_format_that_is_asked_for(
 
 def test_the_newest_of_a_kind_of_each_subject(services: Services, home: Path, here: Path) -> None:
     for number, (state, height) in enumerate((("S00", 1.0), ("S01", 2.0), ("S00", 3.0))):
-        stored(services, "reconstruct", f"plate/{state}/C1P1", {"cloud": cloud(height)}, number)
+        stored(services, "reconstruct", f"plate/{state}/C1P1", {"surface": cloud(height)}, number)
     export(home, kind="reconstruct", campaign="plate", form="xyz")
     assert sorted(p.name for p in here.iterdir()) == [
         "plate-S00-C1P1-reconstruct.xyz",
@@ -219,15 +219,15 @@ def test_wrong_requests_are_refused_with_a_way_out(services: Services, home: Pat
 
 
 def test_a_result_is_written_without_plugins(services: Services, home: Path, here: Path) -> None:
-    number = str(stored(services, "reconstruct", "plate/S00/C1P1", {"cloud": cloud()}))
+    number = str(stored(services, "reconstruct", "plate/S00/C1P1", {"surface": cloud()}))
     export(home, number, form="hdf5")
     with h5py.File(here / "plate-S00-C1P1-reconstruct.h5") as file:
-        xyz = file["entry/cloud/xyz"]
+        xyz = file["entry/surface/position"]
         assert xyz.compression == "gzip"
-        np.testing.assert_array_equal(xyz, cloud().xyz)
+        np.testing.assert_array_equal(xyz, cloud().position)
         assert xyz.attrs["units"] == "mm"
     with pytest.raises(InvalidInput, match="takes the whole file"):
-        export(home, number, form="hdf5", fields="xyz")
+        export(home, number, form="hdf5", fields="position")
     export(home, number, form="hdf5", force=True)
 
 

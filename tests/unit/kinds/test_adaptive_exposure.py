@@ -15,7 +15,7 @@ from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds import reconstruct, simulate
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import CameraResponse, Cylinder, Gloss
@@ -49,11 +49,11 @@ def judged(measurement: Measurement) -> tuple[float, float]:
     records = {"measurement": measurement, "calibration": campaign()[0]}
     subject = Subject("plate", "S00", "C1P1")
     output = run_kind(reconstruct.KIND, subject, records, 1, reconstruct.ReconstructParameters())
-    cloud: PointCloud = output.records["cloud"]
+    cloud: Surface = output.records["surface"]
     shape, inside = truth(measurement)
     valid = inside & (cloud.reason == Reason.VALID)
     sigma = np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0))
-    z = (np.linalg.norm(cloud.xyz - shape.xyz, axis=0) / sigma)[valid]
+    z = (np.linalg.norm(cloud.position - shape.xyz, axis=0) / sigma)[valid]
     return float(valid.sum() / inside.sum()), float(np.median(z) / 0.6745)
 
 

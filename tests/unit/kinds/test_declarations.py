@@ -10,7 +10,7 @@ import pytest
 from sms_jobs.bench.in_memory import InMemory
 from sms_jobs.kinds import all_kinds, strain
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Port
-from sms_jobs.kinds.products import CLOUD, MERGED, MESH, REGIONS, STRAIN
+from sms_jobs.kinds.products import MERGED, MESH, REGIONS, STRAIN, SURFACE
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Regions
 from sms_jobs.virtual_rig.campaigns import small_plate
@@ -38,13 +38,13 @@ def test_what_is_not_declared_is_refused() -> None:
 
 
 def test_a_port_gives_only_what_it_declares() -> None:
-    port = Port("shape", "reconstruct", (CLOUD,), several=True)
+    port = Port("shape", "reconstruct", (SURFACE,), several=True)
     other = replace(SUBJECT, view="C1P2")
-    datasets = {port.role(one): InMemory(one, {"cloud": one.view}) for one in (SUBJECT, other)}
+    datasets = {port.role(one): InMemory(one, {"surface": one.view}) for one in (SUBJECT, other)}
     inputs = Inputs(Subject("plate", "S01"), None, datasets)
     assert inputs.about(port) == (SUBJECT, other)
-    assert inputs.read(port, CLOUD, other) == "C1P2"
-    assert inputs.has(port, CLOUD, other)
+    assert inputs.read(port, SURFACE, other) == "C1P2"
+    assert inputs.has(port, SURFACE, other)
     assert not inputs.has(port, MESH, other)
     assert not inputs.has(port)
     with pytest.raises(TypeError, match="port shape does not declare that mesh is read"):

@@ -25,10 +25,15 @@ from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, DocumentOutput, Inpu
 from sms_jobs.metrology.geometry.transforms import inverse, rotation_vector
 from sms_jobs.metrology.surfaces.deviation import Verdict
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
-from sms_jobs.records.fields import Mesh, PointCloud
+from sms_jobs.records.fields import Mesh, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.surfaces import SURFACE, DeviationField, ReferenceSurface, SurfaceRegistration
+from sms_jobs.records.surfaces import (
+    REFERENCE_SURFACES,
+    DeviationField,
+    ReferenceSurface,
+    SurfaceRegistration,
+)
 
 WHEN = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 CAMPAIGN = Campaign("plate", Specimen("plate"), "rig", (LoadState("S00"),), ("C1P1", "C1P2"))
@@ -44,7 +49,7 @@ GIVEN = {
 Run = Callable[..., list[Any]]
 
 
-def cloud(seed: int) -> PointCloud:
+def cloud(seed: int) -> Surface:
     """Return what a view measures of the plate with a dent, and a hole of three pixels in it."""
     plate = seen_plate()
     dented = plate.dented(DEPTH_MM, 25.0, AT)
@@ -56,12 +61,14 @@ def cloud(seed: int) -> PointCloud:
     for field in (xyz, covariance):
         field[:, 30, 40:43] = np.nan
     reason[30, 40:43] = Reason.LOW_MODULATION
-    return PointCloud(CAMERA.name, PROJECTOR.name, xyz, covariance, np.zeros(known.shape, np.float32), reason)
+    return Surface(
+        f"{CAMERA.name}{PROJECTOR.name}", "mm", xyz, reason, covariance, np.zeros(known.shape, np.float32)
+    )
 
 
 def records_for(need: Need) -> dict[str, Any]:
     if need.source == "reconstruct":
-        return {"cloud": cloud(len(need.role) + ord((need.subject.view or "0")[-1]))}
+        return {"surface": cloud(len(need.role) + ord((need.subject.view or "0")[-1]))}
     if need.source == MEASUREMENT:
         size = seen_plate().xyz.shape[1:]
         texture = np.full(size, 1000, np.uint16)
@@ -70,9 +77,11 @@ def records_for(need: Need) -> dict[str, Any]:
                 WHEN, FringeSequence(), 4000, 0.1, 2.0, texture, ArrayStack(texture[None])
             )
         }
-    assert need.source == SURFACE
+    assert need.source == REFERENCE_SURFACES
     vertices, faces = plate_surface()
-    return {"surface": ReferenceSurface("plate.stl", "0" * 64, "mm", False, vertices, faces.astype(np.int32))}
+    return {
+        "reference": ReferenceSurface("plate.stl", "0" * 64, "mm", False, vertices, faces.astype(np.int32))
+    }
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import DatasetOutput
 from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import PhaseMaps, PointCloud
+from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import CameraResponse, Simulation
@@ -42,11 +42,11 @@ class Tuple:
         measurement: Measurement | None = None,
         threads: int = 1,
         progress: Callable[..., None] = lambda fraction, message="": None,
-    ) -> tuple[PointCloud, PhaseMaps, DatasetOutput]:
+    ) -> tuple[Surface, PhaseMaps, DatasetOutput]:
         records = {"measurement": measurement or self.measurement, "calibration": self.calibration}
         output = run_kind(KIND, SUBJECT, records, threads, parameters or ReconstructParameters(), progress)
-        assert list(output.records) == ["cloud", "phase"]
-        return output.records["cloud"], output.records["phase"], output
+        assert list(output.records) == ["surface", "phase"]
+        return output.records["surface"], output.records["phase"], output
 
 
 def simulate(
@@ -76,13 +76,13 @@ def unmarked(campaign: Campaign) -> Campaign:
     return replace(campaign, scene=replace(campaign.scene, speckle=None))
 
 
-def error_in_sigmas(cloud: PointCloud, shape: Shape) -> NDArray[np.float64]:
+def error_in_sigmas(cloud: Surface, shape: Shape) -> NDArray[np.float64]:
     """Return the distance from the truth in units of its predicted standard deviation.
 
     Of pixels that are valid and at least 3 px inside the plate: those on its border see past an edge.
     """
     sigma = np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0))
-    z = np.linalg.norm(cloud.xyz - shape.xyz, axis=0) / sigma
+    z = np.linalg.norm(cloud.position - shape.xyz, axis=0) / sigma
     return np.asarray(z[(cloud.reason == Reason.VALID) & ndimage.binary_erosion(shape.lit, iterations=3)])
 
 
@@ -138,7 +138,7 @@ def test_an_invalid_pixel_is_nan_and_says_why(speckled: Tuple) -> None:
     valid = cloud.reason == Reason.VALID
     assert valid.any()
     assert not valid.all()
-    for values in (*cloud.xyz, *cloud.covariance, cloud.ray_gap):
+    for values in (*cloud.position, *cloud.covariance, cloud.ray_gap):
         np.testing.assert_array_equal(np.isfinite(values), valid)
     dark = ~ndimage.binary_dilation(speckled.shape.seen, iterations=3)  # beyond the blurred border
     said = (cloud.reason[dark] & (Reason.LOW_MODULATION | Reason.AMBIGUOUS_UNWRAPPING)) != 0
@@ -152,7 +152,7 @@ def test_points_outside_the_volume_are_marked(plain: Tuple) -> None:
     cloud, _, _ = halved.reconstruct()
     right = plain.shape.lit & (plain.shape.xyz[0] > 1.0)
     assert (cloud.reason[right] & Reason.OUT_OF_VOLUME != 0).all()
-    assert np.nanmax(cloud.xyz[0]) <= 0.0
+    assert np.nanmax(cloud.position[0]) <= 0.0
 
 
 def test_a_wrong_calibration_opens_the_ray_gap(plain: Tuple) -> None:
@@ -175,7 +175,7 @@ def test_a_dark_measurement_has_no_points_but_reasons(plain: Tuple) -> None:
     frames = np.full(plain.measurement.frames.shape, 40, np.uint16)
     cloud, _, output = plain.reconstruct(measurement=replace(plain.measurement, frames=ArrayStack(frames)))
     assert (cloud.reason != Reason.VALID).all()
-    assert np.isnan(cloud.xyz).all()
+    assert np.isnan(cloud.position).all()
     assert output.statistics["valid_fraction"] == 0.0
     assert all(np.isfinite(list(output.statistics.values())))
 
@@ -225,7 +225,7 @@ def test_any_sequence_gives_the_shape(sequence: FringeSequence) -> None:
 
 def test_threads_change_nothing(speckled: Tuple) -> None:
     one, two = speckled.reconstruct(), speckled.reconstruct(threads=2)
-    np.testing.assert_array_equal(one[0].xyz, two[0].xyz)
+    np.testing.assert_array_equal(one[0].position, two[0].position)
     np.testing.assert_array_equal(one[0].covariance, two[0].covariance)
     np.testing.assert_array_equal(one[0].reason, two[0].reason)
     assert one[2].statistics == two[2].statistics

@@ -17,7 +17,7 @@ from sms_jobs.kinds.kind import DatasetOutput
 from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
 from sms_jobs.kinds.textured_state import average_noise
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.fields import PhaseMaps, PointCloud, ReturnMaps
+from sms_jobs.records.fields import PhaseMaps, ReturnMaps, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Cylinder, Gloss, Simulation
@@ -46,10 +46,10 @@ class Glossy:
         wanted = ReconstructParameters(**parameters)  # type: ignore[arg-type]
         return run_kind(KIND, SUBJECT, records, threads, wanted)
 
-    def scores(self, cloud: PointCloud, where: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def scores(self, cloud: Surface, where: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Return distances from the truth over their standard deviations, of valid pixels inside."""
         sigma = np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0))
-        z = np.linalg.norm(cloud.xyz - self.shape.xyz, axis=0) / sigma
+        z = np.linalg.norm(cloud.position - self.shape.xyz, axis=0) / sigma
         return np.asarray(z[(cloud.reason == Reason.VALID) & self.inside & where])
 
 
@@ -77,10 +77,10 @@ def test_a_bracket_measures_the_highlight_with_the_errors_it_states(
     sequence: FringeSequence, method: str
 ) -> None:
     single, several = glossy(sequence, (1.0,)), glossy(sequence, BRACKET)
-    lost: PointCloud = single.reconstruct(method=method).records["cloud"]
+    lost: Surface = single.reconstruct(method=method).records["surface"]
     output = several.reconstruct(method=method)
-    cloud, phase = output.records["cloud"], output.records["phase"]
-    assert isinstance(cloud, PointCloud)
+    cloud, phase = output.records["surface"], output.records["phase"]
+    assert isinstance(cloud, Surface)
     assert isinstance(phase, PhaseMaps)
     assert phase.exposure is not None
     dazzled = single.inside & (lost.reason & Reason.SATURATED != 0)
@@ -150,9 +150,9 @@ def test_the_order_of_recording_and_threads_change_nothing() -> None:
     first = several.reconstruct()
     for other in (shuffled.reconstruct(), several.reconstruct(threads=2)):
         assert other.statistics == first.statistics
-        for name in ("xyz", "covariance", "reason"):
+        for name in ("position", "covariance", "reason"):
             np.testing.assert_array_equal(
-                getattr(other.records["cloud"], name), getattr(first.records["cloud"], name)
+                getattr(other.records["surface"], name), getattr(first.records["surface"], name)
             )
 
 

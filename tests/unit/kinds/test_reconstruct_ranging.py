@@ -19,7 +19,7 @@ from sms_jobs.kinds.kind import DatasetOutput
 from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
 from sms_jobs.metrology.phase.patterns import direction, span_px
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.fields import PhaseMaps, PointCloud, ReturnMaps
+from sms_jobs.records.fields import PhaseMaps, ReturnMaps, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Simulation
@@ -115,25 +115,25 @@ def plate(densities: tuple[int, ...], orientations: tuple[float, ...] = CROSSED)
     return seen(calibration, Simulation(scene, "C1", "P1", (), state="S00"), sequence)
 
 
-def off_plane(cloud: PointCloud, where: Mask) -> float:
+def off_plane(cloud: Surface, where: Mask) -> float:
     """Return the rms distance in mm of the valid points of a part from their own plane of best fit."""
-    points = cloud.xyz[:, where & (cloud.reason == Reason.VALID)].T
+    points = cloud.position[:, where & (cloud.reason == Reason.VALID)].T
     centred = points - points.mean(axis=0)
     return float(np.sqrt(np.mean((centred @ np.linalg.svd(centred, full_matrices=False)[2][2]) ** 2)))
 
 
-def scores(cloud: PointCloud, shape: Shape, where: Mask) -> NDArray[np.float64]:
+def scores(cloud: Surface, shape: Shape, where: Mask) -> NDArray[np.float64]:
     """Return the errors of the valid points of a part in units of their predicted standard deviation."""
     kept = where & (cloud.reason == Reason.VALID)
     sigma = np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0))
-    return np.asarray((np.linalg.norm(cloud.xyz - shape.xyz, axis=0) / sigma)[kept])
+    return np.asarray((np.linalg.norm(cloud.position - shape.xyz, axis=0) / sigma)[kept])
 
 
 def test_one_return_scatters_as_predicted() -> None:
     scene = plate(tuple(range(16)))
     output = scene.reconstruct(method="fdr")
-    cloud: PointCloud = output.records["cloud"]
-    assert list(output.records) == ["cloud", "phase"]
+    cloud: Surface = output.records["surface"]
+    assert list(output.records) == ["surface", "phase"]
     inside = ndimage.binary_erosion(scene.shape.lit, iterations=3)
     z = scores(cloud, scene.shape, inside)
     assert z.size > 0.995 * inside.sum()
@@ -154,14 +154,14 @@ def test_a_single_return_stays_single() -> None:
 def test_the_half_that_is_lit_twice_is_as_flat_as_the_other() -> None:
     scene = mirror(DIAGONAL)
     once, twice = scene.halves()
-    cloud: PointCloud = scene.reconstruct(method="fdr", returns=2).records["cloud"]
+    cloud: Surface = scene.reconstruct(method="fdr", returns=2).records["surface"]
     assert (cloud.reason[twice] == Reason.VALID).mean() > 0.99
     apart = twice & (np.minimum(*(scene.separation_bins(a) for a in DIAGONAL)) > 1.5)
     assert apart.sum() > 0.7 * twice.sum()
     # Two returns 1.5 bins apart have 1.02 times the error of one, and the tilt of the plate a few percent.
     assert off_plane(cloud, apart) < 1.1 * off_plane(cloud, once)
-    unwrapped: PointCloud = scene.reconstruct(maximum_phase_error_rad=10.0, maximum_ray_gap_mm=50.0).records[
-        "cloud"
+    unwrapped: Surface = scene.reconstruct(maximum_phase_error_rad=10.0, maximum_ray_gap_mm=50.0).records[
+        "surface"
     ]
     # Unwrapping takes the sum of both returns for one: the thesis found 2.726 mm against 0.538 mm.
     assert off_plane(unwrapped, apart) > 5.0 * off_plane(cloud, apart)
@@ -175,9 +175,9 @@ def test_diagonal_fringes_separate_what_vertical_ones_cannot() -> None:
     assert close.sum() > 300
     told = [diagonal.separation_bins(a)[close] for a in DIAGONAL]
     assert np.median(np.minimum(*told)) > 1.2
-    first = crossed.reconstruct(method="fdr", returns=2).records["cloud"]
-    second = diagonal.reconstruct(method="fdr", returns=2).records["cloud"]
-    errors = [np.linalg.norm(c.xyz - crossed.shape.xyz, axis=0)[close] for c in (first, second)]
+    first = crossed.reconstruct(method="fdr", returns=2).records["surface"]
+    second = diagonal.reconstruct(method="fdr", returns=2).records["surface"]
+    errors = [np.linalg.norm(c.position - crossed.shape.xyz, axis=0)[close] for c in (first, second)]
     # The bound of two returns 0.3 bins apart is 6.7 times that of one, and that of 1.2 bins 1.04 times.
     assert np.nanmedian(errors[0]) > 4.0 * np.nanmedian(errors[1])
 
@@ -185,7 +185,7 @@ def test_diagonal_fringes_separate_what_vertical_ones_cannot() -> None:
 def test_what_is_stated_of_two_returns_happens() -> None:
     scene = mirror(DIAGONAL)
     once, twice = scene.halves()
-    cloud: PointCloud = scene.reconstruct(method="fdr", returns=2).records["cloud"]
+    cloud: Surface = scene.reconstruct(method="fdr", returns=2).records["surface"]
     for part in (once, twice):
         z = scores(cloud, scene.shape, part)
         # 2000 pixels: 2.5 % scatter; the two returns' unequal blur, which the model lacks, adds some.
@@ -217,7 +217,7 @@ def test_the_plain_rule_flags_nothing_and_mostly_agrees() -> None:
     scene = mirror(CROSSED)
     _, twice = scene.halves()
     plain = scene.reconstruct(method="fdr", returns=2, pair_rule="least-gap").records
-    assert not (plain["cloud"].reason & Reason.AMBIGUOUS_PAIR).any()
+    assert not (plain["surface"].reason & Reason.AMBIGUOUS_PAIR).any()
     assert (plain["returns"].label[twice] == 1).mean() > 0.9
 
 
@@ -226,10 +226,10 @@ def test_what_the_mirror_shows_is_told_from_the_plate_by_the_volume_alone() -> N
     image = (scene.shape.region == 2) & (scene.light.strength[0, ::2, ::2] > 0.0)
     inside = ndimage.binary_erosion(image, iterations=4)
     assert inside.sum() > 300
-    cloud: PointCloud = scene.reconstruct(method="fdr", returns=2).records["cloud"]
+    cloud: Surface = scene.reconstruct(method="fdr", returns=2).records["surface"]
     # Light that goes to the plate and back by the mirror meets in the plate's mirror image: whatever point
     # is reported there is behind the mirror, well below the hinge.
-    ghosts = cloud.xyz[:, inside & (cloud.reason == Reason.VALID)]
+    ghosts = cloud.position[:, inside & (cloud.reason == Reason.VALID)]
     hinge = scene.simulation.scene.placement.translation[1]
     assert (ghosts[1] < hinge).all()
 
@@ -237,12 +237,12 @@ def test_what_the_mirror_shows_is_told_from_the_plate_by_the_volume_alone() -> N
 def test_one_orientation_alone_cannot_tell_two_returns_of_the_volume() -> None:
     scene = mirror((0.0,))
     once, twice = scene.halves()
-    cloud: PointCloud = scene.reconstruct(method="fdr", returns=2).records["cloud"]
+    cloud: Surface = scene.reconstruct(method="fdr", returns=2).records["surface"]
     assert (cloud.reason[once] == Reason.VALID).mean() > 0.98
     far = twice & (scene.separation_bins(0.0) > 1.0)
     assert (cloud.reason[far] & Reason.AMBIGUOUS_PAIR != 0).mean() > 0.95
-    strongest: PointCloud = scene.reconstruct(method="fdr", returns=2, minimum_pair_margin=0.0).records[
-        "cloud"
+    strongest: Surface = scene.reconstruct(method="fdr", returns=2, minimum_pair_margin=0.0).records[
+        "surface"
     ]
     z = scores(strongest, scene.shape, far)
     assert np.median(z) / 0.6745 == pytest.approx(1.0, abs=0.15)  # as above
@@ -253,7 +253,7 @@ def test_threads_change_nothing() -> None:
     one, two = (scene.reconstruct(threads=n, method="fdr", returns=2) for n in (1, 2))
     assert one.statistics == two.statistics
     for record, names in (
-        ("cloud", ("xyz", "covariance", "reason")),
+        ("surface", ("position", "covariance", "reason")),
         ("returns", ("label", "margin", "omega")),
     ):
         for name in names:
@@ -264,7 +264,7 @@ def test_threads_change_nothing() -> None:
 
 def test_unwrapping_leaves_the_uniform_field_out() -> None:
     with_zero, without = plate(tuple(range(6))), plate(tuple(range(1, 6)))
-    found = [s.reconstruct(blur_px=0.0).records["cloud"] for s in (with_zero, without)]
+    found = [s.reconstruct(blur_px=0.0).records["surface"] for s in (with_zero, without)]
     inside = ndimage.binary_erosion(with_zero.shape.lit, iterations=3)
     for cloud, scene in zip(found, (with_zero, without), strict=True):
         z = scores(cloud, scene.shape, inside)

@@ -16,7 +16,7 @@ from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds.kind import DatasetOutput
 from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import ProjectorResponse, Simulation
@@ -44,10 +44,10 @@ class Rippled:
         wanted = ReconstructParameters(blur_px=0.0, **parameters)  # type: ignore[arg-type]
         return run_kind(KIND, SUBJECT, records, 1, wanted)
 
-    def judged(self, cloud: PointCloud) -> tuple[float, float, float]:
+    def judged(self, cloud: Surface) -> tuple[float, float, float]:
         """Return how much of the inside is valid, its rms error in mm, and the rms of that over sigma."""
         valid = (cloud.reason == Reason.VALID) & self.inside
-        error = np.linalg.norm(cloud.xyz - self.shape.xyz, axis=0)[valid]
+        error = np.linalg.norm(cloud.position - self.shape.xyz, axis=0)[valid]
         sigma = np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0))[valid]
         rms, score = (float(np.sqrt(np.mean(np.square(v)))) for v in (error, error / sigma))
         return float(valid.sum() / self.inside.sum()), rms, score
@@ -81,8 +81,8 @@ def test_the_ripple_is_gone_and_the_stated_error_is_true(
     scene = rippled(1.3, densities, steps)
     before = scene.reconstruct(method=method, **ROUGH)
     after = scene.reconstruct(method=method, response="measured")
-    _, was, missed = scene.judged(before.records["cloud"])
-    kept, error, score = scene.judged(after.records["cloud"])
+    _, was, missed = scene.judged(before.records["surface"])
+    kept, error, score = scene.judged(after.records["surface"])
     # All tests of each pixel hold as they do for a linear projector: 0.2 % fail by noise.
     assert kept > 0.995
     # 9700 pixels give the rms to 0.7 %; four times that, and what a pixel's blur does to ranging.
@@ -98,15 +98,15 @@ def test_the_ripple_is_gone_and_the_stated_error_is_true(
 
 def test_three_steps_and_a_gamma_fail_every_test_until_corrected() -> None:
     scene = rippled(1.3, UNWRAPPED, 3)
-    cloud: PointCloud = scene.reconstruct().records["cloud"]
+    cloud: Surface = scene.reconstruct().records["surface"]
     # A ripple of 0.06 rad where 0.02 are accepted: refused, and said why, rather than wrong.
     assert (cloud.reason[scene.inside] & Reason.HIGH_PHASE_ERROR != 0).mean() > 0.9
 
 
 def test_a_linear_projector_is_left_alone() -> None:
     scene = rippled(1.0, UNWRAPPED, 4)
-    clouds = [scene.reconstruct(response=r).records["cloud"] for r in ("none", "measured")]
-    moved = np.linalg.norm(clouds[1].xyz - clouds[0].xyz, axis=0)[scene.inside]
+    clouds = [scene.reconstruct(response=r).records["surface"] for r in ("none", "measured")]
+    moved = np.linalg.norm(clouds[1].position - clouds[0].position, axis=0)[scene.inside]
     # The harmonics that noise feigns, below 1e-4 of the fringe: a fiftieth of the 9 um of noise.
     assert np.sqrt(np.nanmean(moved**2)) < 2e-4
 

@@ -13,13 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from support.report_results import campaign, grid, records_for, run_on_results
+from support.report_results import campaign, mesh, records_for, run_on_results
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds import all_kinds, export, report, report_state
 from sms_jobs.kinds.kind import MEASUREMENT, DocumentOutput, Port
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.fields import Mesh
 
 Run = Callable[..., list[tuple[DocumentOutput, Path]]]
 
@@ -183,29 +182,18 @@ def test_export_writes_only_what_is_asked_for(run: Run) -> None:
 
 
 def test_export_gives_each_vertex_the_texture_of_its_pixel(run: Run) -> None:
-    x, y, z = grid((45, 60))
-    row, column = np.array([3, 3, 4]), np.array([5, 6, 5])
-    corners = np.stack([x, y, z], axis=-1)[row, column]
-    of_pixels = Mesh(("u",), ("mm",), corners, np.array([[0, 1, 2]], np.int32), np.ones((1, 3)))
-    subject = Subject("plate", "S02")
-    ((_, path),) = run(export.KIND, campaign(), subject, formats=("npz",), instead={"mesh": of_pixels})
+    ((_, path),) = run(export.KIND, campaign(), Subject("plate", "S02"), formats=("npz",))
     need = Port("", MEASUREMENT, ()).of(Subject("plate", "S00", "C1P1"))
     texture = records_for(need, (45, 60))["measurement"].texture
     with np.load(path) as found:
         # Full scale is 4095; single precision.
+        row, column = [3, 3, 4], [5, 6, 5]
         np.testing.assert_allclose(found["texture"], texture[row, column] / 4095, rtol=2.0**-23)
 
 
-def test_export_leaves_out_a_texture_that_no_vertex_has(run: Run) -> None:
-    ((_, path),) = run(export.KIND, campaign(), Subject("plate", "S01"), formats=("npz",))
-    with np.load(path) as found:
-        # The corners of this mesh are no pixels of the camera.
-        assert list(found["names"]) == ["vertices_mm", "faces", "u_mm"]
-
-
 def test_export_writes_a_file_for_each_camera_where_points_are_over_an_image(run: Run) -> None:
-    two = campaign(views=("C1P1", "C2P1"))
-    documents = run(export.KIND, two, Subject("plate", "S01"), formats=("ptx", "e57", "xyz"))
+    two, seen = campaign(views=("C1P1", "C2P1")), {"mesh": mesh(("C1", "C2"))}
+    documents = run(export.KIND, two, Subject("plate", "S01"), formats=("ptx", "e57", "xyz"), instead=seen)
     assert [path.name for _, path in documents] == [
         *("plate-S01-C1.ptx", "plate-S01-C2.ptx", "plate-S01-C1.e57", "plate-S01-C2.e57", "plate-S01.xyz")
     ]

@@ -24,7 +24,7 @@ from sms_jobs.metrology.geometry.lens import KEPT, LENS
 from sms_jobs.records.artefacts import BallBar, CircleBoard
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.fields import PhaseMaps, PointCloud
+from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.sensors import Rig, Sensor
 from sms_jobs.virtual_rig.campaigns import bending_rig
@@ -208,8 +208,8 @@ def test_a_measurement_tells_whether_its_calibration_holds() -> None:
         done.records[CALIBRATION, str(subject)] = {"calibration": calibration}
         assert (MEASUREMENT, str(subject)) in done.records
         shape = done.run(reconstruct, subject)
-        cloud, phase = shape["cloud"], shape["phase"]
-        assert isinstance(cloud, PointCloud)
+        cloud, phase = shape["surface"], shape["phase"]
+        assert isinstance(cloud, Surface)
         assert isinstance(phase, PhaseMaps)
         which = KnownCalibration(1, "", calibration, held["uncertainty"], None)
         found = drift_of(which, "C1P2", FringeSequence(), phase, cloud, 0.01, 0.001, 2)

@@ -14,7 +14,7 @@ from sms_jobs.kinds import diagnose, reconstruct
 from sms_jobs.kinds.kind import DatasetOutput
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.diagnosis import ResponseDiagnosis
-from sms_jobs.records.fields import PointCloud
+from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import ProjectorResponse, Simulation, Speckle
@@ -61,13 +61,13 @@ def test_the_predicted_ripple_is_that_of_the_shape() -> None:
     rough = reconstruct.ReconstructParameters(
         blur_px=0.0, maximum_phase_error_rad=0.5, maximum_ray_gap_mm=5.0
     )
-    cloud = run_kind(reconstruct.KIND, SUBJECT, records, 1, rough).records["cloud"]
-    assert isinstance(cloud, PointCloud)
+    cloud = run_kind(reconstruct.KIND, SUBJECT, records, 1, rough).records["surface"]
+    assert isinstance(cloud, Surface)
     row, column = found.y.astype(int), found.x.astype(int)
     shape = exact_shape(simulation)
     # A pixel that the plate covers in part has another error of its own.
     inside = ndimage.binary_erosion(shape.seen & shape.lit, iterations=3)
-    error = (cloud.xyz - shape.xyz)[:, row, column]
+    error = (cloud.position - shape.xyz)[:, row, column]
     valid = (inside & (cloud.reason == Reason.VALID))[row, column]
     assert valid.mean() > 0.8
     moved, error = found.ripple[:, valid], error[:, valid]
