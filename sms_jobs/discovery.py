@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 def declared(package: str, constant: str) -> dict[str, Any]:
-    """Return the constants of one name in the modules of a package, by their `name`, in order of it.
+    """Return the constants of one name in the modules of a package and of those in it, by their `name`.
 
     Parameters
     ----------
@@ -23,8 +23,8 @@ def declared(package: str, constant: str) -> dict[str, Any]:
         What a module calls its declaration, e.g. KIND; modules without one are left out.
     """
     found = {}
-    for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
-        declaration = getattr(importlib.import_module(f"{package}.{module.name}"), constant, None)
+    for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+        declaration = getattr(importlib.import_module(module.name), constant, None)
         if declaration is not None:
             found[declaration.name] = declaration
     return dict(sorted(found.items()))

@@ -23,7 +23,7 @@ import sms_jobs
 from sms_jobs.archive import Archive, Provenance
 from sms_jobs.errors import SmsError
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
-from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
+from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.metrology.geometry.triangulation import camera_rays

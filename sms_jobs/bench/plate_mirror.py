@@ -14,10 +14,10 @@ from scipy import ndimage
 
 from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.bench.peeling import peel_returns
-from sms_jobs.kinds.phase_task import PhaseTask
-from sms_jobs.kinds.phases import sensor_pair
-from sms_jobs.kinds.ranged_phases import transfers
-from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
+from sms_jobs.kinds.shape.phase_task import PhaseTask
+from sms_jobs.kinds.shape.phases import sensor_pair
+from sms_jobs.kinds.shape.ranged_phases import transfers
+from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.images.masks import outside_box
 from sms_jobs.metrology.phase.sequences import reverse_exponential

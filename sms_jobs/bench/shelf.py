@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from sms_jobs.bench.in_memory import InMemory
-from sms_jobs.kinds import reconstruct, simulate
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Parameters
+from sms_jobs.kinds.recording import simulate
+from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.sensors import Calibration

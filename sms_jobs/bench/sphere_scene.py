@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.kinds.simulate import recipe
+from sms_jobs.kinds.recording.simulate import recipe
 from sms_jobs.metrology.calibration.pan_tilt_refinement import sphere_regions
 from sms_jobs.metrology.geometry.triangulation import camera_rays
 from sms_jobs.records.artefacts import BallBar

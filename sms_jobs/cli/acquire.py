@@ -24,7 +24,7 @@ from sms_jobs.jobs.chosen import Chosen, named, submitted
 from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.recordings import state_value
 from sms_jobs.jobs.submission import Submission, submit_to
-from sms_jobs.kinds.acquire import KIND
+from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.job import JobState
 

@@ -17,9 +17,9 @@ from sms_jobs.catalogue.search import FileView
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.jobs import calibration_choice
 from sms_jobs.jobs.registration import register_calibration
-from sms_jobs.kinds.phases import sensor_pair
-from sms_jobs.kinds.session_adjustment import known_as
-from sms_jobs.kinds.sessions import CALIBRATE, CALIBRATE_BOARDS, bar_states
+from sms_jobs.kinds.calibration.session_adjustment import known_as
+from sms_jobs.kinds.calibration.sessions import CALIBRATE, CALIBRATE_BOARDS, bar_states
+from sms_jobs.kinds.shape.phases import sensor_pair
 from sms_jobs.metrology.calibration.comparison import CalibrationComparison, compare_calibrations
 from sms_jobs.metrology.calibration.drift import DriftCheck, DriftOptions, check_drift
 from sms_jobs.metrology.calibration.pair_points import Parameters

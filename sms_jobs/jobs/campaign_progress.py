@@ -12,8 +12,8 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import FileRow, JobRow, LoadStateRow, StatisticRow
-from sms_jobs.kinds.acquire import KIND
 from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records.campaign import LoadState, Subject
 from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState
 

@@ -15,8 +15,8 @@ from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, RigRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL, StateRehearsal, rehearse
 from sms_jobs.jobs.planning import checked_parameters
-from sms_jobs.kinds.acquire import ANGLES, KIND, AcquireParameters, stage_angles
 from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.kinds.recording.acquire import ANGLES, KIND, AcquireParameters, stage_angles
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.optical_instruments import RigFile

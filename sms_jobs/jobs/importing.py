@@ -34,9 +34,9 @@ from sms_jobs.formats.importers.readings import Reading
 from sms_jobs.jobs.entering import enter_file, entered_or_discarded
 from sms_jobs.jobs.registration import index_definition, seal_definition
 from sms_jobs.kinds import kind_named
+from sms_jobs.kinds.calibration.sessions import OBSERVE_BOARD
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.products import BOARD
-from sms_jobs.kinds.sessions import OBSERVE_BOARD
 from sms_jobs.records.campaign import Campaign, CampaignDefinition, LoadState, Subject
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.observations import BoardObservation

@@ -14,8 +14,8 @@ from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow, StatisticRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs.chosen import Chosen
-from sms_jobs.kinds.acquire import KIND, stage_angles
 from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.kinds.recording.acquire import KIND, stage_angles
 from sms_jobs.records.campaign import LoadState, Subject
 from sms_jobs.records.job import JobState
 

@@ -1,7 +1,8 @@
-"""The job kinds, one file each: a module here that has a `KIND` is found by itself."""
+"""The job kinds, one file each, in rooms by subject: a module that has a `KIND` is found by itself."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
@@ -18,3 +19,14 @@ def all_kinds() -> dict[str, Kind[Any]]:
 def kind_named(name: str) -> Kind[Any]:
     """Return the kind of that name; raise `InvalidInput` where there is none."""
     return chosen(all_kinds(), name, "job kind")
+
+
+def defaults_of_kinds() -> dict[str, Mapping[str, Any]]:
+    """Return the defaults of every kind whose results can be computed again, as JSON."""
+    found: dict[str, Mapping[str, Any]] = {}
+    for name, kind in all_kinds().items():
+        if kind.with_instruments:
+            continue
+        required = any(f.is_required() for f in kind.parameters.model_fields.values())
+        found[name] = {} if required else kind.parameters().model_dump(mode="json")
+    return found

@@ -15,10 +15,10 @@ from support.browser import Browser, browser_or_skip
 from support.planes import merged_in_plane, moved_in_plane, one_region, plane, strain_in_plane
 
 from sms_jobs.archive import Archive, Provenance
-from sms_jobs.kinds import report
 from sms_jobs.kinds.kind import DocumentOutput, Inputs, Need
 from sms_jobs.kinds.products import MERGED
-from sms_jobs.kinds.report import ReportParameters
+from sms_jobs.kinds.reporting import report
+from sms_jobs.kinds.reporting.report import ReportParameters
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason

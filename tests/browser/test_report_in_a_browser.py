@@ -14,8 +14,8 @@ from support.browser import Browser, browser_or_skip
 from support.report_results import campaign, run_on_results
 
 from sms_jobs.archive import Archive
-from sms_jobs.kinds import report
 from sms_jobs.kinds.products import MERGED
+from sms_jobs.kinds.reporting import report
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import MergedField
 from sms_jobs.records.quantity import SYMMETRIC

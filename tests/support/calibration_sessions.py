@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.bench.in_memory import InMemory, unheard
-from sms_jobs.kinds import calibrate, calibrate_boards, observe_bar, observe_board, simulate
+from sms_jobs.kinds.calibration import calibrate, calibrate_boards, observe_bar, observe_board
+from sms_jobs.kinds.calibration.sessions import bar_states, board_states, every_view
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs
-from sms_jobs.kinds.sessions import bar_states, board_states, every_view
-from sms_jobs.kinds.simulate import recipe
+from sms_jobs.kinds.recording import simulate
+from sms_jobs.kinds.recording.simulate import recipe
 from sms_jobs.metrology.calibration.pair_points import meet_rays
 from sms_jobs.metrology.geometry.camera import project, ray_directions
 from sms_jobs.metrology.targets.sphere_blur import sphere_image_in_projector

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.assess import KIND, AssessParameters
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, default_subjects
+from sms_jobs.kinds.reporting.assess import KIND, AssessParameters
 from sms_jobs.records.assessment import Assessment
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import DisplacementField, StrainField, Surface

@@ -15,7 +15,7 @@ from sms_jobs.formats.configuration import (
     example_session,
     parse_campaign,
 )
-from sms_jobs.kinds.simulate import recipe
+from sms_jobs.kinds.recording.simulate import recipe
 from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.scene import PanTilt, Rigid, Simulation

@@ -12,7 +12,7 @@ from sms_jobs.archive import Archive
 from sms_jobs.archive.provenance import Provenance
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Inputs, default_subjects
-from sms_jobs.kinds.simulate import KIND, UNTIMED, Recipe, SimulateParameters
+from sms_jobs.kinds.recording.simulate import KIND, UNTIMED, Recipe, SimulateParameters
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.scene import Simulation, Speckle

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sms_jobs.kinds.simulate import recipe
+from sms_jobs.kinds.recording.simulate import recipe
 from sms_jobs.records.artefacts import BallBar, CircleBoard
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.scene import PanTilt, Simulation

@@ -11,8 +11,8 @@ from scipy import ndimage
 
 from sms_jobs.bench.shelf import Shelf, reconstructed
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
-from sms_jobs.kinds import correlate
-from sms_jobs.kinds.correlate_parameters import CorrelateParameters
+from sms_jobs.kinds.deformation import correlate
+from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import DisplacementField

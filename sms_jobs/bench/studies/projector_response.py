@@ -13,7 +13,7 @@ from scipy import ndimage
 from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.bench.returns import rms
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
-from sms_jobs.kinds import reconstruct
+from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Surface

@@ -9,7 +9,7 @@ import pytest
 
 from sms_jobs.bench import plate_mirror
 from sms_jobs.bench.plate_mirror import Plate, only, record, rms_off
-from sms_jobs.kinds.reconstruct import ReconstructParameters
+from sms_jobs.kinds.shape.reconstruct import ReconstructParameters
 from sms_jobs.records.fields import Surface
 from sms_jobs.virtual_rig.light import trace
 

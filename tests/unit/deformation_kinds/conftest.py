@@ -7,8 +7,9 @@ from typing import Any, TypeVar, cast
 
 import pytest
 
-from sms_jobs.kinds import correlate, merge, reconstruct, strain
+from sms_jobs.kinds.deformation import correlate, merge, strain
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Need, Parameters
+from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.scene import HalvesApart, Rigid, Simulation

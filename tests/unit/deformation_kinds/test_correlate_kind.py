@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sms_jobs.kinds import correlate
-from sms_jobs.kinds.correlate_parameters import CorrelateParameters
+from sms_jobs.kinds.deformation import correlate
+from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.records.fields import DisplacementField, ImageMatches, Regions, Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.virtual_rig.truth import exact_truth

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from sms_jobs.formats.profiles import GaugeRow, draw_gauges
-from sms_jobs.kinds import gauges
-from sms_jobs.kinds.gauges import GaugesParameters
+from sms_jobs.kinds.deformation import gauges
+from sms_jobs.kinds.deformation.gauges import GaugesParameters
 
 ALONG, ACROSS, AWAY = (
     "along x=5 y=-10 length=40 width=30",

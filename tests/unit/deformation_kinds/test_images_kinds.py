@@ -13,12 +13,13 @@ import pytest
 from sms_jobs.bench.in_memory import InMemory
 from sms_jobs.bench.speckle_pairs import Floats, speckle_pair
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds import correlate, gauges, plane, strain
-from sms_jobs.kinds.correlate_parameters import CorrelateParameters
-from sms_jobs.kinds.gauges import GaugesParameters
+from sms_jobs.kinds.deformation import correlate, gauges, strain
+from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
+from sms_jobs.kinds.deformation.gauges import GaugesParameters
+from sms_jobs.kinds.deformation.strain import StrainParameters
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Parameters
-from sms_jobs.kinds.plane import PlaneParameters
-from sms_jobs.kinds.strain import StrainParameters
+from sms_jobs.kinds.shape import plane
+from sms_jobs.kinds.shape.plane import PlaneParameters
 from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
 from sms_jobs.records.fields import DisplacementField, StrainField, Surface

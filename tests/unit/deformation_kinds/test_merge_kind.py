@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sms_jobs.kinds import merge
+from sms_jobs.kinds.deformation import merge
 from sms_jobs.metrology.deformation.merging import correlation_of_pairs
 from sms_jobs.records.reasons import Reason
 

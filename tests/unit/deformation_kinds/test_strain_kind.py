@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sms_jobs.kinds import strain
-from sms_jobs.kinds.strain import StrainParameters
+from sms_jobs.kinds.deformation import strain
+from sms_jobs.kinds.deformation.strain import StrainParameters
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.reasons import Reason
 

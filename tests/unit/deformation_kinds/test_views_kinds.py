@@ -13,8 +13,10 @@ import pytest
 from sms_jobs.bench.in_memory import InMemory
 from sms_jobs.bench.shelf import Shelf
 from sms_jobs.errors import InvalidInput, MeasurementFailed
-from sms_jobs.kinds import align, combine, correlate, merge, reconstruct, simulate, strain
+from sms_jobs.kinds.deformation import align, combine, correlate, merge, strain
 from sms_jobs.kinds.kind import CALIBRATION, Inputs
+from sms_jobs.kinds.recording import simulate
+from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.metrology.deformation.joining import vertex_normals
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_vector, transform

@@ -15,9 +15,9 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.exporters import all_exporters, exporter_named
 from sms_jobs.formats.exporters.exporter import PointGrid
 from sms_jobs.formats.exporters.sources import source_for
-from sms_jobs.kinds import merge
+from sms_jobs.kinds.deformation import merge
+from sms_jobs.kinds.deformation.merge import MergeParameters
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
-from sms_jobs.kinds.merge import MergeParameters
 from sms_jobs.kinds.products import MERGED, MESH
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
 from sms_jobs.records.fields import DisplacementField, MergedField, Mesh

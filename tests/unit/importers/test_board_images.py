@@ -22,9 +22,9 @@ from sms_jobs.errors import InvalidInput, SmsError
 from sms_jobs.formats.calibration_figures import draw_expected_sigma
 from sms_jobs.formats.importers.boards import load_board, session_of_boards
 from sms_jobs.jobs.calibrations import measuring_pairs
-from sms_jobs.kinds import calibrate_boards, observe_board
+from sms_jobs.kinds.calibration import calibrate_boards, observe_board
+from sms_jobs.kinds.calibration.sessions import OBSERVE_BOARD, board_states, every_view
 from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.kinds.sessions import OBSERVE_BOARD, board_states, every_view
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose

@@ -19,7 +19,7 @@ from sms_jobs.formats.importers.guess import guess_layout, guess_pattern
 from sms_jobs.formats.importers.image_files import RawFormat, read_image
 from sms_jobs.formats.importers.inspection import camera_model, inspect, measurement_of, source_hash
 from sms_jobs.formats.importers.layout import FrameLayout, layout_of
-from sms_jobs.kinds.foreign_patterns import coarse_gradient, offsets_of
+from sms_jobs.kinds.shape.foreign_patterns import coarse_gradient, offsets_of
 from sms_jobs.metrology.phase.frame_noise import noise_of_steps
 from sms_jobs.metrology.phase.temporal_unwrapping import unwrap
 from sms_jobs.records.measurement import Measurement

@@ -15,7 +15,7 @@ from sms_jobs.formats.importers.frames import arrange
 from sms_jobs.formats.importers.guess import guess_layout
 from sms_jobs.formats.importers.inspection import camera_model, inspect, measurement_of
 from sms_jobs.formats.importers.layout import layout_of
-from sms_jobs.kinds.foreign_patterns import coarse_gradient, offsets_of
+from sms_jobs.kinds.shape.foreign_patterns import coarse_gradient, offsets_of
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
 from sms_jobs.records.measurement import Measurement
 

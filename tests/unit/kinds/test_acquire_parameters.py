@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from sms_jobs.kinds.acquire import AcquireParameters, order
+from sms_jobs.kinds.recording.acquire import AcquireParameters, order
 from sms_jobs.records.campaign import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.sessions import small_session

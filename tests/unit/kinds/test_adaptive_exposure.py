@@ -12,8 +12,9 @@ from scipy import ndimage
 
 from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.errors import MeasurementFailed
-from sms_jobs.kinds import reconstruct, simulate
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.kinds.recording import simulate
+from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import Measurement

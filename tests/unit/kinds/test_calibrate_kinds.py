@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from support.calibration_sessions import SessionInMemory, observed_session, point_errors
 
 from sms_jobs.errors import CalibrationFailed
-from sms_jobs.kinds import calibrate
-from sms_jobs.kinds.sessions import CALIBRATE, OBSERVE_BAR, OBSERVE_BOARD, bar_states
+from sms_jobs.kinds.calibration import calibrate
+from sms_jobs.kinds.calibration.sessions import CALIBRATE, OBSERVE_BAR, OBSERVE_BOARD, bar_states
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Campaign, LoadState, Subject

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from sms_jobs.bench.in_memory import InMemory
-from sms_jobs.kinds import all_kinds, strain
+from sms_jobs.kinds import all_kinds
+from sms_jobs.kinds.deformation import strain
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Port
 from sms_jobs.kinds.products import MERGED, MESH, REGIONS, STRAIN, SURFACE
 from sms_jobs.records.campaign import Subject

@@ -10,9 +10,15 @@ import pytest
 from numpy.typing import NDArray
 from support.calibration_sessions import SessionInMemory, observed_session, recorded_session, simulation
 
-from sms_jobs.kinds import observe_bar
+from sms_jobs.kinds.calibration import observe_bar
+from sms_jobs.kinds.calibration.sessions import (
+    CALIBRATE_BOARDS,
+    OBSERVE_BAR,
+    bar_states,
+    blur_name,
+    every_view,
+)
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Need
-from sms_jobs.kinds.sessions import CALIBRATE_BOARDS, OBSERVE_BAR, bar_states, blur_name, every_view
 from sms_jobs.metrology.targets.sphere_blur import sphere_image_in_projector
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Subject

@@ -9,10 +9,10 @@ import pytest
 from support.calibration_sessions import SessionInMemory, recorded_session, simulation
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds import observe_board
+from sms_jobs.kinds.calibration import observe_board
+from sms_jobs.kinds.calibration.sessions import OBSERVE_BOARD, board_states, every_view
 from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.kinds.sessions import OBSERVE_BOARD, board_states, every_view
-from sms_jobs.kinds.simulate import recipe
+from sms_jobs.kinds.recording.simulate import recipe
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.observations import BoardObservation

@@ -14,7 +14,7 @@ from scipy import ndimage
 from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import DatasetOutput
-from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
+from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement

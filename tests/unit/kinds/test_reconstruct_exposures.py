@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.bench.in_memory import run_kind
-from sms_jobs.kinds import diagnose
+from sms_jobs.kinds.calibration import diagnose
+from sms_jobs.kinds.deformation.textured_state import average_noise
 from sms_jobs.kinds.kind import DatasetOutput
-from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
-from sms_jobs.kinds.textured_state import average_noise
+from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement

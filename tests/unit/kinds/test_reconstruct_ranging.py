@@ -16,7 +16,7 @@ from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds.kind import DatasetOutput
-from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
+from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.metrology.phase.patterns import direction, span_px
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps, Surface

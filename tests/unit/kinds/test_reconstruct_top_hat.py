@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from sms_jobs.bench.in_memory import run_kind
-from sms_jobs.kinds.reconstruct import KIND, ReconstructParameters
+from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.metrology.images.segmentation import label_regions, pixel_footprint
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Surface

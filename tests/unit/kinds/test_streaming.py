@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sms_jobs.kinds.streaming import exposed_slabs, in_best_exposure, row_slabs, sampled
+from sms_jobs.kinds.shape.streaming import exposed_slabs, in_best_exposure, row_slabs, sampled
 from sms_jobs.metrology.phase.exposure import merge_exposures
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 

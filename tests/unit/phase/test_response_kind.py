@@ -10,8 +10,9 @@ from scipy import ndimage
 
 from sms_jobs.bench.in_memory import InMemory, run_kind
 from sms_jobs.errors import MeasurementFailed
-from sms_jobs.kinds import diagnose, reconstruct
+from sms_jobs.kinds.calibration import diagnose
 from sms_jobs.kinds.kind import DatasetOutput
+from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.diagnosis import ResponseDiagnosis
 from sms_jobs.records.fields import Surface

@@ -1,0 +1,214 @@
+"""Calibrate from boards: every sensor of a rig from what views saw of a board in several poses.
+
+From nothing, each sensor is first found by itself and all are brought into one world, that of the first
+board. On site, the last calibration is the start: lenses are known to what it knew of them, and where the
+sensors stand is found anew. Either way all is then adjusted together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from pydantic import Field
+
+from sms_jobs.errors import CalibrationFailed
+from sms_jobs.formats.report.calibration import calibration_page
+from sms_jobs.formats.report.origins import origin_sections
+from sms_jobs.formats.report.page import page_writer
+from sms_jobs.kinds import defaults_of_kinds
+from sms_jobs.kinds.calibration.session_adjustment import (
+    Bars,
+    Boards,
+    Start,
+    board_views,
+    calibration_of,
+    problem_of,
+    quality_of,
+    refusals,
+    rigid_pose,
+    start_from_last,
+    start_of_rig,
+    uncertainty_of,
+)
+from sms_jobs.kinds.calibration.session_doubts import doubts_of
+from sms_jobs.kinds.calibration.sessions import (
+    CALIBRATE_BOARDS,
+    OBSERVED_BOARDS,
+    SessionPlan,
+    board_states,
+    observations_of,
+    observed,
+    session_of,
+    session_plan,
+)
+from sms_jobs.kinds.kind import (
+    CALIBRATION,
+    DatasetOutput,
+    DocumentOutput,
+    Inputs,
+    Kind,
+    Need,
+    Output,
+    Parameters,
+    Port,
+    Progress,
+    Scope,
+)
+from sms_jobs.kinds.products import BOARD, CALIBRATED, QUALITY, UNCERTAINTY, Product
+from sms_jobs.metrology.calibration.bundle_adjustment import adjust
+from sms_jobs.metrology.calibration.bundle_cross_validation import cross_validate
+from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
+from sms_jobs.metrology.calibration.initialisation import initialise
+from sms_jobs.metrology.geometry.lens import KEPT, LENS
+from sms_jobs.records.calibration import CalibrationQuality
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.sensors import Calibration
+
+LAST = Port("last", CALIBRATION, (CALIBRATED, UNCERTAINTY, QUALITY))
+"""The calibration that a session on site starts from."""
+
+
+class CalibrateParameters(Parameters):
+    """What is adjusted, and what is reported of it."""
+
+    fixed: tuple[str, ...] = Field(
+        KEPT, description=f"parameters of every sensor that keep their first values: {', '.join(LENS)}"
+    )
+    huber: float = Field(
+        3.0, gt=0.0, description="residual, in standard deviations, from which on it pulls no harder"
+    )
+    reject: float = Field(
+        6.0, gt=0.0, description="residual, in standard deviations, beyond which an observation is left out"
+    )
+    folds: int = Field(
+        5,
+        ge=2,
+        le=100,
+        description="in how many parts poses are held out, each once, and measured by the rest",
+    )
+    figure_width_px: int = Field(640, ge=400, le=4000, description="width of the page's pictures")
+
+    def options(self, threads: int) -> BundleOptions:
+        """Return them as the adjustment takes them."""
+        return BundleOptions(huber=self.huber, reject=self.reject, threads=threads)
+
+
+def _subjects(campaign: Campaign) -> Iterable[Subject]:
+    return (Subject(campaign.name),) if board_states(campaign) else ()
+
+
+def _needs(campaign: Campaign, subject: Subject, parameters: CalibrateParameters) -> Iterable[Need]:
+    yield from observations_of(campaign, OBSERVED_BOARDS, board_states(campaign))
+    if session_of(campaign).starts_from == "last-calibration":
+        yield LAST.of(subject)
+
+
+def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> Iterator[Output]:
+    """Find first values, adjust everything together, and tell what the result is worth."""
+    plan: SessionPlan = inputs.context
+    boards = observed(inputs, plan, OBSERVED_BOARDS, BOARD)
+    progress(0.1, "looking for first values")
+    start = from_last(inputs, boards) if inputs.has(LAST) else _from_nothing(plan, boards)
+    progress(0.3, "adjusting all sensors and boards together")
+    origin = f"boards of session {plan.name}"
+    yield from adjusted(inputs, plan, start, boards, {}, parameters, progress, origin)
+
+
+def from_last(inputs: Inputs, boards: Boards) -> Start:
+    """Return the start from the last calibration, and what it knew of the lenses."""
+    return start_from_last(
+        inputs.read(LAST, CALIBRATED),
+        inputs.read(LAST, UNCERTAINTY) if inputs.has(LAST, UNCERTAINTY) else None,
+        inputs.read(LAST, QUALITY) if inputs.has(LAST, QUALITY) else None,
+        boards,
+    )
+
+
+def _from_nothing(plan: SessionPlan, boards: Boards) -> Start:
+    views = board_views(boards)
+    world = next((p.label for p in plan.poses if p.label in boards), "")
+    if not any(v.pose == world for v in views):
+        raise CalibrationFailed(
+            f"nobody saw the board in pose {world}, which is to be the world's frame; record it again, or "
+            "let the session begin with another pose"
+        )
+    found = initialise(
+        views,
+        {s.name: (s.columns, s.rows) for s in plan.session.sensors},
+        board_in_world=rigid_pose(plan.session.board_in_world),
+        world_pose=world,
+    )
+    rig = start_of_rig(plan, {name: (s.intrinsics, s.pose) for name, s in found.sensors.items()})
+    usable = frozenset((v.view.sensor, v.view.pose) for v in found.views)
+    refused = refusals(r for r in found.refused if (r.sensor, r.pose) not in usable)
+    origin = "the boards, each sensor by itself"
+    return Start(rig, found.board_poses, world, origin, {}, usable=usable, refused=refused)
+
+
+def adjusted(
+    inputs: Inputs,
+    plan: SessionPlan,
+    start: Start,
+    boards: Boards,
+    bars: Bars,
+    parameters: CalibrateParameters,
+    progress: Progress,
+    origin: str,
+    doubts: tuple[str, ...] = (),
+) -> Iterator[Output]:
+    """Adjust a session and yield the calibration with all that is known of it, and the page about it."""
+    problem = problem_of(plan, start, boards, bars, parameters.fixed)
+    options = parameters.options(inputs.threads)
+    found = adjust(problem, options)
+    progress(0.6, "measuring poses that take no part")
+    held_out = cross_validate(problem, options, parameters.folds, found)
+    calibration = calibration_of(plan, start, found, problem, origin)
+    uncertainty = uncertainty_of(found)
+    doubts = (*doubts, *doubts_of(start, boards, bars))
+    quality = quality_of(plan, start, calibration, found, held_out, problem, boards, bars, doubts)
+    progress(0.9, "writing the page")
+    products: dict[Product[Any], Any] = {CALIBRATED: calibration, UNCERTAINTY: uncertainty, QUALITY: quality}
+    yield DatasetOutput(inputs.subject, products, _statistics(calibration, quality))
+    page = calibration_page(
+        plan.name,
+        start.rig,
+        calibration,
+        uncertainty,
+        quality,
+        parameters.figure_width_px,
+        origin_sections(inputs.datasets, plan.name, defaults_of_kinds()),
+    )
+    yield DocumentOutput(inputs.subject, f"{plan.name}-calibration.html", "text/html", page_writer(page))
+    progress(1.0, f"adjusted {quality.residuals} residuals in {quality.iterations} iterations")
+
+
+def _statistics(calibration: Calibration, quality: CalibrationQuality) -> dict[str, float]:
+    statistics = {
+        "residuals_count": float(quality.residuals),
+        "iterations_count": float(quality.iterations),
+        "warnings_count": float(len(quality.warnings)),
+    }
+    held_out = quality.held_out_bar_rms_mm()
+    if held_out == held_out:
+        statistics["held_out_bar_rms_mm"] = held_out
+        statistics["held_out_bar_over_diagonal"] = held_out / calibration.volume.diagonal_mm
+    for name, value in quality.rms_by_type.items():
+        kind, _, unit = name.rstrip("]").partition(" [")
+        statistics[f"{kind.replace(' ', '_')}_rms_{unit}"] = value
+    return statistics
+
+
+KIND = Kind(
+    name=CALIBRATE_BOARDS,
+    summary="calibrate a rig from poses of a board",
+    version=4,
+    scope=Scope.CAMPAIGN,
+    parameters=CalibrateParameters,
+    inputs=(OBSERVED_BOARDS, LAST),
+    outputs=(CALIBRATED, UNCERTAINTY, QUALITY),
+    needs=_needs,
+    run=run,
+    subjects=_subjects,
+    context=session_plan,
+)

@@ -1,0 +1,151 @@
+"""Combine: what several positions of a rig measured of one state, as one surface (thesis section 6.2.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.deformation.align import ViewsParameters
+from sms_jobs.kinds.kind import (
+    DatasetOutput,
+    Inputs,
+    Kind,
+    Need,
+    Output,
+    Port,
+    Progress,
+    Scope,
+    deformed_states,
+)
+from sms_jobs.kinds.products import ALIGNMENT, MESH
+from sms_jobs.metrology.deformation.joining import StrainedSurface, brought, differences
+from sms_jobs.metrology.deformation.merging import join_meshes
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.records.alignment import ViewAlignment
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.fields import Mesh
+
+Floats: TypeAlias = NDArray[np.float64]
+
+_DISPLACEMENT = tuple(f"displacement {axis}" for axis in "XYZ")
+_SIGMA = "sigma of displacement"
+_STRAIN = tuple(f"strain {component}" for component in ("xx", "yy", "xy"))
+_VALUES = (
+    *((name, "mm") for name in _DISPLACEMENT),
+    ("displacement", "mm"),
+    (_SIGMA, "mm"),
+    *((name, "1") for name in _STRAIN),
+    *((f"sigma of {name}", "1") for name in _STRAIN),
+    ("view", "1"),
+    ("difference of views", "mm"),
+)
+"""Names and units of the values at the vertices; view 0 is the campaign's own."""
+
+
+class CombineParameters(ViewsParameters):
+    """Which campaigns are combined."""
+
+
+_ALIGNED = Port("alignment", "align", (ALIGNMENT,))
+_MERGED = Port("merged", "merge", (MESH,), several=True)
+
+
+def _needs(campaign: Campaign, subject: Subject, parameters: CombineParameters) -> Iterable[Need]:
+    yield _ALIGNED.of(Subject(subject.campaign))
+    for name in (subject.campaign, *parameters.views):
+        yield _MERGED.of(replace(subject, campaign=name))
+
+
+def run(inputs: Inputs, parameters: CombineParameters, progress: Progress) -> Iterator[Output]:
+    """Bring the surfaces of the other views into this campaign's frame, and join them with its own."""
+    surfaces = [_surface(inputs.read(_MERGED, MESH))]
+    known = _alignments(inputs)
+    for view in parameters.views:
+        lies = _of(known, view, inputs.subject.campaign)
+        pose = Pose(lies.rotation, lies.translation_mm)
+        own_axis, axis = np.array(lies.specimen_axis), np.array(lies.specimen_axis_there)
+        there = inputs.read(_MERGED, MESH, replace(inputs.subject, campaign=view))
+        surfaces.append(brought(_surface(there), pose, own_axis, axis))
+    progress(0.3, f"brought {len(parameters.views)} views into the frame of {inputs.subject.campaign}")
+    apart, pairs = differences(surfaces)
+    progress(0.6, f"compared {len(pairs)} overlaps")
+    vertices, faces, view_of, vertex = join_meshes([(s.vertices, s.faces) for s in surfaces])
+    values = [
+        _values(surface, number, difference)[:, vertex[view_of == number]]
+        for number, (surface, difference) in enumerate(zip(surfaces, apart, strict=True))
+    ]
+    names, units = zip(*_VALUES, strict=True)
+    mesh = Mesh(names, units, vertices, faces, np.concatenate(values, axis=1))
+    statistics = {"vertices": float(len(vertices)), "faces": float(len(faces))}
+    for (a, b), both in pairs.items():
+        between = f"{a}_{b}"
+        difference, stated = np.sqrt(both.mean(axis=0))
+        statistics |= {
+            f"difference_rms_mm_{between}": float(difference),
+            f"stated_difference_mm_{between}": float(stated),
+            f"overlap_vertices_{between}": float(len(both)),
+        }
+    progress(1.0, f"joined {len(surfaces)} views")
+    yield DatasetOutput(inputs.subject, {MESH: mesh}, statistics)
+
+
+def _alignments(inputs: Inputs) -> dict[str, ViewAlignment]:
+    """Return how other campaigns lie to this one, by their names."""
+    found = (inputs.read(_ALIGNED, each) for each in inputs.each(_ALIGNED, ALIGNMENT))
+    return {one.campaign: one for one in found}
+
+
+def _of(known: dict[str, ViewAlignment], view: str, own: str) -> ViewAlignment:
+    if view not in known:
+        raise InvalidInput(
+            f"campaign {view} is not aligned with {own}, only {', '.join(known)}: submit align with all the "
+            "views that are to be combined"
+        )
+    return known[view]
+
+
+def _surface(mesh: Mesh) -> StrainedSurface:
+    values = dict(zip(mesh.value_names, mesh.values, strict=True))
+    return StrainedSurface(
+        mesh.vertices,
+        mesh.faces,
+        np.stack([values[name] for name in _DISPLACEMENT]),
+        values[_SIGMA],
+        np.stack([values[name] for name in _STRAIN]),
+        np.stack([values[f"sigma of {name}"] for name in _STRAIN]),
+    )
+
+
+def _values(surface: StrainedSurface, view: int, difference: Floats) -> Floats:
+    """Return the values of `_VALUES` at the vertices of one view."""
+    return np.concatenate(
+        [
+            surface.displacement,
+            np.linalg.norm(surface.displacement, axis=0)[None],
+            surface.sigma[None],
+            surface.strain,
+            surface.strain_sigma,
+            np.full((1, len(surface.vertices)), float(view)),
+            difference[None],
+        ]
+    )
+
+
+KIND = Kind(
+    name="combine",
+    summary="one surface of this campaign's and other positions' views of a state, none of it doubled",
+    version=1,
+    scope=Scope.STATE,
+    parameters=CombineParameters,
+    inputs=(_ALIGNED, _MERGED),
+    outputs=(MESH,),
+    needs=_needs,
+    run=run,
+    subjects=deformed_states,
+    in_pipeline=False,
+)

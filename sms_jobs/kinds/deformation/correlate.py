@@ -1,0 +1,217 @@
+"""Correlate: from two states of a view to the displacement of every point seen in the reference image."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
+from sms_jobs.kinds.deformation.dense_fields import field_in_plane, field_in_space
+from sms_jobs.kinds.deformation.point_matches import (
+    match_settings,
+    match_statistics,
+    matches_record,
+    search_settings,
+    summary,
+)
+from sms_jobs.kinds.deformation.textured_state import (
+    CALIBRATION_OF_SHAPE,
+    TexturedState,
+    read_later,
+    read_reference,
+)
+from sms_jobs.kinds.kind import (
+    DatasetOutput,
+    Inputs,
+    Kind,
+    Need,
+    Output,
+    Port,
+    Progress,
+    Scope,
+    deformed_tuples,
+    deformed_views,
+    tested_states,
+)
+from sms_jobs.kinds.products import DISPLACEMENT, MATCHES, REGIONS
+from sms_jobs.kinds.surface_ports import state_ports
+from sms_jobs.kinds.valid_parts import fractions
+from sms_jobs.metrology.deformation import correlation
+from sms_jobs.metrology.deformation.correlation import PreparedImages, prepare_images
+from sms_jobs.metrology.deformation.incremental import Followed, follow, match_in_steps
+from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, match_nodes
+from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
+from sms_jobs.metrology.deformation.splitting import Split, split_regions
+from sms_jobs.metrology.geometry.planes import covariance_in_space
+from sms_jobs.metrology.images.segmentation import ContinuousRegions, in_order
+from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.fields import DisplacementField, ImageMatches, Region, Regions
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.views import view_of
+
+_REFERENCE = state_ports("reference", "reference_measurement")
+_DEFORMED = state_ports("deformed", "measurement")
+_BEFORE = state_ports("previous_shape", "previous_measurement")
+_MATCHED_BEFORE = Port("previous", "correlate", (MATCHES,))
+
+
+def _needs(campaign: Campaign, subject: Subject, parameters: CorrelateParameters) -> Iterable[Need]:
+    """Yield both states and, unless that is the reference, what the state before gives."""
+    if view_of(subject.view).measures_shape:
+        yield CALIBRATION_OF_SHAPE.of(subject)
+    yield from _REFERENCE.of(campaign, replace(subject, state=campaign.reference.label))
+    yield from _DEFORMED.of(campaign, subject)
+    labels = [state.label for state in tested_states(campaign)]
+    place = labels.index(subject.state) if subject.state in labels else 0
+    if parameters.reference == "first" or place < 2:
+        return
+    before = Subject(subject.campaign, labels[place - 1], subject.view)
+    yield from _BEFORE.of(campaign, before)
+    yield _MATCHED_BEFORE.of(before)
+
+
+def _reference_label(campaign: Campaign, subject: Subject) -> str:
+    return campaign.reference.label
+
+
+def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> Iterator[Output]:
+    """Match the textures region by region and look the displacement up in both states' surfaces."""
+    before = read_reference(inputs, _REFERENCE, parameters)
+    after = read_later(inputs, _DEFORMED, parameters, before)
+    progress(0.2, f"{len(before.regions.areas)} regions in the reference state")
+    last = None
+    if inputs.has(_MATCHED_BEFORE):
+        last = read_later(inputs, _BEFORE, parameters, before)
+    grid, steps = _match(inputs, before, last, after, parameters)
+    apart = _come_apart(grid, before, after, parameters)
+    if apart:
+        # Subsets must not look across what has opened: its sides are regions of their own from here on.
+        progress(0.5, f"{len(apart.pieces)} regions have come apart")
+        before = before.with_regions(in_order(apart.labels), parameters)
+        grid, steps = _match(inputs, before, last, after, parameters)
+    progress(0.7, summary(grid.matches.ending, apart))
+    matches = matches_record(grid, before.regions.labels, steps)
+    reference, threads = inputs.context, inputs.threads
+    if before.surface.has_depth:
+        field = field_in_space(grid, before, after, reference, parameters, threads)
+    else:
+        field = field_in_plane(grid, matches, before, reference, parameters, threads)
+    progress(1.0, "looked up the displacement")
+    yield DatasetOutput(
+        inputs.subject,
+        {DISPLACEMENT: field, MATCHES: matches, REGIONS: _regions_record(before.regions)},
+        _statistics(field, matches, before) | {"regions_split": float(len(apart.pieces) if apart else 0)},
+    )
+
+
+def _come_apart(
+    grid: GridMatches, before: TexturedState, after: TexturedState, parameters: CorrelateParameters
+) -> Split | None:
+    """Return the regions of the reference as the deformed state has parted them, if it has."""
+    if parameters.regions == "none" or not before.surface.has_depth:
+        return None
+    good = grid.matches.ending == correlation.CONVERGED
+    split = split_regions(
+        before.regions.labels, after.regions.labels, grid.x[good], grid.y[good], grid.matches.warp[good, :6]
+    )
+    return split if split.pieces else None
+
+
+def _match(
+    inputs: Inputs,
+    before: TexturedState,
+    last: TexturedState | None,
+    after: TexturedState,
+    parameters: CorrelateParameters,
+) -> tuple[GridMatches, NDArray[np.int32] | None]:
+    """Match the points of a grid, and count the steps where the reference is not always the first state."""
+    labels = before.matched
+    nodes = sample_nodes(labels, parameters.spacing_px, parameters.edge_spacing_px)
+    settings = match_settings(parameters, parameters.minimum_subset_part)
+    grid = GridSettings(
+        parameters.spacing_px,
+        parameters.edge_spacing_px,
+        parameters.minimum_score,
+        parameters.maximum_sigma_px,
+        method=parameters.method,
+    )
+    search = search_settings(parameters)
+    how = (settings, grid, search, inputs.threads)
+
+    def prepared(state: TexturedState, regions: NDArray[np.int32]) -> PreparedImages:
+        noise = (state.noise, after.noise)
+        return prepare_images(state.texture, after.texture, regions, noise, parameters.interpolation)
+
+    if last is None:
+        found = match_nodes(prepared(before, labels), after.texture, nodes, *how)
+        if parameters.reference == "first":
+            return found, None
+        return found, (found.matches.ending == correlation.CONVERGED).astype(np.int32)
+    followed = _followed(inputs.read(_MATCHED_BEFORE, MATCHES), nodes)
+    between = prepared(last, last.matched)
+    if parameters.reference == "auto":
+        direct = prepared(before, labels)
+        return match_in_steps(direct, between, after.texture, nodes, followed, *how)
+    matches, steps = follow(between, after.texture, nodes, followed, *how)
+    return GridMatches(nodes.x, nodes.y, matches), steps
+
+
+def _followed(matches: ImageMatches, nodes: Nodes) -> Followed:
+    """Return where nodes had come to by the state before; a node that was not matched then is lost."""
+    place = {at: k for k, at in enumerate(zip(matches.x, matches.y, strict=True))}
+    row = np.array([place.get(at, -1) for at in zip(nodes.x, nodes.y, strict=True)], dtype=np.int64)
+    warp = np.stack([matches.u, *matches.gradient[:2], matches.v, *matches.gradient[2:]], axis=1)
+    sigma = np.stack([matches.sigma_u, matches.sigma_v], axis=1).astype(np.float64)
+    steps = (matches.reason == 0).astype(np.int32) if matches.steps is None else matches.steps
+    known = row >= 0
+    return Followed(
+        np.where(known[:, None], warp[row], np.nan) if len(warp) else np.full((len(row), 6), np.nan),
+        np.where(known[:, None], sigma[row], np.nan) if len(warp) else np.full((len(row), 2), np.nan),
+        np.where(known, steps[row], 0) if len(warp) else np.zeros(len(row), dtype=np.int32),
+    )
+
+
+def _regions_record(regions: ContinuousRegions) -> Regions:
+    each = zip(regions.areas, regions.centroids, strict=True)
+    described = tuple(
+        Region(number, int(area), (float(x), float(y))) for number, (area, (x, y)) in enumerate(each, start=1)
+    )
+    return Regions(described, regions.labels)
+
+
+def _statistics(field: DisplacementField, matches: ImageMatches, before: TexturedState) -> dict[str, float]:
+    """Return what people search by; where nothing is valid, only the fractions."""
+    valid = field.reason == Reason.VALID
+    statistics = {
+        **fractions(valid, (before.surface.reason == Reason.VALID) & before.of_interest),
+        "regions": float(len(before.regions.areas)),
+        **match_statistics(matches),
+    }
+    if valid.any():
+        sigma = np.sqrt(covariance_in_space(field.covariance)[[0, 3, 5]][:, valid].sum(axis=0))
+        length = np.linalg.norm(field.displacement[:, valid], axis=0)
+        statistics |= {
+            f"median_sigma_{field.unit}": float(np.median(sigma)),
+            f"median_displacement_{field.unit}": float(np.median(length)),
+            f"maximum_displacement_{field.unit}": float(length.max()),
+        }
+    return statistics
+
+
+KIND = Kind(
+    name="correlate",
+    summary="displacement from two states: texture matched region by region, looked up in both surfaces",
+    version=8,
+    scope=Scope.TUPLE,
+    parameters=CorrelateParameters,
+    inputs=(CALIBRATION_OF_SHAPE, *_REFERENCE.all, *_DEFORMED.all, *_BEFORE.all, _MATCHED_BEFORE),
+    outputs=(DISPLACEMENT, MATCHES, REGIONS),
+    needs=_needs,
+    run=run,
+    subjects=deformed_views,
+    pipeline_subjects=deformed_tuples,
+    context=_reference_label,
+)

@@ -1,0 +1,120 @@
+"""What kinds that match textures have in common: their settings, and what became of each point."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
+from sms_jobs.metrology.deformation import correlation
+from sms_jobs.metrology.deformation.correlation import MatchSettings
+from sms_jobs.metrology.deformation.displacement import ImagePoints
+from sms_jobs.metrology.deformation.matching import GridMatches
+from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
+from sms_jobs.metrology.deformation.splitting import Split
+from sms_jobs.records.fields import ImageMatches
+from sms_jobs.records.reasons import Reason
+
+_REASONS = {
+    correlation.CONVERGED: Reason.VALID,
+    correlation.TOO_FEW_PIXELS: Reason.OUTSIDE_REGION,
+    correlation.NO_TEXTURE: Reason.NO_TEXTURE,
+    correlation.LEFT_IMAGE: Reason.LEFT_IMAGE,
+    correlation.NOT_CONVERGED: Reason.NO_MATCH,
+}
+_IN_WORDS = {
+    correlation.LEFT_IMAGE: "left the image",
+    correlation.NO_TEXTURE: "without texture",
+    correlation.NOT_CONVERGED: "without a counterpart",
+    correlation.TOO_FEW_PIXELS: "with too little of a region about them",
+}
+
+
+def match_settings(parameters: CorrelateParameters, minimum_part: float = 0.2) -> MatchSettings:
+    """Return how subsets are matched; `minimum_part` of one has to lie on its point's region."""
+    return MatchSettings(
+        parameters.subset_radius_px,
+        minimum_part,
+        tolerance=parameters.convergence_px,
+        shape_order=cast(ShapeOrder, parameters.shape_order),
+    )
+
+
+def search_settings(parameters: CorrelateParameters) -> SearchSettings:
+    """Return how far seeds look."""
+    return SearchSettings(
+        parameters.search_range_x_px,
+        parameters.search_range_y_px,
+        range_rotation=parameters.search_range_rotation_rad,
+    )
+
+
+def summary(ending: NDArray[np.int32], apart: Split | None = None) -> str:
+    """Return in a sentence how the matching of points ended, and which regions came apart."""
+    count = {ended: int((ending == ended).sum()) for ended in _REASONS}
+    text = f"matched {count[correlation.CONVERGED]} of {len(ending)} points"
+    others = ", ".join(f"{count[ended]} {why}" for ended, why in _IN_WORDS.items() if count[ended])
+    text += f"; {others}" if others else ""
+    if apart:
+        each = (f"region {number} has come apart into {len(names)}" for number, names in apart.pieces.items())
+        text += f"; {', '.join(each)}"
+    if len(ending) and not count[correlation.CONVERGED]:
+        text += "; look at the texture of both states, and at the search range"
+    return text
+
+
+def trusted_points(grid: GridMatches, labels: NDArray[np.int32]) -> ImagePoints:
+    """Return the points that were matched; `labels` (rows, columns) are the regions that they lie on."""
+    matched = grid.matches.ending == correlation.CONVERGED
+    return ImagePoints(
+        grid.x[matched],
+        grid.y[matched],
+        labels[grid.y[matched], grid.x[matched]],
+        np.ascontiguousarray(grid.matches.warp[matched, :6]),
+        grid.matches.sigma[matched],
+    )
+
+
+def matches_record(
+    grid: GridMatches, labels: NDArray[np.int32], steps: NDArray[np.int32] | None = None
+) -> ImageMatches:
+    """Return the matches, NaN where there is a reason; the score is kept, since it may be that reason."""
+    found = grid.matches
+    reason = np.zeros(len(grid.x), dtype=np.uint32)
+    for ending, why in _REASONS.items():
+        reason[found.ending == ending] = np.uint32(why)
+    warp, sigma = found.warp.T.copy(), found.sigma.T.astype(np.float32)
+    warp[:, reason != 0] = np.nan
+    sigma[:, reason != 0] = np.nan
+    return ImageMatches(
+        x=grid.x.astype(np.float64),
+        y=grid.y.astype(np.float64),
+        region=labels[grid.y, grid.x],
+        u=warp[0],
+        v=warp[3],
+        gradient=warp[[1, 2, 4, 5]],
+        sigma_u=sigma[0],
+        sigma_v=sigma[1],
+        score=found.score.astype(np.float32),
+        iterations=found.iterations,
+        reason=reason,
+        steps=steps,
+    )
+
+
+def match_statistics(matches: ImageMatches) -> dict[str, float]:
+    """Return how much was matched, why the rest was not, and how well."""
+    matched = matches.reason == Reason.VALID
+    statistics = {"matched_fraction": float(matched.sum() / max(len(matched), 1))}
+    for reason in (Reason.NO_TEXTURE, Reason.NO_MATCH, Reason.LEFT_IMAGE, Reason.OUTSIDE_REGION):
+        part = float(np.count_nonzero(matches.reason == reason) / max(len(matched), 1))
+        statistics[f"{str(reason.name).lower()}_fraction_of_points"] = part
+    if matched.any():
+        statistics |= {
+            "mean_score": float(matches.score[matched].mean()),
+            "median_match_sigma_px": float(np.median(np.hypot(matches.sigma_u, matches.sigma_v)[matched])),
+        }
+    return statistics

@@ -1,0 +1,1 @@
+"""Job kinds that record: with instruments, or on the virtual rig."""

@@ -1,0 +1,282 @@
+"""Acquire: one measurement of every view at a state, with the instruments of the rig.
+
+It happens once: what was recorded cannot be asked for again when the load has gone. Interrupted, the job
+waits for an operator; resumed, it records what is missing and nothing else.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from pydantic import Field, field_validator
+
+from sms_jobs.errors import InstrumentError, InvalidInput
+from sms_jobs.instruments.connection import connected
+from sms_jobs.instruments.devices.device import POLLS_EVERY_S
+from sms_jobs.instruments.judging import Limits
+from sms_jobs.instruments.recorder import (
+    ConnectedRig,
+    interrupted,
+    is_finished,
+    record_state,
+    recorded,
+)
+from sms_jobs.instruments.simulated.optics import Setting
+from sms_jobs.kinds.kind import (
+    MEASUREMENT,
+    DatasetOutput,
+    Inputs,
+    Kind,
+    Output,
+    Parameters,
+    Progress,
+    Queue,
+    Scope,
+    no_needs,
+    rig_queue,
+)
+from sms_jobs.kinds.products import INTERRUPTED, MEASURED, RECORDED
+from sms_jobs.kinds.recording.simulate import scene_at
+from sms_jobs.metrology.geometry.stage_poses import StagePose
+from sms_jobs.records.artefacts import BallBar
+from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.recording import Recording
+
+ANGLES = ("pan_rad", "tilt_rad")
+"""The channels of a state that say where a stage is to be."""
+_SPHERES_FILL = 1e-4
+"""Two spheres of 16 px across, the least that a centre can be found from, in an image of four megapixels."""
+_CHANNEL = re.compile(
+    r"(?P<name>[A-Za-z0-9][A-Za-z0-9._-]*)(?:=(?P<limit>[0-9]+(?:\.[0-9]*)?(?:e[-+]?[0-9]+)?))?"
+)
+
+
+class AcquireParameters(Parameters):
+    """What is recorded follows from the campaign; when a set is good enough is said here."""
+
+    saturated_fraction: float = Field(
+        0.02, ge=0.0, le=1.0, description="most of the lit region that may be saturated"
+    )
+    lit_fraction: float = Field(
+        0.01,
+        ge=0.0,
+        le=1.0,
+        description="least part of the image in which fringes must stand out; of a ball bar 0.0001 at most",
+    )
+    recordings: int = Field(
+        2, ge=1, le=10, description="how often a set is recorded until it keeps these limits"
+    )
+    texture_exposure: float = Field(
+        1.0, gt=0.0, description="exposure of the white frame, in units of the camera's own"
+    )
+    channels: tuple[str, ...] = Field(
+        (),
+        description="channels of the rig that have to be read before and after every set, such as load_n; as "
+        "load_n=3000 a set is doubted during which it went by more, in its unit",
+    )
+    doubtful: Literal["keep", "ask"] = Field(
+        "keep",
+        description="what becomes of a set that does not keep them even so: it is kept and says so, or an "
+        "operator is asked while the specimen is still held",
+    )
+
+    @field_validator("channels")
+    @classmethod
+    def _each_once(cls, channels: tuple[str, ...]) -> tuple[str, ...]:
+        """Refuse what is no channel, or one that is named twice."""
+        if len(_drift_limits(channels)) < len(channels):
+            raise ValueError(f"names a channel twice: {', '.join(channels)}")
+        return channels
+
+    def limits(self) -> Limits:
+        """Return what a set must keep."""
+        return Limits(
+            self.saturated_fraction, self.lit_fraction, self.recordings, _drift_limits(self.channels)
+        )
+
+
+def _drift_limits(channels: tuple[str, ...]) -> dict[str, float | None]:
+    """Return by channel how far it may go while a set is recorded; None where nothing is said."""
+    found: dict[str, float | None] = {}
+    for text in channels:
+        written = _CHANNEL.fullmatch(text)
+        if written is None:
+            raise ValueError(f"'{text}' is no channel: write load_n, or load_n=3000 with how far it may go")
+        limit = written["limit"]
+        found[written["name"]] = None if limit is None else float(limit)
+    return found
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is to be recorded.
+
+    Attributes
+    ----------
+    views, sequence
+        All of them, projector by projector; images of cameras alone are not recorded here.
+    angles_rad
+        Where a stage has to bring an artefact: pan and tilt; None where nothing moves.
+    setting
+        What stands before simulated instruments; None where nothing is simulated.
+    fills
+        What part of the image may at least be asked to be lit: the spheres of a bar fill little of it.
+    """
+
+    views: tuple[str, ...]
+    sequence: FringeSequence
+    angles_rad: tuple[float, float] | None
+    setting: Setting | None
+    fills: float = 1.0
+
+
+def stage_angles(state: LoadState) -> tuple[float, float] | None:
+    """Return where a stage has to be brought at a state, pan and tilt in rad; None where nothing moves."""
+    pan, tilt = (state.channels.get(name) for name in ANGLES)
+    return None if pan is None or tilt is None else (pan, tilt)
+
+
+def order(campaign: Campaign, subject: Subject) -> Order:
+    """Return what is to be recorded at a state."""
+    state = campaign.state(subject.state or "")
+    setting = None
+    if campaign.scene is not None:
+        scene = scene_at(campaign.scene, campaign, state)
+        setting = Setting(scene, state.label, state.deformation, state.planned())
+    shown = None if campaign.session is None else campaign.session.artefacts.get(state.artefact or "")
+    fills = _SPHERES_FILL if isinstance(shown, BallBar) else 1.0
+    return Order(campaign.shape_views, campaign.sequence, stage_angles(state), setting, fills)
+
+
+def all_states(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return every state, of specimens and artefacts alike, where a projector lights them."""
+    if not campaign.shape_views:
+        return ()
+    return tuple(Subject(campaign.name, s.label) for s in campaign.states)
+
+
+def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> Iterator[Output]:
+    """Record every view of a state that is not in the spool yet, and yield them all.
+
+    Raises
+    ------
+    InvalidInput
+        When the rig's file lacks what is to be recorded with.
+    InstrumentError
+        When an instrument gives up, or a set is doubtful and an operator is to be asked.
+    """
+    task: Order = inputs.context
+    station = inputs.station
+    if station is None:
+        raise InvalidInput(
+            f"{inputs.subject} is recorded where its rig is connected, and no rig file is on this host; "
+            "`sms rig add` takes one"
+        )
+    if station.rig.simulated and task.setting is None:
+        raise InvalidInput(
+            f"rig {station.rig.name} is simulated, and campaign {inputs.subject.campaign} describes no scene "
+            "for it to look at: give its plan a [scene], or name a rig with real sensors"
+        )
+    spool, sequence = station.spool, task.sequence
+    limits = parameters.limits()
+    limits = replace(limits, lit_fraction=min(limits.lit_fraction, task.fills))
+    finished_before = [view for view in task.views if is_finished(spool, view)]
+    with connected(station.rig, task.setting, inputs.threads) as rig:
+        if task.angles_rad is not None:
+            _bring_stage(rig, task.angles_rad, inputs.subject, progress)
+        record_state(
+            rig,
+            task.views,
+            sequence,
+            spool,
+            limits,
+            lambda f, words: progress(0.8 * f, words),
+            parameters.texture_exposure,
+        )
+    # What an operator saw and let stand is not doubted again.
+    new = [view for view in task.views if view not in finished_before]
+    doubts = [d for view in new for d in recorded(spool, view, sequence)[1].verdict.doubts]
+    if doubts and parameters.doubtful == "ask":
+        raise InstrumentError(
+            f"{'; '.join(doubts)}: `sms acquire resume` keeps it, with --retake it is recorded again"
+        )
+    for number, view in enumerate(task.views):
+        progress(0.8 + 0.2 * number / len(task.views), f"archiving {view}")
+        measurement, recording = recorded(spool, view, sequence)
+        broken = {
+            INTERRUPTED.of(str(n)): r for n, r in enumerate(interrupted(spool, view, sequence), start=1)
+        }
+        yield DatasetOutput(
+            Subject(inputs.subject.campaign, inputs.subject.state, view),
+            {MEASURED: measurement, RECORDED: recording, **broken},
+            _statistics(recording),
+        )
+    progress(1.0, "; ".join(doubts) or f"recorded {len(task.views)} views")
+
+
+def _bring_stage(
+    rig: ConnectedRig, angles_rad: tuple[float, float], subject: Subject, progress: Progress
+) -> None:
+    """Bring the artefact into its pose; a job that is to stop stops on the way."""
+    if rig.stage is None:
+        raise InvalidInput(
+            f"{subject} has pan and tilt angles, but the file of rig {rig.name} describes no stage under "
+            "[[stages]]"
+        )
+    progress(0.0, "making the stage ready")
+    rig.stage.stage()
+    moving = rig.stage.set(StagePose(*angles_rad))
+    while not moving.update():
+        progress(0.0, f"moving the stage: {moving.progress:.0%}")
+        rig.clock.sleep(POLLS_EVERY_S)
+    moving.wait()  # raises what the move ended with
+
+
+def _statistics(recording: Recording) -> dict[str, float]:
+    """Return what people search recordings by."""
+    verdict = recording.verdict
+    return {
+        "saturated_fraction": verdict.saturated_fraction,
+        "lit_fraction": verdict.lit_fraction,
+        "modulation": verdict.modulation,
+        "doubts": float(len(verdict.doubts)),
+        "retaken_frames": float(recording.retaken),
+        "recordings": float(recording.recordings),
+        **{f"{name}_before": value for name, value in recording.channels_before.items()},
+        **{f"{name}_after": value for name, value in recording.channels_after.items()},
+    }
+
+
+def never(parameters: AcquireParameters) -> bool:
+    """Say that a recording is not made twice by itself."""
+    return False
+
+
+def whole_rig(campaign: Campaign, subject: Subject) -> tuple[str, ...]:
+    """Return what a recording holds while it runs: the rig, with all of its instruments."""
+    return (rig_queue(campaign.rig),)
+
+
+KIND = Kind(
+    name="acquire",
+    summary="record every view of a state with the instruments of the rig",
+    version=1,
+    scope=Scope.STATE,
+    parameters=AcquireParameters,
+    inputs=(),
+    outputs=(MEASURED, RECORDED, INTERRUPTED),
+    needs=no_needs,
+    run=run,
+    subjects=all_states,
+    context=order,
+    repeatable=never,
+    queue=Queue.ACQUISITION,
+    makes=MEASUREMENT,
+    in_pipeline=False,
+    devices=whole_rig,
+    with_instruments=True,
+)

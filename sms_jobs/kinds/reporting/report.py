@@ -1,0 +1,145 @@
+"""Report: pages for people about a whole campaign, made of results that exist already."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from sms_jobs.kinds.kind import (
+    DocumentOutput,
+    Inputs,
+    Kind,
+    Need,
+    Output,
+    Parameters,
+    Progress,
+    Scope,
+    tested_states,
+    tuples,
+)
+from sms_jobs.kinds.reporting.chapter import (
+    ASSESSMENTS,
+    CALIBRATION_SHOWN,
+    RECORDINGS,
+    SHOWN,
+    Sampling,
+    chapters,
+    present,
+)
+from sms_jobs.kinds.reporting.pages import ReportPages
+from sms_jobs.records.campaign import Campaign, LoadState, Subject
+
+
+class PageParameters(Parameters):
+    """How finely a report shows images, and what else it shows."""
+
+    map_px: int = Field(
+        320, ge=64, le=4096, description="most samples of a map along its longer side, for zoom and values"
+    )
+    figure_width_px: int = Field(420, ge=240, le=1600, description="width of every printed picture in pixels")
+    also: tuple[str, ...] = Field(
+        (), description="results that not everybody has: gauges, of jobs 'gauges' that have run"
+    )
+
+    @field_validator("also", mode="before")
+    @classmethod
+    def _parted(cls, value: Any) -> Any:
+        return tuple(n for n in value.split(",") if n) if isinstance(value, str) else value
+
+    @field_validator("also")
+    @classmethod
+    def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        known = sorted({name for chapter in chapters() for name in chapter.also})
+        for name in names:
+            if name not in known:
+                raise ValueError(f"a report shows no '{name}' besides; choose among {', '.join(known)}")
+        return tuple(dict.fromkeys(names))
+
+
+class ReportParameters(PageParameters):
+    """How finely the report shows images, and of how many states."""
+
+    most_states: int = Field(
+        12,
+        ge=1,
+        le=1000,
+        description="deformed states whose maps are in the page itself; of more, evenly spread ones are, and "
+        "a ZIP file holds a page of each",
+    )
+
+
+def shown_states(campaign: Campaign, most: int) -> tuple[LoadState, ...]:
+    """Return the deformed states whose maps are in the page: evenly spread over the test, with the last."""
+    deformed = tested_states(campaign)[1:]
+    if len(deformed) <= most:
+        return deformed
+    places_of = np.linspace(len(deformed) - 1, 0, most).round().astype(int)
+    return tuple(deformed[place] for place in sorted(places_of))
+
+
+def needs(campaign: Campaign, subject: Subject, parameters: PageParameters) -> Iterable[Need]:
+    """Return everything that the report shows, also what was asked for; errors where the truth is known."""
+    return dict.fromkeys(_needs(campaign, parameters))
+
+
+def _needs(campaign: Campaign, parameters: PageParameters) -> Iterable[Need]:
+    if campaign.shape_views:
+        yield CALIBRATION_SHOWN.of(Subject(campaign.name))
+    for state in tested_states(campaign):
+        for view in campaign.views:
+            yield RECORDINGS.of(Subject(campaign.name, state.label, view))
+    for chapter in present(campaign):
+        yield from chapter.needs(campaign)
+        for name in parameters.also:
+            yield from chapter.also.get(name, no_further)(campaign)
+    if campaign.scene is not None:
+        yield from map(ASSESSMENTS.of, tuples(campaign))
+
+
+def no_further(campaign: Campaign) -> Iterable[Need]:
+    """Need nothing: another chapter has it."""
+    return ()
+
+
+def _subjects(campaign: Campaign) -> Iterable[Subject]:
+    return (Subject(campaign.name),) if tested_states(campaign) and present(campaign) else ()
+
+
+def whole_campaign(campaign: Campaign, subject: Subject) -> Campaign:
+    """Say that the report depends on the whole definition of the campaign."""
+    return campaign
+
+
+def run(inputs: Inputs, parameters: ReportParameters, progress: Progress) -> Iterator[Output]:
+    """Write the page, and a ZIP file of the pages of all states where the page cannot show them all.
+
+    Records are read one at a time while the files are written; nothing but numbers is kept of them.
+    """
+    campaign: Campaign = inputs.context
+    shown = shown_states(campaign, parameters.most_states)
+    deformed = tested_states(campaign)[1:]
+    sampling = Sampling(parameters.map_px, parameters.figure_width_px)
+    pages = ReportPages(inputs, campaign, sampling, shown, progress)
+    name = f"{campaign.name}-report"
+    yield DocumentOutput(inputs.subject, f"{name}.html", "text/html", pages.write_page)
+    if len(shown) < len(deformed):
+        yield DocumentOutput(inputs.subject, f"{name}-states.zip", "application/zip", pages.write_states)
+    progress(1.0, "wrote the report")
+
+
+KIND = Kind(
+    name="report",
+    summary="write pages about a campaign: maps to zoom and turn, charts, uncertainties, errors and origins",
+    version=3,
+    scope=Scope.CAMPAIGN,
+    parameters=ReportParameters,
+    inputs=SHOWN,
+    outputs=(),
+    needs=needs,
+    run=run,
+    subjects=_subjects,
+    context=whole_campaign,
+)

@@ -1,0 +1,147 @@
+"""The projector's response from a sample of a tuple's own frames, for whoever diagnoses or corrects it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from sms_jobs.errors import MeasurementFailed
+from sms_jobs.kinds.kind import Parameters
+from sms_jobs.kinds.shape.streaming import in_best_exposure
+from sms_jobs.metrology.phase.phase_stepping import phase_sigma
+from sms_jobs.metrology.phase.response import Response, diagnose_response
+from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.measurement import Measurement
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+_LEAST_PIXELS = 100
+
+
+class SampleParameters(Parameters):
+    """Which pixels are looked at, and what was sent to the projector."""
+
+    visibility: float = Field(
+        1.0, gt=0.0, le=1.0, description="visibility of the fringe patterns that were sent to the projector"
+    )
+    rows: int = Field(24, ge=1, description="rows of the image that are looked at, evenly spread")
+    most_pixels: int = Field(20_000, ge=1000, description="pixels that are looked at, at most")
+    minimum_modulation_to_noise: float = Field(
+        20.0, gt=0.0, description="least fringe modulation in standard deviations of the camera's noise"
+    )
+    maximum_phase_error_to_noise: float = Field(
+        4.0,
+        gt=0.0,
+        description="phase error, over that from noise, above which a pixel sees more than one surface",
+    )
+    maximum_phase_error_rad: float = Field(
+        0.15,
+        ge=0.0,
+        description="phase error that is accepted on top of the noise: that of the ripple itself",
+    )
+
+
+@dataclass(frozen=True)
+class SampledResponse:
+    """The response in each orientation's frames, and the pixels that told it.
+
+    Attributes
+    ----------
+    responses
+        Of each orientation.
+    densities
+        That were looked at, from 1 on.
+    pixels
+        (points, 2), x and y.
+    omega
+        (orientations, points), phase gradient as unwrapping finds it, rad.
+    """
+
+    responses: tuple[Response, ...]
+    densities: tuple[int, ...]
+    pixels: Floats
+    omega: Floats
+
+
+def sampled_response(
+    subject: Subject, measurement: Measurement, parameters: SampleParameters, threads: int
+) -> SampledResponse:
+    """Find the response in some rows of a measurement, each pixel in its best exposure.
+
+    Raises
+    ------
+    MeasurementFailed
+        When fewer than 100 pixels have clear fringes.
+    """
+    sequence = measurement.sequence
+    densities = tuple(t for t in sequence.densities if t > 0)
+    picked, taken = _some_rows(measurement, parameters.rows)
+    frames = [taken[sequence.frames_of(k, uniform=False)] for k in range(len(sequence.orientations_rad))]
+    found = [_unwrapped(measurement, densities, one, threads) for one in frames]
+    good = _thinned(_good(found, measurement, parameters), parameters.most_pixels)
+    if good.sum() < _LEAST_PIXELS:
+        raise MeasurementFailed(
+            f"only {int(good.sum())} of the pixels looked at in {subject} have clear fringes, and "
+            f"{_LEAST_PIXELS} are needed to find the projector's response: look at more rows, or lower "
+            "minimum_modulation_to_noise; to reconstruct without it, set response=none"
+        )
+    omega = np.stack([one.omega[good] for one in found])
+    responses = tuple(
+        diagnose_response(one[:, good], densities, sequence.steps, gradient, parameters.visibility)
+        for one, gradient in zip(frames, omega, strict=True)
+    )
+    row, column = np.nonzero(good)
+    pixels = np.stack([column.astype(np.float64), picked[row].astype(np.float64)], axis=-1)
+    return SampledResponse(responses, densities, pixels, omega)
+
+
+def _some_rows(measurement: Measurement, rows: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
+    """Return the numbers of evenly spread rows, and their frames."""
+    height = measurement.frames.shape[1]
+    picked = np.unique(height * (2 * np.arange(rows) + 1) // (2 * rows))
+    taken = np.concatenate([measurement.frames.rows(row, row + 1) for row in picked.tolist()], axis=1)
+    return picked, in_best_exposure(measurement, taken)[0]
+
+
+def _unwrapped(
+    measurement: Measurement, densities: tuple[int, ...], frames: NDArray[Any], threads: int
+) -> PhaseGradient:
+    return unwrap(
+        frames,
+        densities,
+        measurement.sequence.steps,
+        full_scale=measurement.full_scale,
+        gain=measurement.gain,
+        read_noise=measurement.read_noise,
+        threads=threads,
+    )
+
+
+def _good(found: list[PhaseGradient], measurement: Measurement, parameters: SampleParameters) -> Flags:
+    """Return the pixels with clear fringes of one surface and no saturated frame in every orientation."""
+    good = np.ones(found[0].omega.shape, np.bool_)
+    for one in found:
+        noise = measurement.noise(one.mean_intensity)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sigma = phase_sigma(noise, one.modulation, measurement.sequence.steps)
+            limit = np.hypot(
+                parameters.maximum_phase_error_to_noise * sigma, parameters.maximum_phase_error_rad
+            )
+            good &= one.modulation > parameters.minimum_modulation_to_noise * noise
+            good &= one.phase_error < limit
+        good &= (one.fitted == one.fitted.max()) & ~one.ambiguous & np.isfinite(one.omega)
+    return good
+
+
+def _thinned(good: Flags, most: int) -> Flags:
+    """Keep every n-th of the pixels, so that no more than `most` are left."""
+    places = np.flatnonzero(good)
+    kept = np.zeros(good.size, np.bool_)
+    kept[places[:: -(-places.size // most) or 1]] = True
+    return kept.reshape(good.shape)

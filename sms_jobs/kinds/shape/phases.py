@@ -1,0 +1,184 @@
+"""The phases of a tuple: frames slab by slab to phase gradients, and a reason for what cannot be trusted.
+
+Of several exposures every pixel takes its best one, so that the camera's noise model holds for all that
+follows; grey levels are put in units of exposure 1 when all else is done. Where the projector's response is
+to be corrected it is found first, in a sample of the frames themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.kind import Progress
+from sms_jobs.kinds.shape.foreign_patterns import coarse_gradient, offsets_of, refuse_foreign_patterns
+from sms_jobs.kinds.shape.fringe_response import SampledResponse, SampleParameters, sampled_response
+from sms_jobs.kinds.shape.phase_task import (
+    UNWRAPPING,
+    Floats,
+    Known,
+    PhaseParameters,
+    PhaseTask,
+    Reasons,
+    Singles,
+    mark,
+    noise_reasons,
+)
+from sms_jobs.kinds.shape.ranged_phases import range_slab, transfers
+from sms_jobs.kinds.shape.streaming import exposed_slabs
+from sms_jobs.metrology.geometry.sensor_pair import SensorPair
+from sms_jobs.metrology.geometry.triangulation import Projector
+from sms_jobs.metrology.images.masks import phase_error_factor
+from sms_jobs.metrology.phase.ripple_table import RippleTable, ripple_table
+from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
+from sms_jobs.records.fields import PhaseMaps, ReturnMaps
+from sms_jobs.records.measurement import FringeSequence, Measurement
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.sensors import Sensor
+
+Frames = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Phases:
+    """What the frames of a tuple tell.
+
+    Attributes
+    ----------
+    maps
+        Phase gradients of the pair's light.
+    returns
+        All returns, if there can be several.
+    reason
+        (rows, columns): why a pixel is not to be trusted.
+    response
+        Of the projector, if it was corrected.
+    """
+
+    maps: PhaseMaps
+    returns: ReturnMaps | None
+    reason: Reasons
+    response: SampledResponse | None
+
+
+def find_phases(task: PhaseTask, progress: Progress) -> Phases:
+    """Return the phases of a tuple, its returns if there can be several, and the pixels not to be trusted.
+
+    Raises `MeasurementFailed` when the response is to be corrected and cannot be found, and `InvalidInput`
+    for ranging without a geometry.
+    """
+    measurement, parameters = task.measurement, task.parameters
+    if parameters.method != UNWRAPPING and task.geometry is None:
+        raise InvalidInput(f"method={parameters.method} needs a calibration; set method={UNWRAPPING}")
+    sequence = measurement.sequence
+    if parameters.method != UNWRAPPING or parameters.response != "none":
+        refuse_foreign_patterns(task.subject, measurement, f"method={UNWRAPPING} with response=none")
+    _, rows, columns = measurement.frames.shape
+    phase = PhaseMaps.unset(sequence.orientations_rad, rows, columns, bracketed=sequence.exposures != (1.0,))
+    reason = np.zeros((rows, columns), np.uint32)
+    returns = None
+    if parameters.returns > 1:
+        returns = ReturnMaps.unset(sequence.orientations_rad, parameters.returns, rows, columns)
+    response = _response(task)
+    ripples = [] if response is None else _ripples(response, sequence.steps)
+    known = Known([] if parameters.method == UNWRAPPING else transfers(task), ripples)
+    for slab, frames, exposure in exposed_slabs(measurement, task.threads):
+        if parameters.method == UNWRAPPING:
+            _unwrap_slab(task, known, slab, frames, phase, reason)
+        else:
+            range_slab(task, known, slab, frames, phase, returns, reason)
+        del frames  # before the next slab is asked for: two of them are in memory, not three
+        _at_exposure_one(slab, exposure, phase, returns)
+        progress(0.8 * slab.stop / rows, f"found phases in {slab.stop} of {rows} rows")
+    return Phases(phase, returns, reason, response)
+
+
+def _response(task: PhaseTask) -> SampledResponse | None:
+    if task.parameters.response == "none":
+        return None
+    return sampled_response(task.subject, task.measurement, SampleParameters(), task.threads)
+
+
+def _ripples(response: SampledResponse, steps: int) -> list[RippleTable]:
+    return [ripple_table(one, response.densities, steps) for one in response.responses]
+
+
+def _at_exposure_one(rows: slice, exposure: Singles, phase: PhaseMaps, returns: ReturnMaps | None) -> None:
+    """Put the grey levels of a slab in units of the camera's own exposure."""
+    phase.modulation[:, rows] /= exposure
+    phase.mean_intensity[rows] /= exposure
+    if phase.exposure is not None:
+        phase.exposure[rows] = exposure
+    if returns is not None:
+        returns.amplitude[:, :, rows] /= exposure
+
+
+def _unwrap_slab(
+    task: PhaseTask, known: Known, rows: slice, frames: Frames, phase: PhaseMaps, reason: Reasons
+) -> None:
+    """Fill the rows of `phase` and mark those pixels in `reason` whose phase cannot be trusted."""
+    measurement, parameters = task.measurement, task.parameters
+    sequence = measurement.sequence
+    densities = tuple(t for t in sequence.densities if t)
+    for k in range(len(sequence.orientations_rad)):
+        fringes = frames[sequence.frames_of(k, uniform=False)]
+        found = unwrap(
+            fringes,
+            densities,
+            sequence.steps,
+            full_scale=measurement.full_scale,
+            gain=measurement.gain,
+            read_noise=measurement.read_noise,
+            offsets=offsets_of(measurement),
+            coarse=coarse_gradient(measurement, k, rows, fringes),
+            threads=task.threads,
+        )
+        phase.omega[k, rows] = found.omega
+        phase.omega_sigma[k, rows] = found.omega_sigma
+        ripple: Floats | float = 0.0
+        if known.ripples:
+            table = known.ripples[k]
+            phase.omega[k, rows] = table.corrected(found.omega)
+            phase.omega_sigma[k, rows] = table.corrected_sigma(found.omega, found.omega_sigma)
+            ripple = table.expected_error(found.omega)
+        phase.modulation[k, rows] = found.modulation
+        phase.phase_error[k, rows] = found.phase_error
+        phase.mean_intensity[rows] += found.mean_intensity / len(sequence.orientations_rad)
+        reason[rows] |= _phase_reasons(found, ripple, measurement, parameters)
+
+
+def _phase_reasons(
+    found: PhaseGradient, ripple: Floats | float, measurement: Measurement, parameters: PhaseParameters
+) -> Reasons:
+    """Return the reasons for which the phases of one orientation are not to be trusted."""
+    densities = sum(1 for t in measurement.sequence.densities if t)
+    factors = np.array([phase_error_factor(n, parameters.kept_by_phase_error) for n in range(densities + 1)])
+    reason = noise_reasons(
+        found.modulation,
+        found.phase_error,
+        factors[found.fitted],
+        ripple,
+        measurement.noise(found.mean_intensity),
+        measurement.sequence.steps,
+        parameters,
+    )
+    mark(reason, found.saturated, Reason.SATURATED)
+    mark(reason, found.ambiguous, Reason.AMBIGUOUS_UNWRAPPING)
+    return reason
+
+
+def sensor_pair(camera: Sensor, projector: Sensor, sequence: FringeSequence, threads: int) -> SensorPair:
+    """Return a pair as its calibration says it stands."""
+    return SensorPair(
+        camera.intrinsics,
+        camera.pose,
+        camera.rows,
+        camera.columns,
+        Projector(projector.intrinsics, projector.pose, projector.columns, projector.rows),
+        sequence.orientations_rad,
+        threads,
+    )

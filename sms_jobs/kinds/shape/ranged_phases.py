@@ -1,0 +1,160 @@
+"""Phases by Fourier domain ranging: returns of every orientation, paired by geometry, slab by slab."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.shape.phase_task import (
+    UNWRAPPING,
+    Floats,
+    Known,
+    PhaseTask,
+    Reasons,
+    Singles,
+    mark,
+    noise_reasons,
+)
+from sms_jobs.kinds.shape.streaming import in_best_exposure, sampled
+from sms_jobs.metrology.geometry.ray_pairing import Pairing
+from sms_jobs.metrology.images.masks import phase_error_factor
+from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns, score_threshold
+from sms_jobs.metrology.phase.fringe_blur import transfer_of_sample
+from sms_jobs.metrology.phase.merged_returns import merged_sigma
+from sms_jobs.metrology.phase.phase_stepping import phase_sigma
+from sms_jobs.records.fields import PhaseMaps, ReturnMaps
+from sms_jobs.records.reasons import Reason
+
+_SAMPLED = (4, 512)  # rows, and pixels of each, that tell the modulation transfer
+
+
+def transfers(task: PhaseTask) -> list[Floats]:
+    """Return the modulation transfer over the densities of each orientation, from a sample of the rows."""
+    measurement, sequence = task.measurement, task.measurement.sequence
+    frames, _ = in_best_exposure(measurement, sampled(measurement.frames, *_SAMPLED))
+    return [
+        transfer_of_sample(
+            frames[sequence.frames_of(k)],
+            sequence.densities,
+            sequence.steps,
+            full_scale=measurement.full_scale,
+            gain=measurement.gain,
+            read_noise=measurement.read_noise,
+            threads=task.threads,
+        )
+        for k in range(len(sequence.orientations_rad))
+    ]
+
+
+def range_slab(
+    task: PhaseTask,
+    known: Known,
+    rows: slice,
+    frames: NDArray[Any],
+    phase: PhaseMaps,
+    returns: ReturnMaps | None,
+    reason: Reasons,
+) -> None:
+    """Fill the rows of `phase` and `returns`, and mark in `reason` what cannot be trusted."""
+    found = _found(task, known, frames)
+    ripples: list[Floats | float] = [0.0] * len(found)
+    for k, table in enumerate(known.ripples):
+        measured = found[k].omega
+        ripples[k] = table.expected_error(measured[0])
+        sigma = table.corrected_sigma(measured, found[k].omega_sigma)
+        found[k] = replace(found[k], omega=table.corrected(measured), omega_sigma=sigma)
+    pairing = _paired(task, rows, found)
+    phase.omega[:, rows] = pairing.omega
+    phase.omega_sigma[:, rows] = np.hypot(pairing.omega_sigma, _merged_sigma(task, found, pairing))
+    for k, one in enumerate(found):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = phase_sigma(one.residual, pairing.amplitude[k], task.measurement.sequence.steps)
+        phase.modulation[k, rows] = one.modulation
+        phase.phase_error[k, rows] = error
+        phase.mean_intensity[rows] += one.mean_intensity / len(found)
+        reason[rows] |= _range_reasons(task, one, pairing.amplitude[k], error, ripples[k])
+    if task.parameters.pair_rule == "likelihood":
+        mark(reason[rows], pairing.margin < task.parameters.minimum_pair_margin, Reason.AMBIGUOUS_PAIR)
+    if returns is not None:
+        returns.label[rows], returns.margin[rows] = pairing.label, pairing.margin
+        for k, one in enumerate(found):
+            returns.omega[k, :, rows] = one.omega
+            returns.omega_sigma[k, :, rows] = one.omega_sigma
+            returns.amplitude[k, :, rows] = one.amplitude
+
+
+def _found(task: PhaseTask, known: Known, frames: NDArray[Any]) -> list[Returns]:
+    """Return the returns of every orientation."""
+    measurement, parameters, sequence = task.measurement, task.parameters, task.measurement.sequence
+    return [
+        range_returns(
+            frames[sequence.frames_of(k)],
+            sequence.densities,
+            sequence.steps,
+            full_scale=measurement.full_scale,
+            gain=measurement.gain,
+            read_noise=measurement.read_noise,
+            returns=parameters.returns,
+            window=parameters.window,
+            significance=parameters.significance,
+            mtf=known.transfers[k],
+            threads=task.threads,
+        )
+        for k in range(len(sequence.orientations_rad))
+    ]
+
+
+def _paired(task: PhaseTask, rows: slice, found: list[Returns]) -> Pairing:
+    """Choose, pixel by pixel, the returns of the orientations that belong to one point."""
+    if task.geometry is None:
+        raise InvalidInput(f"method={task.parameters.method} needs a calibration; set method={UNWRAPPING}")
+    volume, parameters = task.geometry.volume, task.parameters
+    densities = np.array(task.measurement.sequence.densities, dtype=np.float64)
+    return task.geometry.pair.choose(
+        rows,
+        np.stack([f.omega for f in found]),
+        np.stack([f.omega_sigma for f in found]),
+        np.stack([f.amplitude for f in found]),
+        low=volume.low,
+        high=volume.high,
+        gap_floor_mm=parameters.maximum_ray_gap_mm / parameters.maximum_ray_gap_to_noise,
+        density_rms=float(np.sqrt(np.mean(densities**2))),
+        least_gap=parameters.pair_rule == "least-gap",
+    )
+
+
+def _merged_sigma(task: PhaseTask, found: list[Returns], pairing: Pairing) -> Singles:
+    """Return what a second light too weak to be told apart may have done to the chosen ones, as a sigma."""
+    sequence = task.measurement.sequence
+    return merged_sigma(
+        [task.measurement.noise(f.mean_intensity) for f in found],
+        pairing.amplitude,
+        [f.amplitude for f in found],
+        threshold=score_threshold(task.parameters.significance, len(sequence.densities)),
+        densities=len(sequence.densities),
+        steps=sequence.steps,
+    )
+
+
+def _range_reasons(
+    task: PhaseTask, one: Returns, amplitude: Singles, error: Singles, ripple: Floats | float
+) -> Reasons:
+    """Return the reasons for which the phases of one orientation are not to be trusted."""
+    sequence, parameters = task.measurement.sequence, task.parameters
+    freedom = 2 * len(sequence.densities) - 2 * parameters.returns + 1
+    reason = noise_reasons(
+        amplitude,
+        error,
+        phase_error_factor(freedom, parameters.kept_by_phase_error),
+        ripple,
+        task.measurement.noise(one.mean_intensity),
+        sequence.steps,
+        parameters,
+    )
+    mark(reason, one.saturated, Reason.SATURATED)
+    mark(reason, (one.count == 0) & ~one.saturated, Reason.LOW_MODULATION)
+    return reason
