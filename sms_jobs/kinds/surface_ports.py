@@ -1,10 +1,10 @@
-"""Where the surface of a view comes from: fringes give one of every state, a camera alone has its image's."""
+"""Where the surface of a view comes from; no other module knows which kind makes it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,38 +14,74 @@ from sms_jobs.kinds.products import MEASURED, PHASE, SURFACE, Product
 from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import Surface
-from sms_jobs.records.views import view_of
-
-_MEASURED_BY, _PLANE_OF = "reconstruct", "plane"
+from sms_jobs.records.views import View, view_of
 
 
-class SurfacePort(NamedTuple):
-    """One port for surfaces, whatever makes them: `run` reads at either."""
+@dataclass(frozen=True)
+class Maker:
+    """A kind that makes surfaces.
 
-    measured: Port
-    plane: Port
+    Attributes
+    ----------
+    kind
+        Its name.
+    products
+        What it gives.
+    views
+        Says whose surface it makes.
+    once
+        Whether that of the reference state is that of every state.
+    """
+
+    kind: str
+    products: tuple[Product[Any], ...]
+    views: Callable[[View], bool]
+    once: bool = False
+
+
+MAKERS = (
+    Maker("reconstruct", (SURFACE, PHASE), lambda view: view.measures_shape),
+    Maker("plane", (SURFACE,), lambda view: not view.measures_shape, once=True),
+)
+
+
+def maker_of(view: str | None) -> Maker:
+    """Return what makes the surface of a view; raise `InvalidInput` for what is no view."""
+    seen = view_of(view)
+    return next(maker for maker in MAKERS if maker.views(seen))
+
+
+@dataclass(frozen=True)
+class SurfacePort:
+    """One port for surfaces, whatever makes them; `run` reads at `port`."""
+
+    port: Port
 
     @property
-    def port(self) -> Port:
-        """What `run` asks by: both have one name."""
-        return self.measured
+    def all(self) -> tuple[Port, ...]:
+        """The ports that a kind declares."""
+        return tuple(self._made_by(maker) for maker in MAKERS)
 
     def of(self, campaign: Campaign, subject: Subject) -> Need:
-        """Return the need for the surface of a tuple; the plane of an image is that of its reference."""
-        if view_of(subject.view).measures_shape:
-            return self.measured.of(subject)
-        return self.plane.of(replace(subject, state=campaign.reference.label))
+        """Return the need for the surface of a tuple."""
+        maker = maker_of(subject.view)
+        state = campaign.reference.label if maker.once else subject.state
+        return self._made_by(maker).of(replace(subject, state=state))
+
+    def _made_by(self, maker: Maker) -> Port:
+        products = tuple(product for product in self.port.products if product in maker.products)
+        return replace(self.port, source=maker.kind, products=products)
 
 
 def surface_port(
     name: str, products: tuple[Product[Any], ...] = (SURFACE,), *, several: bool = False
 ) -> SurfacePort:
     """Return a port for the surfaces of tuples."""
-    port = Port(name, _MEASURED_BY, products, several)
-    return SurfacePort(port, replace(port, products=(SURFACE,)).made_by(_PLANE_OF))
+    return SurfacePort(Port(name, MAKERS[0].kind, products, several))
 
 
-class StatePorts(NamedTuple):
+@dataclass(frozen=True)
+class StatePorts:
     """Where the surface of a state comes in, and its frames."""
 
     surface: SurfacePort
@@ -54,11 +90,11 @@ class StatePorts(NamedTuple):
     @property
     def all(self) -> tuple[Port, ...]:
         """The ports that a kind declares."""
-        return (*self.surface, self.frames)
+        return (*self.surface.all, self.frames)
 
     def of(self, campaign: Campaign, subject: Subject) -> Iterable[Need]:
-        """Yield the needs of a state; a plane is that of the reference, and no other state has one."""
-        if view_of(subject.view).measures_shape or subject.state == campaign.reference.label:
+        """Yield the needs of a state; of what is made once, the reference alone has the surface."""
+        if not maker_of(subject.view).once or subject.state == campaign.reference.label:
             yield self.surface.of(campaign, subject)
         yield self.frames.of(subject)
 

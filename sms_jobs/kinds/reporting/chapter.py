@@ -34,7 +34,7 @@ ASSESSMENTS = Port("assessment", "assess", (ASSESSMENT,), several=True)
 SHOWN = (
     CALIBRATION_SHOWN,
     RECORDINGS,
-    *SURFACES,
+    *SURFACES.all,
     DISPLACEMENTS,
     STRAINS,
     MERGED_STATES,
