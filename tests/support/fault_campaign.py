@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import psutil
 import pytest
@@ -34,7 +35,7 @@ from sms_jobs.jobs.submission import submit
 from sms_jobs.jobs.witness import Witness
 from sms_jobs.records.job import ACTIVE, TRANSITIONS, JobState
 from sms_jobs.virtual_rig.campaigns import small_plate
-from support.command import SMS, kill_all, wait_until
+from support.command import SMS, kill_all, sms, wait_until
 from support.servers import PostgresqlServer, RedisServer
 
 SETTINGS = {
@@ -96,6 +97,11 @@ def _living(pid: int | None) -> psutil.Process | None:
         process = psutil.Process(pid)
         return None if process.status() == psutil.STATUS_ZOMBIE else process
     return None
+
+
+def _end_of(log: Path) -> str:
+    """Return the last lines of a log."""
+    return "\n".join(log.read_text(errors="replace").splitlines()[-20:])
 
 
 def _label(number: int) -> str:
@@ -210,7 +216,7 @@ class FaultCampaign:
     def rest(self, most_jobs: int) -> None:
         """Let the service end a random number of jobs, at most so many, and work for a moment more."""
         enough = min(self._succeeded() + self._random.randint(0, most_jobs), self.jobs)
-        wait_until(lambda: self._succeeded() >= enough, timeout=_PATIENCE_S)
+        self._wait_until(lambda: self._succeeded() >= enough)
         time.sleep(self._random.uniform(0.0, 0.2))
 
     def _succeeded(self) -> int:
@@ -230,14 +236,45 @@ class FaultCampaign:
 
     def settle(self) -> None:
         """Wait until every job has ended and every message has been sent."""
-        wait_until(lambda: self.left() == self._unsent() == 0, timeout=_PATIENCE_S)
+        self._wait_until(lambda: self.left() == self._unsent() == 0)
+
+    def _wait_until(self, condition: Callable[[], Any]) -> Any:
+        """Return what `condition()` returns once it is true; say what is left where it does not become so."""
+        try:
+            return wait_until(condition, timeout=_PATIENCE_S)
+        except AssertionError as late:
+            raise AssertionError(f"{late}:\n{self._what_is_left()}") from None
+
+    def _what_is_left(self) -> str:
+        """Return what has not ended, who should see to it, and what the service itself says of that."""
+        with self.catalogue.reading() as session:
+            jobs = session.scalars(select(JobRow).where(JobRow.state.in_(ACTIVE))).all()
+        said = [
+            f"{job.kind} {job.subject} is {job.state.value}, worker {job.worker_id}, process {job.pid}: "
+            f"{job.message}"
+            for job in jobs
+        ]
+        said.append(f"of {self.jobs} jobs {len(jobs)} are left, {self._unsent()} messages are not sent")
+        for process in self._services:
+            code = process.poll()
+            said.append(f"supervisor {process.pid} {'lives' if code is None else f'ended with code {code}'}")
+        doctor = sms("doctor", "--home", str(self.place.home), environment=self.place.environment)
+        said.append(doctor.stdout + doctor.stderr)
+        logs = [self._log, *sorted((self.place.home / "logs").glob("worker-*.log"))]
+        said += [f"{log.name}:\n{_end_of(log)}" for log in logs]
+        return "\n".join(said)
 
     def _unsent(self) -> int:
         with self.catalogue.reading() as session:
             return session.scalar(select(func.count()).select_from(OutboxRow)) or 0
 
+    @property
+    def _log(self) -> Path:
+        """To which all supervisors write."""
+        return self.place.home.parent / f"up-{self.place.home.name}.log"
+
     def _start(self) -> subprocess.Popen[bytes]:
-        with (self.place.home.parent / f"up-{self.place.home.name}.log").open("ab") as log:
+        with self._log.open("ab") as log:
             return subprocess.Popen(
                 [*SMS, "up", "--home", str(self.place.home)],
                 env=os.environ | self.place.environment,
@@ -258,7 +295,7 @@ class FaultCampaign:
             job = self._running()
             return None if job is None else _living(job.pid)
 
-        process: psutil.Process = wait_until(found, timeout=_PATIENCE_S)
+        process: psutil.Process = self._wait_until(found)
         return process
 
     def _kill(self, process: psutil.Process) -> bool:
