@@ -444,30 +444,34 @@ class FaultCampaign:
 
     def fill_disk(self) -> bool:
         """Leave less room than a result takes for as long as some jobs need to find out."""
-        ballast = self.place.archive.parent / "ballast"
-        try:
-            with ballast.open("wb", buffering=0) as file, suppress(OSError):
-                while True:
-                    file.write(bytes(65536))
+        disk = self.place.archive.parent
+        size = shutil.disk_usage(disk).total
+
+        def narrowed() -> bool:
             # A recording takes several times as much.
-            os.truncate(ballast, max(ballast.stat().st_size - 30_000, 0))
+            return _remount(disk, f"size={shutil.disk_usage(disk).used + 30_000}")
+
+        # What is written meanwhile may be more than that.
+        wait_until(narrowed)
+        try:
             time.sleep(2.0)
         finally:
-            ballast.unlink(missing_ok=True)
-        return True
+            widened = _remount(disk, f"size={size}")
+        return widened
 
     def make_read_only(self, for_s: float) -> bool:
         """Let nobody write to the disk of the archive for a while."""
         disk = self.place.archive.parent
-
-        def remount(how: str) -> bool:
-            command = ["mount", "-o", f"remount,{how}", str(disk)]
-            return subprocess.run(command, capture_output=True, check=False).returncode == 0
-
         # It cannot be made so while somebody has a file open for writing.
-        wait_until(lambda: remount("ro"))
+        wait_until(lambda: _remount(disk, "ro"))
         time.sleep(for_s)
-        return remount("rw")
+        return _remount(disk, "rw")
+
+
+def _remount(disk: Path, how: str) -> bool:
+    """Change how a disk is mounted; False where that cannot be done just now."""
+    command = ["mount", "-o", f"remount,{how}", str(disk)]
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
 def files_on_disk(archive: Path) -> list[str]:
