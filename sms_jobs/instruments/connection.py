@@ -20,13 +20,13 @@ from sms_jobs.instruments.operation_log import OperationLog
 from sms_jobs.instruments.optical_drivers import (
     DescribedCamera,
     DescribedProjector,
-    Surroundings,
+    DriverContext,
     camera_drivers,
     projector_drivers,
 )
 from sms_jobs.instruments.protocols import Camera
 from sms_jobs.instruments.recorder import ConnectedRig
-from sms_jobs.instruments.simulated.optics import Hall, Setting, SimulatedCamera
+from sms_jobs.instruments.simulated.optics import Setting, SimulatedCamera, VirtualRoom
 from sms_jobs.instruments.simulated.serial.simulation import SerialSimulation
 from sms_jobs.records.instruments import TriggerController, VideoSplitter
 from sms_jobs.records.optical_instruments import RigFile
@@ -77,8 +77,8 @@ def connected(
         channels = [connector.channel(c) for c in rig.serial.channels]
         for device in (*boxes, *switches, *channels):
             open_(device)
-        hall = None if setting is None else Hall(setting, clock, angles, threads)
-        cameras, projectors = _sensors_of(rig, Surroundings(clock, stack, hall))
+        room = None if setting is None else VirtualRoom(setting, clock, angles, threads)
+        cameras, projectors = _sensors_of(rig, DriverContext(clock, stack, room))
         yield ConnectedRig(
             rig.name,
             cameras,
@@ -88,7 +88,7 @@ def connected(
             {c.name: ChannelValue(c) for c in channels},
             stage,
             WiredVideo(tuple(zip(switches, map(_sensors, rig.serial.splitters), strict=True))),
-            hall.simulation if hall is not None and (rig.simulated or _simulated_there(cameras)) else None,
+            room.simulation if room is not None and (rig.simulated or _simulated_there(cameras)) else None,
             {name: sensor.describe() for name, sensor in (*cameras.items(), *projectors.items())},
         )
 
@@ -154,15 +154,15 @@ def _stand_still(
 
 
 def _sensors_of(
-    rig: RigFile, place: Surroundings
+    rig: RigFile, context: DriverContext
 ) -> tuple[dict[str, DescribedCamera], dict[str, DescribedProjector]]:
-    """Connect cameras and projectors by name; simulated ones are there only where there is a hall."""
-    if rig.simulated and place.hall is None:
+    """Connect cameras and projectors by name; simulated ones are there only where there is a room."""
+    if rig.simulated and context.room is None:
         return {}, {}
     makes, lights = camera_drivers(), projector_drivers()
     return (
-        {c.name: makes[c.driver].connect(c, place) for c in rig.cameras},
-        {p.name: lights[p.driver].connect(p, place) for p in rig.projectors},
+        {c.name: makes[c.driver].connect(c, context) for c in rig.cameras},
+        {p.name: lights[p.driver].connect(p, context) for p in rig.projectors},
     )
 
 

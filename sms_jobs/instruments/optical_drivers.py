@@ -12,7 +12,7 @@ from sms_jobs.discovery import declared
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.protocols import Camera, Projector
-from sms_jobs.instruments.simulated.optics import Hall
+from sms_jobs.instruments.simulated.optics import VirtualRoom
 from sms_jobs.records.optical_instruments import CameraInstrument, ProjectorInstrument
 
 Shared = TypeVar("Shared")
@@ -35,7 +35,7 @@ class DescribedProjector(Projector, Described, Protocol):
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class DriverContext:
     """What a driver finds when it connects a sensor.
 
     Attributes
@@ -44,13 +44,13 @@ class Surroundings:
         Of the rig.
     ending
         Takes what is to be done when the rig is let go: sensors are closed in it.
-    hall
+    room
         The room of a virtual rig, where the campaign describes one; real sensors do not ask for it.
     """
 
     clock: Clock
     ending: ExitStack
-    hall: Hall | None = None
+    room: VirtualRoom | None = None
     _shared: dict[object, Any] = field(default_factory=dict)
 
     def shared(self, key: object, make: Callable[[], Shared]) -> Shared:
@@ -77,7 +77,7 @@ class CameraDriver:
 
     name: str
     record: type[CameraInstrument]
-    connect: Callable[[Any, Surroundings], DescribedCamera]
+    connect: Callable[[Any, DriverContext], DescribedCamera]
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class ProjectorDriver:
 
     name: str
     record: type[ProjectorInstrument]
-    connect: Callable[[Any, Surroundings], DescribedProjector]
+    connect: Callable[[Any, DriverContext], DescribedProjector]
 
 
 def camera_drivers() -> Mapping[str, CameraDriver]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from sms_jobs.errors import ConfigurationError, DeviceFault, LinkLost
 from sms_jobs.instruments.genicam_cameras import Delivered, GenicamCamera, GenicamSettings, Value
-from sms_jobs.instruments.optical_drivers import CameraDriver, Surroundings
+from sms_jobs.instruments.optical_drivers import CameraDriver, DriverContext
 
 _LIBRARIES = ("libaravis-0.8.so.0", "libaravis-0.8.0.dylib")
 _BUFFERS = 4
@@ -253,7 +253,7 @@ class AravisStream:
             self._stream = None
 
 
-def connect(camera: AravisSettings, place: Surroundings) -> GenicamCamera:
+def connect(camera: AravisSettings, context: DriverContext) -> GenicamCamera:
     """Open a camera.
 
     Raises
@@ -273,9 +273,9 @@ def connect(camera: AravisSettings, place: Surroundings) -> GenicamCamera:
         # Sockets that see all packets of the interface need rights that a worker should not have.
         library().arv_camera_gv_set_stream_options(opened, _NO_PACKET_SOCKETS)
     stream = AravisStream(camera.name, opened)
-    place.ending.callback(stream.close)
+    context.ending.callback(stream.close)
     features = AravisFeatures(camera.name, library().arv_camera_get_device(opened))
-    return GenicamCamera(camera, features, stream, place.clock)
+    return GenicamCamera(camera, features, stream, context.clock)
 
 
 DRIVER = CameraDriver("aravis", AravisSettings, connect)

@@ -12,7 +12,7 @@ import numpy as np
 
 from sms_jobs.errors import DeviceFault, LinkLost
 from sms_jobs.instruments.genicam_cameras import Delivered, GenicamCamera, GenicamSettings, Value
-from sms_jobs.instruments.optical_drivers import CameraDriver, Surroundings, optional_package
+from sms_jobs.instruments.optical_drivers import CameraDriver, DriverContext, optional_package
 
 _BUFFERS = 4
 
@@ -163,7 +163,7 @@ def _sentence(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def connect(camera: GentlSettings, place: Surroundings) -> GenicamCamera:
+def connect(camera: GentlSettings, context: DriverContext) -> GenicamCamera:
     """Open a camera.
 
     Raises
@@ -184,13 +184,13 @@ def connect(camera: GentlSettings, place: Surroundings) -> GenicamCamera:
                 "install the camera's program and name its .cti file"
             )
         harvester = harvesters.Harvester()
-        place.ending.callback(harvester.reset)
+        context.ending.callback(harvester.reset)
         with _words(camera.name):
             harvester.add_file(camera.producer)
             harvester.update()
         return harvester
 
-    harvester = place.shared(("producer", camera.producer), make)
+    harvester = context.shared(("producer", camera.producer), make)
     known = [info.property_dict for info in harvester.device_info_list]
     chosen = [i for i, told in enumerate(known) if camera.device in (told["id_"], told["serial_number"])]
     if len(chosen) != 1:
@@ -202,9 +202,9 @@ def connect(camera: GentlSettings, place: Surroundings) -> GenicamCamera:
     with _words(camera.name):
         acquirer = harvester.create(chosen[0])
     stream = GentlStream(camera.name, acquirer)
-    place.ending.callback(stream.close)
+    context.ending.callback(stream.close)
     features = GentlFeatures(camera.name, acquirer.remote_device.node_map)
-    return GenicamCamera(camera, features, stream, place.clock)
+    return GenicamCamera(camera, features, stream, context.clock)
 
 
 def _harvesters() -> Any:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import DeviceFault, FrameLost, InvalidInput, LinkLost
 from sms_jobs.instruments.clock import Clock
-from sms_jobs.instruments.optical_drivers import CameraDriver, Surroundings
+from sms_jobs.instruments.optical_drivers import CameraDriver, DriverContext
 from sms_jobs.instruments.protocols import CameraFacts, Frame
 from sms_jobs.instruments.real_cameras import RealCamera, checked_image
 
@@ -227,10 +227,10 @@ class OpencvCamera:
         return np.ascontiguousarray(image[:, :, 0])
 
 
-def connect(camera: OpencvSettings, place: Surroundings) -> OpencvCamera:
+def connect(camera: OpencvSettings, context: DriverContext) -> OpencvCamera:
     """Open a camera; raises as `OpencvCamera` does."""
-    opened = OpencvCamera(camera, place.clock)
-    place.ending.callback(opened.close)
+    opened = OpencvCamera(camera, context.clock)
+    context.ending.callback(opened.close)
     return opened
 
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.instruments.optical_drivers import CameraDriver, Surroundings
+from sms_jobs.instruments.optical_drivers import CameraDriver, DriverContext
 from sms_jobs.instruments.protocols import CameraFacts, Frame
 from sms_jobs.instruments.scanners.client import link_to
 from sms_jobs.instruments.scanners.link import Address, ScannerLink
@@ -79,8 +79,8 @@ class ScannerCamera:
 
     def describe(self) -> str:
         """Return what it is."""
-        told = self.link.facts["described"].get(self.name, "nothing is known of it")
-        return f"scanner at {self.settings.server}: {told}"
+        description = self.link.facts["described"].get(self.name, "nothing is known of it")
+        return f"scanner at {self.settings.server}: {description}"
 
     def arm(self, exposure: float) -> None:
         """Make ready to be triggered."""
@@ -92,19 +92,19 @@ class ScannerCamera:
 
     def read(self, timeout_s: float) -> Frame:
         """Return the oldest frame that was not read; raise `FrameLost` or `LinkLost` when none comes."""
-        told, data = self.link.ask("read", timeout_s + _TRANSFER_S, camera=self.name, timeout_s=timeout_s)
+        reply, data = self.link.ask("read", timeout_s + _TRANSFER_S, camera=self.name, timeout_s=timeout_s)
         facts = self.facts
         image = np.frombuffer(data, facts.dtype).reshape(facts.rows, facts.columns)
-        return Frame(int(told["number"]), float(told["time_s"]) + self.link.behind_s, image)
+        return Frame(int(reply["number"]), float(reply["time_s"]) + self.link.behind_s, image)
 
     def disarm(self) -> None:
         """Stop taking frames."""
         self.link.ask("disarm", camera=self.name)
 
 
-def connect(settings: ScannerCameraSettings, place: Surroundings) -> ScannerCamera:
+def connect(settings: ScannerCameraSettings, context: DriverContext) -> ScannerCamera:
     """Connect the scanner, once for all of its sensors."""
-    return ScannerCamera(settings.name, link_to(settings.server, settings.key_file, place), settings)
+    return ScannerCamera(settings.name, link_to(settings.server, settings.key_file, context), settings)
 
 
 DRIVER = CameraDriver("scanner", ScannerCameraSettings, connect)

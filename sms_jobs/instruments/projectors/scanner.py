@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from sms_jobs.instruments.optical_drivers import ProjectorDriver, Surroundings
+from sms_jobs.instruments.optical_drivers import DriverContext, ProjectorDriver
 from sms_jobs.instruments.scanners.client import link_to, links
 from sms_jobs.instruments.scanners.link import DEFORMATION, SEQUENCE, Address, ScannerLink
-from sms_jobs.instruments.simulated.optics import WHITE, Hall
+from sms_jobs.instruments.simulated.optics import WHITE, VirtualRoom
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import ProjectorInstrument
 
@@ -46,21 +46,21 @@ class ScannerProjector:
     link: ScannerLink
     settings: ScannerProjectorSettings
     scanners: Mapping[tuple[str, str], ScannerLink]
-    hall: Hall | None = None
+    room: VirtualRoom | None = None
     _sequence: FringeSequence = field(default_factory=FringeSequence)
 
     def describe(self) -> str:
         """Return what it is."""
-        told = self.link.facts["described"].get(self.name, "nothing is known of it")
-        return f"scanner at {self.settings.server}: {told}"
+        description = self.link.facts["described"].get(self.name, "nothing is known of it")
+        return f"scanner at {self.settings.server}: {description}"
 
     def load(self, sequence: FringeSequence) -> None:
         """Make ready for the patterns of a sequence."""
         self._sequence = sequence
         self.link.ask("load", projector=self.name, sequence=self._told)
-        if self.hall is not None:
+        if self.room is not None:
             # What a stage has moved stands elsewhere than when the scanners were connected.
-            stands = DEFORMATION.dump_python(self.hall.present_deformation(), mode="json")
+            stands = DEFORMATION.dump_python(self.room.present_deformation(), mode="json")
             for link in self.scanners.values():
                 if link.simulated:
                     link.ask("stands", deformation=stands)
@@ -93,10 +93,10 @@ class ScannerProjector:
         return SEQUENCE.dump_python(self._sequence, mode="json")
 
 
-def connect(settings: ScannerProjectorSettings, place: Surroundings) -> ScannerProjector:
+def connect(settings: ScannerProjectorSettings, context: DriverContext) -> ScannerProjector:
     """Connect the scanner, once for all of its sensors."""
-    link = link_to(settings.server, settings.key_file, place)
-    return ScannerProjector(settings.name, link, settings, links(place), place.hall)
+    link = link_to(settings.server, settings.key_file, context)
+    return ScannerProjector(settings.name, link, settings, links(context), context.room)
 
 
 DRIVER = ProjectorDriver("scanner", ScannerProjectorSettings, connect)

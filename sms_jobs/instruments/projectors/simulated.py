@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from sms_jobs.instruments.optical_drivers import ProjectorDriver, Surroundings
+from sms_jobs.instruments.optical_drivers import DriverContext, ProjectorDriver
 from sms_jobs.instruments.simulated.optics import SimulatedProjector
 from sms_jobs.records.optical_instruments import SIMULATED, VirtualProjector
 
 
-def connect(projector: VirtualProjector, place: Surroundings) -> SimulatedProjector:
-    """Put a projector into the hall."""
-    assert place.hall is not None
-    return SimulatedProjector(projector.name, place.hall, projector.settle_ms / 1e3)
+def connect(projector: VirtualProjector, context: DriverContext) -> SimulatedProjector:
+    """Put a projector into the room."""
+    assert context.room is not None
+    return SimulatedProjector(projector.name, context.room, projector.settle_ms / 1e3)
 
 
 DRIVER = ProjectorDriver(SIMULATED, VirtualProjector, connect)

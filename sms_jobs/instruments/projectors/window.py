@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import DeviceFault, InvalidInput, LinkLost
 from sms_jobs.instruments.clock import Clock
-from sms_jobs.instruments.optical_drivers import ProjectorDriver, Surroundings, optional_package
+from sms_jobs.instruments.optical_drivers import DriverContext, ProjectorDriver, optional_package
 from sms_jobs.metrology.phase.patterns import direction, fringe_pattern
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import ProjectorInstrument
@@ -237,7 +237,7 @@ class WindowProjector:
         return levels
 
 
-def connect(projector: WindowSettings, place: Surroundings) -> WindowProjector:
+def connect(projector: WindowSettings, context: DriverContext) -> WindowProjector:
     """Open the window of a projector, or share that of another on the same display.
 
     Raises
@@ -249,24 +249,24 @@ def connect(projector: WindowSettings, place: Surroundings) -> WindowProjector:
     DeviceFault
         When the display has another size than the projector, or its pixels are not drawn as they are.
     """
-    pygame = place.shared("sdl", lambda: _video(place))
+    pygame = context.shared("sdl", lambda: _video(context))
 
     def make() -> Screen:
         screen = Screen(pygame, projector.display)
-        place.ending.callback(screen.close)
+        context.ending.callback(screen.close)
         return screen
 
-    screen = place.shared(("display", projector.display), make)
+    screen = context.shared(("display", projector.display), make)
     if screen.size != (projector.columns, projector.rows):
         raise DeviceFault(
             f"display {projector.display} has {screen.size[0]} x {screen.size[1]} pixels, projector "
             f"{projector.name} {projector.columns} x {projector.rows}: set the display to the projector's "
             "own resolution, without scaling, or correct the rig file"
         )
-    return WindowProjector(projector, screen, place.clock, f"SDL driver {pygame.display.get_driver()}")
+    return WindowProjector(projector, screen, context.clock, f"SDL driver {pygame.display.get_driver()}")
 
 
-def _video(place: Surroundings) -> Any:
+def _video(context: DriverContext) -> Any:
     """Return the package that draws, with its video part open until the rig is let go."""
     for hint, value in _HINTS.items():
         os.environ.setdefault(hint, value)
@@ -281,7 +281,7 @@ def _video(place: Surroundings) -> Any:
         pygame.display.init()
     except pygame.error as error:
         raise LinkLost(f"{_NO_DISPLAY}: {error}") from error
-    place.ending.callback(pygame.display.quit)
+    context.ending.callback(pygame.display.quit)
     chosen = pygame.display.get_driver()
     if chosen in _UNSEEN and os.environ.get("SDL_VIDEODRIVER") != chosen:
         raise LinkLost(_NO_DISPLAY)

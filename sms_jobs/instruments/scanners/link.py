@@ -105,8 +105,8 @@ class ScannerLink:
         self._least_patience_s = 0.0
         self._wire = _proven(address, key, silence_s)
         try:
-            told = None if setting is None else SETTING.dump_python(setting, mode="json")
-            self.facts = self.ask("open", setting=told)[0]
+            described = None if setting is None else SETTING.dump_python(setting, mode="json")
+            self.facts = self.ask("open", setting=described)[0]
             self._least_patience_s = _RENDERED_S if self.simulated else 0.0
             self.behind_s = self._behind()
         except BaseException:
@@ -244,15 +244,15 @@ def _other_protocol(address: Address, spoken: int | None) -> str:
     )
 
 
-def as_told(error: Exception) -> dict[str, str]:
+def error_reply(error: Exception) -> dict[str, str]:
     """Return an error as a server tells it."""
     return {"error": str(error), "kind": type(error).__name__}
 
 
-def _as_error(told: Mapping[str, Any]) -> SmsError:
-    """Return the error that a server told, of the class that it had there."""
-    kind = getattr(errors, str(told.get("kind")), None)
+def _as_error(reply: Mapping[str, Any]) -> SmsError:
+    """Return the error that a server replied with, of the class that it had there."""
+    kind = getattr(errors, str(reply.get("kind")), None)
     if isinstance(kind, type) and issubclass(kind, SmsError):
         with suppress(TypeError):
-            return kind(str(told["error"]))
-    return DeviceFault(str(told["error"]))
+            return kind(str(reply["error"]))
+    return DeviceFault(str(reply["error"]))

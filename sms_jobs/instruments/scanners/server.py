@@ -23,10 +23,10 @@ from sms_jobs.instruments.clock import Clock, RealClock
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.recorder import ConnectedRig
 from sms_jobs.instruments.scanners.door import Door
-from sms_jobs.instruments.scanners.link import DEFORMATION, SEQUENCE, SETTING, Address, as_told
+from sms_jobs.instruments.scanners.link import DEFORMATION, SEQUENCE, SETTING, Address, error_reply
 from sms_jobs.instruments.scanners.proof import SessionKeys
 from sms_jobs.instruments.scanners.wire import SILENCE_S, Message, Wire, WireEnded
-from sms_jobs.instruments.simulated.optics import WHITE, Hall, SimulatedCamera
+from sms_jobs.instruments.simulated.optics import WHITE, SimulatedCamera, VirtualRoom
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import RigFile
 
@@ -123,7 +123,7 @@ class _Client:
             f"the scanner at {self.server} is lent to another client: end what records with it, or wait"
         )
         with closing(self.wire) as wire, suppress(WireEnded):
-            wire.send(as_told(taken))
+            wire.send(error_reply(taken))
 
 
 class _WaitingRoom:
@@ -182,10 +182,10 @@ class _Visit:
     def serve(self) -> None:
         """Connect the instruments, and do what the client asks for until it is gone."""
         try:
-            told = self._request()
-            if told.get("command") != "open":
+            request = self._request()
+            if request.get("command") != "open":
                 raise InvalidInput("a client opens the scanner before it asks for anything else")
-            setting = None if told["setting"] is None else SETTING.validate_python(told["setting"])
+            setting = None if request["setting"] is None else SETTING.validate_python(request["setting"])
             with connected(self.rig(), setting, self.threads, self.clock) as rig:
                 lent = Lent(rig, self.clock)
                 try:
@@ -196,16 +196,18 @@ class _Visit:
                     lent.rest()
                     logger.info("projectors are dark and cameras still")
         except (SmsError, KeyError, TypeError, ValueError) as error:
-            self._answer(as_told(error))
+            self._answer(error_reply(error))
 
-    def _serve_request(self, lent: Lent, told: Mapping[str, Any]) -> None:
+    def _serve_request(self, lent: Lent, request: Mapping[str, Any]) -> None:
         try:
-            answer, image = lent.obey(told)
+            answer, image = lent.obey(request)
         except SmsError as error:
-            self._answer(as_told(error))
+            self._answer(error_reply(error))
             return
         except (KeyError, TypeError, ValueError) as error:
-            self._answer(as_told(InvalidInput(f"the request {told.get('command')} cannot be read: {error}")))
+            self._answer(
+                error_reply(InvalidInput(f"the request {request.get('command')} cannot be read: {error}"))
+            )
             return
         self._answer(answer, image)
 
@@ -247,56 +249,58 @@ class Lent:
             with suppress(InstrumentError):
                 leave()
 
-    def obey(self, told: Mapping[str, Any]) -> tuple[dict[str, Any], NDArray[Any] | None]:
+    def obey(self, request: Mapping[str, Any]) -> tuple[dict[str, Any], NDArray[Any] | None]:
         """Do what a request asks for and return the answer."""
-        match told["command"]:
+        match request["command"]:
             case "time":
                 return {"time_s": self.clock.monotonic()}, None
             case "load":
-                self._sequence = SEQUENCE.validate_python(told["sequence"])
-                self._projector(told).load(self._sequence)
-            case "show" if told["number"] == WHITE:
-                self._projector(told).white()
+                self._sequence = SEQUENCE.validate_python(request["sequence"])
+                self._projector(request).load(self._sequence)
+            case "show" if request["number"] == WHITE:
+                self._projector(request).white()
             case "show":
-                self._projector(told).show(told["number"])
+                self._projector(request).show(request["number"])
             case "dark":
-                self._projector(told).dark()
+                self._projector(request).dark()
             case "arm":
-                self._camera(told).arm(told["exposure"])
+                self._camera(request).arm(request["exposure"])
             case "trigger":
-                self.rig.trigger.fire({told["camera"]: self._camera(told)})
+                self.rig.trigger.fire({request["camera"]: self._camera(request)})
             case "read":
-                frame = self._camera(told).read(told["timeout_s"])
+                frame = self._camera(request).read(request["timeout_s"])
                 return {"number": frame.number, "time_s": frame.time_s}, frame.image
             case "disarm":
-                self._camera(told).disarm()
+                self._camera(request).disarm()
             case "stands":
-                deformation = DEFORMATION.validate_python(told["deformation"])
-                for hall in self._halls():
-                    hall.setting = replace(hall.setting, deformation=deformation)
+                deformation = DEFORMATION.validate_python(request["deformation"])
+                for room in self._rooms():
+                    room.setting = replace(room.setting, deformation=deformation)
             case "elsewhere":
-                self._light_elsewhere(told)
+                self._light_elsewhere(request)
             case command:
                 raise InvalidInput(f"there is no request '{command}'")
         return {}, None
 
-    def _light_elsewhere(self, told: Mapping[str, Any]) -> None:
+    def _light_elsewhere(self, request: Mapping[str, Any]) -> None:
         """Have simulated cameras see what a projector of another scanner shows."""
-        for hall in self._halls():
-            if told["number"] is None:
-                hall.darken(told["projector"])
+        for room in self._rooms():
+            if request["number"] is None:
+                room.darken(request["projector"])
             else:
-                hall.light(told["projector"], SEQUENCE.validate_python(told["sequence"]), told["number"])
+                room.light(
+                    request["projector"], SEQUENCE.validate_python(request["sequence"]), request["number"]
+                )
 
-    def _halls(self) -> list[Hall]:
+    def _rooms(self) -> list[VirtualRoom]:
         cameras = self.rig.cameras.values()
-        return list({id(c.hall): c.hall for c in cameras if isinstance(c, SimulatedCamera)}.values())
+        return list({id(c.room): c.room for c in cameras if isinstance(c, SimulatedCamera)}.values())
 
-    def _camera(self, told: Mapping[str, Any]) -> Any:
-        return self._known(self.rig.cameras, told["camera"])
+    def _camera(self, request: Mapping[str, Any]) -> Any:
+        return self._known(self.rig.cameras, request["camera"])
 
-    def _projector(self, told: Mapping[str, Any]) -> Any:
-        return self._known(self.rig.projectors, told["projector"])
+    def _projector(self, request: Mapping[str, Any]) -> Any:
+        return self._known(self.rig.projectors, request["projector"])
 
     def _known(self, sensors: Mapping[str, Any], name: str) -> Any:
         if name not in sensors:

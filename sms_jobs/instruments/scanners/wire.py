@@ -89,9 +89,9 @@ class Wire:
         threading.Thread(target=self._hear, name="link-ear", daemon=True).start()
         threading.Thread(target=self._beat, name="link-heart", daemon=True).start()
 
-    def send(self, told: Mapping[str, Any], image: bytes | memoryview = b"") -> None:
+    def send(self, message: Mapping[str, Any], image: bytes | memoryview = b"") -> None:
         """Send a message, with an image if there is one; raise `WireEnded` when the other end is gone."""
-        self._send(_MESSAGE, json.dumps(told).encode(), image)
+        self._send(_MESSAGE, json.dumps(message).encode(), image)
 
     def receive(self, patience_s: float | None = None) -> Message | None:
         """Return the next message, or None when none comes in time.
@@ -180,9 +180,9 @@ class Wire:
             )
         text, image = self._taken(text_bytes), self._taken(image_bytes)
         self._check(self._receives.next(text, image))
-        told = json.loads(text)
-        if isinstance(told, dict):
-            return told, image
+        message = json.loads(text)
+        if isinstance(message, dict):
+            return message, image
         raise ValueError("a message came that is no JSON object")
 
     def _check(self, expected: bytes) -> None:

@@ -1,4 +1,4 @@
-"""Simulated cameras and projectors in one hall: what a projector shows is what the cameras see."""
+"""Simulated cameras and projectors in one room: what a projector shows is what the cameras see."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Setting:
 
 
 @dataclass
-class Hall:
+class VirtualRoom:
     """The room in which the instruments of a virtual rig stand.
 
     Attributes
@@ -123,7 +123,7 @@ class SimulatedProjector:
     """A projector of the virtual rig."""
 
     name: str
-    hall: Hall
+    room: VirtualRoom
     settle_s: float = 0.0
     _sequence: FringeSequence = field(default_factory=FringeSequence)
 
@@ -137,17 +137,17 @@ class SimulatedProjector:
 
     def show(self, number: int) -> None:
         """Show a pattern; it is on when this returns."""
-        self.hall.light(self.name, self._sequence, range(self._sequence.frames_per_exposure)[number])
-        self.hall.clock.sleep(self.settle_s)
+        self.room.light(self.name, self._sequence, range(self._sequence.frames_per_exposure)[number])
+        self.room.clock.sleep(self.settle_s)
 
     def white(self) -> None:
         """Show full brightness."""
-        self.hall.light(self.name, self._sequence, WHITE)
-        self.hall.clock.sleep(self.settle_s)
+        self.room.light(self.name, self._sequence, WHITE)
+        self.room.clock.sleep(self.settle_s)
 
     def dark(self) -> None:
         """Show nothing."""
-        self.hall.darken(self.name)
+        self.room.darken(self.name)
 
 
 @dataclass
@@ -155,7 +155,7 @@ class SimulatedCamera:
     """A camera of the virtual rig, with faults on demand."""
 
     name: str
-    hall: Hall
+    room: VirtualRoom
     faults: tuple[OpticalFault, ...] = ()
     _exposure: float | None = None
     _triggers: int = 0
@@ -167,8 +167,8 @@ class SimulatedCamera:
     def facts(self) -> CameraFacts:
         """What does not change about it."""
         sensor, noise = (
-            self.hall.setting.scene.rig.sensor(self.name),
-            Noise.of(self.hall.setting.scene.camera),
+            self.room.setting.scene.rig.sensor(self.name),
+            Noise.of(self.room.setting.scene.camera),
         )
         read_noise = (noise.read_noise**2 + 1.0 / 12.0) ** 0.5  # with the rounding to whole grey levels
         return CameraFacts(sensor.columns, sensor.rows, "uint16", noise.full_scale, noise.gain, read_noise)
@@ -191,20 +191,20 @@ class SimulatedCamera:
         self._number += 1
         if any(f.frame == self._triggers for f in self._here("dropped-frame")):
             return
-        image = self.hall.view(self.name, self._exposure)
+        image = self.room.view(self.name, self._exposure)
         if any(f.frame == self._triggers for f in self._here("flash")):
             self._flashes = 3
         if self._flashes:
             self._flashes -= 1
-            noise = Noise.of(self.hall.setting.scene.camera)
+            noise = Noise.of(self.room.setting.scene.camera)
             image = np.minimum(image + _FLASH * noise.full_scale, noise.full_scale).astype(np.uint16)
-        self._waiting.append(Frame(self._number, self.hall.clock.monotonic(), image))
+        self._waiting.append(Frame(self._number, self.room.clock.monotonic(), image))
 
     def read(self, timeout_s: float) -> Frame:
         """Return the oldest frame that was not read."""
         self._plugged_in()
         if not self._waiting:
-            self.hall.clock.sleep(timeout_s)
+            self.room.clock.sleep(timeout_s)
             raise FrameLost(f"camera {self.name} delivered no frame within {timeout_s:g} s of its trigger")
         return self._waiting.pop(0)
 
@@ -213,7 +213,7 @@ class SimulatedCamera:
         self._exposure = None
 
     def _here(self, fault: str) -> list[OpticalFault]:
-        return [f for f in self.faults if f.fault == fault and f.state in ("", self.hall.setting.state)]
+        return [f for f in self.faults if f.fault == fault and f.state in ("", self.room.setting.state)]
 
     def _has(self, fault: str) -> bool:
         return any(self._triggers >= f.frame for f in self._here(fault))

@@ -21,7 +21,7 @@ from sms_jobs.instruments.cameras.aravis import DRIVER, AravisSettings, AravisSt
 from sms_jobs.instruments.clock import RealClock
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.genicam_cameras import GenicamCamera, steps_between
-from sms_jobs.instruments.optical_drivers import Surroundings
+from sms_jobs.instruments.optical_drivers import DriverContext
 from sms_jobs.instruments.protocols import Frame
 
 COLUMNS, ROWS = 160, 120
@@ -36,9 +36,9 @@ def peer() -> Iterator[None]:
 
 
 @pytest.fixture
-def place(peer: None) -> Iterator[Surroundings]:
+def context(peer: None) -> Iterator[DriverContext]:
     with ExitStack() as ending:
-        yield Surroundings(RealClock(), ending)
+        yield DriverContext(RealClock(), ending)
 
 
 def taken(camera: GenicamCamera) -> Frame:
@@ -72,8 +72,8 @@ def ramp(first: int, exposure_ms: float) -> NDArray[np.uint8]:
     return np.minimum((x + y + first) % 255 * (1.0 + log10(exposure_ms / 10.0)), 255.0).astype(np.uint8)
 
 
-def test_every_trigger_is_one_frame(place: Surroundings) -> None:
-    camera = connect(SETTINGS, place)
+def test_every_trigger_is_one_frame(context: DriverContext) -> None:
+    camera = connect(SETTINGS, context)
     camera.arm(1.0)
     first = int(seen(camera)[0, 0])
     for step in range(1, 4):
@@ -85,8 +85,8 @@ def test_every_trigger_is_one_frame(place: Surroundings) -> None:
     assert (camera.facts.dtype, camera.facts.full_scale) == ("uint8", 255)
 
 
-def test_exposures_are_multiples_of_the_cameras_own(place: Surroundings) -> None:
-    camera = connect(SETTINGS, place)
+def test_exposures_are_multiples_of_the_cameras_own(context: DriverContext) -> None:
+    camera = connect(SETTINGS, context)
     numbers, before = [], None
     for exposure in (1.0, 2.0, 0.5):
         camera.arm(exposure)
@@ -102,26 +102,26 @@ def test_exposures_are_multiples_of_the_cameras_own(place: Surroundings) -> None
         camera.arm(2000.0)
 
 
-def test_without_an_exposure_the_cameras_own_is_kept(place: Surroundings) -> None:
-    camera = connect(replace(SETTINGS, exposure_ms=0.0), place)
+def test_without_an_exposure_the_cameras_own_is_kept(context: DriverContext) -> None:
+    camera = connect(replace(SETTINGS, exposure_ms=0.0), context)
     camera.arm(1.0)
     seen(camera)
     with pytest.raises(DeviceFault, match="its rig file says nothing of its exposure"):
         camera.arm(2.0)
 
 
-def test_times_are_those_of_the_rig(place: Surroundings) -> None:
-    camera = connect(SETTINGS, place)
+def test_times_are_those_of_the_rig(context: DriverContext) -> None:
+    camera = connect(SETTINGS, context)
     camera.arm(1.0)
     for _ in range(4):
-        begun = place.clock.monotonic()
+        begun = context.clock.monotonic()
         frame = taken(camera)
         # The first frame sets the camera's clock, at most by what it took to come too late.
-        assert begun - 1.0 < frame.time_s <= place.clock.monotonic()
+        assert begun - 1.0 < frame.time_s <= context.clock.monotonic()
 
 
-def test_sixteen_bits(place: Surroundings) -> None:
-    camera = connect(replace(SETTINGS, pixel_format="Mono16"), place)
+def test_sixteen_bits(context: DriverContext) -> None:
+    camera = connect(replace(SETTINGS, pixel_format="Mono16"), context)
     camera.arm(1.0)
     image = seen(camera)
     assert (camera.facts.dtype, camera.facts.full_scale) == ("uint16", 65535)
@@ -145,15 +145,15 @@ def test_sixteen_bits(place: Surroundings) -> None:
         ({"features": {"BinningVertical": 99}}, "BinningVertical = 99, and allows 1 to 16"),
     ],
 )
-def test_what_a_camera_refuses_is_named(place: Surroundings, wrong: dict[str, Any], message: str) -> None:
+def test_what_a_camera_refuses_is_named(context: DriverContext, wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(DeviceFault, match=f"camera C1 .*{message}"):
-        connect(replace(SETTINGS, **wrong), place)
+        connect(replace(SETTINGS, **wrong), context)
 
 
-def test_other_features_region_and_gain(place: Surroundings) -> None:
+def test_other_features_region_and_gain(context: DriverContext) -> None:
     features = {"TestRegister": 7, "AcquisitionFrameRate": 12.5, "TriggerActivation": "RisingEdge"}
     camera = connect(
-        replace(SETTINGS, features=features, offset_x=8, offset_y=4, gain=1.0, columns=80, rows=60), place
+        replace(SETTINGS, features=features, offset_x=8, offset_y=4, gain=1.0, columns=80, rows=60), context
     )
     camera.arm(1.0)
     image = seen(camera)
@@ -164,15 +164,15 @@ def test_other_features_region_and_gain(place: Surroundings) -> None:
 
 
 def test_frames_that_nobody_asked_for_are_not_taken_for_others(
-    place: Surroundings, caplog: pytest.LogCaptureFixture
+    context: DriverContext, caplog: pytest.LogCaptureFixture
 ) -> None:
-    camera = connect(SETTINGS, place)
+    camera = connect(SETTINGS, context)
     camera.arm(1.0)
     first = taken(camera)
     while not queued(camera):
         camera._features.execute("TriggerSoftware")  # as noise on a line would
-        deadline = place.clock.monotonic() + TIMEOUT_S
-        while not queued(camera) and place.clock.monotonic() < deadline:
+        deadline = context.clock.monotonic() + TIMEOUT_S
+        while not queued(camera) and context.clock.monotonic() < deadline:
             pass
     second = taken(camera)
     # By the gap the recorder knows, and shows the pattern again.
@@ -181,8 +181,8 @@ def test_frames_that_nobody_asked_for_are_not_taken_for_others(
     assert "C1 delivered 1 frames without being triggered" in caplog.text
 
 
-def test_a_camera_that_cannot_be_triggered_begins_anew(place: Surroundings) -> None:
-    camera = connect(replace(SETTINGS, trigger="acquisition"), place)
+def test_a_camera_that_cannot_be_triggered_begins_anew(context: DriverContext) -> None:
+    camera = connect(replace(SETTINGS, trigger="acquisition"), context)
     camera.arm(1.0)
     with pytest.raises(FrameLost):
         camera.read(0.05)
@@ -190,9 +190,9 @@ def test_a_camera_that_cannot_be_triggered_begins_anew(place: Surroundings) -> N
         assert taken(camera).number == number
 
 
-def test_a_camera_that_is_not_there(place: Surroundings) -> None:
+def test_a_camera_that_is_not_there(context: DriverContext) -> None:
     with pytest.raises(LinkLost, match=r"camera C1 does not answer.*whether `arv-tool-0.8` lists 'Nobody-1'"):
-        connect(replace(SETTINGS, device="Nobody-1"), place)
+        connect(replace(SETTINGS, device="Nobody-1"), context)
 
 
 def test_without_the_library_its_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -203,7 +203,7 @@ def test_without_the_library_its_package_is_named(monkeypatch: pytest.MonkeyPatc
             ExitStack() as ending,
             pytest.raises(ConfigurationError, match="apt-get install aravis-tools-cli"),
         ):
-            connect(SETTINGS, Surroundings(RealClock(), ending))
+            connect(SETTINGS, DriverContext(RealClock(), ending))
     finally:
         aravis.library.cache_clear()
 

@@ -16,7 +16,7 @@ from sms_jobs.errors import ConfigurationError, DeviceFault, FrameLost, LinkLost
 from sms_jobs.instruments.cameras.genicam import GentlSettings, connect
 from sms_jobs.instruments.clock import RealClock
 from sms_jobs.instruments.genicam_cameras import Delivered
-from sms_jobs.instruments.optical_drivers import Surroundings
+from sms_jobs.instruments.optical_drivers import DriverContext
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="harvesters is installed for the tests on Linux alone"
@@ -38,20 +38,20 @@ def settings() -> GentlSettings:
 
 
 @pytest.fixture
-def place() -> Iterator[Surroundings]:
+def context() -> Iterator[DriverContext]:
     with ExitStack() as ending:
-        yield Surroundings(RealClock(), ending)
+        yield DriverContext(RealClock(), ending)
 
 
-def test_every_trigger_is_one_frame(settings: GentlSettings, place: Surroundings) -> None:
-    camera = connect(settings, place)
+def test_every_trigger_is_one_frame(settings: GentlSettings, context: DriverContext) -> None:
+    camera = connect(settings, context)
     camera.arm(1.0)
     for number in (1, 2, 3):
-        begun = place.clock.monotonic()
+        begun = context.clock.monotonic()
         camera.trigger()
         frame = camera.read(TIMEOUT_S)
         assert frame.number == number
-        assert begun < frame.time_s <= place.clock.monotonic()
+        assert begun < frame.time_s <= context.clock.monotonic()
         # A game of squash in black and white: both are there, and a ball is far smaller than the court.
         assert frame.image.shape == (ROWS, COLUMNS)
         assert set(np.unique(frame.image)) == {0, 255}
@@ -60,8 +60,8 @@ def test_every_trigger_is_one_frame(settings: GentlSettings, place: Surroundings
     camera.disarm()
 
 
-def test_frames_are_numbered_by_the_camera(settings: GentlSettings, place: Surroundings) -> None:
-    stream = connect(settings, place)._stream
+def test_frames_are_numbered_by_the_camera(settings: GentlSettings, context: DriverContext) -> None:
+    stream = connect(settings, context)._stream
     for _ in range(2):  # each acquisition counts from 1
         got: list[Delivered] = []
         stream.start()
@@ -73,10 +73,10 @@ def test_frames_are_numbered_by_the_camera(settings: GentlSettings, place: Surro
         assert [delivered.number for delivered in got] == [1, 2, 3]
 
 
-def test_two_cameras_of_one_producer(settings: GentlSettings, place: Surroundings) -> None:
+def test_two_cameras_of_one_producer(settings: GentlSettings, context: DriverContext) -> None:
     first, second = (
-        connect(settings, place),
-        connect(replace(settings, name="C2", device="1", rows=100), place),
+        connect(settings, context),
+        connect(replace(settings, name="C2", device="1", rows=100), context),
     )
     for camera in (first, second):
         camera.arm(1.0)
@@ -86,8 +86,8 @@ def test_two_cameras_of_one_producer(settings: GentlSettings, place: Surrounding
     assert second.describe() == "1, 160 x 100 pixels Mono8, triggered by acquisition"
 
 
-def test_features_are_set_before_all_else(settings: GentlSettings, place: Surroundings) -> None:
-    camera = connect(replace(settings, features={"BouncingBallSize": 40, "ChunkModeActive": False}), place)
+def test_features_are_set_before_all_else(settings: GentlSettings, context: DriverContext) -> None:
+    camera = connect(replace(settings, features={"BouncingBallSize": 40, "ChunkModeActive": False}), context)
     told = camera._features
     assert told.get("BouncingBallSize") == 40
     assert told.get("ChunkModeActive") is False
@@ -108,22 +108,22 @@ def test_features_are_set_before_all_else(settings: GentlSettings, place: Surrou
     ],
 )
 def test_what_a_camera_refuses_is_named(
-    settings: GentlSettings, place: Surroundings, wrong: dict[str, Any], message: str
+    settings: GentlSettings, context: DriverContext, wrong: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(DeviceFault, match=f"camera C1 .*{message}"):
-        connect(replace(settings, **wrong), place)
+        connect(replace(settings, **wrong), context)
 
 
-def test_what_is_not_there(settings: GentlSettings, place: Surroundings) -> None:
+def test_what_is_not_there(settings: GentlSettings, context: DriverContext) -> None:
     with pytest.raises(LinkLost, match=r"'9': the producer lists VikyTL_DEV_red \(serial number 0\), Viky"):
-        connect(replace(settings, device="9"), place)
+        connect(replace(settings, device="9"), context)
     with pytest.raises(LinkLost, match=r"the producer 'none\.cti', which is no file: install the camera's"):
-        connect(replace(settings, producer="none.cti"), place)
+        connect(replace(settings, producer="none.cti"), context)
 
 
 def test_without_the_package_its_extra_is_named(
-    settings: GentlSettings, place: Surroundings, monkeypatch: pytest.MonkeyPatch
+    settings: GentlSettings, context: DriverContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "harvesters.core", None)
     with pytest.raises(ConfigurationError, match=r"pip install 'sms-jobs\[genicam\]'"):
-        connect(settings, place)
+        connect(settings, context)

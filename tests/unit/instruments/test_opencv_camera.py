@@ -16,7 +16,7 @@ from sms_jobs.errors import DeviceFault, FrameLost, InvalidInput, LinkLost
 from sms_jobs.formats.rig_configuration import SIMULATED_SENSORS, parse_rig
 from sms_jobs.instruments.cameras.opencv import DRIVER, OpencvCamera, OpencvSettings, connect
 from sms_jobs.instruments.clock import RealClock
-from sms_jobs.instruments.optical_drivers import Surroundings
+from sms_jobs.instruments.optical_drivers import DriverContext
 
 COLUMNS, ROWS = 64, 48
 SETTINGS = OpencvSettings("C1", COLUMNS, ROWS, "opencv", 0.2, 1.5)
@@ -47,7 +47,7 @@ def images(folder: Path, frames: NDArray[Any]) -> str:
 
 
 def opened(settings: OpencvSettings) -> OpencvCamera:
-    return connect(settings, Surroundings(RealClock(), ExitStack()))
+    return connect(settings, DriverContext(RealClock(), ExitStack()))
 
 
 def test_frames_before_the_trigger_are_thrown_away(video: str, frames: NDArray[np.uint8]) -> None:

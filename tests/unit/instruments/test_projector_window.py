@@ -16,7 +16,7 @@ from support.display import COLUMNS, ROWS, Display, display
 
 from sms_jobs.errors import ConfigurationError, DeviceFault, InvalidInput, LinkLost
 from sms_jobs.instruments.clock import SimulatedClock
-from sms_jobs.instruments.optical_drivers import Surroundings
+from sms_jobs.instruments.optical_drivers import DriverContext
 from sms_jobs.instruments.projectors.window import WindowProjector, WindowSettings, connect, grey_levels
 from sms_jobs.records.measurement import FringeSequence
 
@@ -31,16 +31,16 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Display]:
 
 
 @pytest.fixture
-def place(hidden: Display, monkeypatch: pytest.MonkeyPatch) -> Iterator[Surroundings]:
+def context(hidden: Display, monkeypatch: pytest.MonkeyPatch) -> Iterator[DriverContext]:
     monkeypatch.setenv("DISPLAY", hidden.name)
     monkeypatch.setenv("SDL_VIDEODRIVER", "x11")
     with ExitStack() as ending:
-        yield Surroundings(SimulatedClock(), ending)
+        yield DriverContext(SimulatedClock(), ending)
 
 
 @pytest.fixture
-def projector(place: Surroundings) -> WindowProjector:
-    return connect(SETTINGS, place)
+def projector(context: DriverContext) -> WindowProjector:
+    return connect(SETTINGS, context)
 
 
 def test_every_pattern_is_shown_pixel_for_pixel(projector: WindowProjector, hidden: Display) -> None:
@@ -68,8 +68,8 @@ def test_random_pictures_arrive_unchanged(
         np.testing.assert_array_equal(hidden.grab(), np.repeat(levels[:, :, None], 3, axis=2))
 
 
-def test_white_dark_and_the_first_picture(place: Surroundings, hidden: Display) -> None:
-    projector = connect(SETTINGS, place)
+def test_white_dark_and_the_first_picture(context: DriverContext, hidden: Display) -> None:
+    projector = connect(SETTINGS, context)
     assert (hidden.grab() == 0).all()
     projector.white()
     assert (hidden.grab() == 255).all()
@@ -77,13 +77,13 @@ def test_white_dark_and_the_first_picture(place: Surroundings, hidden: Display) 
     assert (hidden.grab() == 0).all()
 
 
-def test_a_picture_is_on_when_it_has_settled(place: Surroundings) -> None:
-    projector = connect(replace(SETTINGS, settle_ms=250.0), place)
-    begun = place.clock.monotonic()
+def test_a_picture_is_on_when_it_has_settled(context: DriverContext) -> None:
+    projector = connect(replace(SETTINGS, settle_ms=250.0), context)
+    begun = context.clock.monotonic()
     projector.load(SEQUENCE)
     projector.show(0)
     projector.white()
-    assert place.clock.monotonic() == pytest.approx(begun + 0.5)
+    assert context.clock.monotonic() == pytest.approx(begun + 0.5)
 
 
 def test_a_response_is_compensated() -> None:
@@ -95,8 +95,8 @@ def test_a_response_is_compensated() -> None:
         assert np.abs(shown - wanted).max() <= max(0.5 / 255.0 * gamma, (0.5 / 255.0) ** gamma)
 
 
-def test_projectors_behind_a_splitter_share_a_display(place: Surroundings, hidden: Display) -> None:
-    first, second = connect(SETTINGS, place), connect(replace(SETTINGS, name="P2"), place)
+def test_projectors_behind_a_splitter_share_a_display(context: DriverContext, hidden: Display) -> None:
+    first, second = connect(SETTINGS, context), connect(replace(SETTINGS, name="P2"), context)
     assert first.screen is second.screen
     second.white()
     assert (hidden.grab() == 255).all()
@@ -111,19 +111,19 @@ def test_a_display_is_opened_again_and_again(hidden: Display, monkeypatch: pytes
     monkeypatch.setenv("SDL_VIDEODRIVER", "x11")
     for _ in range(3):
         with ExitStack() as ending:
-            connect(SETTINGS, Surroundings(SimulatedClock(), ending)).white()
+            connect(SETTINGS, DriverContext(SimulatedClock(), ending)).white()
             assert (hidden.grab() == 255).all()
         assert not (hidden.grab() == 255).all()
 
 
-def test_a_display_of_another_size_is_refused(place: Surroundings) -> None:
+def test_a_display_of_another_size_is_refused(context: DriverContext) -> None:
     with pytest.raises(DeviceFault, match=r"display 0 has 320 x 200 pixels, projector P1 1920 x 1080: set"):
-        connect(replace(SETTINGS, columns=1920, rows=1080), place)
+        connect(replace(SETTINGS, columns=1920, rows=1080), context)
 
 
-def test_a_display_that_is_not_there(place: Surroundings) -> None:
+def test_a_display_that_is_not_there(context: DriverContext) -> None:
     with pytest.raises(LinkLost, match="there is no display 3, but 1, counted from 0; connect the projector"):
-        connect(replace(SETTINGS, display=3), place)
+        connect(replace(SETTINGS, display=3), context)
 
 
 def test_a_window_that_was_closed_is_told(projector: WindowProjector) -> None:
@@ -145,7 +145,7 @@ def test_without_a_display_nothing_is_projected_into_the_void(
     if wanted is not None:
         monkeypatch.setenv("SDL_VIDEODRIVER", wanted)
     with ExitStack() as ending, pytest.raises(LinkLost, match="this process sees no display to project on"):
-        connect(SETTINGS, Surroundings(SimulatedClock(), ending))
+        connect(SETTINGS, DriverContext(SimulatedClock(), ending))
 
 
 def test_without_the_package_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,15 +154,15 @@ def test_without_the_package_its_extra_is_named(monkeypatch: pytest.MonkeyPatch)
         ExitStack() as ending,
         pytest.raises(ConfigurationError, match=r"pip install 'sms-jobs\[projector\]'"),
     ):
-        connect(SETTINGS, Surroundings(SimulatedClock(), ending))
+        connect(SETTINGS, DriverContext(SimulatedClock(), ending))
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="signal masks are read from /proc")
-def test_a_job_that_projects_can_still_be_terminated(place: Surroundings) -> None:
+def test_a_job_that_projects_can_still_be_terminated(context: DriverContext) -> None:
     # What ran in this process before may have left a handler; a job's process has none.
     before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
-        connect(SETTINGS, place).white()
+        connect(SETTINGS, context).white()
         status = Path("/proc/self/status").read_text(encoding="ascii")
         caught = int(status.partition("SigCgt:")[2].split()[0], 16)
         assert not caught >> 14 & 1  # SIGTERM, number 15, has its own effect
@@ -177,8 +177,8 @@ def test_where_there_is_no_x_server_pixels_are_read_back(
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     columns, rows = 1024, 768
     with ExitStack() as ending:
-        place = Surroundings(SimulatedClock(), ending)
-        projector = connect(replace(SETTINGS, columns=columns, rows=rows), place)
+        context = DriverContext(SimulatedClock(), ending)
+        projector = connect(replace(SETTINGS, columns=columns, rows=rows), context)
         levels = rng.integers(0, 256, (rows, columns), dtype=np.uint8)
         projector.screen.show(levels)
         np.testing.assert_array_equal(projector.screen.drawn(), np.repeat(levels[:, :, None], 3, axis=2))

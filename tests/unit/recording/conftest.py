@@ -1,4 +1,4 @@
-"""A small virtual hall with simulated cameras and projectors."""
+"""A small virtual room with simulated cameras and projectors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from sms_jobs.instruments.clock import SimulatedClock
 from sms_jobs.instruments.protocols import Channel
 from sms_jobs.instruments.recorder import ConnectedRig
-from sms_jobs.instruments.simulated.optics import Hall, Setting, SimulatedCamera, SimulatedProjector
+from sms_jobs.instruments.simulated.optics import Setting, SimulatedCamera, SimulatedProjector, VirtualRoom
 from sms_jobs.records.optical_instruments import OpticalFault
 from sms_jobs.records.sensors import Rig
 from sms_jobs.virtual_rig.campaigns import Lens, aimed, small_plate
@@ -37,15 +37,15 @@ def make_rig(clock: SimulatedClock) -> MakeRig:
     def make(
         faults: dict[str, tuple[OpticalFault, ...]] | None = None, channels: dict[str, Channel] | None = None
     ) -> ConnectedRig:
-        hall = Hall(Setting(scene, "S00", ()), clock)
+        room = VirtualRoom(Setting(scene, "S00", ()), clock)
         names = [s.name for s in scene.rig.sensors]
         return ConnectedRig(
             "virtual",
-            {n: SimulatedCamera(n, hall, (faults or {}).get(n, ())) for n in names if n.startswith("C")},
-            {n: SimulatedProjector(n, hall, 0.05) for n in names if n.startswith("P")},
+            {n: SimulatedCamera(n, room, (faults or {}).get(n, ())) for n in names if n.startswith("C")},
+            {n: SimulatedProjector(n, room, 0.05) for n in names if n.startswith("P")},
             clock,
             channels=channels or {},
-            simulation=hall.simulation,
+            simulation=room.simulation,
         )
 
     return make

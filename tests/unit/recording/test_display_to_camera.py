@@ -20,7 +20,7 @@ from support.display import COLUMNS, ROWS, Display, display
 from sms_jobs.instruments.cameras import opencv
 from sms_jobs.instruments.cameras.opencv import OpencvSettings
 from sms_jobs.instruments.clock import RealClock
-from sms_jobs.instruments.optical_drivers import Surroundings
+from sms_jobs.instruments.optical_drivers import DriverContext
 from sms_jobs.instruments.projectors import window
 from sms_jobs.instruments.projectors.window import WindowSettings
 from sms_jobs.instruments.protocols import Camera
@@ -51,7 +51,7 @@ def test_what_is_projected_is_what_is_recorded(tmp_path: Path, monkeypatch: pyte
     with display(tmp_path) as hidden, ExitStack() as ending:
         monkeypatch.setenv("DISPLAY", hidden.name)
         monkeypatch.setenv("SDL_VIDEODRIVER", "x11")
-        place = Surroundings(RealClock(), ending)
+        place = DriverContext(RealClock(), ending)
         projector = window.connect(WindowSettings("P1", COLUMNS, ROWS, "window", settle_ms=0.0), place)
         photographer = Photographer(hidden, seen)
         # OpenCV counts the images first, and reads each in its turn.

@@ -20,7 +20,7 @@ from sms_jobs.instruments.recorder import (
     record_state,
     recorded,
 )
-from sms_jobs.instruments.simulated.optics import Hall, SimulatedCamera
+from sms_jobs.instruments.simulated.optics import SimulatedCamera, VirtualRoom
 from sms_jobs.instruments.simulated.rig import SimulatedRig
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import OpticalFault
@@ -52,10 +52,10 @@ def record(rig: ConnectedRig, spool: Path, told: Told | None = None, limits: Lim
     return told
 
 
-def hall_of(rig: ConnectedRig) -> Hall:
+def room_of(rig: ConnectedRig) -> VirtualRoom:
     camera = rig.cameras["C1"]
     assert isinstance(camera, SimulatedCamera)
-    return camera.hall
+    return camera.room
 
 
 def test_every_pair_gets_the_frames_that_it_would_see(
@@ -64,8 +64,8 @@ def test_every_pair_gets_the_frames_that_it_would_see(
     rig = make_rig()
     told = record(rig, tmp_path / "s")
     assert told.fractions == sorted(told.fractions)
-    hall = hall_of(rig)
-    seen = SimulatedRig(hall.setting.scene, "S00", (), rig.clock.now())
+    room = room_of(rig)
+    seen = SimulatedRig(room.setting.scene, "S00", (), rig.clock.now())
     for view in VIEWS:
         assert is_finished(tmp_path / "s", view)
         measurement, recording = recorded(tmp_path / "s", view, SEQUENCE)
@@ -86,7 +86,7 @@ def test_every_pair_gets_the_frames_that_it_would_see(
         assert recording.verdict.modulation > 0.05
     assert not any(interrupted(tmp_path / "s", view, SEQUENCE) for view in VIEWS)
     # In the dark, and no longer armed.
-    assert not hall.view("C1", 1.0).any()
+    assert not room.view("C1", 1.0).any()
 
 
 def test_a_lost_frame_is_taken_again(make_rig: Callable[..., ConnectedRig], tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_a_lost_frame_is_taken_again(make_rig: Callable[..., ConnectedRig], tmp_
     begun = rig.clock.monotonic()
     record(rig, tmp_path / "s")
     assert rig.clock.monotonic() - begun > FRAME_TIMEOUT_S
-    expected = SimulatedRig(hall_of(rig).setting.scene, "S00", (), rig.clock.now())
+    expected = SimulatedRig(room_of(rig).setting.scene, "S00", (), rig.clock.now())
     for view in VIEWS:
         measurement, recording = recorded(tmp_path / "s", view, SEQUENCE)
         assert recording.retaken == (1 if view.endswith("P1") else 0)
@@ -169,7 +169,7 @@ def test_a_recording_that_is_stopped_leaves_the_hall_dark(
     rig = make_rig()
     with pytest.raises(Cancelled):
         record(rig, tmp_path / "s", Told(stop_at=7))
-    assert not hall_of(rig).view("C1", 1.0).any()
+    assert not room_of(rig).view("C1", 1.0).any()
     assert interrupted_after(tmp_path / "s", make_rig()) == [("C1P1", 7), ("C2P1", 7)]
 
 
@@ -255,7 +255,7 @@ def test_a_disk_without_room_is_told_before_anything_is_recorded(
             return replace(super().facts, rows=10**7, columns=10**7)  # 5 PB of frames
 
     rig = make_rig()
-    rig = replace(rig, cameras={**rig.cameras, "C2": Huge("C2", hall_of(rig))})
+    rig = replace(rig, cameras={**rig.cameras, "C2": Huge("C2", room_of(rig))})
     with pytest.raises(StorageFull, match="the frames of this state need"):
         record(rig, tmp_path / "s")
     assert not list((tmp_path / "s").iterdir())

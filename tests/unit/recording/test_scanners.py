@@ -220,9 +220,9 @@ def test_a_scanner_whose_client_is_gone_rests() -> None:
         lent.obey({"command": "show", "projector": "P1", "number": -1})
         camera = rig.cameras["C1"]
         assert isinstance(camera, SimulatedCamera)
-        assert camera.hall.view("C1", 1.0).any()
+        assert camera.room.view("C1", 1.0).any()
         lent.rest()
-        assert not camera.hall.view("C1", 1.0).any()
+        assert not camera.room.view("C1", 1.0).any()
         camera.trigger()  # one that is not armed takes nothing
         with pytest.raises(FrameLost):
             camera.read(0.0)
