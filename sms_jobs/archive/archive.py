@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,6 @@ from sms_jobs.archive.limits import LARGEST_TEXT_BYTES
 from sms_jobs.archive.place import probe
 from sms_jobs.archive.provenance import (
     Found,
-    InputReference,
     Provenance,
     Recorded,
     Sealed,
@@ -31,9 +29,7 @@ from sms_jobs.archive.provenance import (
 )
 from sms_jobs.archive.sealing import copy_file, make_folders, safe_file, sealing, sha256_of, sync
 from sms_jobs.errors import ArchiveCorrupt, ConfigurationError, InvalidInput, OtherFormat
-from sms_jobs.records.calibration import Acceptance
-from sms_jobs.records.campaign import CampaignDefinition, Subject
-from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.campaign import Subject
 
 DATASET_MEDIA_TYPE = "application/x-hdf5"
 
@@ -143,95 +139,11 @@ class Archive:
                 beside.write_text(json.dumps(about, indent=1), encoding="utf-8")
         return sealed
 
-    def seal_calibration(
-        self,
-        calibration: Calibration,
-        created_at: datetime,
-        *,
-        program_version: str,
-        host: str,
-        operator: str,
-        inputs: tuple[InputReference, ...] = (),
-        parameters: Mapping[str, Any] | None = None,
-        job_id: str = "",
-        beside: Mapping[str, Any] | None = None,
-    ) -> Sealed:
-        """Store a calibration under `calibrations/<rig>`, and beside it what belongs to it: its covariance.
-
-        `job_id` is empty when a person brought it in. Several of one rig may be brought in within a second:
-        the second has attempt 2 in its name.
-        """
-        provenance = Provenance(
-            kind="calibration",
-            kind_version=1,
-            subject=Subject(layout.CALIBRATIONS, calibration.rig.name),
-            job_id=job_id,
-            attempt=1,
-            created_at=created_at,
-            parameters=parameters or {},
-            inputs=inputs,
-            program_version=program_version,
-            host=host,
-            operator=operator,
-        )
-        return self._seal_next({"calibration": calibration, **(beside or {})}, provenance)
-
-    def seal_acceptance(
-        self,
-        acceptance: Acceptance,
-        calibration: InputReference,
-        created_at: datetime,
-        *,
-        program_version: str,
-        host: str,
-        operator: str,
-    ) -> Sealed:
-        """Store a decision about a calibration beside it: a catalogue that is rebuilt comes to the same."""
-        provenance = Provenance(
-            kind="acceptance",
-            kind_version=1,
-            subject=Subject(layout.CALIBRATIONS, acceptance.rig),
-            job_id="",
-            attempt=1,
-            created_at=created_at,
-            parameters={},
-            inputs=(calibration,),
-            program_version=program_version,
-            host=host,
-            operator=operator,
-        )
-        return self._seal_next({"acceptance": acceptance}, provenance)
-
-    def seal_campaign(
-        self,
-        definition: CampaignDefinition,
-        created_at: datetime,
-        *,
-        program_version: str,
-        host: str,
-        operator: str,
-    ) -> Sealed:
-        """Store what a campaign is: a catalogue can then be rebuilt from the archive alone."""
-        provenance = Provenance(
-            kind="campaign",
-            kind_version=1,
-            subject=Subject(definition.campaign.name),
-            job_id="",
-            attempt=1,
-            created_at=created_at,
-            parameters={},
-            inputs=(),
-            program_version=program_version,
-            host=host,
-            operator=operator,
-        )
-        return self._seal_next({"campaign": definition}, provenance)
-
-    def _seal_next(self, records: Mapping[str, Any], provenance: Provenance) -> Sealed:
-        """Store what no job made under the first attempt whose name is free."""
+    def with_free_name(self, provenance: Provenance) -> Provenance:
+        """Return a provenance with the first attempt from its own on whose dataset is not there."""
         while self.path(layout.dataset_path(provenance)).exists():
             provenance = replace(provenance, attempt=provenance.attempt + 1)
-        return self.seal_dataset(records, provenance)
+        return provenance
 
     def open(self, file: Recorded) -> AbstractContextManager[ArchivedDataset]:
         """Open a dataset file that the catalogue knows, for reading.

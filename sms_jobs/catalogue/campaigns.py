@@ -83,6 +83,37 @@ def described(state: LoadState) -> dict[str, Any]:
     }
 
 
+def bring_up_to_date(session: Session, row: CampaignRow, after: Campaign) -> None:
+    """Give a campaign of the catalogue the definition that continues its own."""
+    define(row, after)
+    rows = {
+        r.label: r for r in session.scalars(select(LoadStateRow).where(LoadStateRow.campaign_id == row.id))
+    }
+    for position, state in enumerate(after.states):
+        state_row = rows.get(state.label)
+        if state_row is None:
+            state_row = LoadStateRow(campaign_id=row.id, label=state.label, position=position)
+            session.add(state_row)
+        recorded_at = state_row.time
+        for name, value in described(state).items():
+            setattr(state_row, name, value)
+        state_row.time = state.time or recorded_at
+        rows[state.label] = state_row
+    session.flush()
+    of_campaign = select(ChannelRow).join(LoadStateRow, LoadStateRow.id == ChannelRow.state_id)
+    known = {
+        (channel.state_id, channel.name): channel
+        for channel in session.scalars(of_campaign.where(LoadStateRow.campaign_id == row.id))
+    }
+    for state in after.states:
+        for name, value in state.channels.items():
+            number = rows[state.label].id
+            if (channel := known.get((number, name))) is None:
+                session.add(ChannelRow(state_id=number, name=name, value=value))
+            else:
+                channel.value = value
+
+
 def number_of_campaigns(session: Session) -> int:
     """Return how many campaigns there are."""
     return session.scalar(select(func.count()).select_from(CampaignRow)) or 0

@@ -6,145 +6,27 @@ and somebody certified, or the first of a rig, for the whole rig; any other not 
 
 from __future__ import annotations
 
-import getpass
-import socket
 from datetime import datetime, timedelta
 
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-import sms_jobs
-from sms_jobs.archive import Archive, InputReference, Sealed
-from sms_jobs.catalogue import campaigns, search, valid_calibrations
+from sms_jobs.archive import Archive, InputReference, Provenance
+from sms_jobs.catalogue import campaigns, search
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import (
-    AcceptanceRow,
-    CalibrationRow,
-    FileRow,
-    ProvenanceRow,
-    RigRow,
-)
-from sms_jobs.catalogue.valid_calibrations import Sensors
-from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.jobs.entering import enter_file, entered_or_discarded
+from sms_jobs.catalogue.models import AcceptanceRow
+from sms_jobs.errors import InvalidInput
+from sms_jobs.jobs import decisions
+from sms_jobs.jobs.indexing import ACCEPTANCE
+from sms_jobs.jobs.repository import Repository, brought_in
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.calibration import Acceptance
-from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.sensors import Rig
-from sms_jobs.records.views import role_of, view_of
-
-ACCEPTANCE = "acceptance"
-"""The source of files that say whether a calibration is used."""
+from sms_jobs.records.campaign import RESERVED_NAME, Subject
 
 
-def seal(archive: Archive, acceptance: Acceptance, path: str, now: datetime) -> Sealed:
-    """Store a decision about the calibration that lies at a path."""
-    return archive.seal_acceptance(
-        acceptance,
-        InputReference(CALIBRATION, CALIBRATION, path, acceptance.calibration),
-        now,
-        program_version=sms_jobs.__version__,
-        host=socket.gethostname(),
-        operator=getpass.getuser(),
-    )
-
-
-def enter(session: Session, acceptance: Acceptance, sealed: Sealed, now: datetime) -> None:
-    """Index a sealed decision about a calibration that the catalogue knows."""
-    decide(session, acceptance, now, enter_file(session, sealed, ACCEPTANCE, now).id)
-
-
-def decide(session: Session, acceptance: Acceptance, at: datetime, file_id: int) -> None:
-    """Make a decision count whose file is in the catalogue.
-
-    Raises
-    ------
-    Conflict
-        The rig or the campaign has other sensors.
-    InvalidInput
-        The catalogue does not know the calibration.
-    NotFound
-        It does not know the campaign.
-    """
-    row = session.scalar(
-        select(CalibrationRow)
-        .join(FileRow, FileRow.id == CalibrationRow.file_id)
-        .join(RigRow, RigRow.id == CalibrationRow.rig_id)
-        .where(
-            FileRow.source == CALIBRATION,
-            FileRow.content_hash == acceptance.calibration,
-            RigRow.name == acceptance.rig,
-        )
-    )
-    if row is None:
-        raise InvalidInput(
-            f"the calibration of rig {acceptance.rig} with the contents {acceptance.calibration[:12]}... is "
-            "not in the catalogue: bring it in, then reindex again"
-        )
-    if acceptance.in_use:
-        what = f"calibration {row.id} of rig {acceptance.rig}"
-        if acceptance.campaign is None:
-            _refuse_other_than_rig(session, row.sensors, row.rig_id, what)
-        else:
-            _refuse_other_than_campaign(session, row.sensors, acceptance.campaign, what)
-    valid_calibrations.decide(session, row.id, acceptance, at, file_id)
-    session.add(ProvenanceRow(output_id=file_id, role=CALIBRATION, input_id=row.file_id))
-
-
-def has_one(session: Session, rig: str) -> bool:
-    """Say whether a rig has a calibration that is used for all of its campaigns."""
-    row = session.scalar(select(RigRow).where(RigRow.name == rig))
-    return row is not None and bool(valid_calibrations.used_for_rig(session, row.id))
-
-
-def is_used(session: Session, number: int, campaign: str = "") -> bool:
-    """Say whether a calibration is used for its rig, or for a campaign alone."""
-    row = session.get(AcceptanceRow, (number, campaign))
-    return row is not None and row.in_use
-
-
-def refuse_other_sensors(session: Session, rig: Rig) -> None:
-    """Raise `Conflict` where a rig is known with other sensors than these."""
-    row = session.scalar(select(RigRow).where(RigRow.name == rig.name))
-    if row is not None:
-        what = f"the calibration of rig {rig.name}"
-        _refuse_other_than_rig(session, valid_calibrations.sensors_of(rig), row.id, what)
-
-
-def _refuse_other_than_rig(session: Session, sensors: Sensors, rig_id: int, what: str) -> None:
-    for used in valid_calibrations.used_for_rig(session, rig_id):
-        if used.sensors != sensors:
-            raise Conflict(
-                f"{what} is of {_named(sensors)}, and calibration {used.number}, which is in use for that "
-                f"rig, of {_named(used.sensors)}: a rig with other sensors needs a name of its own"
-            )
-
-
-def _refuse_other_than_campaign(session: Session, sensors: Sensors, name: str, what: str) -> None:
-    known = _sensors_of(campaigns.definition(campaigns.campaign_row(session, name)))
-    other = {n: s for n, s in known.items() if any(sensors.get(n, {}).get(k) != v for k, v in s.items())}
-    if other:
-        raise Conflict(
-            f"{what} is of {_named(sensors)}, and campaign {name} is measured by {_named(other)}: choose a "
-            "calibration of its sensors; see 'sms calibration list'"
-        )
-
-
-def _sensors_of(campaign: Campaign) -> Sensors:
-    """Return what a campaign says of its sensors: of a virtual rig all, of others what their names tell."""
-    if campaign.scene is not None:
-        return valid_calibrations.sensors_of(campaign.scene.rig)
-    names = dict.fromkeys(name for view in campaign.views for name in view_of(view).sensors)
-    told = {n: {"role": role_of(n).value} for n in names}
-    sizes = () if campaign.session is None else campaign.session.sensors
-    return told | {s.name: {**told.get(s.name, {}), "columns": s.columns, "rows": s.rows} for s in sizes}
-
-
-def _named(sensors: Sensors) -> str:
-    return ", ".join(
-        f"{name} ({sensor['columns']} x {sensor['rows']} px)" if "columns" in sensor else name
-        for name, sensor in sensors.items()
-    )
+def decided(acceptance: Acceptance, path: str, at: datetime) -> Provenance:
+    """Return the provenance of a decision about the calibration that lies at a path."""
+    about = InputReference(CALIBRATION, CALIBRATION, path, acceptance.calibration)
+    return brought_in(ACCEPTANCE, Subject(RESERVED_NAME, acceptance.rig), at, inputs=(about,))
 
 
 def accept(
@@ -180,19 +62,15 @@ def accept(
         view = search.calibration_view(session, number)
         if campaign is not None:
             _refuse_other_rig(session, view.rig, campaign, number)
-        if is_used(session, number, campaign or "") == in_use:
+        acceptance = Acceptance(view.rig, view.content_hash, campaign, in_use)
+        if decisions.is_made(session, acceptance):
             return False
-        content = session.scalars(select(FileRow.content_hash).where(FileRow.path == view.path)).one()
         last = session.get(AcceptanceRow, (number, campaign or ""))
         if last is not None:
             # A clock that was set back must not make the earlier decision the later one.
             now = max(now, last.decided_at + timedelta(microseconds=1))
-    acceptance = Acceptance(view.rig, content, campaign, in_use)
-    with entered_or_discarded(archive) as made:
-        made.append(seal(archive, acceptance, view.path, now))
-        with catalogue.writing() as session:
-            enter(session, acceptance, made[0], now)
-    return True
+    provenance = decided(acceptance, view.path, now)
+    return Repository(catalogue, archive).put({ACCEPTANCE: acceptance}, provenance, now).new
 
 
 def _refuse_other_rig(session: Session, rig: str, campaign: str, number: int) -> None:

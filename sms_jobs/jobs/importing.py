@@ -1,4 +1,4 @@
-"""Enters what was measured elsewhere: sealed first, then indexed, or neither; the same content once.
+"""Enters what was measured elsewhere: the same content once.
 
 Each tuple is one sealed file and one transaction. What a file was made from is told by a hash of its sources
 in its provenance, so that a second import finds what is there and changes nothing.
@@ -6,33 +6,23 @@ in its provenance, so that a second import finds what is there and changes nothi
 
 from __future__ import annotations
 
-import getpass
-import socket
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any, Literal, TypeAlias
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-import sms_jobs
-from sms_jobs.archive import Archive, Provenance, Sealed, layout
-from sms_jobs.catalogue import campaigns, lineage
+from sms_jobs.archive import Archive
+from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import (
-    CampaignRow,
-    ChannelRow,
-    FileRow,
-    LoadStateRow,
-    MeasurementRow,
-    ResultRow,
-)
-from sms_jobs.catalogue.valid_calibrations import note_time
+from sms_jobs.catalogue.models import CampaignRow, FileRow, LoadStateRow, MeasurementRow
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.importers.readings import Reading
-from sms_jobs.jobs.entering import enter_file, entered_or_discarded
-from sms_jobs.jobs.registration import index_definition, seal_definition
+from sms_jobs.jobs.indexing import CAMPAIGN
+from sms_jobs.jobs.registration import defined
+from sms_jobs.jobs.repository import Repository, brought_in
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.calibration.sessions import OBSERVE_BOARD
 from sms_jobs.kinds.kind import MEASUREMENT
@@ -132,14 +122,13 @@ def import_measurement(
         )
     with catalogue.reading() as session:
         before = _measurements(session, subject)
-    told = {SOURCE_HASH: source_sha256, **parameters}
-    with entered_or_discarded(archive) as made:
-        sealed = _seal(archive, subject, {MEASUREMENT: measurement}, told, now)
-        made.append(sealed)
-        with catalogue.writing() as session:
-            _require_same(_measurements(session, subject), before, str(subject))
-            _index(session, subject, sealed, measurement.recorded_at, now)
-    return Known(known.status, sealed.path)
+    kept = Repository(catalogue, archive).put(
+        {MEASUREMENT: measurement},
+        brought_in(MEASUREMENT, subject, now, parameters={SOURCE_HASH: source_sha256, **parameters}),
+        now,
+        lambda session: _require_same(_measurements(session, subject), before, str(subject)),
+    )
+    return Known(known.status, kept.path)
 
 
 def _require_same(now: object, before: object, what: str) -> None:
@@ -161,63 +150,11 @@ def import_observations(
     """
     kind = kind_named(OBSERVE_BOARD)
     subjects = [Subject(campaign.name, label, campaign.views[0]) for label in observations]
-    with entered_or_discarded(archive) as sealed:
+    with Repository(catalogue, archive).batch() as batch:
         for subject, observation in zip(subjects, observations.values(), strict=True):
-            records = {BOARD.name: observation}
-            sealed.append(_seal(archive, subject, records, parameters, now, kind.name, kind.version))
-        with catalogue.writing() as session:
-            for subject, file in zip(subjects, sealed, strict=True):
-                row = _file(session, subject, file, now, kind.name)
-                session.add(ResultRow(file_id=row.id, kind=kind.name, kind_version=kind.version))
-
-
-def _seal(
-    archive: Archive,
-    subject: Subject,
-    records: Mapping[str, Any],
-    parameters: Mapping[str, Any],
-    now: datetime,
-    kind: str = MEASUREMENT,
-    version: int = 1,
-) -> Sealed:
-    provenance = Provenance(
-        kind=kind,
-        kind_version=version,
-        subject=subject,
-        job_id="",
-        attempt=1,
-        created_at=now,
-        parameters=parameters,
-        inputs=(),
-        program_version=sms_jobs.__version__,
-        host=socket.gethostname(),
-        operator=getpass.getuser(),
-    )
-    # Several may be brought in within a second.
-    while archive.path(layout.dataset_path(provenance)).exists():
-        provenance = replace(provenance, attempt=provenance.attempt + 1)
-    return archive.seal_dataset(records, provenance)
-
-
-def _index(session: Session, subject: Subject, sealed: Sealed, recorded_at: datetime, now: datetime) -> None:
-    file = _file(session, subject, sealed, now, MEASUREMENT)
-    session.add(
-        MeasurementRow(
-            file_id=file.id, state_id=file.state_id, view=subject.view or "", recorded_at=recorded_at
-        )
-    )
-    lineage.note_recording(session, file, recorded_at, {})
-    assert file.state_id is not None
-    note_time(session, file.state_id, recorded_at)
-
-
-def _file(session: Session, subject: Subject, sealed: Sealed, now: datetime, source: str) -> FileRow:
-    campaign_id = campaigns.campaign_id(session, subject.campaign)
-    label = subject.state or ""
-    state_id = campaigns.state_ids(session, campaign_id, [label])[label]
-    return enter_file(
-        session, sealed, source, now, campaign_id=campaign_id, state_id=state_id, view=subject.view
-    )
+            provenance = brought_in(kind.name, subject, now, version=kind.version, parameters=parameters)
+            batch.seal({BOARD.name: observation}, provenance)
+        batch.enter(now)
 
 
 def with_states(campaign: Campaign, labels: Iterable[str]) -> Campaign:
@@ -299,48 +236,24 @@ def amend_campaign(
             f"campaign {before.name} can be given states and readings, nothing else of it changes"
         )
     with catalogue.reading() as session:
-        plan = campaigns.campaign_row(session, before.name).plan
-    with entered_or_discarded(archive) as sealed:
-        sealed.append(seal_definition(archive, CampaignDefinition(after, plan), now))
-        with catalogue.writing() as session:
-            row = campaigns.campaign_row(session, before.name)
-            _require_same(campaigns.definition(row), before, f"campaign {before.name}")
-            bring_up_to_date(session, row, after)
-            index_definition(session, before.name, sealed[0], now)
+        row = campaigns.campaign_row(session, before.name)
+        # A clock that was set back must not make the earlier definition the later one.
+        defined_at = session.scalar(
+            select(func.max(FileRow.created_at)).where(
+                FileRow.campaign_id == row.id, FileRow.source == CAMPAIGN
+            )
+        )
+        now = now if defined_at is None else max(now, defined_at + timedelta(microseconds=1))
+
+    def check(session: Session) -> None:
+        present = campaigns.definition(campaigns.campaign_row(session, before.name))
+        _require_same(present, before, f"campaign {before.name}")
+
+    definition = CampaignDefinition(after, row.plan)
+    Repository(catalogue, archive).put({CAMPAIGN: definition}, defined(before.name, now), now, check)
 
 
 def continues(before: Campaign, after: Campaign) -> bool:
     """Say whether a campaign is another one with further states behind its own, or other readings of them."""
     same = replace(after, states=before.states) == before
     return same and [s.label for s in after.states[: len(before.states)]] == [s.label for s in before.states]
-
-
-def bring_up_to_date(session: Session, row: CampaignRow, after: Campaign) -> None:
-    """Give a campaign of the catalogue the definition that continues its own."""
-    campaigns.define(row, after)
-    rows = {
-        r.label: r for r in session.scalars(select(LoadStateRow).where(LoadStateRow.campaign_id == row.id))
-    }
-    for position, state in enumerate(after.states):
-        state_row = rows.get(state.label)
-        if state_row is None:
-            state_row = LoadStateRow(campaign_id=row.id, label=state.label, position=position)
-            session.add(state_row)
-        recorded_at = state_row.time
-        for name, value in campaigns.described(state).items():
-            setattr(state_row, name, value)
-        state_row.time = state.time or recorded_at
-        rows[state.label] = state_row
-    session.flush()
-    of_campaign = select(ChannelRow).join(LoadStateRow, LoadStateRow.id == ChannelRow.state_id)
-    known = {
-        (channel.state_id, channel.name): channel
-        for channel in session.scalars(of_campaign.where(LoadStateRow.campaign_id == row.id))
-    }
-    for state in after.states:
-        for name, value in state.channels.items():
-            number = rows[state.label].id
-            if (channel := known.get((number, name))) is None:
-                session.add(ChannelRow(state_id=number, name=name, value=value))
-            else:
-                channel.value = value

@@ -13,8 +13,8 @@ from sms_jobs.archive import Archive, Checker, Found, Provenance, layout
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.models import CampaignRow, FileRow
 from sms_jobs.errors import SmsError
-from sms_jobs.jobs.importing import bring_up_to_date, continues
-from sms_jobs.jobs.registration import CAMPAIGN
+from sms_jobs.jobs.importing import continues
+from sms_jobs.jobs.indexing import CAMPAIGN
 from sms_jobs.records.campaign import Campaign, CampaignDefinition
 
 
@@ -68,21 +68,6 @@ class PastDefinitions:
         entered.append(mine)
         entered.sort(key=lambda each: each.since)
         return None
-
-    def enter(self, session: Session, one: Found) -> None:
-        """Make the campaign of the catalogue what a definition says, unless a later one is known."""
-        name, since = one.provenance.subject.campaign, one.provenance.created_at
-        with self._archive.open(one.sealed) as dataset:
-            definition = dataset.read("campaign", CampaignDefinition)
-        row = _row(session, name)
-        if row is None:
-            campaigns.add_campaign(session, definition.campaign, since, definition.plan)
-            return
-        later = select(FileRow.id).where(
-            FileRow.campaign_id == row.id, FileRow.source == CAMPAIGN, FileRow.created_at > since
-        )
-        if session.scalar(later) is None:
-            bring_up_to_date(session, row, definition.campaign)
 
     def at(self, session: Session, provenance: Provenance) -> Campaign | None:
         """Return what a campaign was when a file of it was made; None where nothing says what it is."""

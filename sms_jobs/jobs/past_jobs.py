@@ -13,6 +13,7 @@ from sms_jobs.archive import Provenance
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.models import DependencyRow, EventRow, FileRow, JobRow
 from sms_jobs.errors import SmsError
+from sms_jobs.jobs.indexing import source_of
 from sms_jobs.jobs.planning import covering
 from sms_jobs.jobs.reuse import reuse_key
 from sms_jobs.kinds import all_kinds
@@ -21,12 +22,6 @@ from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.job import ACTIVE, JobState
 
 _OF_UNKNOWN_KINDS = "cpu"
-
-
-def source_of(provenance: Provenance) -> str:
-    """Return what the outputs of a job are found as: measurements, or results of its kind."""
-    kind = all_kinds().get(provenance.kind)
-    return (kind.makes if kind is not None else "") or provenance.kind
 
 
 def objection(session: Session, provenance: Provenance, newest_attempt: int) -> str | None:

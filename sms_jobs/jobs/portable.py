@@ -35,7 +35,7 @@ from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, StorageFull
 from sms_jobs.formats import research_crate as crate
 from sms_jobs.formats.research_crate import CrateFile
 from sms_jobs.jobs import lineage_documents
-from sms_jobs.jobs.registration import CAMPAIGN
+from sms_jobs.jobs.indexing import CAMPAIGN
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.campaign import Subject
 

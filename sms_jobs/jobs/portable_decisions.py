@@ -18,8 +18,8 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CampaignRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs import acceptances, reindexing
-from sms_jobs.jobs.acceptances import ACCEPTANCE
-from sms_jobs.jobs.registration import CAMPAIGN
+from sms_jobs.jobs.indexing import ACCEPTANCE, CAMPAIGN
+from sms_jobs.jobs.repository import Repository
 from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import Campaign, CampaignDefinition
 
@@ -131,7 +131,9 @@ def seal_missing(
             with suppress(SmsError):
                 left[path] = acceptances.read(archive, path)
     paths = {path for path, told in left.items() if told.campaign in names}
+    repository = Repository(catalogue, archive)
     for one in wanted:
         if one.path is None and one.acceptance not in left.values():
-            paths.add(acceptances.seal(archive, one.acceptance, one.calibration, now).path)
+            provenance = acceptances.decided(one.acceptance, one.calibration, now)
+            paths.add(repository.seal({ACCEPTANCE: one.acceptance}, provenance).sealed.path)
     return paths

@@ -1,36 +1,31 @@
-"""Enters a campaign and the calibration of its rig: sealed first, then indexed, or neither.
+"""Enters a campaign and the calibration of its rig.
 
 A campaign's definition is sealed too, so that a catalogue can be rebuilt from the archive alone.
 """
 
 from __future__ import annotations
 
-import getpass
-import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
 from sqlalchemy import select
-from sqlalchemy.orm import Session
 
-import sms_jobs
-from sms_jobs.archive import Archive, InputReference, Sealed
-from sms_jobs.catalogue import campaigns, lineage, valid_calibrations
+from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
+from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CalibrationRow, FileRow, ProvenanceRow
-from sms_jobs.jobs import acceptances
-from sms_jobs.jobs.entering import enter_file, entered_or_discarded
+from sms_jobs.catalogue.models import CalibrationRow, FileRow
+from sms_jobs.jobs import decisions
+from sms_jobs.jobs.acceptances import decided
+from sms_jobs.jobs.indexing import ACCEPTANCE, CAMPAIGN, calibration_file
 from sms_jobs.jobs.planning import checked_parameters
+from sms_jobs.jobs.repository import Repository, brought_in
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.calibration import Acceptance
-from sms_jobs.records.campaign import Campaign, CampaignDefinition
+from sms_jobs.records.campaign import RESERVED_NAME, Campaign, CampaignDefinition, Subject
 from sms_jobs.records.sensors import Calibration
-
-CAMPAIGN = "campaign"
-"""The source of files that define campaigns."""
 
 
 def register_campaign(
@@ -54,37 +49,18 @@ def register_campaign(
         checked_parameters(kind_named(name), parameters)
     with catalogue.reading() as session:
         campaigns.refuse_taken_name(session, campaign.name)
-    with entered_or_discarded(archive) as sealed:
-        sealed.append(seal_definition(archive, CampaignDefinition(campaign, plan), now))
+    with Repository(catalogue, archive).batch() as batch:
+        batch.seal({CAMPAIGN: CampaignDefinition(campaign, plan)}, defined(campaign.name, now))
         if calibration is not None:
-            sealed.append(_seal(archive, calibration, now))
-            own = Acceptance(calibration.rig.name, sealed[-1].content_hash, campaign.name)
-            sealed.append(acceptances.seal(archive, own, _path(catalogue, sealed[-1]), now))
-        with catalogue.writing() as session:
-            campaigns.add_campaign(session, campaign, now, plan)
-            index_definition(session, campaign.name, sealed[0], now)
-            if calibration is not None:
-                _, same = _index(session, calibration, sealed[1], now)
-                acceptances.enter(session, own, sealed[2], now)
-    if calibration is not None and same:
-        archive.discard(sealed[1].path)
+            made = batch.seal({CALIBRATION: calibration}, _brought(calibration, now)).sealed
+            own = Acceptance(calibration.rig.name, made.content_hash, campaign.name)
+            batch.seal({ACCEPTANCE: own}, decided(own, _path(catalogue, made), now))
+        batch.enter(now, lambda session: campaigns.refuse_taken_name(session, campaign.name))
 
 
-def seal_definition(archive: Archive, definition: CampaignDefinition, now: datetime) -> Sealed:
-    """Store in the archive what a campaign is."""
-    return archive.seal_campaign(
-        definition,
-        now,
-        program_version=sms_jobs.__version__,
-        host=socket.gethostname(),
-        operator=getpass.getuser(),
-    )
-
-
-def index_definition(session: Session, name: str, sealed: Sealed, now: datetime) -> int:
-    """Index the sealed definition of a campaign that the catalogue knows; return the number of the file."""
-    number = campaigns.campaign_id(session, name)
-    return enter_file(session, sealed, CAMPAIGN, now, campaign_id=number).id
+def defined(campaign: str, at: datetime) -> Provenance:
+    """Return the provenance of what a campaign is."""
+    return brought_in(CAMPAIGN, Subject(campaign), at)
 
 
 @dataclass(frozen=True)
@@ -136,71 +112,28 @@ def register_calibration(
         Its rig is known with other sensors; nothing is changed.
     """
     with catalogue.reading() as session:
-        acceptances.refuse_other_sensors(session, calibration.rig)
-        accepted = accepted or not acceptances.has_one(session, calibration.rig.name)
-    with entered_or_discarded(archive) as sealed:
-        sealed.append(_seal(archive, calibration, now, inputs, beside))
-        acceptance = Acceptance(calibration.rig.name, sealed[0].content_hash)
+        decisions.refuse_other_sensors(session, calibration.rig)
+        accepted = accepted or not decisions.has_one(session, calibration.rig.name)
+    with Repository(catalogue, archive).batch() as batch:
+        records = {CALIBRATION: calibration, **(beside or {})}
+        made = batch.seal(records, _brought(calibration, now, inputs)).sealed
         if accepted:
-            sealed.append(acceptances.seal(archive, acceptance, _path(catalogue, sealed[0]), now))
-        with catalogue.writing() as session:
-            acceptances.refuse_other_sensors(session, calibration.rig)
-            number, same = _index(session, calibration, sealed[0], now, inputs)
-            in_use = acceptances.is_used(session, number)
-            again = accepted and in_use
-            if accepted and not in_use:
-                acceptances.enter(session, acceptance, sealed[1], now)
-    for file in (*sealed[:1] * same, *sealed[1:] * again):
-        archive.discard(file.path)
-    return Registered(number, not same, accepted or in_use)
+            acceptance = Acceptance(calibration.rig.name, made.content_hash)
+            batch.seal({ACCEPTANCE: acceptance}, decided(acceptance, _path(catalogue, made), now))
+        kept = batch.enter(now, lambda session: decisions.refuse_other_sensors(session, calibration.rig))[0]
+    with catalogue.reading() as session:
+        number = session.scalars(
+            select(CalibrationRow.id).where(CalibrationRow.file_id == kept.file_id)
+        ).one()
+        return Registered(number, kept.new, decisions.is_used(session, number))
 
 
-def _seal(
-    archive: Archive,
-    calibration: Calibration,
-    now: datetime,
-    inputs: tuple[InputReference, ...] = (),
-    beside: Mapping[str, Any] | None = None,
-) -> Sealed:
-    return archive.seal_calibration(
-        calibration,
-        now,
-        program_version=sms_jobs.__version__,
-        host=socket.gethostname(),
-        operator=getpass.getuser(),
-        inputs=inputs,
-        beside=beside,
-    )
+def _brought(calibration: Calibration, at: datetime, inputs: tuple[InputReference, ...] = ()) -> Provenance:
+    return brought_in(CALIBRATION, Subject(RESERVED_NAME, calibration.rig.name), at, inputs=inputs)
 
 
 def _path(catalogue: Catalogue, sealed: Sealed) -> str:
     """Return where a calibration lies by which the catalogue knows it: another file may be the same."""
-    query = select(FileRow.path).where(
-        FileRow.source == CALIBRATION, FileRow.content_hash == sealed.content_hash
-    )
     with catalogue.reading() as session:
-        return session.scalar(query) or sealed.path
-
-
-def _index(
-    session: Session,
-    calibration: Calibration,
-    sealed: Sealed,
-    now: datetime,
-    inputs: tuple[InputReference, ...] = (),
-) -> tuple[int, bool]:
-    """Index a sealed calibration; return its number, and whether another file of the same has it already."""
-    known = session.scalar(
-        select(CalibrationRow.id)
-        .join(FileRow, FileRow.id == CalibrationRow.file_id)
-        .where(FileRow.source == CALIBRATION, FileRow.content_hash == sealed.content_hash)
-    )
-    if known is not None:
-        return known, True
-    file = enter_file(session, sealed, CALIBRATION, now)
-    for given in inputs:
-        source = session.scalars(select(FileRow.id).where(FileRow.path == given.path)).one()
-        session.add(ProvenanceRow(output_id=file.id, role=given.role, input_id=source))
-    lineage.note_calibrations(session, file.id)
-    lineage.note_recordings(session, file)
-    return valid_calibrations.add_calibration(session, calibration, file.id), False
+        number = calibration_file(session, sealed.content_hash)
+        return sealed.path if number is None else session.get_one(FileRow, number).path

@@ -11,44 +11,21 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from itertools import groupby
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from sqlalchemy import select
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
-from sms_jobs.archive import (
-    DATASET_MEDIA_TYPE,
-    Archive,
-    Checker,
-    Found,
-    InputReference,
-    Provenance,
-    layout,
-)
-from sms_jobs.catalogue import campaigns, lineage, valid_calibrations
+from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, Checker, Found, Provenance, layout
+from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import (
-    CalibrationRow,
-    FileRow,
-    JobRow,
-    LoadStateRow,
-    MeasurementRow,
-    ProvenanceRow,
-    ResultRow,
-    StatisticRow,
-)
+from sms_jobs.catalogue.models import CalibrationRow, FileRow, JobRow
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, OtherFormat, SmsError
-from sms_jobs.jobs import acceptances, past_jobs
-from sms_jobs.jobs.acceptances import ACCEPTANCE
-from sms_jobs.jobs.entering import enter_file
+from sms_jobs.jobs import indexing, past_jobs
+from sms_jobs.jobs.indexing import ACCEPTANCE, CAMPAIGN
 from sms_jobs.jobs.past_definitions import PastDefinitions
-from sms_jobs.jobs.registration import CAMPAIGN
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
-from sms_jobs.kinds.products import RECORDED
-from sms_jobs.records.campaign import Subject
-from sms_jobs.records.measurement import Measurement
-from sms_jobs.records.sensors import Calibration
+from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
 Outcome: TypeAlias = Literal["indexed", "incomplete", "refused", "no-campaign", "too-new"]
@@ -242,7 +219,7 @@ def _judged(session: Session, archived: _Archived, one: Found) -> list[str]:
         found = archived.hashes.get(given.path) or session.scalar(
             select(FileRow.content_hash).where(FileRow.path == given.path)
         )
-        if found != given.content_hash and _input(session, given) is not None:
+        if found != given.content_hash and indexing.input_of(session, given) is not None:
             continue
         if found is None:
             lacking.append(f"{given.path} is not there; restore it from a backup")
@@ -252,12 +229,9 @@ def _judged(session: Session, archived: _Archived, one: Found) -> list[str]:
 
 
 def _judge_calibration(session: Session, one: Found) -> None:
-    number = session.scalar(
-        select(CalibrationRow.id)
-        .join(FileRow, FileRow.id == CalibrationRow.file_id)
-        .where(FileRow.source == CALIBRATION, FileRow.content_hash == one.sealed.content_hash)
-    )
-    if number is not None:
+    file_id = indexing.calibration_file(session, one.sealed.content_hash)
+    if file_id is not None:
+        number = session.scalar(select(CalibrationRow.id).where(CalibrationRow.file_id == file_id))
         raise _Refused(f"the same calibration is number {number} of the catalogue")
 
 
@@ -312,7 +286,7 @@ def _newest_attempt(archived: _Archived, path: str, provenance: Provenance) -> i
 def _newer(session: Session, one: Found) -> int | None:
     if one.sealed.media_type != DATASET_MEDIA_TYPE:
         return None
-    subject, source = one.provenance.subject, past_jobs.source_of(one.provenance)
+    subject, source = one.provenance.subject, indexing.source_of(one.provenance)
     number = campaigns.newest_file(session, source, subject, DATASET_MEDIA_TYPE)
     newest = None if number is None else session.get_one(FileRow, number)
     if newest is None or newest.job_id == one.provenance.job_id:
@@ -322,89 +296,17 @@ def _newer(session: Session, one: Found) -> int | None:
 
 def _enter(session: Session, archived: _Archived, one: Found) -> None:
     provenance = one.provenance
-    if provenance.kind == CAMPAIGN:
-        archived.definitions.enter(session, one)
-        _file_row(session, one, CAMPAIGN)
-    elif provenance.kind == CALIBRATION:
-        file = _file_row(session, one, CALIBRATION)
-        with archived.archive.open(one.sealed) as dataset:
-            valid_calibrations.add_calibration(session, dataset.read("calibration", Calibration), file.id)
-        _add_edges(session, one, file)
-    elif provenance.kind == ACCEPTANCE:
-        file = _file_row(session, one, ACCEPTANCE)
-        decision = acceptances.read(archived.archive, one.sealed.path)
-        acceptances.decide(session, decision, provenance.created_at, file.id)
-    else:
+    campaign = None
+    if provenance.kind not in (CAMPAIGN, CALIBRATION, ACCEPTANCE):
         campaign = archived.definitions.at(session, provenance)
         assert campaign is not None
         past_jobs.tell_again(session, campaign, provenance)
-        file = _file_row(session, one, past_jobs.source_of(provenance))
-        _describe_output(session, archived.archive, one, file)
-        _add_edges(session, one, file)
+
+    def read(name: str, record: type[Any]) -> Any:
+        with archived.archive.open(one.sealed) as dataset:
+            return dataset.read(name, record) if name in dataset.names else None
+
+    entry = indexing.entry_of(one.sealed, provenance, read)
+    indexing.index(session, entry, provenance.created_at)
+    if campaign is not None:
         past_jobs.make_reusable(session, campaign, provenance)
-
-
-def _file_row(session: Session, one: Found, source: str) -> FileRow:
-    campaign_id, state_id, view = (
-        (None, None, None) if source in (CALIBRATION, ACCEPTANCE) else _place(session, one.provenance.subject)
-    )
-    return enter_file(
-        session,
-        one.sealed,
-        source,
-        one.provenance.created_at,
-        campaign_id=campaign_id,
-        state_id=state_id,
-        view=view,
-        job_id=one.provenance.job_id or None,
-    )
-
-
-def _place(session: Session, subject: Subject) -> tuple[int, int | None, str | None]:
-    campaign_id = campaigns.campaign_id(session, subject.campaign)
-    if subject.state is None:
-        return campaign_id, None, None
-    state_id = session.scalar(
-        select(LoadStateRow.id).where(
-            LoadStateRow.campaign_id == campaign_id, LoadStateRow.label == subject.state
-        )
-    )
-    return campaign_id, state_id, subject.view
-
-
-def _describe_output(session: Session, archive: Archive, one: Found, file: FileRow) -> None:
-    if file.source == MEASUREMENT and file.state_id is not None and file.view is not None:
-        with archive.open(one.sealed) as dataset:
-            at = dataset.read(MEASUREMENT, Measurement).recorded_at
-            recorded = RECORDED.name in dataset.names
-            readings = dataset.read(RECORDED.name, RECORDED.record).readings() if recorded else {}
-        session.add(MeasurementRow(file_id=file.id, state_id=file.state_id, view=file.view, recorded_at=at))
-        lineage.note_recording(session, file, at, readings)
-        valid_calibrations.note_time(session, file.state_id, at)
-    else:
-        session.add(
-            ResultRow(file_id=file.id, kind=one.provenance.kind, kind_version=one.provenance.kind_version)
-        )
-    session.add_all(
-        StatisticRow(file_id=file.id, name=name, value=value)
-        for name, value in one.provenance.statistics.items()
-    )
-
-
-def _input(session: Session, given: InputReference) -> int | None:
-    """Return the number of an input; a calibration may have been entered from another file of the same."""
-    same = select(FileRow.id).where(FileRow.content_hash == given.content_hash)
-    number = session.scalar(same.where(FileRow.path == given.path))
-    if number is None and given.source == CALIBRATION:
-        number = session.scalar(same.where(FileRow.source == CALIBRATION))
-    return number
-
-
-def _add_edges(session: Session, one: Found, file: FileRow) -> None:
-    for given in one.provenance.inputs:
-        source = _input(session, given)
-        if source is not None:
-            session.add(ProvenanceRow(output_id=file.id, role=given.role, input_id=source))
-    lineage.note_calibrations(session, file.id)
-    if file.source != MEASUREMENT:
-        lineage.note_recordings(session, file)

@@ -20,9 +20,11 @@ from sms_jobs.archive import Archive, Checker, layout
 from sms_jobs.catalogue import campaigns, search
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import AcceptanceRow, CalibrationRow, CampaignRow, FileRow, JobRow
-from sms_jobs.jobs import acceptances, reindexing, retention
-from sms_jobs.jobs.acceptances import ACCEPTANCE
-from sms_jobs.jobs.registration import CAMPAIGN, index_definition, seal_definition
+from sms_jobs.jobs import reindexing, retention
+from sms_jobs.jobs.acceptances import decided
+from sms_jobs.jobs.indexing import ACCEPTANCE, CAMPAIGN
+from sms_jobs.jobs.registration import defined
+from sms_jobs.jobs.repository import Repository
 from sms_jobs.jobs.verification import Finding, Problem
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
@@ -192,13 +194,15 @@ def _seal_again(catalogue: Catalogue, archive: Archive, path: str, now: datetime
         row = campaigns.campaign_row(session, name)
     if not path.endswith("/") and archive.path(path).is_file():
         archive.set_aside(path)
+    definition = CampaignDefinition(campaigns.definition(row), row.plan)
+
+    def forget(session: Session) -> None:
+        old = session.scalar(select(FileRow.id).where(FileRow.path == path))
+        retention.forget(session, [] if old is None else [old])
+
     # With the time at which the campaign was registered, which a rebuilt catalogue then has again.
-    sealed = seal_definition(archive, CampaignDefinition(campaigns.definition(row), row.plan), row.created_at)
-    with catalogue.writing() as session:
-        old = session.scalar(select(FileRow).where(FileRow.path == path))
-        if old is not None:
-            retention.forget(session, [old.id])
-        index_definition(session, name, sealed, now)
+    provenance = defined(name, row.created_at)
+    Repository(catalogue, archive).put({CAMPAIGN: definition}, provenance, now, forget)
 
 
 def _decision(session: Session, path: str) -> AcceptanceRow | None:
@@ -217,8 +221,10 @@ def _decide_again(catalogue: Catalogue, archive: Archive, path: str, now: dateti
     told = Acceptance(rig, file.content_hash, row.campaign or None, row.in_use)
     if archive.path(path).is_file():
         archive.set_aside(path)
-    sealed = acceptances.seal(archive, told, file.path, row.decided_at)
-    with catalogue.writing() as session:
+
+    def forget(session: Session) -> None:
         session.execute(delete(AcceptanceRow).where(AcceptanceRow.file_id == row.file_id))
         retention.forget(session, [row.file_id])
-        acceptances.enter(session, told, sealed, row.decided_at)
+
+    provenance = decided(told, file.path, row.decided_at)
+    Repository(catalogue, archive).put({ACCEPTANCE: told}, provenance, row.decided_at, forget)

@@ -7,7 +7,6 @@ catalogue that is away is waited for, and an archive that cannot be used is no f
 
 from __future__ import annotations
 
-import getpass
 import logging
 import os
 import time
@@ -23,7 +22,7 @@ from typing import Any, TypeVar
 from sqlalchemy.orm import Session
 
 import sms_jobs
-from sms_jobs.archive import Archive, InputReference, Provenance, Sealed, layout
+from sms_jobs.archive import Archive, InputReference, Provenance, layout
 from sms_jobs.archive.place import require_usable, says_full, says_unusable
 from sms_jobs.catalogue.campaigns import Definitions
 from sms_jobs.catalogue.database import Catalogue
@@ -40,9 +39,10 @@ from sms_jobs.errors import (
     StorageUnusable,
 )
 from sms_jobs.jobs import indexing, lifecycle, outages, queues, recovery, reuse
-from sms_jobs.jobs.indexing import SealedOutput
+from sms_jobs.jobs.indexing import Entry
 from sms_jobs.jobs.lifecycle import Claim
 from sms_jobs.jobs.logs import logged
+from sms_jobs.jobs.repository import Repository, operator
 from sms_jobs.jobs.reuse import Earlier
 from sms_jobs.jobs.stations import Stations
 from sms_jobs.kinds import kind_named
@@ -96,6 +96,10 @@ class Runner:
     now: Callable[[], datetime]
     least_room_mb: float
     _definitions: Definitions = field(default_factory=Definitions, init=False, repr=False)
+
+    @property
+    def _repository(self) -> Repository:
+        return Repository(self.catalogue, self.archive)
 
     def run_queued(self) -> None:
         """Run queued jobs, the first of them first, until there are none.
@@ -189,7 +193,7 @@ class Runner:
         if held.attempt > 1 and (held.repeatable or kind.with_instruments):
             self._clear_leftovers(held)
         started = time.monotonic()
-        sealed: list[SealedOutput] = []
+        sealed: list[Entry] = []
         try:
             sealed.extend(self._sealed_outputs(kind, held, task))
         except BaseException:
@@ -211,7 +215,7 @@ class Runner:
         return self._told(held, end)
 
     def _succeed(
-        self, held: Claim, kind: Kind[Any], sealed: Sequence[SealedOutput], key: str, message: str
+        self, held: Claim, kind: Kind[Any], sealed: Sequence[Entry], key: str, message: str
     ) -> Claim | None:
         """End a job well, enter what it made into the catalogue, and return the next job."""
         fault = self._fault_beforehand()
@@ -219,7 +223,9 @@ class Runner:
         def end(session: Session) -> tuple[bool, Claim | None]:
             done = lifecycle.succeed(session, held, self.now(), message, reuse_key=key)
             if done:
-                indexing.add_outputs(session, held, kind, sealed, self.now())
+                now = self.now()
+                for entry in sealed:
+                    indexing.index(session, entry, now)
             else:
                 done = lifecycle.has_succeeded(session, held)  # it was told before, and this not heard
             return done, self._claim(session, fault) if done else None
@@ -235,16 +241,12 @@ class Runner:
         logger.info("job %s: done, %d files", held.job_id, len(sealed))
         return following
 
-    def _discard(self, held: Claim, kind: Kind[Any], sealed: Sequence[SealedOutput]) -> None:
+    def _discard(self, held: Claim, kind: Kind[Any], sealed: Sequence[Entry]) -> None:
         # What was measured and cannot be measured again is kept for the operator; with instruments, the
         # frames themselves are.
         if held.repeatable or kind.with_instruments:
-            for output in sealed:
-                try:
-                    self.archive.discard(output.file.path)
-                except OSError as error:
-                    # The next attempt clears it away.
-                    logger.warning("job %s: %s stays: %s", held.job_id, output.file.path, error)
+            # What stays, the next attempt clears away.
+            self._repository.discard(sealed)
 
     def _load(self, session: Session, kind: Kind[Any], held: Claim) -> _Task:
         definition = self._definitions.get(session, held.campaign_id, held.definition_hash)
@@ -275,15 +277,15 @@ class Runner:
                 logger.warning("job %s: discarding %s of an earlier attempt", held.job_id, path)
                 self.archive.discard(path)
 
-    def _sealed_outputs(self, kind: Kind[Any], held: Claim, task: _Task) -> Iterator[SealedOutput]:
+    def _sealed_outputs(self, kind: Kind[Any], held: Claim, task: _Task) -> Iterator[Entry]:
         progress = _ThrottledProgress(self, held)
         with ExitStack() as stack:
             datasets = {i.role: stack.enter_context(self.archive.open(i)) for i in task.inputs}
             inputs = Inputs(held.subject, task.context, datasets, self.threads, task.station)
             for output in map(kind.checked, kind.run(inputs, task.parameters, progress)):
-                yield indexing.sealed_output(output, self._seal(output, held, task))
+                yield self._seal(output, held, task)
 
-    def _seal(self, output: Output, held: Claim, task: _Task) -> Sealed:
+    def _seal(self, output: Output, held: Claim, task: _Task) -> Entry:
         provenance = Provenance(
             kind=held.kind,
             kind_version=kind_named(held.kind).version,
@@ -295,12 +297,12 @@ class Runner:
             inputs=tuple(InputReference(i.role, i.source, i.path, i.content_hash) for i in task.inputs),
             program_version=sms_jobs.__version__,
             host=self.host,
-            operator=_operator(),
+            operator=operator(),
         )
         if isinstance(output, DatasetOutput):
             numbers = {n: float(v) for n, v in output.statistics.items() if isfinite(v)}
-            return self.archive.seal_dataset(output.records, replace(provenance, statistics=numbers))
-        return self.archive.seal_document(output.filename, output.media_type, output.write, provenance)
+            return self._repository.seal(output.records, replace(provenance, statistics=numbers))
+        return self._repository.seal_document(output.filename, output.media_type, output.write, provenance)
 
     def _fail(self, held: Claim, error: BaseException) -> None:
         fault = self._fault_of_place(held) if held.repeatable else None
@@ -431,10 +433,3 @@ def _as_ours(error: Exception) -> Exception:
     if says_unusable(error):
         return StorageUnusable(f"the archive could not be used ({error}); look at its disk or share")
     return error
-
-
-def _operator() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return "unknown"

@@ -11,7 +11,6 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.campaigns import Definitions
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.jobs import lifecycle
-from sms_jobs.jobs.importing import bring_up_to_date
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import JobState
 
@@ -38,7 +37,7 @@ def test_a_definition_is_read_once_and_again_after_a_change(catalogue: Catalogue
     heated = replace(first.states[1], channels={"temperature_C": 80.0})
     after = replace(first, states=(first.states[0], heated))
     with catalogue.writing() as session:
-        bring_up_to_date(session, campaigns.campaign_row(session, "plate"), after)
+        campaigns.bring_up_to_date(session, campaigns.campaign_row(session, "plate"), after)
     assert of_next_job() == (after, 1)
     assert of_next_job() == (after, 0)
 

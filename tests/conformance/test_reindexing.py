@@ -20,7 +20,7 @@ from sms_jobs.formats.importers.readings import Reading
 from sms_jobs.jobs import reindexing
 from sms_jobs.jobs.importing import amend_campaign, with_readings, with_states
 from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.registration import register_calibration
+from sms_jobs.jobs.registration import defined, register_calibration
 from sms_jobs.jobs.reindexing import Reindexed
 from sms_jobs.records.campaign import Campaign, CampaignDefinition, Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
@@ -80,9 +80,7 @@ def test_an_empty_catalogue_is_rebuilt_equal_to_the_old_one(
 @pytest.mark.parametrize("campaign", [small_session("it"), small_plate("it")[1]], ids=["session", "test"])
 def test_a_campaign_is_read_as_it_was_sealed(tmp_path: Path, campaign: Campaign) -> None:
     archive, definition = Archive(tmp_path), CampaignDefinition(campaign, PLAN)
-    sealed = archive.seal_campaign(
-        definition, Clock()(), program_version="0.1.0", host="here", operator="somebody"
-    )
+    sealed = archive.seal_dataset({"campaign": definition}, defined("it", Clock()()))
     with archive.open(sealed) as dataset:
         assert dataset.read("campaign", CampaignDefinition) == definition
 
@@ -186,7 +184,7 @@ def test_a_later_definition_of_another_test_is_not_continued(
     with catalogue.reading() as session:
         campaign = campaigns.definition(campaigns.campaign_row(session, "plate"))
     other = CampaignDefinition(replace(campaign, rig="another"), None)
-    later = shapes.seal_campaign(other, clock(), program_version="0.1.0", host="here", operator="somebody")
+    later = shapes.seal_dataset({"campaign": other}, defined("plate", clock()))
     emptied(catalogue)
     told = {one.path: one for one in reindexed(catalogue, shapes)}
     definitions = [path for path in told if path.startswith("plate/campaign-")]

@@ -41,9 +41,10 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, ProvenanceRow, Table
 from sms_jobs.errors import NotFound
 from sms_jobs.jobs import indexing, lifecycle, recovery, reindexing, repair, retention, reuse, verification
-from sms_jobs.jobs.indexing import SealedOutput
+from sms_jobs.jobs.indexing import Entry
 from sms_jobs.jobs.lifecycle import Claim
 from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.repository import Repository
 from sms_jobs.jobs.submission import submit
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import MEASUREMENT
@@ -120,19 +121,22 @@ class ArchiveCare(RuleBasedStateMachine):
         with self.catalogue.writing() as session:
             if ends:
                 assert lifecycle.succeed(session, held, self.clock(), "done", reuse_key=key)
-                indexing.add_outputs(session, held, declared, outputs, self.clock())
+                now = self.clock()
+                for one in outputs:
+                    indexing.index(session, one, now)
             else:
                 lifecycle.change(session, held.job_id, JobState.FAILED, self.clock(), "no", fence=held.fence)
         if not ends:
             self.failed_jobs.add(held.job_id)
         for one in outputs:
             if ends:
-                self.known[one.file.path] = ""
+                self.known[one.sealed.path] = ""
             else:
-                self.besides[one.file.path] = "unknown"
+                self.besides[one.sealed.path] = "unknown"
 
-    def outputs(self, held: Claim, views: tuple[str, ...], inputs: Any) -> Iterator[SealedOutput]:
+    def outputs(self, held: Claim, views: tuple[str, ...], inputs: Any) -> Iterator[Entry]:
         records = kind_named(held.kind).makes == MEASUREMENT
+        repository = Repository(self.catalogue, self.archive)
         for subject in [Subject(held.subject.campaign, held.subject.state, p) for p in views]:
             numbers = {} if records else {"median_sigma_mm": float(self.rng.random())}
             came_from = Provenance(
@@ -151,17 +155,14 @@ class ArchiveCare(RuleBasedStateMachine):
             )
             if records:
                 recorded = replace(measurement(self.rng, 8, 6), recorded_at=came_from.created_at)
-                sealed = self.archive.seal_dataset({MEASUREMENT: recorded}, came_from)
-                yield SealedOutput(subject, sealed, {}, recorded.recorded_at, {})
+                yield repository.seal({MEASUREMENT: recorded}, came_from)
                 continue
-            sealed = self.archive.seal_dataset({"surface": point_cloud(self.rng)}, came_from)
-            yield SealedOutput(subject, sealed, numbers, None, {})
+            yield repository.seal({"surface": point_cloud(self.rng)}, came_from)
             came_from = Provenance(**{**vars(came_from), "statistics": {}})
             text = str(self.rng.random())
-            page = self.archive.seal_document(
+            yield repository.seal_document(
                 "page.txt", "text/plain", lambda path, text=text: path.write_text(text), came_from
             )
-            yield SealedOutput(subject, page, {}, None, {})
 
     # --- what goes wrong ------------------------------------------------------------------------------
 

@@ -27,14 +27,15 @@ from hypothesis.stateful import (
 from sqlalchemy import event, select, update
 from support.deployments import Deployment
 from support.job_model import HOSTS, QUEUES, Job, JobModel, Process, campaign
+from support.sealing import provenance
 
-from sms_jobs.archive import DATASET_MEDIA_TYPE, Sealed
+from sms_jobs.archive import DATASET_MEDIA_TYPE, InputReference, Sealed
 from sms_jobs.catalogue import schema
-from sms_jobs.catalogue.models import DependencyRow, JobRow
+from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow
 from sms_jobs.errors import Cancelled, Conflict, LeaseLost, NotFound, OverLimit
 from sms_jobs.jobs import doorbell, indexing, lifecycle, queues, recovery, reuse
 from sms_jobs.jobs.chosen import named
-from sms_jobs.jobs.indexing import SealedOutput
+from sms_jobs.jobs.indexing import Entry
 from sms_jobs.jobs.lifecycle import Claim
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.submission import submit
@@ -119,35 +120,43 @@ class JobLives(JobModel):
     @rule(process=processes)
     def succeed(self, process: Process) -> None:
         held, job, was_live = process.claim, self.jobs[process.claim.job_id], self.is_live(process)
-        key, kind = f"{held.kind} {held.subject}", kind_named(held.kind)
+        key = f"{held.kind} {held.subject}"
         outputs = self.outputs(held)
         with self.catalogue.writing() as session:
             earlier = reuse.earlier_success(session, key) if held.use_cache and held.repeatable else None
             reused = None if earlier is None else earlier.job_id
             done = lifecycle.succeed(session, held, self.now, "done", reuse_key=key, reused_from=reused)
             if done and earlier is None:
-                indexing.add_outputs(session, held, kind, outputs, self.now)
+                for one in outputs:
+                    indexing.index(session, one, self.now)
         assert done == was_live
         if done:
             self.go(held.job_id, JobState.SUCCEEDED)
             if earlier is None:
-                self.files.update(one.file.path for one in outputs)
+                self.files.update(one.sealed.path for one in outputs)
             else:
                 assert self.jobs[earlier.job_id].state is JobState.SUCCEEDED
                 assert (job.use_cache, job.repeatable) == (True, True)
 
-    def outputs(self, held: Claim) -> list[SealedOutput]:
+    def outputs(self, held: Claim) -> list[Entry]:
         """Return what a job makes: a recording, files of all views; every other, one."""
         subjects = [held.subject]
         if kind_named(held.kind).makes == MEASUREMENT:
             subjects = [replace(held.subject, view=view) for view in campaign().views]
+        given = (
+            select(DependencyRow.role, DependencyRow.source, FileRow.path, FileRow.content_hash)
+            .join(FileRow, FileRow.id == DependencyRow.file_id)
+            .where(DependencyRow.job_id == held.job_id)
+        )
+        with self.catalogue.reading() as session:
+            inputs = tuple(InputReference(*row) for row in session.execute(given))
         return [
-            SealedOutput(
-                subject,
+            Entry(
                 Sealed(f"{subject}/{held.kind}-{held.job_id}-{held.attempt}.h5", "0", 1, DATASET_MEDIA_TYPE),
-                {},
-                self.now if len(subjects) > 1 else None,
-                {},
+                provenance(
+                    kind=held.kind, subject=subject, job_id=held.job_id, attempt=held.attempt, inputs=inputs
+                ),
+                recorded_at=self.now if len(subjects) > 1 else None,
             )
             for subject in subjects
         ]

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from support.sealing import JOB, calibration, damaged, files_below, provenance, regions
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, Provenance
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, StorageFull
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.sensors import Calibration
@@ -121,9 +121,16 @@ def test_a_document_that_fails_leaves_nothing_behind(archive: Archive) -> None:
     assert files_below(archive) == []
 
 
+def of_a_rig(at: datetime) -> Provenance:
+    """Return where a calibration is from that a person brought in."""
+    return provenance(
+        kind="calibration", subject=Subject("calibrations", "rig"), job_id="", inputs=(), created_at=at
+    )
+
+
 def test_calibrations_have_a_place_of_their_own(archive: Archive) -> None:
     when = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
-    sealed = archive.seal_calibration(calibration(), when, program_version="0.1", host="h", operator="me")
+    sealed = archive.seal_dataset({"calibration": calibration()}, of_a_rig(when))
     assert sealed.path == "calibrations/rig/calibration-20260102T030405Z-nojob-1.h5"
     archive.verify(sealed.path, sealed.content_hash)
     with archive.open(sealed) as dataset:
@@ -133,7 +140,7 @@ def test_calibrations_have_a_place_of_their_own(archive: Archive) -> None:
 def test_two_calibrations_of_a_rig_may_come_in_the_same_second(archive: Archive) -> None:
     now = datetime(2026, 1, 1, tzinfo=UTC)
     sealed = [
-        archive.seal_calibration(calibration(), now, program_version="1", host="here", operator="me")
+        archive.seal_dataset({"calibration": calibration()}, archive.with_free_name(of_a_rig(now)))
         for _ in range(3)
     ]
     assert len({file.path for file in sealed}) == 3
