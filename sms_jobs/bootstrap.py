@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from sms_jobs import settings as settings_file
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import renewal, schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import CatalogueDamaged, CatalogueEmpty, ConfigurationError
@@ -152,7 +152,7 @@ def _archive(settings: Settings) -> Archive:
             f"there is no folder {settings.archive_root} of the archive; mount it, correct the setting "
             f"'archive', or run 'sms init --home {settings.home}'"
         )
-    return Archive(settings.archive_root)
+    return Archive(FolderStore(settings.archive_root))
 
 
 def _current_catalogue(settings: Settings) -> Catalogue:
@@ -175,7 +175,7 @@ def _current_catalogue(settings: Settings) -> Catalogue:
 
 def _archive_has_files(settings: Settings) -> bool:
     root = settings.archive_root
-    return root.is_dir() and next(Archive(root).files(), None) is not None
+    return root.is_dir() and next(Archive(FolderStore(root)).files(), None) is not None
 
 
 def _is_empty(url: str) -> bool:

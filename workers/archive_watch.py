@@ -7,7 +7,6 @@ import threading
 
 from sqlalchemy import select
 
-from sms_jobs.archive.place import require_usable
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import WorkerRow
 from sms_jobs.errors import SmsError, StorageFull, StorageUnusable
@@ -56,7 +55,7 @@ class ArchiveWatch(threading.Thread):
             return
         archive = self._services.archive
         try:
-            require_usable(archive.root, self._services.settings.least_room_mb)
+            archive.require_usable(self._services.settings.least_room_mb)
             archive.probe(None if held is None or held.held_at is None else Subject.parse(held.held_at))
         except (StorageFull, StorageUnusable):
             return

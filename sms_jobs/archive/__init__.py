@@ -1,18 +1,24 @@
-"""The archive: a folder of sealed, self-describing HDF5 files and the documents made of them."""
+"""The archive: sealed, self-describing HDF5 files, and documents made of them, in a store."""
 
-from sms_jobs.archive.archive import DATASET_MEDIA_TYPE, Archive
+from sms_jobs.archive.archive import Archive
 from sms_jobs.archive.checking import Checker
-from sms_jobs.archive.dataset import ArchivedDataset
+from sms_jobs.archive.dataset import DATASET_MEDIA_TYPE, ArchivedDataset
+from sms_jobs.archive.folder import FolderStore
+from sms_jobs.archive.memory import MemoryStore
 from sms_jobs.archive.provenance import Found, InputReference, Provenance, Recorded, Sealed
+from sms_jobs.archive.store import Store
 
 __all__ = [
     "DATASET_MEDIA_TYPE",
     "Archive",
     "ArchivedDataset",
     "Checker",
+    "FolderStore",
     "Found",
     "InputReference",
+    "MemoryStore",
     "Provenance",
     "Recorded",
     "Sealed",
+    "Store",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +18,14 @@ from sms_jobs.archive import hdf5
 from sms_jobs.archive.codec import class_named, layout_of, record_from_parts
 from sms_jobs.archive.hashing import ArrayDigest, RecordDigest, SlabHash, block_checks, manifest_from
 from sms_jobs.archive.limits import refuse_excess
-from sms_jobs.archive.provenance import Provenance, digest, provenance_from_json
+from sms_jobs.archive.provenance import Provenance, Sealed, digest, provenance_from_json
+from sms_jobs.archive.sealing import safe_file, sha256_of, sync
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, NotFound
 from sms_jobs.records.campaign import Subject
 
 R = TypeVar("R")
+
+DATASET_MEDIA_TYPE = "application/x-hdf5"
 
 _BROKEN = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, MemoryError)
 """What h5py raises, or the code that follows it, when the bytes of a file make no sense."""
@@ -301,6 +305,30 @@ def open_dataset(
         yield ArchivedDataset(
             where, provenance_from_json(text, where), recorded, tuple(told), file, told, streams
         )
+
+
+def write_dataset(file: Path, where: str, records: Mapping[str, Any], provenance: Provenance) -> Sealed:
+    """Write records to a new file, force it to the disk, read it back and compare; return what it is.
+
+    Parameters
+    ----------
+    file, where
+        What is written; the path in the archive that it will have.
+
+    Raises
+    ------
+    ArchiveCorrupt
+        The disk does not keep what is written.
+    OSError
+        It cannot be written.
+    """
+    with safe_file(file) as raw, h5py.File(raw, "w", libver=hdf5.LIBRARY_VERSIONS) as opened:
+        content_hash = hdf5.write(opened, records, provenance)
+    sync(file)
+    with ThreadPoolExecutor(1) as meanwhile:
+        sha256 = meanwhile.submit(sha256_of, file)
+        check_dataset(file, where, content_hash)
+    return Sealed(where, content_hash, file.stat().st_size, DATASET_MEDIA_TYPE, sha256.result())
 
 
 def check_dataset(file: Path, where: str, content_hash: str) -> None:

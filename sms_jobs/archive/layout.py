@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 from datetime import UTC
-from pathlib import Path, PurePosixPath
 
 from sms_jobs.archive.provenance import Provenance
 from sms_jobs.errors import InvalidInput
@@ -42,14 +41,14 @@ def short_job_id(job_id: str) -> str:
     return re.sub(r"[^A-Za-z0-9]", "", checked_job_id(job_id))[:JOB_LETTERS]
 
 
-def folder(subject: Subject) -> PurePosixPath:
+def folder(subject: Subject) -> str:
     """Return the folder of a subject, relative to the archive."""
     parts = [checked_name(subject.campaign, "campaign")]
     if subject.state is not None:
         parts.append(checked_name(subject.state, "state"))
     if subject.view is not None:
         parts.append(checked_name(subject.view, "view"))
-    return PurePosixPath(*parts)
+    return "/".join(parts)
 
 
 def identity(provenance: Provenance) -> str:
@@ -68,7 +67,7 @@ def stem(provenance: Provenance) -> str:
 
 def dataset_path(provenance: Provenance) -> str:
     """Return where a dataset file goes, relative to the archive."""
-    return str(folder(provenance.subject) / f"{stem(provenance)}.h5")
+    return f"{folder(provenance.subject)}/{stem(provenance)}.h5"
 
 
 def document_path(provenance: Provenance, filename: str) -> str:
@@ -78,7 +77,7 @@ def document_path(provenance: Provenance, filename: str) -> str:
             f"'{filename}' cannot be the name of a document: use at most 100 letters, digits, '.', '_' or "
             "'-', beginning with a letter or digit"
         )
-    return str(folder(provenance.subject) / f"{stem(provenance)}-{filename}")
+    return f"{folder(provenance.subject)}/{stem(provenance)}-{filename}"
 
 
 def sidecar(document: str) -> str:
@@ -93,13 +92,13 @@ def without_sidecar(relative: str) -> str:
 
 def is_dataset(relative: str) -> bool:
     """Say whether a path is that of a dataset file, not of a document."""
-    found = _SEALED.fullmatch(PurePosixPath(relative).name)
+    found = _SEALED.fullmatch(_last(relative))
     return found is not None and found["dataset"] is not None
 
 
 def is_result(relative: str) -> bool:
     """Say whether a path is that of a sealed dataset or document; the provenance of one is not."""
-    name = PurePosixPath(relative).name
+    name = _last(relative)
     return _SEALED.fullmatch(name) is not None and not name.endswith(_SIDECAR) and not name.startswith(".")
 
 
@@ -132,7 +131,7 @@ def may_be_of(name: str, job_id: str) -> bool:
 
 def part(relative: str, key: str) -> str:
     """Return the `kind`, `time`, `job` or `attempt` that the name of a sealed file shows."""
-    found = _SEALED.fullmatch(PurePosixPath(relative).name)
+    found = _SEALED.fullmatch(_last(relative))
     if found is None:
         raise InvalidInput(f"'{relative}' is not the name of a sealed file")
     return found[key]
@@ -140,7 +139,7 @@ def part(relative: str, key: str) -> str:
 
 def attempt_of(relative: str, job_id: str) -> int:
     """Return which attempt of a job sealed a file, or was writing it."""
-    name = PurePosixPath(relative).name
+    name = _last(relative)
     if is_temporary_of(name, job_id):
         name = name[1:].removesuffix(f".{job_id}.tmp")
     return int(part(name, "attempt"))
@@ -148,22 +147,10 @@ def attempt_of(relative: str, job_id: str) -> int:
 
 def fits(relative: str, provenance: Provenance) -> bool:
     """Say whether a sealed file lies where its provenance wants it, under the name that follows from it."""
-    wanted = str(folder(provenance.subject) / stem(provenance))
+    wanted = f"{folder(provenance.subject)}/{stem(provenance)}"
     return relative == f"{wanted}.h5" if is_dataset(relative) else relative.startswith(f"{wanted}-")
 
 
-def inside(root: Path, relative: str) -> Path:
-    """Return the file at `relative` below `root`, links followed.
-
-    Raises
-    ------
-    InvalidInput
-        When the path is absolute, climbs, or leaves the root through a link.
-    """
-    parts = PurePosixPath(relative)
-    if not relative or "\0" in relative or parts.is_absolute() or ".." in parts.parts:
-        raise InvalidInput(f"'{relative}' is not a path inside the archive")
-    path = (root / parts).resolve()
-    if not path.is_relative_to(root):
-        raise InvalidInput(f"'{relative}' leaves the archive {root} through a link; remove that link")
-    return path
+def _last(relative: str) -> str:
+    """Return the last part of a path."""
+    return relative.rpartition("/")[2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import os
@@ -13,7 +14,7 @@ from typing import Any
 
 from sms_jobs.archive.layout import temporary_name
 from sms_jobs.archive.place import says_full, says_unusable
-from sms_jobs.errors import Conflict, SmsError, StorageFull, StorageUnusable
+from sms_jobs.errors import Conflict, InvalidInput, SmsError, StorageFull, StorageUnusable
 
 _READ_ONLY = 0o444
 
@@ -89,7 +90,7 @@ def sha256_of(file: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def copy_file(original: Path, copy: Path, check: Callable[[Path], None] | None = None) -> None:
+def copy_file(original: Path, copy: Path, check: Callable[[Path], object] | None = None) -> None:
     """Copy a file with its times and rights; under its name it is whole, on the disk, and passed `check`.
 
     What is there under that name is replaced.
@@ -130,27 +131,63 @@ def sealing(root: Path, path: Path, job_id: str) -> Iterator[Path]:
         When the disk or share cannot be written to.
     """
     temporary = path.with_name(temporary_name(path.name, job_id))
+    _refuse_taken(path)
+    with blaming_the_place(path.name, str(root), str(path.parent)):
+        try:
+            make_folders(root, path.parent)
+            yield temporary
+            temporary.chmod(_READ_ONLY)
+            sync(temporary)
+            _refuse_taken(path)
+            temporary.replace(path)
+            sync(path.parent)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+
+
+def _refuse_taken(path: Path) -> None:
     if os.path.lexists(path):
         raise Conflict(f"{path} is sealed already and is never overwritten")
+
+
+@contextmanager
+def blaming_the_place(name: str, root: str, folder: str = "") -> Iterator[None]:
+    """Turn errors that are the fault of a disk or share into `StorageFull` and `StorageUnusable`.
+
+    Parameters
+    ----------
+    name, root, folder
+        What was to be kept, in which archive, and in which part of it.
+    """
     try:
-        make_folders(root, path.parent)
-        yield temporary
-        temporary.chmod(_READ_ONLY)
-        sync(temporary)
-        temporary.replace(path)
-        sync(path.parent)
+        yield
+    except SmsError:
+        raise
     except BaseException as error:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        if isinstance(error, SmsError):
-            raise
         if says_full(error):
             raise StorageFull(
-                f"the disk of {root} has no room for {path.name}; free some space and run the job again"
+                f"the disk of {root} has no room for {name}; free some space and run the job again"
             ) from error
         if says_unusable(error):
             raise StorageUnusable(
-                f"{path.name} cannot be kept in {path.parent} ({error}); look whether its disk or share is "
+                f"{name} cannot be kept in {folder or root} ({error}); look whether its disk or share is "
                 "mounted, whole, and this account's to write to"
             ) from error
         raise
+
+
+def copy_or_link(original: Path, target: Path, link: bool, advice: str) -> None:
+    """Copy a file, or give it a second name; raise `InvalidInput`, with an advice, where it can have none."""
+    if not link:
+        shutil.copyfile(original, target)
+        return
+    try:
+        target.hardlink_to(original)
+    except OSError as error:
+        if error.errno not in (errno.EXDEV, errno.EPERM, errno.ENOTSUP):
+            raise
+        raise InvalidInput(
+            f"{target.parent} cannot have hard links to {original.parent}; {advice}"
+        ) from error

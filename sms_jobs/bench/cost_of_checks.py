@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import select
 
-from sms_jobs.archive import Archive, Provenance, hdf5
+from sms_jobs.archive import Archive, FolderStore, Provenance, hdf5
 from sms_jobs.archive.codec import layout_of, record_from_parts
 from sms_jobs.archive.provenance import provenance_from_json
 from sms_jobs.bench.tampering import now, registered, runner, url
@@ -173,7 +173,7 @@ def measured(
     folder: Path, made: tuple[Calibration, Campaign], repeats: int, say: Callable[[str], None]
 ) -> Iterator[Cost]:
     """Run the first jobs of a pipeline, then those of one state again, in turn with and without."""
-    archive = Archive(folder / "archive")
+    archive = Archive(FolderStore(folder / "archive"))
     with closing(Catalogue(url(folder), create=True)) as catalogue:
         campaign = registered(catalogue, archive, *made)
         label = campaign.states[-1].label
@@ -225,7 +225,8 @@ class _Work:
                     if compared:
                         opened: Dataset = stack.enter_context(self.archive.open(given))
                     else:
-                        opened = stack.enter_context(_uncompared(self.archive.path(given.path)))
+                        lying = stack.enter_context(self.archive.local(given.path))
+                        opened = stack.enter_context(_uncompared(lying))
                 datasets[given.role] = _Timed(opened, reading)
             inputs = Inputs(subject, kind.context(self.definition, subject), datasets, threads=1)
             for output in kind.run(inputs, parameters, lambda fraction, message="": None):

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sms_jobs
-from sms_jobs.archive import Archive, Provenance
+from sms_jobs.archive import Archive, FolderStore, Provenance
 from sms_jobs.errors import SmsError
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
@@ -173,7 +173,7 @@ def _provenance(kind: str, subject: Subject) -> Provenance:
 
 def seal(folder: Path, name: str, pixels: int, threads: int) -> float:
     """Make a tuple and seal it and its calibration in an archive; return the size of its file in GB."""
-    archive = Archive(folder / "archive")
+    archive = Archive(FolderStore(folder / "archive"))
     sequence = FringeSequence(tuple(range(FRINGES)))
     calibration = rig(pixels)
     frames = SyntheticFrames(scene(calibration, sequence), sequence, threads)
@@ -190,7 +190,7 @@ def seal(folder: Path, name: str, pixels: int, threads: int) -> float:
 
 def reconstruct(folder: Path, name: str, threads: int) -> DatasetOutput:
     """Reconstruct a sealed tuple into the archive it lies in."""
-    archive = Archive(folder / "archive")
+    archive = Archive(FolderStore(folder / "archive"))
     paths = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     subject = Subject(name, "S00", "C1P1")
     with archive.open_unrecorded(paths[0]) as measurement, archive.open_unrecorded(paths[1]) as calibration:

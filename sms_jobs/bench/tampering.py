@@ -22,7 +22,7 @@ import numpy as np
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from sms_jobs.archive import Archive, layout
+from sms_jobs.archive import Archive, FolderStore, layout
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow
@@ -48,7 +48,7 @@ _TEXT = b'{"'
 
 def prepare(folder: Path) -> None:
     """Run every kind of job for two states of a small plate."""
-    archive = Archive(folder / "archive")
+    archive = Archive(FolderStore(folder / "archive"))
     with closing(Catalogue(url(folder), create=True)) as catalogue:
         campaign = registered(catalogue, archive, *small_plate("plate"))
         with catalogue.writing() as session:
@@ -95,7 +95,7 @@ def tried(folder: Path, mode: str, count: int) -> Iterator[str]:
 
 def main(folder: Path, mode: str, first: int, last: int) -> None:
     """Make some tries and print what became of each."""
-    archive = Archive(folder / "archive")
+    archive = Archive(FolderStore(folder / "archive"))
     with closing(Catalogue(url(folder))) as catalogue:
         with catalogue.reading() as session:
             files = list(session.scalars(select(FileRow).order_by(FileRow.id)))
@@ -163,12 +163,18 @@ def _newest(session: Session, kind: str) -> FileRow:
     return session.scalars(query.order_by(FileRow.id.desc()).limit(1)).one()
 
 
+def _lying(archive: Archive, path: str) -> Path:
+    """Return the file itself, behind the archive's back."""
+    assert isinstance(archive.store, FolderStore)
+    return archive.store.path(path)
+
+
 @contextmanager
 def _tampered(
     archive: Archive, folder: Path, file: FileRow, files: Sequence[FileRow], random: np.random.Generator
 ) -> Iterator[None]:
     """Alter a file for a while: another of its sort in its place, or a bit anywhere or in a text."""
-    path = archive.path(file.path)
+    path = _lying(archive, file.path)
     good = path.read_bytes()
     (folder / "left").write_text(file.path, encoding="utf-8")
     (folder / "left.bytes").write_bytes(good)
@@ -192,7 +198,7 @@ def _altered(
     ]
     how = random.random()
     if how < _EXCHANGED and alike:
-        return archive.path(alike[int(random.integers(len(alike)))].path).read_bytes()
+        return _lying(archive, alike[int(random.integers(len(alike)))].path).read_bytes()
     place, until = 0, len(good)
     if how < _EXCHANGED + _IN_A_TEXT:
         texts = [at for at in range(len(good)) if good.startswith(_TEXT, at)][:50] or [0]
@@ -206,7 +212,7 @@ def _restore_left(archive: Archive, folder: Path) -> None:
     """Put back the file that a process which was ended left altered."""
     left = folder / "left"
     if left.is_file():
-        archive.path(left.read_text(encoding="utf-8")).write_bytes((folder / "left.bytes").read_bytes())
+        _lying(archive, left.read_text(encoding="utf-8")).write_bytes((folder / "left.bytes").read_bytes())
         left.unlink()
 
 

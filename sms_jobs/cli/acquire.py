@@ -133,7 +133,7 @@ def _rehearse(services: Services, plan: Campaign, states: list[LoadState], as_js
 
     rig, settings = services.stations.rig(plan.rig), services.settings
     with services.catalogue.reading() as session:
-        done = dry_runs.dry_run(session, rig, plan, states, settings.spool_folder, services.archive.root)
+        done = dry_runs.dry_run(session, rig, plan, states, settings.spool_folder, services.archive)
     show(plan.name, done, as_json)
     if done.missing:
         raise typer.Exit(_FINDINGS)

@@ -112,7 +112,7 @@ def show(file: File, home: Home = None, as_json: Json = False) -> None:
                 records = dataset.describe()
         else:
             services.archive.verify_bytes(view)
-        path = services.archive.path(view.path)
+        path = services.archive.location(view.path)
     if as_json:
         output.print_json(
             {"file": view, "path": path, "statistics": numbers, "readings": readings, "records": records}

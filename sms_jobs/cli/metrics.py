@@ -102,7 +102,7 @@ def served(services: Services) -> str:
     up = Metric("sms_catalogue_up", "1 when the catalogue answers.")
     try:
         with services.catalogue.reading() as session:
-            found = gather(session, services.archive.root, datetime.now(UTC))
+            found = gather(session, services.archive, datetime.now(UTC))
     except (SmsError, OSError):
         found = []
     up.add(bool(found))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -96,8 +95,8 @@ def _facts(services: Services) -> dict[str, Any]:
         return {
             "home": str(services.settings.home),
             "catalogue": services.catalogue.describe(),
-            "archive": str(services.archive.root),
-            "archive_free_bytes": shutil.disk_usage(services.archive.root).free,
+            "archive": services.archive.where,
+            "archive_free_bytes": services.archive.room().free_bytes,
             "campaigns": campaigns.number_of_campaigns(session),
             "jobs": inquiry.counts(session),
             "workers": [

@@ -30,7 +30,7 @@ from zlib import crc32
 from pydantic import SecretStr
 from sqlalchemy import func, select
 
-from sms_jobs.archive import Archive, layout
+from sms_jobs.archive import Archive, FolderStore, layout
 from sms_jobs.archive.sealing import sync
 from sms_jobs.catalogue import copying, schema
 from sms_jobs.catalogue.database import Catalogue
@@ -125,8 +125,8 @@ def back_up(
         The backup's disk is full; going on later copies only what is not there yet.
     """
     folder = folder.absolute()
-    if folder.resolve().is_relative_to(archive.root):
-        raise InvalidInput(f"{folder} lies in the archive {archive.root}; give a folder elsewhere")
+    if folder.resolve().is_relative_to(settings.archive_root.resolve()):
+        raise InvalidInput(f"{folder} lies in the archive {archive.where}; give a folder elsewhere")
     snapshot = folder / SNAPSHOTS / f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}.sqlite"
     if snapshot.exists():
         raise Conflict(f"there is a snapshot {snapshot} already; try again in a second")
@@ -143,7 +143,7 @@ def back_up(
             copying.prepare(copy)
             for _ in copying.copy(catalogue, copy, hold=False):
                 pass
-            yield from _copy_known(copy, archive, Archive(folder / ARCHIVE), share)
+            yield from _copy_known(copy, archive, Archive(FolderStore(folder / ARCHIVE)), share)
         _keep_settings(settings.home, snapshot.with_suffix(".toml"))
         sync(growing)
         growing.replace(snapshot)
@@ -208,7 +208,12 @@ def restore(folder: Path, home: Path, name: str = "", host: str = "") -> Iterato
         shutil.copyfile(snapshot, growing)
         with closing(Catalogue(f"sqlite:///{growing}")) as catalogue:
             schema.upgrade(catalogue)
-            yield from _copy_known(catalogue, Archive(folder / ARCHIVE), Archive(home / "archive"), _NOTHING)
+            yield from _copy_known(
+                catalogue,
+                Archive(FolderStore(folder / ARCHIVE)),
+                Archive(FolderStore(home / "archive")),
+                _NOTHING,
+            )
         for one in [] if of_host is None else host_folders.restore_folders(of_host, home):
             yield Progress(one.path, 0, 0, one.copied, finding=one.finding)
         settings = snapshot.with_suffix(".toml")
@@ -257,14 +262,14 @@ def _copy_known(catalogue: Catalogue, source: Archive, target: Archive, share: S
 
 def _is_there(archive: Archive, row: FileRow) -> bool:
     wanted = [row.path] if layout.is_dataset(row.path) else [row.path, layout.sidecar(row.path)]
-    files = [archive.path(path) for path in wanted]
-    return all(file.is_file() for file in files) and files[0].stat().st_size == row.size_bytes
+    sizes = [archive.size(path) for path in wanted]
+    return None not in sizes and sizes[0] == row.size_bytes
 
 
 def _at_a_glance(archive: Archive, row: FileRow) -> str:
     if _is_there(archive, row):
         return ""
-    return f"{row.path} is missing or cut short (in {archive.root}); its copy is there"
+    return f"{row.path} is missing or cut short (in {archive.where}); its copy is there"
 
 
 def _brought(row: FileRow, source: Archive, target: Archive, there: bool) -> tuple[bool, str]:
@@ -272,16 +277,16 @@ def _brought(row: FileRow, source: Archive, target: Archive, there: bool) -> tup
     rotten = _fault(target, row) if there else ""
     if there and not rotten:
         fault = _fault(source, row)
-        return False, f"{fault} (in {source.root}); the copy in {target.root} is good" if fault else ""
+        return False, f"{fault} (in {source.where}); the copy in {target.where} is good" if fault else ""
     try:
         target.bring(row, source)
     except (ArchiveCorrupt, OtherFormat) as error:
-        also = f", and the copy in {target.root} is damaged too" if rotten else ""
-        return False, f"{error} (in {source.root}){also}"
+        also = f", and the copy in {target.where} is damaged too" if rotten else ""
+        return False, f"{error} (in {source.where}){also}"
     except OSError as error:
         if error.errno not in _UNREADABLE:
             raise
-        return False, f"{row.path} cannot be read: {error.strerror} (in {source.root})"
+        return False, f"{row.path} cannot be read: {error.strerror} (in {source.where})"
     return True, f"the copy of {row.path} was damaged and is replaced" if rotten else ""
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from sms_jobs.archive import Archive
 from sms_jobs.catalogue.campaigns import definition
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, RigRow
 from sms_jobs.errors import InvalidInput
@@ -82,14 +83,14 @@ def dry_run(
     campaign: Campaign,
     states: Sequence[LoadState],
     spool: Path,
-    archive: Path,
+    archive: Archive,
 ) -> DryRun:
     """Return what recording some states of a campaign with a rig would take; nothing is moved or asked.
 
     Parameters
     ----------
     spool, archive
-        Folders whose disks are to hold the frames.
+        The folder and the archive whose disks are to hold the frames.
     """
     parameters = checked_parameters(KIND, campaign.processing.get(KIND.name, {}))
     assert isinstance(parameters, AcquireParameters)
@@ -103,7 +104,7 @@ def dry_run(
     # A set that is recorded again lies beside the one that it replaces.
     again = parameters.recordings > 1
     spool_bytes = max((s.raw_bytes + again * s.set_bytes for s in rehearsed.values()), default=0)
-    found_room, packed = {"spool": _free(spool), "archive": _free(archive)}, _packed(session, rig)
+    found_room, packed = {"spool": _free(spool), "archive": archive.room().free_bytes}, _packed(session, rig)
     archived = sum(s.raw_bytes for s in rehearsed.values()) * (packed or 1.0)
     for disk, wanted in (("spool", spool_bytes), ("archive", archived)):
         if wanted > found_room[disk]:

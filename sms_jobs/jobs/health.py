@@ -71,12 +71,12 @@ def files_nobody_knows(session: Session, archive: Archive) -> str | None:
     lying = next(archive.files(), None)
     if known is None and lying is not None:
         return (
-            f"the catalogue knows no file, although files lie in the archive {archive.root}; "
+            f"the catalogue knows no file, although files lie in the archive {archive.where}; "
             "'sms archive reindex' enters them"
         )
     if known is not None and lying is None:
         return (
-            f"the catalogue knows files, and none lies in the archive {archive.root}; mount its disk or "
+            f"the catalogue knows files, and none lies in the archive {archive.where}; mount its disk or "
             "share, or correct 'archive' in sms.toml"
         )
     return None

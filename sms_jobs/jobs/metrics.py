@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
-from pathlib import Path
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
+from sms_jobs.archive import Archive
 from sms_jobs.catalogue.models import EventRow, FileRow, JobRow, ScheduleFireRow, ScheduleRow, WorkerRow
 from sms_jobs.jobs import queues
 from sms_jobs.jobs.fire_times import parse_expression, times_until
@@ -33,13 +32,13 @@ class Metric:
         self.samples.append((labels, float(value)))
 
 
-def gather(session: Session, archive_root: Path, now: datetime) -> list[Metric]:
+def gather(session: Session, archive: Archive, now: datetime) -> list[Metric]:
     """Return every metric; none holds a secret, a path or a person's name."""
     return [
         *_of_jobs(session, now),
         *_of_queues(session, now),
         *_of_workers(session, now),
-        *_of_archive(session, archive_root),
+        *_of_archive(session, archive),
         _of_schedules(session, now),
     ]
 
@@ -120,7 +119,7 @@ def _of_workers(session: Session, now: datetime) -> list[Metric]:
     return [alive, age, running, places, draining, held]
 
 
-def _of_archive(session: Session, root: Path) -> list[Metric]:
+def _of_archive(session: Session, archive: Archive) -> list[Metric]:
     files = Metric("sms_archive_files", "Files of the archive that the catalogue knows, by what they are.")
     size = Metric("sms_archive_bytes", "Their size.")
     for source, count, total in session.execute(
@@ -130,11 +129,11 @@ def _of_archive(session: Session, root: Path) -> list[Metric]:
     ):
         files.add(count, source=source)
         size.add(int(total), source=source)
-    disk = shutil.disk_usage(root)
+    disk = archive.room()
     free = Metric("sms_archive_free_bytes", "Room left on the archive's disk.")
-    free.add(disk.free)
+    free.add(disk.free_bytes)
     whole = Metric("sms_archive_disk_bytes", "Size of the archive's disk.")
-    whole.add(disk.total)
+    whole.add(disk.whole_bytes)
     return [files, size, free, whole]
 
 

@@ -7,7 +7,6 @@ interrupted export has done is kept in a journal, and the next one goes on from 
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import os
@@ -24,6 +23,7 @@ from sqlalchemy.orm import Session
 
 import sms_jobs
 from sms_jobs.archive import Archive, Checker, layout
+from sms_jobs.archive.folder import inside
 from sms_jobs.archive.place import says_full
 from sms_jobs.archive.repacking import repack
 from sms_jobs.archive.sealing import make_folders, sha256_of, sync
@@ -249,7 +249,7 @@ def bring(
         archive.verify_provenance(part.path, part.content_hash)
     for relative in (layout.sidecar(part.path), part.path) if document else (part.path,):
         beside = relative != part.path
-        target = layout.inside(root, str(Path(relative).parent)) / Path(relative).name
+        target = inside(root, str(Path(relative).parent)) / Path(relative).name
         target.unlink(missing_ok=True)
         try:
             make_folders(folder.resolve(), target.parent)
@@ -283,23 +283,15 @@ def bring(
 
 
 def _copy(archive: Archive, relative: str, target: Path, wanted: Wanted) -> None:
-    source = archive.path(relative)
-    if not source.is_file():
+    if not archive.has(relative):
         raise ArchiveCorrupt(f"{relative} is missing from the archive; restore it from a backup")
     if wanted.without_plugins and layout.is_dataset(relative):
-        repack(source, target, relative)
-    elif wanted.link:
-        try:
-            target.hardlink_to(source)
-        except OSError as error:
-            if error.errno not in (errno.EXDEV, errno.EPERM, errno.ENOTSUP):
-                raise
-            raise InvalidInput(
-                f"{target.parent} cannot have hard links to {archive.root}; export again without --link"
-            ) from error
-        return
+        with archive.local(relative) as source:
+            repack(source, target, relative)
     else:
-        shutil.copyfile(source, target)
+        archive.copy_out(relative, target, link=wanted.link)
+        if wanted.link:
+            return
         sync(target)
     target.chmod(_READ_ONLY)
 

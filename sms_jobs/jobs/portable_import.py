@@ -6,10 +6,8 @@ judgement of reindexing is taken out of the archive again.
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -19,8 +17,7 @@ from typing import Literal, TypeAlias
 
 from sqlalchemy import select
 
-from sms_jobs.archive import Archive, Checker, Found, layout
-from sms_jobs.archive.sealing import sealing
+from sms_jobs.archive import Archive, Checker, FolderStore, Found, layout
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow
 from sms_jobs.errors import InvalidInput
@@ -33,7 +30,6 @@ from sms_jobs.kinds.kind import CALIBRATION
 Fault: TypeAlias = Literal["missing", "altered", "unlisted", "no-file"]
 
 _LARGEST_MANIFEST_BYTES = 256 << 20
-_IMPORT = "import"
 
 
 @dataclass(frozen=True)
@@ -139,7 +135,7 @@ def enter(
     StorageFull
         The disk of the archive is full; repeated, it goes on.
     """
-    brought = Archive(folder / crate.PAYLOAD)
+    brought = Archive(FolderStore(folder / crate.PAYLOAD))
     listed = {path.removeprefix(f"{crate.PAYLOAD}/") for path in manifest}
     with nullcontext(checker) if checker else Checker() as reader:
         decided = decisions(catalogue, brought, listed, reader)
@@ -155,22 +151,22 @@ def enter(
             yield from reindexing.reindex(catalogue, brought, paths, dry_run=True, checker=reader)
             return
         # Decisions first: they are not made any more once the campaigns are known.
-        mine = {path for path in coming if path is not None and not archive.path(path).is_file()}
+        mine = {path for path in coming if path is not None and not archive.has(path)}
         for path in sorted(mine):
-            _place(brought, archive, path, link)
+            archive.adopt(path, brought, link=link)
         names = {path.split("/", 1)[0] for path in brought.files() if path in listed}
         new = seal_missing(catalogue, archive, decided, names, now)
         mine |= new
         for path in reindexing.unknown_files(catalogue, brought):
             if passed_over(path):
                 continue
-            if not archive.path(path).is_file():
+            if not archive.has(path):
                 for part in _parts(path):
                     if part in listed:
-                        _place(brought, archive, part, link)
+                        archive.adopt(part, brought, link=link)
                 mine.add(path)
             new.add(path)
-            placed(brought.path(path).stat().st_size)
+            placed(brought.size(path) or 0)
         paths = [path for path in reindexing.unknown_files(catalogue, archive) if path in new]
         for entered in reindexing.reindex(catalogue, archive, paths, checker=reader):
             if entered.outcome not in ("indexed", "incomplete") and entered.path in mine:
@@ -195,23 +191,3 @@ def _known_calibration(catalogue: Catalogue, brought: Archive, path: str, checke
     )
     with catalogue.reading() as session:
         return session.scalar(same) is not None
-
-
-def _place(brought: Archive, archive: Archive, path: str, link: bool) -> None:
-    source = brought.path(path)
-    target = archive.path(path)
-    if target.is_file():
-        return
-    with sealing(archive.root, target, _IMPORT) as temporary:
-        temporary.unlink(missing_ok=True)  # of an import that was interrupted
-        if not link:
-            shutil.copyfile(source, temporary)
-            return
-        try:
-            temporary.hardlink_to(source)
-        except OSError as error:
-            if error.errno not in (errno.EXDEV, errno.EPERM, errno.ENOTSUP):
-                raise
-            raise InvalidInput(
-                f"{archive.root} cannot have hard links to {source.parent}; import again without --link"
-            ) from error

@@ -151,8 +151,7 @@ def examined(archive: Archive, checker: Checker, path: str) -> Found | Reindexed
 
 
 def _size(archive: Archive, path: str) -> int:
-    file = archive.path(path)
-    return file.stat().st_size if file.is_file() else 0
+    return archive.size(path) or 0
 
 
 def _inputs_first(

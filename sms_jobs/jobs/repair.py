@@ -7,7 +7,6 @@ computed again by a job.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -170,7 +169,7 @@ def apply(
     ]
     for one in repairs:
         if one.step in ("set-aside", "forget"):
-            _set_aside(archive, one.path)
+            archive.set_aside(one.path)
         if one.step == "forget":
             with catalogue.writing() as session:
                 file = session.scalar(select(FileRow.id).where(FileRow.path == one.path))
@@ -181,18 +180,11 @@ def apply(
     return undone
 
 
-def _set_aside(archive: Archive, path: str) -> None:
-    """Move a file out of the way if it is there, and the provenance of a document that is not."""
-    for left in (path, layout.sidecar(path)):
-        if os.path.lexists(archive.root / left):
-            archive.set_aside(left)
-
-
 def _seal_again(catalogue: Catalogue, archive: Archive, path: str, now: datetime) -> None:
     name = path.split("/", 1)[0]
     with catalogue.reading() as session:
         row = campaigns.campaign_row(session, name)
-    if not path.endswith("/") and archive.path(path).is_file():
+    if not path.endswith("/") and archive.has(path):
         archive.set_aside(path)
     definition = CampaignDefinition(campaigns.definition(row), row.plan)
 
@@ -219,7 +211,7 @@ def _decide_again(catalogue: Catalogue, archive: Archive, path: str, now: dateti
         rig, calibration = search.calibration_view(session, row.calibration_id).rig, row.calibration_id
         file = session.get_one(FileRow, session.get_one(CalibrationRow, calibration).file_id)
     told = Acceptance(rig, file.content_hash, row.campaign or None, row.in_use)
-    if archive.path(path).is_file():
+    if archive.has(path):
         archive.set_aside(path)
 
     def forget(session: Session) -> None:

@@ -23,7 +23,7 @@ from sqlalchemy.orm import Session
 
 import sms_jobs
 from sms_jobs.archive import Archive, InputReference, Provenance, layout
-from sms_jobs.archive.place import require_usable, says_full, says_unusable
+from sms_jobs.archive.place import says_full, says_unusable
 from sms_jobs.catalogue.campaigns import Definitions
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import (
@@ -131,7 +131,7 @@ class Runner:
     def _fault_beforehand(self) -> SmsError | None:
         """Return why no job should be begun; asked outside of transactions, since a share may not answer."""
         try:
-            require_usable(self.archive.root, self.least_room_mb)
+            self.archive.require_usable(self.least_room_mb)
         except (StorageFull, StorageUnusable) as fault:
             return fault
         return None

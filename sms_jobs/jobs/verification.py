@@ -116,12 +116,11 @@ def _of_file(
     archive: Archive, path: str, content_hash: str, size_bytes: int, checker: Checker | None
 ) -> Finding | None:
     try:
-        file = archive.path(path)
+        found = archive.size(path)
     except InvalidInput as error:
         return Finding("corrupt", path, str(error))
-    if not file.is_file():
+    if found is None:
         return Finding("missing", path, "it is in the catalogue and not on the disk")
-    found = file.stat().st_size
     if found != size_bytes:
         return Finding("corrupt", path, f"it has {found} bytes, but {size_bytes} were sealed")
     if checker is None:

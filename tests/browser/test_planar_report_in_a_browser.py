@@ -14,7 +14,7 @@ from PIL import Image
 from support.browser import Browser, browser_or_skip
 from support.planes import merged_in_plane, moved_in_plane, one_region, plane, strain_in_plane
 
-from sms_jobs.archive import Archive, Provenance
+from sms_jobs.archive import Archive, FolderStore, Provenance
 from sms_jobs.kinds.kind import DocumentOutput, Inputs, Need
 from sms_jobs.kinds.products import MERGED
 from sms_jobs.kinds.reporting import report
@@ -53,7 +53,7 @@ def written(folder: Path) -> Path:
     """Run the report on results in an archive, and return its page."""
     states = (LoadState("00"), LoadState("01", load_n=1500.0))
     campaign = Campaign("coupon", Specimen("coupon"), "camera", states, ("C1",))
-    subject, archive = Subject("coupon"), Archive(folder / "archive")
+    subject, archive = Subject("coupon"), Archive(FolderStore(folder / "archive"))
     with ExitStack() as stack:
         datasets = {}
         for place, need in enumerate(report.KIND.needs(campaign, subject, report.ReportParameters())):

@@ -13,7 +13,7 @@ from PIL import Image
 from support.browser import Browser, browser_or_skip
 from support.report_results import campaign, run_on_results
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.kinds.products import MERGED
 from sms_jobs.kinds.reporting import report
 from sms_jobs.records.campaign import Subject
@@ -88,7 +88,7 @@ def choose(page: Browser, field: str) -> None:
 
 
 def merged(folder: Path, state: str) -> MergedField:
-    archive = Archive(folder / "archive")
+    archive = Archive(FolderStore(folder / "archive"))
     (path,) = (folder / "archive" / "plate" / state).glob("merge-*.h5")
     with archive.open_unrecorded(str(path.relative_to(folder / "archive"))) as dataset:
         return dataset.read(MERGED.of("C1").stored_as, MergedField)

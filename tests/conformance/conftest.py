@@ -10,7 +10,7 @@ from support.archives import Clock
 from support.deployments import Deployment
 from support.jobs import NOW
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.jobs import recovery
@@ -44,7 +44,7 @@ def catalogue(deployment: Deployment) -> Iterator[Catalogue]:
 @pytest.fixture
 def archive(deployment: Deployment) -> Archive:
     """The archive of the home, with nothing in it."""
-    return Archive(deployment.home / "archive")
+    return Archive(FolderStore(deployment.home / "archive"))
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from sqlalchemy import select
 from support.archives import Clock, emptied, everything, registered, run_jobs, runner
 
 from sms_jobs import bootstrap
-from sms_jobs.archive import Archive, Checker, InputReference
+from sms_jobs.archive import Archive, Checker, FolderStore, InputReference
 from sms_jobs.catalogue import search
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow, LoadStateRow
@@ -135,7 +135,7 @@ def packed(folder: Path, number: int, checker: Checker) -> Path:
     calibration, campaign = real_test(f"stranger-{number}")
     catalogue, archive = (
         Catalogue(f"sqlite:///{folder}/theirs/catalogue.sqlite"),
-        Archive(folder / "theirs/archive"),
+        Archive(FolderStore(folder / "theirs/archive")),
     )
     at = MORNING + timedelta(seconds=number)
     register_campaign(catalogue, archive, campaign, None, at)

@@ -117,7 +117,9 @@ def test_a_commit_in_doubt_is_asked_about_and_loses_and_doubles_nothing(
     assert states(catalogue) == [JobState.SUCCEEDED, JobState.SUCCEEDED]
     with catalogue.reading() as session:
         known = session.scalars(select(FileRow.path).where(FileRow.job_id.is_not(None))).all()
-    lie_there = {str(p.relative_to(archive.root)) for p in (archive.root / "plate").rglob("simulate-*.h5")}
+    lie_there = {
+        str(p.relative_to(archive.store.root)) for p in (archive.store.root / "plate").rglob("simulate-*.h5")
+    }
     assert len(known) == len(lie_there) == 2
     assert set(known) == lie_there
 

@@ -59,7 +59,7 @@ def record(
     catalogue: Catalogue, archive: Archive, clock: Clock, state: str, read: tuple[float, float]
 ) -> None:
     """Record a state while a load in kN and a temperature are read."""
-    (archive.root.parent / "readings.csv").write_text("{},{}\n".format(*read))
+    (archive.store.root.parent / "readings.csv").write_text("{},{}\n".format(*read))
     run_jobs(catalogue, archive, clock, [Request("acquire", states=(state,))])
 
 
@@ -125,7 +125,7 @@ def assert_charted(catalogue: Catalogue, archive: Archive) -> None:
     """See that the report is drawn over what was measured."""
     with catalogue.reading() as session:
         (path,) = session.scalars(select(FileRow.path).where(FileRow.source == "report"))
-    page = archive.path(path).read_text()
+    page = archive.store.path(path).read_text()
     (block,) = [part.split("</script>")[0] for part in page.split('class="axes">')[1:]]
     axes = {axis["label"]: axis["places"] for axis in json.loads(block)}
     assert axes["load [N]"] == pytest.approx({"S00": 12.0, "S01": 1187.0})

@@ -12,7 +12,7 @@ from support.command import inside
 from support.deployments import Deployment
 from support.sealing import calibration, provenance
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
@@ -79,7 +79,7 @@ def test_an_empty_catalogue_is_rebuilt_equal_to_the_old_one(
 
 @pytest.mark.parametrize("campaign", [small_session("it"), small_plate("it")[1]], ids=["session", "test"])
 def test_a_campaign_is_read_as_it_was_sealed(tmp_path: Path, campaign: Campaign) -> None:
-    archive, definition = Archive(tmp_path), CampaignDefinition(campaign, PLAN)
+    archive, definition = Archive(FolderStore(tmp_path)), CampaignDefinition(campaign, PLAN)
     sealed = archive.seal_dataset({"campaign": definition}, defined("it", Clock()()))
     with archive.open(sealed) as dataset:
         assert dataset.read("campaign", CampaignDefinition) == definition
@@ -108,13 +108,13 @@ def test_what_is_not_to_be_trusted_is_refused_with_a_reason(
         "field.csv", "text/csv", lambda path: path.write_text("1"), provenance(subject=Subject("plate"))
     )
     emptied(catalogue)
-    flipped = bytearray(shapes.path(measured[0]).read_bytes())
+    flipped = bytearray(shapes.store.path(measured[0]).read_bytes())
     flipped[len(flipped) // 2] ^= 1
-    shapes.path(measured[0]).chmod(0o644)
-    shapes.path(measured[0]).write_bytes(flipped)
+    shapes.store.path(measured[0]).chmod(0o644)
+    shapes.store.path(measured[0]).write_bytes(flipped)
     moved = made[1].replace("-1.h5", "-2.h5")
-    shutil.copy(shapes.path(made[1]), shapes.root / moved)
-    beside = shapes.path(document.path)
+    shutil.copy(shapes.store.path(made[1]), shapes.store.root / moved)
+    beside = shapes.store.path(document.path)
     beside.with_name(f"{beside.name}.provenance.json").unlink()
     told = {one.path: one for one in reindexed(catalogue, shapes)}
     assert told[measured[0]].outcome == "refused"

@@ -33,7 +33,11 @@ def planned(catalogue: Catalogue, archive: Archive) -> list[Repair]:
 
 def on_disk(archive: Archive) -> dict[str, bytes]:
     """Return the contents of all files that lie anywhere in the archive's folder."""
-    return {str(p.relative_to(archive.root)): p.read_bytes() for p in archive.root.rglob("*") if p.is_file()}
+    return {
+        str(p.relative_to(archive.store.root)): p.read_bytes()
+        for p in archive.store.root.rglob("*")
+        if p.is_file()
+    }
 
 
 def paths(catalogue: Catalogue, source: str) -> list[str]:
@@ -59,16 +63,16 @@ def test_nothing_is_lost_and_what_can_be_mended_is(
         assert numbers == {}
     forgotten, damaged, lost = shapes[0], shapes[1], recorded[1]
     _forget(catalogue, forgotten)
-    damage(made.path(damaged))
+    damage(made.store.path(damaged))
     made.discard(lost)
     made.discard(definition)
     stranger = recorded[0].replace("-1.h5", "-7.h5")
-    shutil.copy(made.path(recorded[0]), made.root / stranger)
+    shutil.copy(made.store.path(recorded[0]), made.store.root / stranger)
     half = f"plate/.{Path(recorded[0]).name}.0123456789abcdef.tmp"
-    (made.root / half).write_bytes(b"half")
+    (made.store.root / half).write_bytes(b"half")
     note, beside = "plate/note.txt", f"plate/{Path(recorded[0]).stem}-page.txt.provenance.json"
-    (made.root / note).write_bytes(b"a note")
-    (made.root / beside).write_bytes(b"{}")
+    (made.store.root / note).write_bytes(b"a note")
+    (made.store.root / beside).write_bytes(b"{}")
     contents = on_disk(made)
     plan = planned(catalogue, made)
     steps = {(one.path, one.problem): one for one in plan}
@@ -109,7 +113,7 @@ def test_a_damaged_result_that_a_newer_one_replaces_is_forgotten(
     catalogue: Catalogue, made: Archive, clock: Clock
 ) -> None:
     damaged = paths(catalogue, "reconstruct")[1]
-    damage(made.path(damaged))
+    damage(made.store.path(damaged))
     repair.apply(catalogue, made, planned(catalogue, made), clock())
     # What was set aside is not reused.
     run_jobs(catalogue, made, clock, [Request("reconstruct")])

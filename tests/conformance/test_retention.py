@@ -54,7 +54,7 @@ def test_only_what_is_replaced_old_and_not_needed_goes(
     before = everything(catalogue)
     gone = retention.remove(catalogue, computed_twice, clock(), SECOND)
     assert [one.file_id for one in gone] == [b]
-    assert not computed_twice.path(gone[0].path).exists()
+    assert not computed_twice.store.path(gone[0].path).exists()
     assert [number for number, _ in shapes(catalogue)] == [a, c, d]
     after = everything(catalogue)
     for table in ("files", "statistics", "provenance"):

@@ -16,7 +16,7 @@ from support.command import wait_until
 from support.deployments import Deployment
 from support.jobs import NOW, claim, ids, submit_pipeline
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
     CalibrationRow,
@@ -61,8 +61,8 @@ def superseded_files(catalogue: Catalogue, archive: Archive, count: int) -> list
             session.add(file)
             session.flush()
             session.add(ResultRow(file_id=file.id, kind=f"kind-{number}", kind_version=1))
-            archive.path(path).parent.mkdir(exist_ok=True)
-            archive.path(path).write_bytes(b"x")
+            archive.store.path(path).parent.mkdir(exist_ok=True)
+            archive.store.path(path).write_bytes(b"x")
             files.append((file.id, path))
     return files[:-1]
 
@@ -117,7 +117,7 @@ class Between:
 def test_whoever_comes_between_choice_and_removal_is_seen_or_refused(
     catalogue: Catalogue, deployment: Deployment, need: Need
 ) -> None:
-    archive = Archive(deployment.home / "archive")
+    archive = Archive(FolderStore(deployment.home / "archive"))
     files = superseded_files(catalogue, archive, 48)
     outcomes = []
     # After each statement of the removal in turn, on a file of its own, until there is none so late.
@@ -134,7 +134,7 @@ def test_whoever_comes_between_choice_and_removal_is_seen_or_refused(
             kept = between.other.result()
             outcomes.append(kept)
             assert kept is (gone == [])
-            assert archive.path(path).exists() is kept
+            assert archive.store.path(path).exists() is kept
             with catalogue.reading() as session:
                 assert (session.get(FileRow, file_id) is not None) is kept
     assert len(outcomes) < len(files), "more statements than files: give the test more"
@@ -147,7 +147,7 @@ def test_whoever_comes_between_choice_and_removal_is_seen_or_refused(
 def test_what_is_needed_but_not_yet_committed_is_kept(
     catalogue: Catalogue, deployment: Deployment, need: Need
 ) -> None:
-    archive = Archive(deployment.home / "archive")
+    archive = Archive(FolderStore(deployment.home / "archive"))
     (file_id, path), (_, unneeded) = superseded_files(catalogue, archive, 2)
     with closing(deployment.catalogue()) as other, ThreadPoolExecutor(1) as pool:
         with catalogue.writing() as session:
@@ -157,13 +157,13 @@ def test_what_is_needed_but_not_yet_committed_is_kept(
             if catalogue.dialect == "postgresql":
                 removal.result(timeout=30)  # it does not wait
         assert [one.path for one in removal.result(timeout=30)] == [unneeded]
-    assert archive.path(path).exists()
+    assert archive.store.path(path).exists()
 
 
 def test_what_a_waiting_job_will_get_from_a_reused_one_is_kept(
     catalogue: Catalogue, deployment: Deployment
 ) -> None:
-    archive = Archive(deployment.home / "archive")
+    archive = Archive(FolderStore(deployment.home / "archive"))
     ((file_id, path),) = superseded_files(catalogue, archive, 1)
     held = claim(catalogue)
     assert held is not None
@@ -174,7 +174,7 @@ def test_what_a_waiting_job_will_get_from_a_reused_one_is_kept(
         waits = [i for i in session.scalars(select(JobRow.id)) if held.job_id in ids(session, i)]
         assert waits
     assert retention.remove(catalogue, archive, LATER, DAY) == []
-    assert archive.path(path).exists()
+    assert archive.store.path(path).exists()
 
 
 def told(earlier: reuse.Earlier | None) -> tuple[str, tuple[str, ...]] | None:
@@ -185,7 +185,7 @@ def told(earlier: reuse.Earlier | None) -> tuple[str, tuple[str, ...]] | None:
 def test_a_result_that_is_being_reused_is_kept_and_one_that_went_is_not_reused(
     catalogue: Catalogue, deployment: Deployment
 ) -> None:
-    archive = Archive(deployment.home / "archive")
+    archive = Archive(FolderStore(deployment.home / "archive"))
     ((file_id, path),) = superseded_files(catalogue, archive, 1)
     held = claim(catalogue)
     assert held is not None
@@ -209,7 +209,7 @@ def test_a_result_that_is_being_reused_is_kept_and_one_that_went_is_not_reused(
 def test_a_result_of_which_one_file_goes_meanwhile_is_not_reused(
     catalogue: Catalogue, deployment: Deployment, goes: bool
 ) -> None:
-    archive = Archive(deployment.home / "archive")
+    archive = Archive(FolderStore(deployment.home / "archive"))
     (first, path), (_, second_path) = superseded_files(catalogue, archive, 2)
     with catalogue.writing() as session:
         made_by = session.get_one(FileRow, first).job_id

@@ -17,7 +17,7 @@ from support.archives import Clock, registered, runner
 from support.places import SmallDisk, Wire, mounted
 from support.servers import PostgresqlServer, postgresql_programs
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
@@ -85,7 +85,7 @@ def watch(home: Path, catalogue: Catalogue, archive: Archive) -> ArchiveWatch:
 
 
 def test_a_read_only_archive_begins_no_job(home: Path, embedded: Catalogue, disk: SmallDisk) -> None:
-    archive = Archive(disk.folder / "archive")
+    archive = Archive(FolderStore(disk.folder / "archive"))
     with_a_campaign(embedded, archive)
     submit_jobs(embedded, *KINDS)
     before = {job.id: job.attempts for job in jobs(embedded)}
@@ -113,10 +113,10 @@ def test_a_job_that_meets_a_read_only_folder_waits_for_it_at_no_cost(
     home: Path, embedded: Catalogue, disk: SmallDisk
 ) -> None:
     # The root can be written to, so that jobs begin, and find out by themselves.
-    archive = Archive(disk.folder / "archive")
+    archive = Archive(FolderStore(disk.folder / "archive"))
     with_a_campaign(embedded, archive)
     submit_jobs(embedded, *KINDS)
-    folder = archive.root / "plate"
+    folder = archive.store.root / "plate"
     subprocess.run(["mount", "--bind", folder, folder], check=True)
     subprocess.run(["mount", "-o", "remount,bind,ro", folder], check=True)
     try:
@@ -153,7 +153,7 @@ def test_an_outage_of_the_database_at_any_commit_ends_no_job(server: PostgresqlS
     port = make_url(server.url).port
     assert port is not None
     wire = Wire(port)
-    archive = Archive(home / "archive")
+    archive = Archive(FolderStore(home / "archive"))
     with (
         closing(wire),
         closing(Catalogue(server.url)) as catalogue,
@@ -182,7 +182,7 @@ def restarted(server: PostgresqlServer, times: int, stop: threading.Event) -> No
 
 @pytest.mark.parametrize("times", [3, pytest.param(50, marks=pytest.mark.long)])
 def test_restarts_of_the_database_end_no_job(server: PostgresqlServer, home: Path, times: int) -> None:
-    archive = Archive(home / "archive")
+    archive = Archive(FolderStore(home / "archive"))
     with closing(Catalogue(server.url)) as catalogue, closing(Catalogue(server.url)) as working:
         with_a_campaign(catalogue, archive)
         submit_jobs(catalogue, *KINDS)

@@ -19,7 +19,7 @@ from support.sealing import regions
 
 from sms_jobs import bootstrap
 from sms_jobs import settings as settings_file
-from sms_jobs.archive import Archive, layout
+from sms_jobs.archive import Archive, FolderStore, layout
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow
@@ -54,7 +54,7 @@ def back_up(services: Services, folder: Path, now: datetime, shares: int = 30) -
 
 def findings(home: Path) -> list[verification.Finding]:
     """Compare a restored home's archive with its catalogue."""
-    archive = Archive(home / "archive")
+    archive = Archive(FolderStore(home / "archive"))
     with closing(Catalogue(f"sqlite:///{home / 'catalogue.sqlite'}")) as catalogue:
         known = [c.finding for c in verification.check_known(catalogue, archive) if c.finding]
         return known + list(verification.check_unknown(catalogue, archive))
@@ -90,7 +90,7 @@ def test_every_snapshot_fits_its_files_whatever_jobs_seal_meanwhile(home: Path, 
 
 
 def backups_files(folder: Path) -> list[str]:
-    return list(Archive(folder / "archive").files())
+    return list(Archive(FolderStore(folder / "archive")).files())
 
 
 def test_a_job_that_was_running_is_recovered_after_the_scripts(
@@ -190,7 +190,7 @@ def test_rot_is_found_wherever_it_is_and_good_takes_the_place_of_bad(
     with bootstrap.services(plate) as services:
         paths = kinds_of(services)
         known = layout.without_sidecar(paths[kind])
-        source, copy = services.archive.path(paths[kind]), kept / "archive" / paths[kind]
+        source, copy = services.archive.store.path(paths[kind]), kept / "archive" / paths[kind]
         # Before its first copy: what is damaged never comes into the backup, and is told every time.
         good = flip(source)
         copied, found = told(30)
@@ -221,7 +221,7 @@ def test_rot_is_found_wherever_it_is_and_good_takes_the_place_of_bad(
 def test_findings_are_an_exit_code_and_name_the_files(plate: Path, tmp_path: Path) -> None:
     with bootstrap.services(plate) as services:
         damaged = kinds_of(services)["dataset"]
-        flip(services.archive.path(damaged))
+        flip(services.archive.store.path(damaged))
     done = sms("db", "backup", str(tmp_path / "kept"), "--home", str(plate))
     assert done.returncode == 6
     assert damaged in done.stdout
@@ -285,7 +285,7 @@ def test_a_file_that_is_missing_is_told_and_the_others_are_kept(plate: Path, tmp
         with services.catalogue.reading() as session:
             path = session.scalars(select(FileRow.path)).first()
         assert path is not None
-        services.archive.path(path).unlink()
+        services.archive.store.path(path).unlink()
         steps = back_up(services, tmp_path / "kept", NOW)
     assert [step.path for step in steps if step.finding] == [path]
     assert backups.snapshots(tmp_path / "kept")

@@ -18,7 +18,7 @@ from support.calibration_sessions import point_errors
 from support.command import SMS, answer, service, sms
 
 from sms_jobs import bootstrap
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.models import FileRow
 from sms_jobs.jobs.calibrations import known_calibration
 from sms_jobs.metrology.geometry.lens import Intrinsics
@@ -158,7 +158,7 @@ def acquire(home: Path, *options: str) -> subprocess.CompletedProcess[str]:
 
 def _as_was_said(home: Path, said: dict[str, Any]) -> None:
     """Compare the recordings with what a dry run said of them."""
-    archive = Archive(home / "archive")
+    archive = Archive(FolderStore(home / "archive"))
     begun: dict[str, datetime] = {}
     ended: dict[str, datetime] = {}
     raw = 0

@@ -30,7 +30,7 @@ from support.servers import RedisServer
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import WorkerRow
@@ -244,7 +244,7 @@ def test_the_clock_of_a_server_is_compared(fresh_postgresql_url: str) -> None:
 
 
 def test_an_archive_is_written_to_and_left_as_it_was(home: Path) -> None:
-    root = Archive(home / "archive").root
+    root = FolderStore(home / "archive").root
     assert health.archive_works(root) is None
     assert health.other_file_systems(root) is None
     assert list(root.iterdir()) == []
@@ -253,7 +253,7 @@ def test_an_archive_is_written_to_and_left_as_it_was(home: Path) -> None:
 
 
 def test_an_archive_that_lost_its_disk_is_noticed(catalogue: Catalogue, home: Path) -> None:
-    archive = Archive(home / "archive")
+    archive = Archive(FolderStore(home / "archive"))
 
     def found() -> str | None:
         with catalogue.reading() as session:

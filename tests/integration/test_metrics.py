@@ -20,6 +20,7 @@ from support.deployments import Deployment
 from support.jobs import NOW, claim, submit_pipeline
 
 from sms_jobs import bootstrap
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import WorkerRow
 from sms_jobs.cli.metrics import served
@@ -79,7 +80,7 @@ def make(deployment: Deployment) -> Deployment:
 
 def numbers(catalogue: Catalogue, folder: Path, now: datetime) -> dict[str, float]:
     with catalogue.reading() as session:
-        return read(as_text(gather(session, folder, now)))
+        return read(as_text(gather(session, Archive(FolderStore(folder)), now)))
 
 
 @pytest.mark.parametrize("name", ["embedded", "grown"])

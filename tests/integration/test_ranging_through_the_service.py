@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.command import answer, service, sms
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps, Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
@@ -114,7 +114,7 @@ def test_two_returns_are_found_paired_and_kept(done: tuple[Path, str]) -> None:
     (found,) = run(home, "data", "find", "-c", "mirror", "--kind", "reconstruct")
     statistics = run(home, "data", "show", str(found["id"]))["statistics"]
     assert statistics["several_returns_fraction"] > 0.3
-    with Archive(home / "archive").open_unrecorded(found["path"]) as dataset:
+    with Archive(FolderStore(home / "archive")).open_unrecorded(found["path"]) as dataset:
         assert dataset.names == ("surface", "phase", "returns")
         assert dataset.provenance.parameters["method"] == "fdr"
         cloud, returns = dataset.read("surface", Surface), dataset.read("returns", ReturnMaps)
@@ -144,7 +144,7 @@ def test_a_bracket_that_acquire_chose_is_archived_and_merged(done: tuple[Path, s
     home, _ = done
     (measured,) = run(home, "data", "find", "-c", "glossy", "--kind", "measurement")
     (found,) = run(home, "data", "find", "-c", "glossy", "--kind", "reconstruct")
-    archive = Archive(home / "archive")
+    archive = Archive(FolderStore(home / "archive"))
     with archive.open_unrecorded(measured["path"]) as dataset:
         measurement = dataset.read("measurement", Measurement)
         sequence = measurement.sequence

@@ -15,7 +15,7 @@ from support.command import answer, service, sms, wait_until
 from support.spools import complete_frames
 
 from sms_jobs import bootstrap
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.models import FileRow
 from sms_jobs.instruments.spool import Spooled
 from sms_jobs.jobs import locks, recordings
@@ -91,7 +91,7 @@ def recorded_files(home: Path) -> list[str]:
 
 def measurements(home: Path) -> dict[str, Measurement]:
     """Return everything that was measured, by tuple; each tuple once."""
-    archive, found = Archive(home / "archive"), {}
+    archive, found = Archive(FolderStore(home / "archive")), {}
     for path in recorded_files(home):
         with archive.open_unrecorded(path) as dataset:
             assert str(dataset.subject) not in found
@@ -124,7 +124,7 @@ def test_a_state_is_recorded_and_processed(home: Path) -> None:
     states = {j["state"] for j in run(home, "job", "list", "-c", "plate")}
     assert states == {"succeeded"}
     assert "plate/S01/C1P1" in {r["subject"] for r in run(home, "data", "find", "--kind", "strain")}
-    with Archive(home / "archive").open_unrecorded(
+    with Archive(FolderStore(home / "archive")).open_unrecorded(
         next(r["path"] for r in run(home, "data", "find", "--kind", "measurement"))
     ) as dataset:
         assert dataset.names == ("measurement", "recording")
@@ -191,7 +191,7 @@ def test_a_killed_worker_loses_no_complete_frame(home: Path) -> None:
 
 def interrupted(home: Path) -> list[np.ndarray]:
     """Return the frames of the sets that broke off."""
-    archive, found = Archive(home / "archive"), []
+    archive, found = Archive(FolderStore(home / "archive")), []
     for path in recorded_files(home):
         with archive.open_unrecorded(path) as dataset:
             for name in dataset.names:

@@ -23,7 +23,7 @@ from support.command import wait_until
 from support.compose import ComposeServers, compose_servers
 from support.namespaces import Computer, network
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 
 pytestmark = pytest.mark.long
 
@@ -237,7 +237,7 @@ def test_hosts_are_upgraded_under_load_one_after_the_other(tmp_path: Path) -> No
         assert set(Counter((f["source"], f["subject"]) for f in files).values()) == {1}
         made_by_jobs = [f for f in files if f["source"] in ("measurement", "reconstruct")]
         assert Counter(f["source"] for f in made_by_jobs) == {"measurement": STATES, "reconstruct": STATES}
-        archive = Archive(tmp_path / "shared")
+        archive = Archive(FolderStore(tmp_path / "shared"))
         by = Counter()
         for file in made_by_jobs:
             made = archive.provenance(file["path"])

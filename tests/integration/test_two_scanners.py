@@ -18,7 +18,7 @@ from support.command import SMS, answer, service, sms, wait_until
 from support.spools import complete_frames
 
 from sms_jobs import bootstrap
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.instruments.simulated.rig import SimulatedRig
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.campaign import Campaign
@@ -144,7 +144,7 @@ def test_states_are_recorded_while_a_scanner_breaks_down(
         assert run(home, "job", "wait", "-c", "plate")
     assert scanners[1].end() == 0
     scanners[1].start()
-    archive = Archive(home / "archive")
+    archive = Archive(FolderStore(home / "archive"))
     files = run(home, "data", "find", "--kind", "measurement")
     assert len(files) == (8 if whole else 4)
     for row in files:

@@ -35,7 +35,7 @@ from sqlalchemy import delete, event, func, select
 from support.archives import Clock, everything, registered
 from support.sealing import measurement, point_cloud
 
-from sms_jobs.archive import Archive, Checker, InputReference, Provenance
+from sms_jobs.archive import Archive, Checker, FolderStore, InputReference, Provenance
 from sms_jobs.catalogue import campaigns, schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, ProvenanceRow, Table
@@ -69,7 +69,7 @@ class ArchiveCare(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.folder = Path(tempfile.mkdtemp(prefix="sms-archive-model-"))
-        self.archive = Archive(self.folder / "archive")
+        self.archive = Archive(FolderStore(self.folder / "archive"))
         self.clock = Clock()
         self.rng = np.random.default_rng(5)
         # What the catalogue knows, and what is wrong with it: nothing, corrupt or missing.
@@ -172,7 +172,7 @@ class ArchiveCare(RuleBasedStateMachine):
         if not whole:
             return
         path = whole[data.draw(st.integers(0, len(whole) - 1), label="file")]
-        file = self.archive.path(path)
+        file = self.archive.store.path(path)
         beside = file.with_name(f"{file.name}.provenance.json")
         self.known[path] = "missing" if how == "lost" else "corrupt"
         if how == "lost":
@@ -192,7 +192,7 @@ class ArchiveCare(RuleBasedStateMachine):
 
     @rule(what=st.sampled_from(["unfinished", "sidecar", "note"]), number=st.integers(0, 2))
     def leave_behind(self, what: str, number: int) -> None:
-        folder = self.archive.root / "plate" / STATES[0]
+        folder = self.archive.store.root / "plate" / STATES[0]
         folder.mkdir(exist_ok=True)
         stem = f"reconstruct-20260301T12000{number}Z-feedbeef-1-page.txt"
         name = {
@@ -350,7 +350,11 @@ def empty(catalogue: Catalogue) -> None:
 
 def on_disk(archive: Archive) -> dict[str, bytes]:
     """Return the contents of all files that lie anywhere in the archive's folder."""
-    return {str(p.relative_to(archive.root)): p.read_bytes() for p in archive.root.rglob("*") if p.is_file()}
+    return {
+        str(p.relative_to(archive.store.root)): p.read_bytes()
+        for p in archive.store.root.rglob("*")
+        if p.is_file()
+    }
 
 
 def a_place_in_a_chunk(file: Path) -> int | None:

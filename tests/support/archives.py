@@ -73,7 +73,7 @@ def run_jobs(
 
 def runner(catalogue: Catalogue, archive: Archive, clock: Clock) -> Runner:
     """Return what runs jobs in this process, those of the home's rigs too, as worker `w1`."""
-    home = archive.root.parent
+    home = archive.store.root.parent
     return Runner(
         catalogue,
         archive,

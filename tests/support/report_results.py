@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sms_jobs.archive import Archive, Provenance
+from sms_jobs.archive import Archive, FolderStore, Provenance
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DocumentOutput, Inputs, Need
 from sms_jobs.kinds.products import MERGED
 from sms_jobs.metrology.geometry.camera import Pose
@@ -125,7 +125,7 @@ def run_on_results(
     **given: Any,
 ) -> list[tuple[DocumentOutput, Path]]:
     """Run a kind on files of an archive in a folder; what it writes lands beside it."""
-    archive = Archive(folder / "archive")
+    archive = Archive(FolderStore(folder / "archive"))
     with ExitStack() as stack:
         datasets = {}
         parameters = kind.parameters(**given)

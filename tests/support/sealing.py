@@ -81,12 +81,14 @@ def calibration() -> Calibration:
 
 def files_below(archive: Archive) -> list[str]:
     """Return every file of an archive, sorted."""
-    return sorted(p.relative_to(archive.root).as_posix() for p in archive.root.rglob("*") if p.is_file())
+    return sorted(
+        p.relative_to(archive.store.root).as_posix() for p in archive.store.root.rglob("*") if p.is_file()
+    )
 
 
 def damaged(archive: Archive, sealed: Sealed, change: Any) -> None:
     """Put other bytes in the place of a sealed file's."""
-    path = archive.path(sealed.path)
+    path = archive.store.path(sealed.path)
     data = bytearray(path.read_bytes())
     path.chmod(0o644)
     path.write_bytes(change(data))

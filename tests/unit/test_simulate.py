@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, MemoryStore
 from sms_jobs.archive.provenance import Provenance
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Inputs, default_subjects
@@ -120,12 +119,12 @@ def test_it_makes_measurements_from_nothing() -> None:
     assert KIND.repeatable(SimulateParameters())
 
 
-def test_a_recording_comes_back_from_the_archive_with_what_was_simulated(tmp_path: Path) -> None:
+def test_a_recording_comes_back_from_the_archive_with_what_was_simulated() -> None:
     output = recorded(CAMPAIGN, "S01")["plate/S01/C1P2"]
     provenance = Provenance(
         "simulate", 1, output.subject, "0123456789abcdef", 1, UNTIMED, {}, (), "0", "host", "operator"
     )
-    archive = Archive(tmp_path)
+    archive = Archive(MemoryStore())
     sealed = archive.seal_dataset(output.records, provenance)
     made = measurement_of(output)
     with archive.open(sealed) as dataset:
@@ -135,7 +134,7 @@ def test_a_recording_comes_back_from_the_archive_with_what_was_simulated(tmp_pat
         np.testing.assert_array_equal(read.frames.rows(10, 40), made.frames.rows(10, 40))
 
 
-def test_a_state_of_a_session_is_recorded_with_its_artefact(tmp_path: Path) -> None:
+def test_a_state_of_a_session_is_recorded_with_its_artefact() -> None:
     session = small_session("session")
     assert session.session is not None
     specked = replace(session, scene=replace(session.scene, speckle=Speckle(5.0)))
@@ -161,7 +160,8 @@ def test_a_state_of_a_session_is_recorded_with_its_artefact(tmp_path: Path) -> N
         "host",
         "operator",
     )
-    sealed = Archive(tmp_path).seal_dataset({"measurement": made}, provenance)
-    with Archive(tmp_path).open(sealed) as dataset:
+    archive = Archive(MemoryStore())
+    sealed = archive.seal_dataset({"measurement": made}, provenance)
+    with archive.open(sealed) as dataset:
         assert dataset.read("measurement", Measurement).simulation == made.simulation
     assert default_subjects(KIND, session) == tuple(Subject("session", s.label) for s in session.states)

@@ -10,7 +10,7 @@ from statistics import median
 
 import numpy as np
 
-from sms_jobs.archive import Archive, Provenance
+from sms_jobs.archive import Archive, FolderStore, Provenance
 from sms_jobs.bench.figures import REPEATS, Condition, Figure, Found, Group, Run
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Surface
@@ -64,7 +64,7 @@ def measure(run: Run) -> Iterator[Found]:
     """Yield the figures and their conditions."""
     run.say("archive: sealing, reading and verifying frames")
     random = np.random.default_rng(20_031)
-    archive = Archive(run.folder)
+    archive = Archive(FolderStore(run.folder))
     record = _measurement(random, FRAMES // 4 if run.quick else FRAMES)
     small, cloud = _measurement(random, _FRAMES_OF_50_MB), _cloud(random)
     frames = record.frames.shape[0]

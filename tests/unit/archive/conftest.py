@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from support.sealing import measurement, provenance
 
-from sms_jobs.archive import Archive, Sealed
+from sms_jobs.archive import Archive, FolderStore, Sealed
 
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Archive:
-    return Archive(tmp_path / "archive")
+    return Archive(FolderStore(tmp_path / "archive"))
 
 
 @pytest.fixture

@@ -41,7 +41,7 @@ from sms_jobs.records.measurement import ArrayStack, Measurement
 
 def test_a_sealed_file_says_where_it_comes_from(archive: Archive, sealed: Sealed) -> None:
     assert sealed.path == "test/S00/C1P1/example-20260102T030405Z-01234567-1.h5"
-    assert sealed.size_bytes == archive.path(sealed.path).stat().st_size
+    assert sealed.size_bytes == archive.store.path(sealed.path).stat().st_size
     archive.verify(sealed.path, sealed.content_hash)
     with archive.open(sealed) as dataset:
         assert dataset.provenance == provenance()
@@ -93,10 +93,10 @@ def test_a_file_describes_its_arrays_without_reading_them(archive: Archive, seal
 
 
 def test_a_sealed_file_is_never_overwritten(archive: Archive, sealed: Sealed) -> None:
-    before = archive.path(sealed.path).read_bytes()
+    before = archive.store.path(sealed.path).read_bytes()
     with pytest.raises(Conflict, match="never overwritten"):
         archive.seal_dataset({"regions": regions()}, provenance())
-    assert archive.path(sealed.path).read_bytes() == before
+    assert archive.store.path(sealed.path).read_bytes() == before
     assert files_below(archive) == [sealed.path]
 
 
@@ -123,7 +123,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 import os
 import numpy as np
-from sms_jobs.archive import Archive, Provenance
+from sms_jobs.archive import Archive, FolderStore, Provenance
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 
@@ -141,14 +141,14 @@ record = Measurement(when, FringeSequence(), 4095, 0.1, 2.0, frames[0], Stack(fr
 provenance = Provenance("example", 1, Subject("test"), "0123456789abcdef", 2,
                         when, {}, (), "0.1.0", "here", "me")
 try:
-    Archive(Path(sys.argv[1])).seal_dataset({"measurement": record}, provenance)
+    Archive(FolderStore(Path(sys.argv[1]))).seal_dataset({"measurement": record}, provenance)
 except OSError as error:
     print(error.errno)
 """
 
 
 def write_and_stop(archive: Archive, how: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", WRITE_AND_STOP, str(archive.root), how]
+    command = [sys.executable, "-c", WRITE_AND_STOP, str(archive.store.root), how]
     return subprocess.run(command, check=False, capture_output=True, text=True, timeout=120)
 
 
@@ -234,7 +234,7 @@ def test_the_hash_can_be_computed_from_the_description_of_the_format(
     records = {"surface": point_cloud(rng), "calibration": calibration(), "regions": regions()}
     sealed = archive.seal_dataset(records, provenance())
     manifest = []
-    with h5py.File(archive.path(sealed.path)) as file:
+    with h5py.File(archive.store.path(sealed.path)) as file:
         for name in file["entry"].attrs["records"]:
             group = file["entry"][name]
             arrays = [
@@ -270,7 +270,7 @@ def test_a_truncated_file_is_found_out(archive: Archive, sealed: Sealed) -> None
 def test_a_flipped_bit_anywhere_in_the_frames_is_found_out(
     archive: Archive, sealed: Sealed, rng: np.random.Generator
 ) -> None:
-    with h5py.File(archive.path(sealed.path)) as file:
+    with h5py.File(archive.store.path(sealed.path)) as file:
         frames = file["entry/measurement/frames"].id
         chunk = frames.get_chunk_info(int(rng.integers(frames.get_num_chunks())))
     place = chunk.byte_offset + int(rng.integers(chunk.size))
@@ -318,10 +318,10 @@ def test_a_missing_file_and_a_foreign_file_are_named(archive: Archive, sealed: S
         archive.open_unrecorded("test/none-1.h5"),
     ):
         pass
-    archive.path("test/foreign.h5").write_bytes(b"not HDF5 at all")
+    archive.store.path("test/foreign.h5").write_bytes(b"not HDF5 at all")
     with pytest.raises(ArchiveCorrupt, match="cannot be read"), archive.open_unrecorded("test/foreign.h5"):
         pass
-    with h5py.File(archive.path("test/other.h5"), "w") as file:
+    with h5py.File(archive.store.path("test/other.h5"), "w") as file:
         file["x"] = 1
     with (
         pytest.raises(ArchiveCorrupt, match="not one of this archive"),
@@ -331,7 +331,7 @@ def test_a_missing_file_and_a_foreign_file_are_named(archive: Archive, sealed: S
 
 
 def test_a_file_of_a_newer_version_is_refused_with_both_versions(archive: Archive, sealed: Sealed) -> None:
-    path = archive.path(sealed.path)
+    path = archive.store.path(sealed.path)
     path.chmod(0o644)
     with h5py.File(path, "r+") as file:
         file.attrs["format_version"] = 7
@@ -356,7 +356,7 @@ def default_plot(path: Path) -> Any:
 
 
 def test_viewers_open_a_measurement_with_its_texture(archive: Archive, sealed: Sealed) -> None:
-    name, signal, shape, axes = default_plot(archive.path(sealed.path))
+    name, signal, shape, axes = default_plot(archive.store.path(sealed.path))
     assert (name, signal) == ("white-light texture [count]", "texture")
     assert shape == (150, 90)
     assert axes == ["row", "column"]
@@ -364,9 +364,9 @@ def test_viewers_open_a_measurement_with_its_texture(archive: Archive, sealed: S
 
 def test_viewers_open_a_result_with_its_first_image(archive: Archive, rng: np.random.Generator) -> None:
     result = archive.seal_dataset({"surface": point_cloud(rng), "regions": regions()}, provenance())
-    _, signal, shape, axes = default_plot(archive.path(result.path))
+    _, signal, shape, axes = default_plot(archive.store.path(result.path))
     assert (signal, shape, axes) == ("position", (3, 40, 30), [None, "row", "column"])
-    with h5py.File(archive.path(result.path)) as file:
+    with h5py.File(archive.store.path(result.path)) as file:
         cloud = file["entry/surface"]
         assert cloud["reason"].attrs["flag_names"][0] == "LOW_MODULATION"
         assert list(cloud["position"].attrs["components"]) == ["X", "Y", "Z"]
@@ -377,7 +377,7 @@ def test_viewers_open_a_result_with_its_first_image(archive: Archive, rng: np.ra
 def test_viewers_pass_over_what_cannot_be_plotted(archive: Archive, rng: np.random.Generator) -> None:
     records = {"calibration": calibration(), "surface": point_cloud(rng)}
     result = archive.seal_dataset(records, provenance())
-    assert default_plot(archive.path(result.path))[1] == "position"
+    assert default_plot(archive.store.path(result.path))[1] == "position"
     with archive.open(result) as dataset:
         assert dataset.names == ("calibration", "surface")
 
@@ -400,7 +400,7 @@ def test_viewers_open_points_as_a_scatter_plot(archive: Archive, rng: np.random.
         reason=np.zeros(n, np.uint32),
     )
     result = archive.seal_dataset({"matches": matches}, provenance())
-    with silx.io.open(str(archive.path(result.path))) as file:
+    with silx.io.open(str(archive.store.path(result.path))) as file:
         plot = get_default(file)
         assert plot.is_valid
         assert plot.is_scatter

@@ -22,7 +22,7 @@ from sms_jobs.records.sensors import Calibration
 @pytest.mark.parametrize("path", ["../x.h5", "/etc/passwd", "a/../../x", "", "a\0b", ".."])
 def test_paths_stay_inside_the_archive(path: str, archive: Archive) -> None:
     with pytest.raises(InvalidInput, match="not a path inside"):
-        archive.path(path)
+        archive.store.path(path)
     with pytest.raises(InvalidInput):
         archive.discard(path)
 
@@ -31,9 +31,9 @@ def test_links_do_not_lead_out_of_the_archive(archive: Archive, tmp_path: Path) 
     outside = tmp_path / "outside"
     outside.mkdir()
     (outside / "secret.h5").write_bytes(b"x")
-    (archive.root / "test").symlink_to(outside)
+    (archive.store.root / "test").symlink_to(outside)
     with pytest.raises(InvalidInput, match="through a link"):
-        archive.path("test/secret.h5")
+        archive.store.path("test/secret.h5")
     with pytest.raises(InvalidInput, match="through a link"):
         archive.discard("test/secret.h5")
     with pytest.raises(InvalidInput, match="through a link"):
@@ -83,7 +83,7 @@ def test_a_job_finds_its_own_files_and_no_others(archive: Archive) -> None:
 
 def test_the_provenance_of_a_document_that_was_never_sealed_is_found(archive: Archive) -> None:
     page = archive.seal_document("p.html", "text/html", lambda p: None or p.write_text("x"), provenance())
-    archive.path(page.path).unlink()
+    archive.store.path(page.path).unlink()
     assert archive.leftovers(JOB) == (f"{page.path}.provenance.json",)
     archive.discard(f"{page.path}.provenance.json")
     assert files_below(archive) == []
@@ -101,7 +101,7 @@ def test_documents_are_sealed_with_their_provenance(archive: Archive) -> None:
     assert (sealed.size_bytes, sealed.media_type) == (3, "text/html")
     archive.verify(sealed.path, sealed.content_hash)
     assert archive.document_provenance(sealed.path) == provenance()
-    beside = json.loads(archive.path(f"{sealed.path}.provenance.json").read_text())
+    beside = json.loads(archive.store.path(f"{sealed.path}.provenance.json").read_text())
     assert (beside["filename"], beside["content_hash"]) == ("report.html", sealed.content_hash)
     damaged(archive, sealed, lambda data: data + b"!")
     with pytest.raises(ArchiveCorrupt, match="is on record"):

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sms_jobs.archive import Archive, Provenance
+from sms_jobs.archive import Archive, FolderStore, MemoryStore, Provenance
 from sms_jobs.archive.codec import layout_of, plain_to_json, record_classes, record_from_parts
 from sms_jobs.errors import ArchiveCorrupt
 from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
@@ -127,8 +127,8 @@ def assert_same(a: Any, b: Any) -> None:
 
 
 @pytest.mark.parametrize("record_class", STORED, ids=lambda c: c.__name__)
-def test_every_record_class_comes_back_as_it_was(record_class: type, tmp_path: Path) -> None:
-    archive = Archive(tmp_path)
+def test_every_record_class_comes_back_as_it_was(record_class: type) -> None:
+    archive = Archive(MemoryStore())
     for seed in range(3):
         record = example(record_class, np.random.default_rng(seed))
         sealed = archive.seal_dataset({"it": record}, provenance(attempt=seed))
@@ -137,10 +137,10 @@ def test_every_record_class_comes_back_as_it_was(record_class: type, tmp_path: P
             assert_same(dataset.read("it", record_class), record)
 
 
-def test_empty_lists_of_points_are_stored_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_empty_lists_of_points_are_stored_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(LENGTHS, "point", 0)
     matches = example(record_classes()["ImageMatches"], np.random.default_rng(0))
-    archive = Archive(tmp_path)
+    archive = Archive(MemoryStore())
     sealed = archive.seal_dataset({"matches": matches}, provenance())
     archive.verify(sealed.path, sealed.content_hash)
     with archive.open(sealed) as dataset:
@@ -228,5 +228,5 @@ def test_arrays_that_break_their_declaration_are_refused(
 ) -> None:
     record = replace(example(Measurement, np.random.default_rng(0)), **{field: value})
     with pytest.raises(TypeError, match=complaint):
-        Archive(tmp_path).seal_dataset({"measurement": record}, provenance())
+        Archive(FolderStore(tmp_path)).seal_dataset({"measurement": record}, provenance())
     assert [p for p in tmp_path.rglob("*") if p.is_file()] == []

@@ -103,7 +103,7 @@ def judged(told: dict[int, str], bits: range) -> None:
 
 
 def test_a_flipped_bit_is_noticed_or_changes_nothing(archive: Archive, small: Sealed) -> None:
-    file = archive.path(small.path)
+    file = archive.store.path(small.path)
     file.chmod(0o644)
     bits = range(0, 8 * small.size_bytes, 37)
     judged(flipped(file, small.content_hash, bits), bits)
@@ -115,16 +115,16 @@ def test_every_flipped_bit_is_noticed_or_changes_nothing(archive: Archive, small
     processes = max(1, (os.cpu_count() or 1) // 2)
     part = -(-count // processes)
     parts = [range(start, min(start + part, count)) for start in range(0, count, part)]
-    copies = [archive.root / f"copy-{number}.h5" for number in range(len(parts))]
+    copies = [archive.store.root / f"copy-{number}.h5" for number in range(len(parts))]
     for copy in copies:
-        shutil.copyfile(archive.path(small.path), copy)
+        shutil.copyfile(archive.store.path(small.path), copy)
     with ThreadPoolExecutor(processes) as pool:
         told = list(pool.map(flipped, copies, [small.content_hash] * len(parts), parts))
     judged({bit: what for some in told for bit, what in some.items()}, range(count))
 
 
 def test_verification_outlives_what_ends_its_reader(archive: Archive, small: Sealed) -> None:
-    pristine = archive.path(small.path).read_bytes()
+    pristine = archive.store.path(small.path).read_bytes()
     with Checker() as checker:
         for byte in range(0, len(pristine), len(pristine) // 20):
             damaged(archive, small, lambda data, at=byte: data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])

@@ -29,7 +29,7 @@ def checker() -> Iterator[Checker]:
 
 def tampered(archive: Archive, sealed: Sealed, change: Callable[[Any], object]) -> None:
     """Change a sealed file as somebody would who wants to do harm."""
-    file = archive.path(sealed.path)
+    file = archive.store.path(sealed.path)
     file.chmod(0o644)
     with h5py.File(file, "r+") as opened:
         change(opened)
@@ -157,7 +157,7 @@ def document(archive: Archive) -> Sealed:
 @pytest.mark.parametrize("what", ["deep", "large", "pipe", "none", "other", "altered"])
 def test_what_lies_beside_a_document_is_read_with_care(what: str, archive: Archive, checker: Checker) -> None:
     sealed = document(archive)
-    beside = archive.path(f"{sealed.path}.provenance.json")
+    beside = archive.store.path(f"{sealed.path}.provenance.json")
     told = json.loads(beside.read_text())
     beside.unlink()
     if what == "deep":
@@ -183,7 +183,7 @@ def test_numbers_that_files_are_found_by_are_finite(value: float, archive: Archi
     sealed = archive.seal_document(
         "page.txt", "text/plain", lambda p: p.write_text("1"), provenance(statistics={"mean": 1.0})
     )
-    beside = archive.path(f"{sealed.path}.provenance.json")
+    beside = archive.store.path(f"{sealed.path}.provenance.json")
     told = json.loads(beside.read_text())
     del told["sha256"]
     told["provenance"]["statistics"]["mean"] = value
@@ -195,7 +195,7 @@ def test_numbers_that_files_are_found_by_are_finite(value: float, archive: Archi
 
 def test_documents_of_older_programs_are_read(archive: Archive, checker: Checker) -> None:
     sealed = document(archive)
-    beside = archive.path(f"{sealed.path}.provenance.json")
+    beside = archive.store.path(f"{sealed.path}.provenance.json")
     told = json.loads(beside.read_text())
     del told["sha256"]
     beside.chmod(0o644)
@@ -208,7 +208,7 @@ def test_every_flipped_bit_beside_a_document_is_noticed_or_changes_nothing(
 ) -> None:
     sealed = document(archive)
     good = archive.examine(sealed.path, checker)
-    beside = archive.path(f"{sealed.path}.provenance.json")
+    beside = archive.store.path(f"{sealed.path}.provenance.json")
     data = beside.read_bytes()
     beside.chmod(0o644)
     noticed = 0
@@ -230,7 +230,7 @@ def test_a_link_out_of_the_archive_spoils_nothing_else(
     catalogue = Catalogue(f"sqlite:///{tmp_path / 'catalogue.sqlite'}", create=True)
     schema.upgrade(catalogue)
     leading_out = sealed.path.replace("-1.h5", "-2.h5")
-    (archive.root / leading_out).symlink_to("/etc/passwd")
+    (archive.store.root / leading_out).symlink_to("/etc/passwd")
     paths = reindexing.unknown_files(catalogue, archive)
     told = {one.path: one for one in reindexing.reindex(catalogue, archive, paths)}
     assert told[leading_out].outcome == "refused"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.archive.place import probe, require_usable, says_full, says_unusable, unusable
 from sms_jobs.archive.sealing import sealing
 from sms_jobs.errors import ArchiveCorrupt, StorageFull, StorageUnusable
@@ -57,14 +57,14 @@ def test_a_finding_names_folder_reason_and_next_step() -> None:
 
 
 def test_a_place_is_judged_by_using_it_and_left_as_it_was(tmp_path: Path) -> None:
-    archive = Archive(tmp_path / "archive")
+    archive = Archive(FolderStore(tmp_path / "archive"))
     archive.probe(Subject("plate", "S00"))
-    (archive.root / "plate").mkdir()
+    (archive.store.root / "plate").mkdir()
     archive.probe(Subject("plate", "S00"))
-    assert [path.name for path in archive.root.rglob("*")] == ["plate"]
-    require_usable(archive.root, 0.0)
+    assert [path.name for path in archive.store.root.rglob("*")] == ["plate"]
+    require_usable(archive.store.root, 0.0)
     with pytest.raises(StorageFull, match="least_room_mb"):
-        require_usable(archive.root, 1e12)
+        require_usable(archive.store.root, 1e12)
     for ask in (probe, lambda folder: require_usable(folder, 0.0)):
         with pytest.raises(StorageUnusable, match="mounted"):
             ask(tmp_path / "gone")

@@ -23,7 +23,7 @@ SEEN = r"is not what was sealed.*sms archive repair"
 
 def changed(archive: Archive, sealed: Sealed, change: Callable[[h5py.File], object]) -> None:
     """Change a sealed file as a program does that leaves everything else of it right."""
-    path = archive.path(sealed.path)
+    path = archive.store.path(sealed.path)
     path.chmod(0o644)
     with h5py.File(path, "r+") as file:
         change(file)
@@ -48,7 +48,7 @@ def test_files_that_were_exchanged_are_noticed(archive: Archive, rng: np.random.
     one, other = (
         archive.seal_dataset({"measurement": measurement(rng)}, provenance(attempt=k)) for k in (1, 2)
     )
-    paths = [archive.path(sealed.path) for sealed in (one, other)]
+    paths = [archive.store.path(sealed.path) for sealed in (one, other)]
     aside = paths[0].with_name("aside")
     shutil.move(paths[0], aside)
     shutil.move(paths[1], paths[0])
@@ -57,7 +57,7 @@ def test_files_that_were_exchanged_are_noticed(archive: Archive, rng: np.random.
         with pytest.raises(ArchiveCorrupt, match=SEEN), archive.open(sealed):
             pass
         # Even where the sizes are alike.
-        alike = replace(sealed, size_bytes=archive.path(sealed.path).stat().st_size, sha256="")
+        alike = replace(sealed, size_bytes=archive.store.path(sealed.path).stat().st_size, sha256="")
         with pytest.raises(ArchiveCorrupt, match=sealed.content_hash[:12]), archive.open(alike):
             pass
 
@@ -67,7 +67,7 @@ def test_an_array_with_other_values_is_noticed_when_it_is_read(
 ) -> None:
     sealed = archive.seal_dataset({"surface": point_cloud(rng)}, provenance())
     changed(archive, sealed, lambda file: put(file["entry/surface/ray_gap"], (3, 4), 7.0))
-    size = archive.path(sealed.path).stat().st_size
+    size = archive.store.path(sealed.path).stat().st_size
     with (
         archive.open(replace(sealed, size_bytes=size, sha256="")) as dataset,
         pytest.raises(ArchiveCorrupt, match=r"surface\.ray_gap is not what was sealed"),
@@ -80,7 +80,7 @@ def test_a_block_of_frames_with_other_values_is_noticed(
     archive: Archive, sealed: Sealed, frame: int, row: int
 ) -> None:
     changed(archive, sealed, lambda file: put(file["entry/measurement/frames"], (frame, row, 5), 5000))
-    size = archive.path(sealed.path).stat().st_size
+    size = archive.store.path(sealed.path).stat().st_size
     with archive.open(replace(sealed, size_bytes=size, sha256="")) as dataset:
         frames = dataset.read("measurement", Measurement).frames
         first, top = frame // 4 * 4, row // 64 * 64
@@ -120,7 +120,7 @@ def test_what_stands_beside_an_array_is_verified_too(
     changed(archive, sealed, change)
     with pytest.raises(ArchiveCorrupt):
         archive.verify(sealed.path, sealed.content_hash)
-    size = archive.path(sealed.path).stat().st_size
+    size = archive.store.path(sealed.path).stat().st_size
     with archive.open(replace(sealed, size_bytes=size, sha256="")) as dataset:
         if attribute.startswith("block"):
             with pytest.raises(ArchiveCorrupt):

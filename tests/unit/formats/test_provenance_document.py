@@ -13,7 +13,7 @@ import pytest
 from support.archives import Clock, registered
 from support.sealing import measurement, point_cloud, provenance
 
-from sms_jobs.archive import Archive, InputReference, Sealed
+from sms_jobs.archive import Archive, FolderStore, InputReference, Sealed
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import NotFound
@@ -112,7 +112,7 @@ def made(tmp_path: Path, rng: Any) -> Iterator[tuple[Catalogue, Archive, Sealed,
     """A recording, and points and a page that one job made of it."""
     catalogue = Catalogue(f"sqlite:///{tmp_path / 'catalogue.sqlite'}", create=True)
     schema.upgrade(catalogue)
-    archive, clock = Archive(tmp_path / "archive"), Clock()
+    archive, clock = Archive(FolderStore(tmp_path / "archive")), Clock()
     registered(catalogue, archive, clock)
     subject = Subject("plate", "S00", "C1P1")
     recorded = archive.seal_dataset(
@@ -165,7 +165,7 @@ def test_files_tell_the_document_back_to_what_was_measured(
 
 def test_what_is_lost_stays_in_the_document(made: tuple[Catalogue, Archive, Sealed, Sealed]) -> None:
     catalogue, archive, recorded, points = made
-    archive.path(recorded.path).unlink()
+    archive.store.path(recorded.path).unlink()
     document = lineage_documents.document_of(catalogue, archive, [points.path])
     strictly(document)
     lost = document["entity"][f"file:{recorded.path}"]

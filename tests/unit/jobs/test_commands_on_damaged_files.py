@@ -25,7 +25,7 @@ def damaged(home: Path) -> tuple[Path, int, int]:
         with services.catalogue.reading() as session:
             paths = session.scalars(select(FileRow.path).where(FileRow.id.in_((dataset, document)))).all()
         for path in paths:
-            file = services.archive.path(path)
+            file = services.archive.store.path(path)
             file.chmod(0o644)
             file.write_bytes(file.read_bytes().replace(b"page", b"paga").replace(b'"area":9', b'"area":8'))
     return home, dataset, document

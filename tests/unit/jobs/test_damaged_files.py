@@ -10,7 +10,7 @@ import pytest
 from sqlalchemy import select
 from support.archives import Clock, registered, run_jobs
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow
@@ -25,7 +25,7 @@ class Recorded:
     """A small campaign that was recorded and whose state at rest has its shape."""
 
     def __init__(self, folder: Path) -> None:
-        self.archive, self.clock = Archive(folder / "archive"), Clock()
+        self.archive, self.clock = Archive(FolderStore(folder / "archive")), Clock()
         self.catalogue = Catalogue(f"sqlite:///{folder / 'catalogue.sqlite'}", create=True)
         schema.upgrade(self.catalogue)
         registered(self.catalogue, self.archive, self.clock)
@@ -46,7 +46,7 @@ class Recorded:
             return list(session.scalars(select(FileRow).where(FileRow.source == source).order_by(FileRow.id)))
 
     def bytes_of(self, file: FileRow) -> Path:
-        path = self.archive.path(file.path)
+        path = self.archive.store.path(file.path)
         path.chmod(0o644)
         return path
 

@@ -46,10 +46,10 @@ def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
 def tried(
     services: Services, campaign: Campaign, text: str = RIG, states: tuple[LoadState, ...] | None = None
 ) -> DryRun:
-    folder = services.archive.root
+    folder = services.archive.store.root
     with services.catalogue.reading() as session:
         rig = parse_rig(text, "rig.toml", known_sensors())
-        return dry_run(session, rig, campaign, states or campaign.states, folder / "spool", folder)
+        return dry_run(session, rig, campaign, states or campaign.states, folder / "spool", services.archive)
 
 
 def asking_for(*channels: str) -> Campaign:

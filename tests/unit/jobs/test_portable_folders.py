@@ -21,7 +21,7 @@ from support.sealing import calibration
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
-from sms_jobs.archive import Archive, Checker
+from sms_jobs.archive import Archive, Checker, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.cli import data
@@ -55,7 +55,7 @@ def checker() -> Iterator[Checker]:
 def home(folder: Path, checker: Checker) -> Home:
     bootstrap.initialise(folder)
     catalogue = Catalogue(f"sqlite:///{folder / 'catalogue.sqlite'}")
-    return Home(folder, catalogue, Archive(folder / "archive"), checker)
+    return Home(folder, catalogue, Archive(FolderStore(folder / "archive")), checker)
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +148,7 @@ def test_a_campaign_comes_to_another_home_as_it_was(
 
 def test_the_folder_is_an_archive_itself(full: Home, tmp_path: Path) -> None:
     exported(full, tmp_path / "plate", Wanted("plate"))
-    archive = Archive(tmp_path / "plate" / "data")
+    archive = Archive(FolderStore(tmp_path / "plate" / "data"))
     catalogue = Catalogue(f"sqlite:///{tmp_path / 'catalogue.sqlite'}", create=True)
     schema.upgrade(catalogue)
     paths = reindexing.unknown_files(catalogue, archive)
@@ -179,7 +179,7 @@ def test_without_plugins_every_library_reads_the_files(full: Home, tmp_path: Pat
     paths = [str(tmp_path / "plate" / "data" / one.path) for one in files]
     subprocess.run([sys.executable, "-c", READ_ALL, *paths], check=True, timeout=120)
     for one, path in zip(files, paths, strict=True):
-        with h5py.File(path) as new, h5py.File(full.archive.path(one.path)) as old:
+        with h5py.File(path) as new, h5py.File(full.archive.store.path(one.path)) as old:
             assert tree(new) == tree(old)
 
 
@@ -254,10 +254,10 @@ def test_what_is_chosen_comes_with_what_it_needs(full: Home, tmp_path: Path) -> 
 
 
 def test_a_damaged_file_is_not_exported(full: Home, tmp_path: Path) -> None:
-    copy = replace(full, folder=tmp_path, archive=Archive(tmp_path / "archive"))
-    shutil.copytree(full.archive.root, copy.archive.root, dirs_exist_ok=True)
+    copy = replace(full, folder=tmp_path, archive=Archive(FolderStore(tmp_path / "archive")))
+    shutil.copytree(full.archive.store.root, copy.archive.store.root, dirs_exist_ok=True)
     (victim,) = (p for p in copy.archive.files() if "/strain-" in p)
-    file = copy.archive.path(victim)
+    file = copy.archive.store.path(victim)
     data = bytearray(file.read_bytes())
     data[len(data) // 2] ^= 1
     file.chmod(0o644)
@@ -295,18 +295,18 @@ def test_what_does_not_fit_is_taken_out_again(full: Home, empty: Home, tmp_path:
     definition.unlink()
     manifest = portable_import.manifest_of(folder)
     manifest = {path: sha256 for path, sha256 in manifest.items() if "/campaign-" not in path}
-    before = contents(empty.archive.root)
+    before = contents(empty.archive.store.root)
     done = list(
         portable_import.enter(empty.catalogue, empty.archive, folder, manifest, NOW, checker=empty.checker)
     )
     assert [one.outcome for one in done] == ["no-campaign"]
-    assert contents(empty.archive.root) == before
+    assert contents(empty.archive.store.root) == before
 
 
 def test_a_file_cannot_pass_for_the_output_of_another_job(full: Home, empty: Home, tmp_path: Path) -> None:
     folder = tmp_path / "plate"
     exported(full, folder, Wanted("plate"))
-    brought = Archive(folder / "data")
+    brought = Archive(FolderStore(folder / "data"))
     (strain,) = (path for path in brought.files() if "/strain-" in path)
     (correlated,) = (path for path in brought.files() if "/correlate-" in path)
     with brought.open_unrecorded(strain) as dataset:
@@ -320,7 +320,7 @@ def test_a_file_cannot_pass_for_the_output_of_another_job(full: Home, empty: Hom
     bad = {one.path: one.detail for one in done if one.outcome != "indexed"}
     assert list(bad) == [made.path]
     assert "is known as correlate of plate/S01/C1P1" in bad[made.path]
-    assert not empty.archive.path(made.path).exists()
+    assert not empty.archive.store.path(made.path).exists()
 
 
 def test_every_change_to_a_folder_is_named(full: Home, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from sqlalchemy import event, func, select
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, MemoryStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow
@@ -32,7 +32,7 @@ CALIBRATED, PLATE = small_plate("plate")
 def repository(tmp_path: Path) -> Iterator[Repository]:
     with closing(Catalogue(f"sqlite:///{tmp_path / 'catalogue.sqlite'}", create=True)) as catalogue:
         schema.upgrade(catalogue)
-        yield Repository(catalogue, Archive(tmp_path / "archive"))
+        yield Repository(catalogue, Archive(MemoryStore()))
 
 
 def entered(repository: Repository) -> int:

@@ -158,7 +158,7 @@ def test_a_result_is_written_in_the_format_that_is_asked_for(
     assert len((here / "plate-S01-merge.csv").read_text().splitlines()) == 1 + 6 * 8
     export(home, number, out=here / "sealed.h5")
     with services.catalogue.reading() as session:
-        sealed = services.archive.path(search.file_view(session, number).path)
+        sealed = services.archive.store.path(search.file_view(session, number).path)
     assert (here / "sealed.h5").read_bytes() == sealed.read_bytes()
 
 

@@ -15,7 +15,7 @@ from matplotlib.image import imread
 from pydantic import ValidationError
 from support.bent_plate import CAMERA, PLACEMENT, PROJECTOR, measured, plate_surface, seen_plate
 
-from sms_jobs.archive import Archive, Provenance
+from sms_jobs.archive import Archive, MemoryStore, Provenance
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.formats.deviation_figures import band_edges, draw_deviation
 from sms_jobs.formats.exporters import exporter_named
@@ -85,9 +85,9 @@ def records_for(need: Need) -> dict[str, Any]:
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
+def run() -> Run:
     """Run a kind on files of an archive."""
-    archive = Archive(tmp_path / "archive")
+    archive = Archive(MemoryStore())
 
     def run_kind(kind: Any, **given: Any) -> list[Any]:
         with ExitStack() as stack:
