@@ -58,6 +58,23 @@ def test_nothing_is_left_for_later(path: Path) -> None:
     assert "NotImplementedError" not in text
 
 
+def test_nobody_goes_around_the_archive() -> None:
+    # Who is given a folder may open it as a store: the settings, a backup, somebody's files, a benchmark.
+    opening = {"sms_jobs/bootstrap.py", "workers/tasks.py", "sms_jobs/jobs/backups.py"}
+    opening |= {"sms_jobs/jobs/portable_import.py"}
+    opened, asked = set(), []
+    for path in SOURCES:
+        if path.parent.name == "archive" or "bench" in path.parts:
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Name) and node.id == "FolderStore":
+                opened.add(relative(path))
+            if isinstance(node, ast.Attribute) and node.attr == "store":
+                asked.append(f"{relative(path)}:{node.lineno}")
+    assert opened == opening
+    assert asked == []
+
+
 def test_names_say_what_is_inside() -> None:
     vague = {"utils", "util", "helpers", "helper", "manager", "managers", "common", "misc", "data", "process"}
     named_by_a_command = ROOT / "sms_jobs" / "cli"  # `sms data`
