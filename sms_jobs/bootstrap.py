@@ -152,6 +152,11 @@ def _archive(settings: Settings) -> Archive:
             f"there is no folder {settings.archive_root} of the archive; mount it, correct the setting "
             f"'archive', or run 'sms init --home {settings.home}'"
         )
+    return open_archive(settings)
+
+
+def open_archive(settings: Settings) -> Archive:
+    """Return the archive that the settings name; here it is decided what store it has."""
     return Archive(FolderStore(settings.archive_root))
 
 
@@ -174,8 +179,7 @@ def _current_catalogue(settings: Settings) -> Catalogue:
 
 
 def _archive_has_files(settings: Settings) -> bool:
-    root = settings.archive_root
-    return root.is_dir() and next(Archive(FolderStore(root)).files(), None) is not None
+    return settings.archive_root.is_dir() and next(open_archive(settings).files(), None) is not None
 
 
 def _is_empty(url: str) -> bool:

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from functools import cache
 
 from sms_jobs import settings as settings_file
-from sms_jobs.archive import Archive, FolderStore
+from sms_jobs.bootstrap import open_archive
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.jobs.runner import Runner
 from sms_jobs.jobs.stations import Stations
@@ -35,7 +35,7 @@ def _runner() -> Runner:
     """Open this process's own connections; called in the place, after the fork."""
     return Runner(
         catalogue=Catalogue(SETTINGS.catalogue_url),
-        archive=Archive(FolderStore(SETTINGS.archive_root)),
+        archive=open_archive(SETTINGS),
         queues=_queues,
         worker_id=os.environ[WORKER_ID],
         host=socket.gethostname(),

@@ -69,17 +69,6 @@ class MemoryStore(Store):
         return BufferedReader(BytesIO(self._files[name]))
 
     @override
-    @contextmanager
-    def local(self, name: str) -> Iterator[Path]:
-        content = self._files.get(require_name(name))
-        with tempfile.TemporaryDirectory(prefix="sms-") as folder:
-            file = Path(folder) / name.rsplit("/", 1)[-1]
-            if content is not None:
-                file.write_bytes(content)
-                file.chmod(0o444)
-            yield file
-
-    @override
     def names(self, folder: str = "") -> Iterator[str]:
         above = f"{require_name(folder)}/" if folder else ""
         for name in list(self._files):

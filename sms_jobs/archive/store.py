@@ -6,9 +6,11 @@ A store knows nothing of what it keeps. Every promise that is made here is tried
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from io import BufferedIOBase
 from pathlib import Path
@@ -100,12 +102,12 @@ class Store(ABC):
     def open(self, name: str) -> BufferedIOBase:
         """Return a file for reading from any place in it; raise `FileNotFoundError` where there is none."""
 
-    @abstractmethod
     def local(self, name: str) -> AbstractContextManager[LocalFile]:
         """Give a path at which the bytes lie meanwhile; where there is no such file, there is none at it.
 
-        For libraries that want a path. Nothing may be written to it.
+        For libraries that want a path. Nothing may be written to it. It is a copy, unless a store has better.
         """
+        return _copied(self, name)
 
     @abstractmethod
     def names(self, folder: str = "") -> Iterator[str]:
@@ -140,3 +142,13 @@ class Store(ABC):
     @abstractmethod
     def location(self, name: str) -> str:
         """Return where a person finds a file."""
+
+
+@contextmanager
+def _copied(store: Store, name: str) -> Iterator[LocalFile]:
+    with tempfile.TemporaryDirectory(prefix="sms-") as folder:
+        file = Path(folder) / require_name(name).rpartition("/")[2]
+        with suppress(FileNotFoundError), store.open(name) as stored, file.open("wb") as copy:
+            shutil.copyfileobj(stored, copy)
+            file.chmod(0o444)
+        yield file

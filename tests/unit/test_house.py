@@ -60,8 +60,7 @@ def test_nothing_is_left_for_later(path: Path) -> None:
 
 def test_nobody_goes_around_the_archive() -> None:
     # Who is given a folder may open it as a store: the settings, a backup, somebody's files, a benchmark.
-    opening = {"sms_jobs/bootstrap.py", "workers/tasks.py", "sms_jobs/jobs/backups.py"}
-    opening |= {"sms_jobs/jobs/portable_import.py"}
+    opening = {f"sms_jobs/{name}.py" for name in ("bootstrap", "jobs/backups", "jobs/portable_import")}
     opened, asked = set(), []
     for path in SOURCES:
         if path.parent.name == "archive" or "bench" in path.parts:
