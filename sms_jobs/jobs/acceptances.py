@@ -70,7 +70,7 @@ def accept(
             # A clock that was set back must not make the earlier decision the later one.
             now = max(now, last.decided_at + timedelta(microseconds=1))
     provenance = decided(acceptance, view.path, now)
-    return Repository(catalogue, archive).put({ACCEPTANCE: acceptance}, provenance, now).new
+    return Repository(catalogue, archive).put({ACCEPTANCE: acceptance}, provenance).new
 
 
 def _refuse_other_rig(session: Session, rig: str, campaign: str, number: int) -> None:

@@ -125,7 +125,6 @@ def import_measurement(
     kept = Repository(catalogue, archive).put(
         {MEASUREMENT: measurement},
         brought_in(MEASUREMENT, subject, now, parameters={SOURCE_HASH: source_sha256, **parameters}),
-        now,
         lambda session: _require_same(_measurements(session, subject), before, str(subject)),
     )
     return Known(known.status, kept.path)
@@ -154,7 +153,7 @@ def import_observations(
         for subject, observation in zip(subjects, observations.values(), strict=True):
             provenance = brought_in(kind.name, subject, now, version=kind.version, parameters=parameters)
             batch.seal({BOARD.name: observation}, provenance)
-        batch.enter(now)
+        batch.enter()
 
 
 def with_states(campaign: Campaign, labels: Iterable[str]) -> Campaign:
@@ -250,7 +249,7 @@ def amend_campaign(
         _require_same(present, before, f"campaign {before.name}")
 
     definition = CampaignDefinition(after, row.plan)
-    Repository(catalogue, archive).put({CAMPAIGN: definition}, defined(before.name, now), now, check)
+    Repository(catalogue, archive).put({CAMPAIGN: definition}, defined(before.name, now), check)
 
 
 def continues(before: Campaign, after: Campaign) -> bool:

@@ -55,7 +55,7 @@ def register_campaign(
             made = batch.seal({CALIBRATION: calibration}, _brought(calibration, now)).sealed
             own = Acceptance(calibration.rig.name, made.content_hash, campaign.name)
             batch.seal({ACCEPTANCE: own}, decided(own, _path(catalogue, made), now))
-        batch.enter(now, lambda session: campaigns.refuse_taken_name(session, campaign.name))
+        batch.enter(lambda session: campaigns.refuse_taken_name(session, campaign.name))
 
 
 def defined(campaign: str, at: datetime) -> Provenance:
@@ -120,7 +120,7 @@ def register_calibration(
         if accepted:
             acceptance = Acceptance(calibration.rig.name, made.content_hash)
             batch.seal({ACCEPTANCE: acceptance}, decided(acceptance, _path(catalogue, made), now))
-        kept = batch.enter(now, lambda session: decisions.refuse_other_sensors(session, calibration.rig))[0]
+        kept = batch.enter(lambda session: decisions.refuse_other_sensors(session, calibration.rig))[0]
     with catalogue.reading() as session:
         number = session.scalars(
             select(CalibrationRow.id).where(CalibrationRow.file_id == kept.file_id)

@@ -194,7 +194,7 @@ def _seal_again(catalogue: Catalogue, archive: Archive, path: str, now: datetime
 
     # With the time at which the campaign was registered, which a rebuilt catalogue then has again.
     provenance = defined(name, row.created_at)
-    Repository(catalogue, archive).put({CAMPAIGN: definition}, provenance, now, forget)
+    Repository(catalogue, archive).put({CAMPAIGN: definition}, provenance, forget, at=now)
 
 
 def _decision(session: Session, path: str) -> AcceptanceRow | None:
@@ -219,4 +219,4 @@ def _decide_again(catalogue: Catalogue, archive: Archive, path: str, now: dateti
         retention.forget(session, [row.file_id])
 
     provenance = decided(told, file.path, row.decided_at)
-    Repository(catalogue, archive).put({ACCEPTANCE: told}, provenance, row.decided_at, forget)
+    Repository(catalogue, archive).put({ACCEPTANCE: told}, provenance, forget)

@@ -91,17 +91,18 @@ class Repository:
         self,
         records: Mapping[str, Any],
         provenance: Provenance,
-        at: datetime,
         check: Callable[[Session], object] = lambda session: None,
+        *,
+        at: datetime | None = None,
     ) -> Kept:
         """Seal records in one file and index it, or leave nothing behind.
 
         Parameters
         ----------
-        at
-            When it is entered.
         check
-            Is called in the transaction that enters it, before; what it raises lets the file not come in.
+            Is called in the transaction that enters the file, before; what it raises keeps the file out.
+        at
+            When the file is entered; when it was made, if not given.
 
         Raises
         ------
@@ -113,7 +114,7 @@ class Repository:
         """
         with self.batch() as batch:
             batch.seal(records, provenance)
-            return batch.enter(at, check)[0]
+            return batch.enter(check, at=at)[0]
 
     @contextmanager
     def batch(self) -> Iterator[Batch]:
@@ -135,7 +136,11 @@ class Repository:
         if not provenance.job_id:
             provenance = self.archive.with_free_name(provenance)
         sealed = self.archive.seal_dataset(records, provenance)
-        return indexing.entry_of(sealed, provenance, lambda name, _: records.get(name))
+        try:
+            return indexing.entry_of(sealed, provenance, lambda name, _: records.get(name))
+        except BaseException:
+            self.archive.discard(sealed.path)
+            raise
 
     def seal_document(
         self, filename: str, media_type: str, write: Callable[[Path], None], provenance: Provenance
@@ -170,7 +175,12 @@ class Batch:
         self.entries.append(self.repository.seal(records, provenance))
         return self.entries[-1]
 
-    def enter(self, at: datetime, check: Callable[[Session], object] = lambda session: None) -> list[Kept]:
+    def enter(
+        self,
+        check: Callable[[Session], object] = lambda session: None,
+        *,
+        at: datetime | None = None,
+    ) -> list[Kept]:
         """Index all that was sealed in one transaction; discard what the catalogue has from other files.
 
         Parameters are those of `Repository.put`.
@@ -180,7 +190,8 @@ class Batch:
             check(session)
             for entry in self.entries:
                 same = indexing.known(session, entry)
-                number = indexing.index(session, entry, at) if same is None else same
+                entered_at = at or entry.provenance.created_at
+                number = indexing.index(session, entry, entered_at) if same is None else same
                 kept.append(Kept(number, entry.sealed.path, same is None))
         same_again = [entry for entry, one in zip(self.entries, kept, strict=True) if not one.new]
         self.entries.clear()

@@ -43,5 +43,5 @@ def register_surface(
         },
         statistics={"vertices": float(len(surface.vertices)), "faces": float(len(surface.faces))},
     )
-    kept = Repository(catalogue, archive).put({REFERENCE_SURFACE.stored_as: surface}, provenance, now)
+    kept = Repository(catalogue, archive).put({REFERENCE_SURFACE.stored_as: surface}, provenance)
     return kept.file_id, kept.new

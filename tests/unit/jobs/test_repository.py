@@ -41,7 +41,7 @@ def entered(repository: Repository) -> int:
 
 
 def put(repository: Repository, **options: Any) -> Kept:
-    return repository.put({CAMPAIGN: CampaignDefinition(PLATE)}, defined("plate", NOW), NOW, **options)
+    return repository.put({CAMPAIGN: CampaignDefinition(PLATE)}, defined("plate", NOW), **options)
 
 
 def test_what_is_put_is_sealed_and_entered(repository: Repository) -> None:
@@ -84,7 +84,7 @@ def test_what_fails_after_a_batch_has_come_in_takes_nothing_away(repository: Rep
     def late() -> None:
         with repository.batch() as batch:
             batch.seal({CAMPAIGN: CampaignDefinition(PLATE)}, defined("plate", NOW))
-            batch.enter(NOW)
+            batch.enter()
             raise Conflict("too late")
 
     with pytest.raises(Conflict):
