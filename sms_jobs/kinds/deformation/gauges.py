@@ -27,7 +27,7 @@ from sms_jobs.kinds.products import DISPLACEMENT, GAUGES, REGIONS, SURFACE
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.gauges import GaugePlace, GaugeValue, read_gauge
-from sms_jobs.metrology.deformation.strain import independent_equivalent
+from sms_jobs.metrology.deformation.strain_errors import independent_equivalent
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.metrology.geometry.transforms import turn_covariance

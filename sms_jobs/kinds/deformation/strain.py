@@ -26,7 +26,8 @@ from sms_jobs.kinds.products import DISPLACEMENT, REGIONS, STRAIN, SURFACE
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
-from sms_jobs.metrology.deformation.strain import independent_equivalent, surface_strain
+from sms_jobs.metrology.deformation.strain import surface_strain
+from sms_jobs.metrology.deformation.strain_errors import independent_equivalent
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import StrainField, StrainMeasure, Surface

@@ -7,12 +7,10 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.deformation.cells import cell_means
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
-from sms_jobs.metrology.geometry.transforms import pack, unpack
 
 Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]
@@ -316,69 +314,6 @@ def _strain_rows(
             sigma[:, r, c] = _sigma_of(f, sums[8:] / total, inverse)
 
 
-def independent_equivalent(
-    covariance: NDArray[np.floating],
-    cloud_covariance: NDArray[np.floating],
-    *,
-    averaging_radius_px: float,
-    subset_radius_px: float,
-    disc_radius_px: float,
-) -> Floats:
-    """Return the covariance that, independent from pixel to pixel, would disturb strain as the true one does.
-
-    Parameters
-    ----------
-    covariance, cloud_covariance
-        (6, rows, columns), of the displacement and of the reference positions, in mm^2.
-    averaging_radius_px, subset_radius_px
-        Distances over which the displacement's errors of shape and of match go together; 0 for none.
-    disc_radius_px
-        Of the gauge disc.
-
-    Notes
-    -----
-    Each part is an independent error, filtered. A disc much wider than the filter sees that error in full;
-    one that is not sees 1 / (1 + a q + b q^2)^2 of it, q being the filter's radius over the disc's. The
-    factors a and b fit the exact quadrature over both filters to 10 % for q below 1.5. The part of shape is
-    twice the cloud's covariance before averaging, which divides it by 5 pi radius^2 / 9 and weighs pixels by
-    their inverse variance, so that what counts is their harmonic mean; the rest is the match's, of which the
-    median is taken, and blending makes it 1.39 times that of one subset.
-    """
-    if averaging_radius_px == 0.0 and subset_radius_px == 0.0:
-        return np.asarray(covariance, dtype=np.float64)
-    shape = 2.0 * _harmonic_mean(np.asarray(cloud_covariance, dtype=np.float64), averaging_radius_px)
-    averaged = max(5.0 * np.pi / 9.0 * averaging_radius_px**2, 1.0)
-    excess = covariance - shape / averaged
-    known = np.isfinite(excess).all(axis=0)
-    match = _positive(np.median(excess[:, known], axis=1)) if known.any() else np.zeros(6)
-    match *= (2.0 * subset_radius_px + 1.0) ** 2 / 1.39
-    q_shape, q_match = averaging_radius_px / disc_radius_px, subset_radius_px / disc_radius_px
-    shape_part = shape / (1.0 + 0.40 * q_shape + 0.41 * q_shape**2) ** 2
-    match_part = match / (1.0 + 0.25 * q_match + 1.27 * q_match**2) ** 2
-    total = shape_part + match_part[:, None, None]
-    return np.asarray(np.where(np.isfinite(covariance), total, np.nan))
-
-
-def _harmonic_mean(covariance: Floats, radius: float) -> Floats:
-    """Return covariances scaled to the harmonic mean of their traces over about `radius` pixels."""
-    trace = covariance[0] + covariance[3] + covariance[5]
-    known = np.isfinite(trace) & (trace > 0.0)
-    inverse = np.where(known, 1.0 / np.where(known, trace, 1.0), 0.0)
-    # A Gaussian of 0.35 radius is as wide as (1 - d^2 / radius^2)^2.
-    width = 0.35 * radius
-    share = ndimage.gaussian_filter(known.astype(np.float64), width)
-    mean = ndimage.gaussian_filter(inverse, width) / np.where(share > 0.0, share, 1.0)
-    factor = np.where(known, inverse / np.where(mean > 0.0, mean, 1.0), 1.0)
-    return np.asarray(covariance * factor)
-
-
-def _positive(packed: Floats) -> Floats:
-    """Return the nearest covariance that has no negative variance in any direction."""
-    full = unpack(packed)
-    values, vectors = np.linalg.eigh(full)
-    return pack((vectors * np.maximum(values, 0.0)) @ vectors.T)
-
-
 def principal_and_equivalent(strain: Floats) -> tuple[Floats, Floats]:
     """Return the principal strains (2, ...), larger first, and the equivalent strain (...) of xx, yy, xy."""
     xx, yy, xy = strain
@@ -432,7 +367,7 @@ def surface_strain(
     motion therefore gives no Green-Lagrange strain at all on any surface, and a lopsided disc at an edge
     gives the strain at its centroid. The equivalent strain is sqrt(e1^2 - e1 e2 + e2^2) of the principal
     strains e1 and e2. The standard deviation takes errors as independent from pixel to pixel: see
-    `independent_equivalent` for those that are not.
+    `strain_errors.independent_equivalent` for those that are not.
     """
     valid = np.isfinite(displacement).all(axis=0) & (labels > 0)
     used = np.where(valid, labels, 0).astype(np.int32)

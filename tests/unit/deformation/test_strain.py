@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sms_jobs.metrology.deformation.averaging import average_in_region
-from sms_jobs.metrology.deformation.strain import independent_equivalent, surface_strain
+from sms_jobs.metrology.deformation.strain import surface_strain
+from sms_jobs.metrology.deformation.strain_errors import independent_equivalent
 
 ROWS, COLUMNS, PITCH = 60, 64, 0.5
 NONE = np.zeros((6, ROWS, COLUMNS))
