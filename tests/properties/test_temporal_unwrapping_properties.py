@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.phase.temporal_unwrapping import unwrap, unwrapping_plan
+from sms_jobs.metrology.phase.temporal_unwrapping import unwrap
+from sms_jobs.metrology.phase.unwrapping_plan import unwrapping_plan
 
 lists = st.lists(st.integers(1, 64), min_size=1, max_size=8).map(tuple)
 

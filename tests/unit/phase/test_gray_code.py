@@ -13,7 +13,8 @@ from support.foreign_frames import gray_pattern
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.phase.gray_code import UNREAD, gradient_of_stripes, read_stripes
-from sms_jobs.metrology.phase.temporal_unwrapping import unwrap, unwrapping_plan
+from sms_jobs.metrology.phase.temporal_unwrapping import unwrap
+from sms_jobs.metrology.phase.unwrapping_plan import unwrapping_plan
 
 COLUMNS = 1920
 MEAN, MODULATION = 100.0, 60.0

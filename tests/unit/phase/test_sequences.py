@@ -6,7 +6,7 @@ import pytest
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.phase.sequences import SEQUENCES, named_sequence
-from sms_jobs.metrology.phase.temporal_unwrapping import unwrapping_plan
+from sms_jobs.metrology.phase.unwrapping_plan import unwrapping_plan
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap, unwrapping_plan
+from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
+from sms_jobs.metrology.phase.unwrapping_plan import unwrapping_plan
 
 Floats = NDArray[np.float64]
 
