@@ -138,6 +138,27 @@ def _finish(
 
 
 @kernel
+def _mark_ambiguous(
+    worst: Floats,
+    limits: tuple[float, float],
+    modulation: Single,
+    noise_variance: Floats,
+    q: int,
+    ambiguous: NDArray[np.uint8],
+) -> None:
+    """Write 1 where fringe orders of one row contradict each other or are lost in noise, else 0.
+
+    `worst` is (2, columns): the largest corrections of the lowest rungs and of the others, in rad; `limits`
+    are those of `_unwrap_rows`.
+    """
+    amplification, furthest = limits
+    for j in range(ambiguous.size):
+        spread = amplification * np.sqrt(2.0 / q * noise_variance[j]) / modulation[j]
+        lost = worst[1, j] > _AMBIGUOUS or _GUESS * spread > pi or worst[0, j] > furthest
+        ambiguous[j] = 1 if lost else 0
+
+
+@kernel
 def _unwrap_rows(
     frames: NDArray[Any],
     weights: Floats,
@@ -160,7 +181,6 @@ def _unwrap_rows(
     """
     first, second, factors, below, rung_density, top = rungs
     full_scale, gain, read_noise = camera
-    amplification, furthest = limits
     n, q, columns = densities.size, weights.shape[2], frames.shape[2]
     phase, power = np.empty((n, columns)), np.empty((n, columns))
     climbed = np.zeros((rung_density.size + 1, columns))  # the last stays 0: no prediction
@@ -213,10 +233,7 @@ def _unwrap_rows(
             flags[0, row, j] = np.uint8(moments[3, j])
             total[j] = read_noise * read_noise + gain * total[j]
         _finish(moments, squares, omega[row], maps[:3, row], total, q, min(2, n))
-        for j in range(columns):
-            spread = amplification * np.sqrt(2.0 / q * total[j]) / maps[1, row, j]
-            lost = worst[1, j] > _AMBIGUOUS or _GUESS * spread > pi or worst[0, j] > furthest
-            flags[1, row, j] = 1 if lost else 0
+        _mark_ambiguous(worst, limits, maps[1, row], total, q, flags[1, row])
 
 
 def _turned_weights(steps: int, offsets: tuple[float, ...]) -> Floats:
