@@ -19,6 +19,7 @@ from sms_jobs.kinds.shape.phases import sensor_pair
 from sms_jobs.kinds.shape.ranged_phases import transfers
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.metrology.geometry.ray_pairing import CandidateReturns, PairingRule
 from sms_jobs.metrology.images.masks import outside_box
 from sms_jobs.metrology.phase.sequences import reverse_exponential
 from sms_jobs.metrology.phase.texture_error import correct_texture
@@ -89,17 +90,14 @@ class Plate:
             )
             for k, transfer in enumerate(transfers(task))
         ]
-        chosen = pair.choose(
-            slice(0, rows),
+        candidates = CandidateReturns(
             np.stack([f.omega for f in found]),
             np.stack([f.omega_sigma for f in found]).astype(np.float32),
             np.stack([f.amplitude for f in found]).astype(np.float32),
-            low=volume.low,
-            high=volume.high,
-            gap_floor_mm=0.0,
-            density_rms=float(np.sqrt(np.mean(np.square(sequence.densities)))),
-            least_gap=True,
         )
+        density_rms = float(np.sqrt(np.mean(np.square(sequence.densities))))
+        rule = PairingRule(volume.low, volume.high, 0.0, density_rms, least_gap=True)
+        chosen = pair.choose(slice(0, rows), candidates, rule)
         omega, sigma = chosen.omega, chosen.omega_sigma
         known: Flags = np.asarray(np.isfinite(omega).all(axis=0))
         light = np.sqrt(np.nansum([f.amplitude**2 for f in found], axis=1)).astype(np.float32)

@@ -20,7 +20,7 @@ from sms_jobs.kinds.shape.phase_task import (
     noise_reasons,
 )
 from sms_jobs.kinds.shape.streaming import in_best_exposure, sampled
-from sms_jobs.metrology.geometry.ray_pairing import Pairing
+from sms_jobs.metrology.geometry.ray_pairing import CandidateReturns, Pairing, PairingRule
 from sms_jobs.metrology.images.masks import phase_error_factor
 from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns, score_threshold
 from sms_jobs.metrology.phase.fringe_blur import transfer_of_sample
@@ -114,17 +114,19 @@ def _paired(task: PhaseTask, rows: slice, found: list[Returns]) -> Pairing:
         raise InvalidInput(f"method={task.parameters.method} needs a calibration; set method={UNWRAPPING}")
     volume, parameters = task.geometry.volume, task.parameters
     densities = np.array(task.measurement.sequence.densities, dtype=np.float64)
-    return task.geometry.pair.choose(
-        rows,
+    candidates = CandidateReturns(
         np.stack([f.omega for f in found]),
         np.stack([f.omega_sigma for f in found]),
         np.stack([f.amplitude for f in found]),
-        low=volume.low,
-        high=volume.high,
+    )
+    rule = PairingRule(
+        volume.low,
+        volume.high,
         gap_floor_mm=parameters.maximum_ray_gap_mm / parameters.maximum_ray_gap_to_noise,
         density_rms=float(np.sqrt(np.mean(densities**2))),
         least_gap=parameters.pair_rule == "least-gap",
     )
+    return task.geometry.pair.choose(rows, candidates, rule)
 
 
 def _merged_sigma(task: PhaseTask, found: list[Returns], pairing: Pairing) -> Singles:

@@ -56,6 +56,47 @@ _ONE_PLACE = 3.0  # standard deviations of depth within which two candidates are
 
 
 @dataclass(frozen=True)
+class CandidateReturns:
+    """The returns of every pixel to choose among; all are (orientations, returns, rows, columns).
+
+    Attributes
+    ----------
+    omega, omega_sigma
+        In rad per fringe; NaN behind the last return of a pixel.
+    amplitude
+        The returns' modulation in grey levels.
+    """
+
+    omega: Floats
+    omega_sigma: Single
+    amplitude: Single
+
+
+@dataclass(frozen=True)
+class PairingRule:
+    """What a choice among returns goes by.
+
+    Attributes
+    ----------
+    low, high
+        Corners of the measurement volume, (3,) in mm.
+    gap_floor_mm
+        Standard deviation of the gap from anything but the phase's noise, above all the calibration.
+    density_rms
+        Root mean square of the fringe densities: an amplitude's relative standard deviation is this times
+        that of omega.
+    least_gap
+        True for the plain rule of the thesis: the least ray gap, whatever else speaks against it.
+    """
+
+    low: Sequence[float]
+    high: Sequence[float]
+    gap_floor_mm: float
+    density_rms: float
+    least_gap: bool = False
+
+
+@dataclass(frozen=True)
 class Pairing:
     """The chosen combination of every pixel; the arrays are over (orientations, rows, columns) or an image.
 
@@ -242,15 +283,9 @@ def choose_returns(
     rays: Floats,
     projector: Projector,
     orientations: Sequence[float],
-    omega: Floats,
-    omega_sigma: Single,
-    amplitude: Single,
+    candidates: CandidateReturns,
+    rule: PairingRule,
     *,
-    low: Sequence[float],
-    high: Sequence[float],
-    gap_floor_mm: float,
-    density_rms: float,
-    least_gap: bool = False,
     threads: int = 1,
 ) -> Pairing:
     """Choose for every pixel the combination of returns that is light straight from the projector.
@@ -265,19 +300,10 @@ def choose_returns(
         Whose distortion is removed from the rays.
     orientations
         Directions of the fringes in rad.
-    omega, omega_sigma
-        (orientations, returns, rows, columns) in rad per fringe; NaN behind the last return of a pixel.
-    amplitude
-        (orientations, returns, rows, columns), the returns' modulation in grey levels.
-    low, high
-        Corners of the measurement volume, (3,) in mm.
-    gap_floor_mm
-        Standard deviation of the gap from anything but the phase's noise, above all the calibration.
-    density_rms
-        Root mean square of the fringe densities: an amplitude's relative standard deviation is this times
-        that of omega.
-    least_gap
-        True for the plain rule of the thesis: the least ray gap, whatever else speaks against it.
+    candidates
+        The returns of all orientations.
+    rule
+        What the choice goes by.
     threads
         Number of threads; the result does not depend on it.
 
@@ -293,28 +319,26 @@ def choose_returns(
 
     Raises `InvalidInput` for parallel orientations and for more than 4096 combinations.
     """
-    count, returns, rows, columns = omega.shape
+    count, returns, rows, columns = candidates.omega.shape
     if returns**count > _MOST_COMBINATIONS:
         raise InvalidInput(
             f"{returns} returns of {count} fringe orientations make {returns**count} combinations, more than "
             f"the {_MOST_COMBINATIONS} that can be compared: ask for fewer returns"
         )
     if count == 1:
-        return _choose_alone(
-            camera_centre, rays, projector, orientations, omega, omega_sigma, amplitude, low, high, threads
-        )
+        return _choose_alone(camera_centre, rays, projector, orientations, candidates, rule, threads)
     spans = np.array([span_px(projector.columns, projector.rows, a) for a in orientations])
     to_omega = np.array([direction(a) for a in orientations]) * (2.0 * pi / spans)[:, None]
     pair = (*packed(camera_centre, projector, orientations), to_omega)
-    box = np.array([low, high], dtype=np.float64)
+    box = np.array([rule.low, rule.high], dtype=np.float64)
     settings = (
-        float(gap_floor_mm),
-        float(density_rms),
+        float(rule.gap_floor_mm),
+        float(rule.density_rms),
         _AMPLITUDE_TOLERANCE,
         _LARGEST_AMPLITUDE_CHI2,
         _OUTSIDE,
         _ONE_PLACE,
-        bool(least_gap),
+        bool(rule.least_gap),
     )
     chosen = np.empty((count, rows, columns))
     maps = np.empty((2, count, rows, columns), np.float32)
@@ -324,9 +348,9 @@ def choose_returns(
     def work(start: int, stop: int) -> None:
         _choose_rows(
             rays,
-            omega,
-            omega_sigma,
-            amplitude,
+            candidates.omega,
+            candidates.omega_sigma,
+            candidates.amplitude,
             pair,
             box,
             settings,
@@ -346,18 +370,16 @@ def _choose_alone(
     rays: Floats,
     projector: Projector,
     orientations: Sequence[float],
-    omega: Floats,
-    omega_sigma: Single,
-    amplitude: Single,
-    low: Sequence[float],
-    high: Sequence[float],
+    candidates: CandidateReturns,
+    rule: PairingRule,
     threads: int,
 ) -> Pairing:
     """Choose among the returns of one orientation: the first, which is the strongest, inside the volume."""
+    omega, omega_sigma = candidates.omega, candidates.omega_sigma
     _, returns, rows, columns = omega.shape
     likelihood = np.full((returns, rows, columns), -np.inf)
     depth, spread = np.full_like(likelihood, np.nan), np.zeros_like(likelihood)
-    corners = np.reshape(low, (3, 1, 1)), np.reshape(high, (3, 1, 1))
+    corners = np.reshape(rule.low, (3, 1, 1)), np.reshape(rule.high, (3, 1, 1))
     for number in range(returns):
         found = triangulate(
             camera_centre,
@@ -388,7 +410,7 @@ def _choose_alone(
     return Pairing(
         of_best(omega[0])[None].astype(np.float64),
         of_best(omega_sigma[0])[None].astype(np.float32),
-        of_best(amplitude[0])[None].astype(np.float32),
+        of_best(candidates.amplitude[0])[None].astype(np.float32),
         label,
         margin,
     )

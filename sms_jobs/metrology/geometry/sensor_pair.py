@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
-from sms_jobs.metrology.geometry.ray_pairing import Pairing, choose_returns
+from sms_jobs.metrology.geometry.ray_pairing import CandidateReturns, Pairing, PairingRule, choose_returns
 from sms_jobs.metrology.geometry.triangulation import Projector, Triangulation, camera_rays, triangulate
 
 Floats = NDArray[np.float64]
@@ -59,32 +58,14 @@ class SensorPair:
             threads=self.threads,
         )
 
-    def choose(
-        self,
-        rows: slice,
-        omega: Floats,
-        omega_sigma: Single,
-        amplitude: Single,
-        *,
-        low: Sequence[float],
-        high: Sequence[float],
-        gap_floor_mm: float,
-        density_rms: float,
-        least_gap: bool,
-    ) -> Pairing:
-        """Choose among the returns (orientations, returns, rows, columns) of some rows: `choose_returns`."""
+    def choose(self, rows: slice, candidates: CandidateReturns, rule: PairingRule) -> Pairing:
+        """Choose among the returns of some rows: `choose_returns`."""
         return choose_returns(
             self.pose.centre(),
             self.rays()[rows],
             self.projector,
             self.orientations,
-            omega,
-            omega_sigma,
-            amplitude,
-            low=low,
-            high=high,
-            gap_floor_mm=gap_floor_mm,
-            density_rms=density_rms,
-            least_gap=least_gap,
+            candidates,
+            rule,
             threads=self.threads,
         )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics
-from sms_jobs.metrology.geometry.ray_pairing import Pairing, choose_returns
+from sms_jobs.metrology.geometry.ray_pairing import CandidateReturns, Pairing, PairingRule, choose_returns
 from sms_jobs.metrology.geometry.triangulation import Projector, camera_rays, triangulate
 from sms_jobs.metrology.phase.patterns import direction, phase_gradient, span_px
 
@@ -59,14 +59,8 @@ def choose(
         RAYS,
         PROJECTOR,
         orientations,
-        omega,
-        np.full(omega.shape, SIGMA, np.float32),
-        amplitude.astype(np.float32),
-        low=volume[0],
-        high=volume[1],
-        gap_floor_mm=floor,
-        density_rms=DENSITY_RMS,
-        least_gap=least_gap,
+        CandidateReturns(omega, np.full(omega.shape, SIGMA, np.float32), amplitude.astype(np.float32)),
+        PairingRule(*volume, gap_floor_mm=floor, density_rms=DENSITY_RMS, least_gap=least_gap),
         threads=threads,
     )
 
