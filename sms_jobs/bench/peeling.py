@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.phase.fourier_domain_ranging import score_threshold
+from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.ranging.signal import Sequence, Window, ranging_sequence, window_weights
 
 Floats = NDArray[np.float64]
@@ -52,10 +53,8 @@ def peel_returns(
     frames: NDArray[Any],
     densities: tuple[int, ...],
     steps: int,
+    camera: GreyLevels,
     *,
-    full_scale: int,
-    gain: float,
-    read_noise: float,
     returns: int = 1,
     refinements: int = 1,
     interpolated: bool = True,
@@ -67,7 +66,7 @@ def peel_returns(
 
     Parameters
     ----------
-    frames, densities, steps, full_scale, gain, read_noise, returns, significance, mtf
+    frames, densities, steps, camera, returns, significance, mtf
         As of `range_returns`.
     refinements
         How often each return is found again with the others removed (step 4).
@@ -85,7 +84,7 @@ def peel_returns(
     rows = []
     for start in range(0, frames.shape[1], _ROWS):
         part = frames[:, start : start + _ROWS]
-        z, kept = _signal(part, sequence, full_scale)
+        z, kept = _signal(part, sequence, camera.full_scale)
         mean = part.mean(axis=0, dtype=np.float64).ravel()
         signals = _Signals(
             sequence.densities,
@@ -93,7 +92,7 @@ def peel_returns(
             sequence.precision[:, None] * kept,
             search[:, None] * kept,
             g[:, None] * kept,
-            2.0 / steps * (read_noise**2 + gain * mean),
+            2.0 / steps * camera.variance(mean),
         )
         least = kept.sum(axis=0) >= max(3, sequence.count // 4)
         found = _peel(signals, least, returns, refinements, interpolated, threshold)

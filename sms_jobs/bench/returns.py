@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.bench.peeling import Peeled, peel_returns
 from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns
+from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.ranging.bound import two_return_bound
 from sms_jobs.metrology.phase.sequences import linear, ranging
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
@@ -52,6 +53,11 @@ class Signals:
     frames: NDArray[np.uint16]
 
     @property
+    def camera(self) -> GreyLevels:
+        """Return the grey levels of the frames: their noise does not grow with the light."""
+        return GreyLevels(FULL_SCALE, 0.0, self.noise)
+
+    @property
     def apart_bins(self) -> Floats:
         """Return how far two returns are apart, (pixels,), in bins of 2 pi / s."""
         return np.abs(wrapped(self.omega[1] - self.omega[0])) * self.fringes / (2.0 * pi)
@@ -62,9 +68,7 @@ class Signals:
             self.frames,
             ranging(self.fringes),
             STEPS,
-            full_scale=FULL_SCALE,
-            gain=0.0,
-            read_noise=self.noise,
+            self.camera,
             returns=returns or len(self.omega),
             **options,  # type: ignore[arg-type]
         )
@@ -75,9 +79,7 @@ class Signals:
             self.frames,
             ranging(self.fringes),
             STEPS,
-            full_scale=FULL_SCALE,
-            gain=0.0,
-            read_noise=self.noise,
+            self.camera,
             returns=returns or len(self.omega),
             **options,  # type: ignore[arg-type]
         )

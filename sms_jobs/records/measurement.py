@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.records.quantity import array
 from sms_jobs.records.scene import Simulation
 
@@ -236,6 +237,11 @@ class Measurement:
     code_frames: FrameStack | None = array(
         "count", "frames of the Gray code", ("frame", "row", "column"), default=None
     )
+
+    @property
+    def grey_levels(self) -> GreyLevels:
+        """What the camera's grey levels mean."""
+        return GreyLevels(self.full_scale, self.gain, self.read_noise)
 
     def noise(self, level: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the standard deviation of one frame's noise at grey levels."""

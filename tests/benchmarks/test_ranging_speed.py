@@ -9,6 +9,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from sms_jobs.metrology.phase.fourier_domain_ranging import range_returns
+from sms_jobs.metrology.phase.grey_levels import GreyLevels
 
 S = 64
 ROWS, COLUMNS = 64, 1024
@@ -41,9 +42,7 @@ def test_ranging_of_254_frames(
         frames,
         tuple(range(S)),
         4,
-        full_scale=65_535,
-        gain=0.0,
-        read_noise=NOISE,
+        GreyLevels(65_535, 0.0, NOISE),
         returns=len(amplitudes),
     )
     benchmark.extra_info["Mpx per second"] = ROWS * COLUMNS / benchmark.stats["min"] / 1e6

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns
+from sms_jobs.metrology.phase.grey_levels import GreyLevels
 
 Floats = NDArray[np.float64]
 
@@ -42,9 +43,7 @@ def ranged(
         frames,
         densities,
         steps,
-        full_scale=65_535,
-        gain=0.0,
-        read_noise=ROUNDING,
+        GreyLevels(65_535, 0.0, ROUNDING),
         returns=returns,
         threads=threads,
     )

@@ -41,9 +41,7 @@ def transfers(task: PhaseTask) -> list[Floats]:
             frames[sequence.frames_of(k)],
             sequence.densities,
             sequence.steps,
-            full_scale=measurement.full_scale,
-            gain=measurement.gain,
-            read_noise=measurement.read_noise,
+            measurement.grey_levels,
             threads=task.threads,
         )
         for k in range(len(sequence.orientations_rad))
@@ -95,9 +93,7 @@ def _found(task: PhaseTask, known: Known, frames: NDArray[Any]) -> list[Returns]
             frames[sequence.frames_of(k)],
             sequence.densities,
             sequence.steps,
-            full_scale=measurement.full_scale,
-            gain=measurement.gain,
-            read_noise=measurement.read_noise,
+            measurement.grey_levels,
             returns=parameters.returns,
             window=parameters.window,
             significance=parameters.significance,

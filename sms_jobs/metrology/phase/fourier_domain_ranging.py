@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.ranging.batch import resolve_row
 from sms_jobs.metrology.phase.ranging.batched_fit import overlap_table
 from sms_jobs.metrology.phase.ranging.close_start import grid
@@ -109,10 +110,8 @@ def range_returns(
     frames: NDArray[Any],
     densities: tuple[int, ...],
     steps: int,
+    camera: GreyLevels,
     *,
-    full_scale: int,
-    gain: float,
-    read_noise: float,
     returns: int = 1,
     window: Window = "none",
     significance: float = 1e-4,
@@ -130,10 +129,9 @@ def range_returns(
         darkest step (k = 0 and q // 2), or all q.
     steps
         q, phase steps a density, at least 3.
-    full_scale
-        Grey level from which on a frame is saturated; its density is left out of the pixel's fit.
-    gain, read_noise
-        Noise model: variance = read_noise^2 + gain * grey level, in grey levels; taken at the mean level.
+    camera
+        Its grey levels: the density of a saturated frame is left out of the pixel's fit, and the noise is
+        taken at the mean level.
     returns
         Most returns to look for in a pixel, 1 .. 8.
     window
@@ -152,7 +150,7 @@ def range_returns(
         raise InvalidInput(f"a pixel is searched for 1 to 8 returns, not {returns}: ask for fewer")
     if sequence.count > 255:
         raise InvalidInput(f"at most 255 fringe densities can be ranged, not {sequence.count}: give fewer")
-    noise = 2.0 / steps * read_noise**2, 2.0 / steps * gain, sqrt(steps / 2.0)
+    noise = 2.0 / steps * camera.read_noise**2, 2.0 / steps * camera.gain, sqrt(steps / 2.0)
     plan = _plan(sequence, window, score_threshold(significance, sequence.count), noise, mtf)
     stack = np.ascontiguousarray(frames)
     rows, columns = stack.shape[1:]
@@ -164,7 +162,14 @@ def range_returns(
         row = idle.pop() if idle else new_row(returns, sequence.count, columns)
         for index in range(start, stop):
             read_signal(
-                stack, index, sequence.frames, full_scale, row.signal[0], row.signal[1], row.lost, row.levels
+                stack,
+                index,
+                sequence.frames,
+                camera.full_scale,
+                row.signal[0],
+                row.signal[1],
+                row.lost,
+                row.levels,
             )
             _range_row(plan, row, maps, index)
         idle.append(row)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.metrology.phase.fourier_domain_ranging import range_returns
+from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.ranging.modulation import modulation_transfer
 from sms_jobs.metrology.phase.ranging.signal import ranging_sequence
 
@@ -29,10 +30,8 @@ def blur_variance(
     frames: NDArray[Any],
     densities: tuple[int, ...],
     steps: int,
+    camera: GreyLevels,
     *,
-    full_scale: int,
-    gain: float,
-    read_noise: float,
     threads: int = 1,
 ) -> float | None:
     """Return p, the variance of omega inside a pixel in rad^2, typical of the pixels with a single return.
@@ -41,7 +40,7 @@ def blur_variance(
     ----------
     frames
         (frames, rows, columns) of one orientation; a sample of an image, as from `sampled`, is enough.
-    densities, steps, full_scale, gain, read_noise, threads
+    densities, steps, camera, threads
         As of `range_returns`.
 
     Returns
@@ -54,11 +53,10 @@ def blur_variance(
     ln Re[z exp(-i omega t)] = ln a - p t^2 / 2 by least squares with the weights (Re ..)^2, which are those
     of the logarithm's noise.
     """
-    camera = {"full_scale": full_scale, "gain": gain, "read_noise": read_noise}
-    found = range_returns(frames, densities, steps, **camera, threads=threads)  # type: ignore[arg-type]
-    noise = np.sqrt(read_noise**2 + gain * found.mean_intensity)
+    found = range_returns(frames, densities, steps, camera, threads=threads)
+    noise = np.sqrt(camera.variance(found.mean_intensity))
     bright = (found.count > 0) & (found.modulation > _LEAST_SIGNAL * noise)
-    bright &= (frames < full_scale).all(axis=0)
+    bright &= (frames < camera.full_scale).all(axis=0)
     if bright.sum() < _FEWEST:
         return None
     sequence = ranging_sequence(densities, steps, len(frames))
@@ -84,10 +82,8 @@ def transfer_of_sample(
     frames: NDArray[Any],
     densities: tuple[int, ...],
     steps: int,
+    camera: GreyLevels,
     *,
-    full_scale: int,
-    gain: float,
-    read_noise: float,
     threads: int = 1,
 ) -> Floats:
     """Return the modulation at each density relative to that at t = 0, exp(-p t^2 / 2), (densities,).
@@ -95,15 +91,11 @@ def transfer_of_sample(
     From pixels with a single return where there are some, else from the mean power of all pixels, which
     close returns make too steep; 1 where nothing is lit. Parameters as of `blur_variance`.
     """
-    p = blur_variance(
-        frames, densities, steps, full_scale=full_scale, gain=gain, read_noise=read_noise, threads=threads
-    )
+    p = blur_variance(frames, densities, steps, camera, threads=threads)
     t = np.array(densities, dtype=np.float64)
     if p is not None:
         return np.asarray(np.exp(-0.5 * p * t * t))
     try:
-        return modulation_transfer(
-            frames, densities, steps, full_scale=full_scale, gain=gain, read_noise=read_noise
-        )
+        return modulation_transfer(frames, densities, steps, camera)
     except MeasurementFailed:
         return np.ones(t.size)

@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns, score_threshold
+from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.ranging.bound import omega_bounds, two_return_bound
 from sms_jobs.metrology.phase.ranging.modulation import modulation_transfer
 from sms_jobs.metrology.phase.ranging.signal import uniform_steps
@@ -58,15 +59,14 @@ def ranged(
     steps: int = 4,
     noise: float = NOISE,
     returns: int = 1,
+    full_scale: int = FULL_SCALE,
     **options: object,
 ) -> Returns:
     return range_returns(
         frames,
         densities,
         steps,
-        full_scale=options.pop("full_scale", FULL_SCALE),  # type: ignore[arg-type]
-        gain=0.0,
-        read_noise=noise,
+        GreyLevels(full_scale, 0.0, noise),
         returns=returns,
         **options,  # type: ignore[arg-type]
     )
@@ -251,9 +251,7 @@ def test_the_transfer_is_estimated_and_weighs(omega: Floats, rng: np.random.Gene
     blur = np.exp(-((t / 35.0) ** 2) / 2.0)
     exact = frames_of([omega, omega + 1.0], [STRONG, 500.0], mtf=blur)
     frames = recorded(exact, rng)
-    transfer = modulation_transfer(
-        frames, tuple(range(S)), 4, full_scale=FULL_SCALE, gain=0.0, read_noise=NOISE
-    )
+    transfer = modulation_transfer(frames, tuple(range(S)), 4, GreyLevels(FULL_SCALE, 0.0, NOISE))
     # |z|^2 of 3000 pixels at a B / sigma of 9 and more; the returns' beats average to 1 / sqrt(3000).
     np.testing.assert_allclose(transfer, blur, atol=0.03)
     found = ranged(frames, returns=2, mtf=blur)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
+from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.ranging.signal import ranging_sequence, read_signal
 
 Floats = NDArray[np.float64]
@@ -16,13 +17,7 @@ _LEAST_SCORE = 5.0  # B over noise of the pixels that are used
 
 
 def modulation_transfer(
-    frames: NDArray[Any],
-    densities: tuple[int, ...],
-    steps: int,
-    *,
-    full_scale: int,
-    gain: float,
-    read_noise: float,
+    frames: NDArray[Any], densities: tuple[int, ...], steps: int, camera: GreyLevels
 ) -> Floats:
     """Estimate the modulation relative to that towards t = 0, (densities,), common to all pixels.
 
@@ -31,7 +26,7 @@ def modulation_transfer(
     frames
         (frames, rows, columns) of one orientation, as of `range_returns`; a part of an image, or every n-th
         pixel of it, is enough. Saturated and dark pixels are left out.
-    densities, steps, full_scale, gain, read_noise
+    densities, steps, camera
         As of `range_returns`.
 
     Returns
@@ -54,8 +49,8 @@ def modulation_transfer(
     power, pixels, noise = np.zeros(sequence.count), 0, 0.0
     frames = np.ascontiguousarray(frames)
     for row in range(rows):
-        read_signal(frames, row, sequence.frames, full_scale, x, y, lost, levels)
-        variance = 2.0 / steps * (read_noise**2 + gain * levels[0].astype(np.float64))
+        read_signal(frames, row, sequence.frames, camera.full_scale, x, y, lost, levels)
+        variance = 2.0 / steps * camera.variance(levels[0].astype(np.float64))
         used = (lost[-1] == 0) & (levels[1] ** 2 > _LEAST_SCORE**2 * variance) & (levels[1] > 0.0)
         squares = x[:, used].astype(np.float64) ** 2 + y[:, used].astype(np.float64) ** 2
         power += np.sum(squares, axis=1) - 2.0 * np.sum(variance[used])
