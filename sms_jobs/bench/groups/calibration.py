@@ -19,6 +19,7 @@ from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
 from sms_jobs.metrology.calibration.bundle_result import Adjustment
 from sms_jobs.metrology.calibration.pair_points import meet_rays
 from sms_jobs.metrology.geometry.camera import project
+from sms_jobs.metrology.targets.sphere_layout import SphereLayout
 from sms_jobs.metrology.targets.spheres import find_spheres
 from sms_jobs.records.views import Role, role_of
 
@@ -134,9 +135,10 @@ def _spheres(run: Run) -> Iterator[Found]:
                 NOISE_MM,
                 scene.bar.radius_mm,
                 scene.camera_centre,
+                layout=SphereLayout(
+                    bar_length_mm=scene.bar.length_mm, predicted=None if region is None else scene.centres
+                ),
                 region=region,
-                predicted=None if region is None else scene.centres,
-                bar_length_mm=scene.bar.length_mm,
                 threads=run.threads,
             )
             taken.append(time.perf_counter() - started)

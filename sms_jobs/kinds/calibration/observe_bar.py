@@ -55,6 +55,7 @@ from sms_jobs.metrology.calibration.pan_tilt_refinement import (
 )
 from sms_jobs.metrology.phase.texture_error import log_gradient
 from sms_jobs.metrology.targets.sphere_blur import blur_shift
+from sms_jobs.metrology.targets.sphere_layout import SphereLayout
 from sms_jobs.metrology.targets.spheres import SphereSearch, find_spheres
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.campaign import Campaign, Subject
@@ -162,9 +163,8 @@ def run(inputs: Inputs, parameters: ObserveBarParameters, progress: Progress) ->
         sigma,
         shown.bar.radius_mm,
         camera.pose.centre(),
+        layout=SphereLayout(bar_length_mm=shown.bar.length_mm, predicted=predicted),
         region=region,
-        predicted=predicted,
-        bar_length_mm=shown.bar.length_mm,
         select=parameters.points_per_sphere,
         threads=inputs.threads,
     )

@@ -25,6 +25,7 @@ from sms_jobs.metrology.calibration.pan_tilt_refinement import (
 from sms_jobs.metrology.geometry.camera import Pose, pixel_grid, project, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.targets.sphere_fit import fit_sphere, ray_residuals, spread_pixels
+from sms_jobs.metrology.targets.sphere_layout import SphereLayout
 from sms_jobs.metrology.targets.sphere_votes import sphere_peaks
 from sms_jobs.metrology.targets.spheres import INCIDENCE_LIMIT, SphereSearch, find_spheres
 
@@ -38,6 +39,7 @@ RAYS = ray_directions(CAMERA, POSE, pixel_grid(SIZE, SIZE))
 RADIUS = 45.0  # 29 px across
 CENTRES = np.array([[-180.0, -60.0, 50.0], [190.0, 70.0, -60.0]])
 LENGTH = float(np.linalg.norm(CENTRES[1] - CENTRES[0]))
+BAR = SphereLayout(bar_length_mm=LENGTH)
 
 
 @dataclass
@@ -105,7 +107,7 @@ def in_standard_deviations(search: SphereSearch) -> list[float]:
 
 
 def test_spheres_alone_are_found_exactly() -> None:
-    search = find_spheres(two_spheres().points(), 0.1, RADIUS, PINHOLE, bar_length_mm=LENGTH)
+    search = find_spheres(two_spheres().points(), 0.1, RADIUS, PINHOLE, layout=BAR)
     assert search.problems == ()
     assert search.searched_fraction == 1.0
     assert search.separation_mm == pytest.approx(LENGTH, abs=1e-8)
@@ -123,7 +125,7 @@ def test_spheres_are_found_among_other_things(sigma: float, rng: np.random.Gener
     squared = []
     for _ in range(4):
         points = dirty(cluttered(), rng).points(sigma, rng)
-        search = find_spheres(points, sigma, RADIUS, PINHOLE, bar_length_mm=LENGTH)
+        search = find_spheres(points, sigma, RADIUS, PINHOLE, layout=BAR)
         assert search.problems == ()
         assert sum(search.refused.values()) > 0
         squared += in_standard_deviations(search)
@@ -231,15 +233,15 @@ def test_a_region_limits_the_search(rng: np.random.Generator) -> None:
     for centre in CENTRES:
         to = centre - PINHOLE
         region |= to @ to - (RAYS @ to) ** 2 < (RADIUS + 15.0) ** 2
-    whole = find_spheres(points, 0.3, RADIUS, PINHOLE, bar_length_mm=LENGTH)
-    reduced = find_spheres(points, 0.3, RADIUS, PINHOLE, bar_length_mm=LENGTH, region=region)
+    whole = find_spheres(points, 0.3, RADIUS, PINHOLE, layout=BAR)
+    reduced = find_spheres(points, 0.3, RADIUS, PINHOLE, layout=BAR, region=region)
     assert reduced.problems == whole.problems == ()
     assert reduced.searched_fraction == pytest.approx(region.mean())
     for a, b in zip(whole.spheres, reduced.spheres, strict=True):
         # The same pixels, but for clutter around, decide: the fit stops at 1e-9 of the radius.
         assert a.centre == pytest.approx(b.centre, abs=1e-6)
     region[:, : SIZE // 2] = False
-    half = find_spheres(points, 0.3, RADIUS, PINHOLE, region=region, predicted=CENTRES)
+    half = find_spheres(points, 0.3, RADIUS, PINHOLE, layout=SphereLayout(predicted=CENTRES), region=region)
     assert [sphere.number for sphere in half.spheres] == [2]
     assert any("1 of 2 spheres" in problem for problem in half.problems)
 
@@ -264,7 +266,7 @@ def test_spheres_are_numbered_by_prediction(swap: bool, rng: np.random.Generator
     points = two_spheres().points(0.3, rng)
     order = CENTRES[::-1] if swap else CENTRES
     predicted = order + 10.0 * rng.standard_normal((2, 3))
-    search = find_spheres(points, 0.3, RADIUS, PINHOLE, predicted=predicted)
+    search = find_spheres(points, 0.3, RADIUS, PINHOLE, layout=SphereLayout(predicted=predicted))
     assert search.problems == ()
     for sphere, centre, where in zip(search.spheres, order, predicted, strict=True):
         assert np.linalg.norm(sphere.centre - centre) < 1.0
@@ -274,7 +276,7 @@ def test_spheres_are_numbered_by_prediction(swap: bool, rng: np.random.Generator
 def test_without_prediction_a_direction_numbers_them() -> None:
     points = two_spheres().points()
     for along, first in (((1.0, 0.0, 0.0), 0), ((-1.0, 0.0, 0.0), 1), ((0.0, 0.0, 1.0), 1)):
-        search = find_spheres(points, 0.1, RADIUS, PINHOLE, order_along=along)
+        search = find_spheres(points, 0.1, RADIUS, PINHOLE, layout=SphereLayout(order_along=along))
         assert search.spheres[0].centre == pytest.approx(CENTRES[first], abs=1e-6)
         assert np.isnan(search.spheres[0].off_prediction_mm)
 
@@ -282,27 +284,26 @@ def test_without_prediction_a_direction_numbers_them() -> None:
 def test_doubtful_numbers_and_far_predictions_are_told() -> None:
     points, middle = two_spheres().points(), CENTRES.mean(axis=0)
     across = np.cross(CENTRES[1] - CENTRES[0], [0.0, 0.0, 1.0]) / 2
-    search = find_spheres(
-        points, 0.1, RADIUS, PINHOLE, predicted=np.array([middle + across, middle - across])
-    )
+    layout = SphereLayout(predicted=np.array([middle + across, middle - across]))
+    search = find_spheres(points, 0.1, RADIUS, PINHOLE, layout=layout)
     assert any("numbers are doubtful" in problem for problem in search.problems)
     assert sum("from its predicted centre" in problem for problem in search.problems) == 2
 
 
 def test_a_wrong_bar_length_is_told() -> None:
     points = two_spheres().points()
-    search = find_spheres(points, 0.1, RADIUS, PINHOLE, bar_length_mm=1.02 * LENGTH)
+    search = find_spheres(points, 0.1, RADIUS, PINHOLE, layout=SphereLayout(bar_length_mm=1.02 * LENGTH))
     assert any("mm apart, not" in problem for problem in search.problems)
     assert len(search.spheres) == 2
 
 
 def test_the_length_tells_the_bar_from_a_third_sphere() -> None:
     points = two_spheres().sphere(np.array([0.0, 200.0, -250.0])).points()
-    search = find_spheres(points, 0.1, RADIUS, PINHOLE, bar_length_mm=LENGTH)
+    search = find_spheres(points, 0.1, RADIUS, PINHOLE, layout=BAR)
     assert search.problems == ()
     assert search.refused["another sphere"] == 1
     assert search.separation_mm == pytest.approx(LENGTH, abs=1e-8)
-    by_prediction = find_spheres(points, 0.1, RADIUS, PINHOLE, predicted=CENTRES + 5.0)
+    by_prediction = find_spheres(points, 0.1, RADIUS, PINHOLE, layout=SphereLayout(predicted=CENTRES + 5.0))
     assert by_prediction.separation_mm == pytest.approx(LENGTH, abs=1e-8)
     assert any("3 spheres" in p for p in find_spheres(points, 0.1, RADIUS, PINHOLE).problems)
 
@@ -390,9 +391,9 @@ def test_arrays_that_do_not_belong_together_are_refused() -> None:
     with pytest.raises(InvalidInput, match="above 0 mm"):
         find_spheres(points, 0.1, 0.0, PINHOLE)
     with pytest.raises(InvalidInput, match="predicted"):
-        find_spheres(points, 0.1, RADIUS, PINHOLE, predicted=np.zeros((3, 3)))
+        SphereLayout(predicted=np.zeros((3, 3)))
     with pytest.raises(InvalidInput, match="bar"):
-        find_spheres(points, 0.1, RADIUS, PINHOLE, count=3, bar_length_mm=100.0)
+        SphereLayout(count=3, bar_length_mm=100.0)
 
 
 def test_a_narrower_limit_of_incidence_takes_fewer_points(rng: np.random.Generator) -> None:
@@ -420,7 +421,8 @@ def test_three_special_poses_tell_where_to_look_in_the_others(rng: np.random.Gen
         return wall.sphere(first).sphere(second).cylinder(first, second, 10.0).points(sigma, rng)
 
     angles = np.array([[0.0, 0.0], [0.7, 0.0], [0.0, -0.6]])
-    special = [find_spheres(cloud_of(*pose), sigma, RADIUS, PINHOLE, bar_length_mm=400.0) for pose in angles]
+    long_bar = SphereLayout(bar_length_mm=400.0)
+    special = [find_spheres(cloud_of(*pose), sigma, RADIUS, PINHOLE, layout=long_bar) for pose in angles]
     centres = np.array([[s.centre for s in search.spheres] for search in special])
     covariances = np.array([[s.covariance for s in search.spheres] for search in special])
     numbered = np.array([centres[0], *label_special_poses(*centres, 0.7, -0.6)])
@@ -441,9 +443,8 @@ def test_three_special_poses_tell_where_to_look_in_the_others(rng: np.random.Gen
             sigma,
             RADIUS,
             PINHOLE,
+            layout=SphereLayout(bar_length_mm=400.0, predicted=predicted),
             region=region,
-            predicted=predicted,
-            bar_length_mm=400.0,
         )
         assert search.problems == ()
         assert search.searched_fraction < 0.05
