@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 from sqlalchemy import Table, insert, select
 from sqlalchemy.exc import IntegrityError
@@ -33,6 +33,8 @@ from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import ACTIVE, JobState
 
 T = TypeVar("T")
+TableRows: TypeAlias = tuple[type[Any], list[dict[str, Any]]]
+"""A table and what is to be entered into it, by column."""
 
 _TRIES = 20
 """So often a plan is made anew because what it builds on has changed before it was entered."""
@@ -73,7 +75,7 @@ class Draft:
     job_ids: tuple[str, ...]
     jobs: tuple[PlannedJob, ...]
     producers: tuple[str, ...]
-    rows: tuple[tuple[type[Any], list[dict[str, Any]]], ...]
+    rows: tuple[TableRows, ...]
 
     @property
     def submission(self) -> Submission:
@@ -258,77 +260,72 @@ def _rows(
     now: datetime,
     priority: int,
     use_cache: bool,
-) -> Iterator[tuple[type[Any], list[dict[str, Any]]]]:
+) -> Iterator[TableRows]:
     """Yield what is to be entered, table by table, where there is anything."""
-    first = int(now.timestamp() * 1e6)
     queues = [job.kind.queue_for(campaign) for job in jobs]
     states = [
         JobState.WAITING if any(_producer(i, ids) for i in job.inputs) else JobState.QUEUED for job in jobs
     ]
-    tables: list[tuple[type[Any], list[dict[str, Any]]]] = [
-        (
-            JobRow,
-            [
-                {
-                    "id": job_id,
-                    "kind": job.kind.name,
-                    "kind_version": job.kind.version,
-                    "campaign_id": campaign_id,
-                    "subject": str(job.subject),
-                    "parameters": job.parameters.model_dump(mode="json"),
-                    "queue": queue,
-                    "priority": priority,
-                    "position": first + place,
-                    "repeatable": job.kind.repeatable(job.parameters),
-                    "use_cache": use_cache,
-                    "state": state,
-                    "submitted_at": now,
-                }
-                for place, (job_id, job, queue, state) in enumerate(
-                    zip(ids, jobs, queues, states, strict=True)
-                )
-            ],
-        ),
-        (
-            DependencyRow,
-            [
-                {
-                    "job_id": job_id,
-                    "role": given.need.role,
-                    "source": given.need.source,
-                    "subject": str(given.need.subject),
-                    "producer_id": _producer(given, ids),
-                    "file_id": None if given.existing is None else given.existing.file_id,
-                }
-                for job_id, job in zip(ids, jobs, strict=True)
-                for given in job.inputs
-            ],
-        ),
-        (
-            EventRow,
-            [
-                {"job_id": i, "at": now, "state": s, "attempt": 0, "message": "submitted"}
-                for i, s in zip(ids, states, strict=True)
-            ],
-        ),
-        (
-            OutboxRow,
-            [
-                {"job_id": i, "queue": queue}
-                for i, queue, s in zip(ids, queues, states, strict=True)
-                if s is JobState.QUEUED
-            ],
-        ),
-        (
-            JobDeviceRow,
-            [
-                {"job_id": job_id, "device": device}
-                for job_id, job in zip(ids, jobs, strict=True)
-                for device in set(job.kind.devices(campaign, job.subject))
-            ],
-        ),
+    same = {
+        "campaign_id": campaign_id,
+        "priority": priority,
+        "use_cache": use_cache,
+        "submitted_at": now,
+    }
+    first = int(now.timestamp() * 1e6)
+    submitted = [
+        {**_job_columns(job), **same, "id": job_id, "queue": queue, "position": first + place, "state": state}
+        for place, (job_id, job, queue, state) in enumerate(zip(ids, jobs, queues, states, strict=True))
+    ]
+    events = [
+        {"job_id": i, "at": now, "state": s, "attempt": 0, "message": "submitted"}
+        for i, s in zip(ids, states, strict=True)
+    ]
+    messages = [
+        {"job_id": i, "queue": queue}
+        for i, queue, s in zip(ids, queues, states, strict=True)
+        if s is JobState.QUEUED
+    ]
+    devices = [
+        {"job_id": job_id, "device": device}
+        for job_id, job in zip(ids, jobs, strict=True)
+        for device in set(job.kind.devices(campaign, job.subject))
+    ]
+    tables: list[TableRows] = [
+        (JobRow, submitted),
+        (DependencyRow, _dependencies(jobs, ids)),
+        (EventRow, events),
+        (OutboxRow, messages),
+        (JobDeviceRow, devices),
     ]
     yield from ((table, rows) for table, rows in tables if rows)
+
+
+def _job_columns(job: PlannedJob) -> dict[str, Any]:
+    """Return what a planned job says itself of its row."""
+    return {
+        "kind": job.kind.name,
+        "kind_version": job.kind.version,
+        "subject": str(job.subject),
+        "parameters": job.parameters.model_dump(mode="json"),
+        "repeatable": job.kind.repeatable(job.parameters),
+    }
+
+
+def _dependencies(jobs: Sequence[PlannedJob], ids: Sequence[str]) -> list[dict[str, Any]]:
+    """Return a row for each input of each job."""
+    return [
+        {
+            "job_id": job_id,
+            "role": given.need.role,
+            "source": given.need.source,
+            "subject": str(given.need.subject),
+            "producer_id": _producer(given, ids),
+            "file_id": None if given.existing is None else given.existing.file_id,
+        }
+        for job_id, job in zip(ids, jobs, strict=True)
+        for given in job.inputs
+    ]
 
 
 def _producer(given: PlannedInput, ids: Sequence[str]) -> str | None:
