@@ -8,7 +8,7 @@ from math import ceil, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel
 
 Floats = NDArray[np.float64]
 
@@ -25,6 +25,56 @@ _NEIGHBOURS = np.array(
 )
 
 
+@inlined
+def _slopes(
+    points: Floats, region: NDArray[np.bool_], row: int, column: int, radius: float, across: Floats
+) -> bool:
+    """Fill the least-squares slopes (2, 3) of a surface along rows and columns at a point, in mm per pixel.
+
+    Points farther away than the radius are another surface. False where too few are left.
+    """
+    rows, columns = region.shape
+    x0, y0, z0 = points[0, row, column], points[1, row, column], points[2, row, column]
+    n = si = sj = sii = sij = sjj = 0.0
+    s = np.zeros((3, 3))  # sums of 1, i, j times the difference from the middle, by component
+    for i in range(max(-_HALF, -row), min(_HALF, rows - 1 - row) + 1):
+        for j in range(max(-_HALF, -column), min(_HALF, columns - 1 - column) + 1):
+            if not region[row + i, column + j]:
+                continue
+            dx = points[0, row + i, column + j] - x0
+            dy = points[1, row + i, column + j] - y0
+            dz = points[2, row + i, column + j] - z0
+            # NaN fails this comparison too.
+            if not dx * dx + dy * dy + dz * dz < radius * radius:
+                continue
+            n += 1.0
+            si += i
+            sj += j
+            sii += i * i
+            sij += i * j
+            sjj += j * j
+            s[0, 0] += dx
+            s[0, 1] += dy
+            s[0, 2] += dz
+            s[1, 0] += i * dx
+            s[1, 1] += i * dy
+            s[1, 2] += i * dz
+            s[2, 0] += j * dx
+            s[2, 1] += j * dy
+            s[2, 2] += j * dz
+    if n < _LEAST_NEIGHBOURS:
+        return False
+    a, b, c = sii - si * si / n, sij - si * sj / n, sjj - sj * sj / n
+    determinant = a * c - b * b
+    if determinant <= 0.0:
+        return False
+    for k in range(3):
+        p, q = s[1, k] - si * s[0, k] / n, s[2, k] - sj * s[0, k] / n
+        across[0, k] = (c * p - b * q) / determinant
+        across[1, k] = (a * q - b * p) / determinant
+    return True
+
+
 @kernel
 def _vote(
     points: Floats,
@@ -36,7 +86,7 @@ def _vote(
     start: int,
     stop: int,
 ) -> None:
-    rows, columns = region.shape
+    """Fill rows start .. stop of the votes (rows, columns, 3) of every `step`-th pixel; NaN for none."""
     across = np.empty((2, 3))
     for vr in range(start, stop):
         row = vr * step
@@ -46,43 +96,8 @@ def _vote(
             x0, y0, z0 = points[0, row, column], points[1, row, column], points[2, row, column]
             if not region[row, column] or not np.isfinite(x0 + y0 + z0):
                 continue
-            n = si = sj = sii = sij = sjj = 0.0
-            s = np.zeros((3, 3))  # sums of 1, i, j times the difference from the middle, by component
-            for i in range(max(-_HALF, -row), min(_HALF, rows - 1 - row) + 1):
-                for j in range(max(-_HALF, -column), min(_HALF, columns - 1 - column) + 1):
-                    if not region[row + i, column + j]:
-                        continue
-                    dx = points[0, row + i, column + j] - x0
-                    dy = points[1, row + i, column + j] - y0
-                    dz = points[2, row + i, column + j] - z0
-                    # Farther away is another surface; NaN fails this comparison too.
-                    if not dx * dx + dy * dy + dz * dz < radius * radius:
-                        continue
-                    n += 1.0
-                    si += i
-                    sj += j
-                    sii += i * i
-                    sij += i * j
-                    sjj += j * j
-                    s[0, 0] += dx
-                    s[0, 1] += dy
-                    s[0, 2] += dz
-                    s[1, 0] += i * dx
-                    s[1, 1] += i * dy
-                    s[1, 2] += i * dz
-                    s[2, 0] += j * dx
-                    s[2, 1] += j * dy
-                    s[2, 2] += j * dz
-            if n < _LEAST_NEIGHBOURS:
+            if not _slopes(points, region, row, column, radius, across):
                 continue
-            a, b, c = sii - si * si / n, sij - si * sj / n, sjj - sj * sj / n
-            determinant = a * c - b * b
-            if determinant <= 0.0:
-                continue
-            for k in range(3):
-                p, q = s[1, k] - si * s[0, k] / n, s[2, k] - sj * s[0, k] / n
-                across[0, k] = (c * p - b * q) / determinant
-                across[1, k] = (a * q - b * p) / determinant
             nx = across[0, 1] * across[1, 2] - across[0, 2] * across[1, 1]
             ny = across[0, 2] * across[1, 0] - across[0, 0] * across[1, 2]
             nz = across[0, 0] * across[1, 1] - across[0, 1] * across[1, 0]
