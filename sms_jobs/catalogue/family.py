@@ -4,44 +4,19 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from sqlalchemy import select
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from sms_jobs.catalogue.models import ProvenanceRow
 from sms_jobs.catalogue.parts import parts
-from sms_jobs.catalogue.search import FileView, views_with
+from sms_jobs.catalogue.search import views_with
+from sms_jobs.records.files import Ancestor, Family, FileView
 
 GENERATIONS = 100
 """A tree goes no deeper; further down it is asked for from there."""
 MOST = 5000
 """Entries of one tree."""
-
-
-@dataclass(frozen=True)
-class Ancestor:
-    """A file in a provenance tree, and what it was to the file above it in the tree, or that one to it.
-
-    In a tree of what was computed from a file, `inputs` are what was computed from this one. `told` says that
-    the same file stands elsewhere in the tree with its inputs, which are left out here: a calibration is an
-    input of everything, and has hundreds of its own. `more` says that the tree ends here and its inputs are
-    not all in it.
-    """
-
-    role: str
-    file: FileView
-    inputs: tuple[Ancestor, ...]
-    told: bool
-    more: bool
-
-
-@dataclass(frozen=True)
-class Family:
-    """The tree below a file; `more` as of an `Ancestor`."""
-
-    inputs: tuple[Ancestor, ...]
-    more: bool
 
 
 def ancestry(session: Session, file: FileView) -> Family:

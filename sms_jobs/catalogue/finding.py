@@ -7,8 +7,6 @@ many files meet the query. Where an index shows that few can, these alone are lo
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from datetime import datetime
 from typing import Any
 
 from sqlalchemy import ColumnElement, Select, func, select
@@ -30,36 +28,11 @@ from sms_jobs.catalogue.query_language import (
     comparisons,
     conjuncts,
 )
-from sms_jobs.catalogue.search import FileView
 from sms_jobs.errors import InvalidInput
+from sms_jobs.records.files import Found, Page
 
 FEW = 4000
 """Up to so many files are looked at one by one rather than walked over in order."""
-
-
-@dataclass(frozen=True)
-class Found:
-    """A file, and what was asked about it, in the units of the question; None where it has no such value."""
-
-    file: FileView
-    values: dict[str, float | str | datetime | None]
-
-
-@dataclass(frozen=True)
-class Page:
-    """Some of the files that meet a query, the newest first.
-
-    Attributes
-    ----------
-    columns
-        Names of the values, in the order of the question.
-    next
-        What to go on after to get the next page; None on the last one.
-    """
-
-    columns: tuple[str, ...]
-    found: tuple[Found, ...]
-    next: int | None
 
 
 def find_page(

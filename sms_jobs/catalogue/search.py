@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from datetime import datetime
 from functools import cache
 from typing import Any
 
@@ -24,32 +22,9 @@ from sms_jobs.catalogue.models import (
 )
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import NotFound
-from sms_jobs.records.views import is_view, view_of
+from sms_jobs.records.files import CalibrationView, FileView
 
 _MOST_DIGITS = 18
-
-
-@dataclass(frozen=True)
-class FileView:
-    """One file as it is shown."""
-
-    id: int
-    source: str
-    subject: str
-    path: str
-    content_hash: str
-    size_bytes: int
-    sha256: str
-    media_type: str
-    created_at: datetime
-    recorded_at: datetime | None
-    job_id: str | None
-
-    @property
-    def in_plane(self) -> bool:
-        """Whether it is about what a camera alone saw."""
-        view = self.subject.rpartition("/")[2]
-        return is_view(view) and not view_of(view).measures_shape
 
 
 def find_files(
@@ -118,30 +93,6 @@ def files_of_job(session: Session, job_id: str) -> list[FileView]:
     """Return the files that a job has made."""
     query = _views().where(FileRow.job_id == job_id).order_by(FileRow.id)
     return [_view(*row) for row in session.execute(query)]
-
-
-@dataclass(frozen=True)
-class CalibrationView:
-    """One calibration as it is shown."""
-
-    id: int
-    rig: str
-    valid_from: datetime
-    origin: str
-    sensors: tuple[str, ...]
-    path: str
-    content_hash: str
-    size_bytes: int
-    sha256: str
-    in_use: bool
-    """For its rig: all campaigns that have no calibration of their own."""
-    campaigns: tuple[str, ...]
-    """That it is used for alone."""
-
-    @property
-    def inactive(self) -> bool:
-        """Whether nothing is computed with it."""
-        return not self.in_use and not self.campaigns
 
 
 def list_calibrations(session: Session, rig: str | None = None) -> list[CalibrationView]:

@@ -11,10 +11,10 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import search
-from sms_jobs.catalogue.search import CalibrationView
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.jobs.acceptances import accept as decide
+from sms_jobs.records.files import CalibrationView
 
 Number = Annotated[int, typer.Argument(help="Number of a calibration; see 'sms calibration list'.")]
 Of = Annotated[

@@ -12,7 +12,6 @@ from rich.tree import Tree
 from sms_jobs import bootstrap
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue import family, search
-from sms_jobs.catalogue.family import Ancestor
 from sms_jobs.catalogue.finding import restricted
 from sms_jobs.catalogue.query_language import parse
 from sms_jobs.cli import (
@@ -35,6 +34,7 @@ from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.figures import plot_record
 from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.records.files import Ancestor
 from sms_jobs.records.measurement import Measurement
 
 app = typer.Typer(help="Measurements and results in the archive.", no_args_is_help=True)

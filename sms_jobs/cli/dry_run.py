@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sms_jobs.cli import output
-from sms_jobs.jobs.dry_runs import DryRun
+from sms_jobs.records.rehearsals import DryRun
 
 
 def show(campaign: str, done: DryRun, as_json: bool) -> None:

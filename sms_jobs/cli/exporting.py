@@ -12,11 +12,11 @@ from sms_jobs import bootstrap
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.archive.repacking import repack
 from sms_jobs.catalogue import search
-from sms_jobs.catalogue.search import FileView
 from sms_jobs.cli import completion, output, writing
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.fields import Mesh, PhaseMaps
+from sms_jobs.records.files import FileView
 from sms_jobs.records.quantity import quantities
 
 if TYPE_CHECKING:

@@ -14,15 +14,14 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import finding
-from sms_jobs.catalogue.finding import Found, Page
 from sms_jobs.catalogue.query_fields import Vocabulary
 from sms_jobs.catalogue.query_language import Query
-from sms_jobs.catalogue.search import FileView
 from sms_jobs.cli import output, writing
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.row_tables import write_csv, write_parquet
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+from sms_jobs.records.files import FileView, Found, Page
 from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
 _PAGE = 1000

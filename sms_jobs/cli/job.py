@@ -14,16 +14,18 @@ from sms_jobs.catalogue import search, upkeep
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.kind_options import CONTEXT, KindCommand, split_words
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.cli.waiting import Outlook, outlook, told, unsuccessful, wait_for
+from sms_jobs.cli.waiting import as_json as outlook_as_json
+from sms_jobs.cli.waiting import told, told_outlook, unsuccessful, wait_for
 from sms_jobs.errors import Conflict, InvalidInput, JobFailed
 from sms_jobs.jobs import chosen, crowds, inquiry, lifecycle
 from sms_jobs.jobs.chosen import Chosen
-from sms_jobs.jobs.estimates import Estimate, estimate_planned
+from sms_jobs.jobs.estimates import estimate_planned, outlook
 from sms_jobs.jobs.logs import job_log
 from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.submission import Submission, draft, enter, while_outdated
 from sms_jobs.jobs.turns import planning_turn
 from sms_jobs.kinds import all_kinds
+from sms_jobs.records.estimates import Estimate, Outlook
 from sms_jobs.records.job import JobState
 
 app = typer.Typer(help="Jobs: submit, follow and mend them.", no_args_is_help=True)
@@ -216,7 +218,7 @@ def list_(
         empty="there is no such job",
     )
     if ahead is not None:
-        output.say(f"{active} jobs of {campaign} have not ended: {ahead}")
+        output.say(f"{active} jobs of {campaign} have not ended: {told_outlook(ahead)}")
 
 
 @app.command()
@@ -293,7 +295,7 @@ def watch(
 
         def tell(counted: dict[str, int], ahead: Outlook | None) -> None:
             if as_json:
-                output.print_json({"jobs": counted} | ({} if ahead is None else ahead.as_json()))
+                output.print_json({"jobs": counted} | ({} if ahead is None else outlook_as_json(ahead)))
 
         counted = wait_for(services.catalogue, followed, None, tell, workers=services.settings.workers)
     if not as_json:

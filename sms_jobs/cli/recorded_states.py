@@ -15,7 +15,8 @@ from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.jobs.campaign_progress import StateProgress, progress_of
+from sms_jobs.jobs.campaign_progress import progress_of
+from sms_jobs.records.state_progress import StateProgress
 
 _EVERY_S = 2.0
 _COLUMNS = ("state", "planned [N]", "read", "recording", "verdict", "processing", "mm", "microstrain")

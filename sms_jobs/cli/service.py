@@ -13,9 +13,11 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.cli.waiting import Outlook, outlook
+from sms_jobs.cli.waiting import told_outlook
 from sms_jobs.jobs import inquiry
 from sms_jobs.jobs.chosen import Chosen
+from sms_jobs.jobs.estimates import outlook
+from sms_jobs.records.estimates import Outlook
 from sms_jobs.records.job import ALIVE_WITHIN
 
 
@@ -80,7 +82,7 @@ def status(home: Home = None, as_json: Json = False) -> None:
     facts["archive_free"] = output.size(facts.pop("archive_free_bytes"))
     ahead = facts.pop("outlook")
     if ahead is not None:
-        facts["ahead"] = str(ahead)
+        facts["ahead"] = told_outlook(ahead)
     output.print_facts(facts)
 
 

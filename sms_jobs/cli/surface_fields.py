@@ -15,12 +15,11 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, family, search
-from sms_jobs.catalogue.family import Ancestor
-from sms_jobs.catalogue.search import FileView
 from sms_jobs.cli import completion, output, writing
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.fields import Surface
+from sms_jobs.records.files import Ancestor, FileView
 from sms_jobs.records.gauges import GaugeReadings
 
 if TYPE_CHECKING:

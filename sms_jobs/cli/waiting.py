@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
-
-from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.cli.output import clock, duration, job_bar
 from sms_jobs.errors import WaitTimedOut
-from sms_jobs.jobs import estimates, inquiry
+from sms_jobs.jobs import inquiry
 from sms_jobs.jobs.chosen import Chosen
-from sms_jobs.jobs.estimates import Estimate
+from sms_jobs.jobs.estimates import outlook
+from sms_jobs.records.estimates import Estimate, Outlook
 from sms_jobs.records.job import UNSUCCESSFUL, JobState
 
 _EVERY_S = 0.25
@@ -24,26 +22,15 @@ _SHARE = 10.0
 """So many times as long as looking takes is waited before looking again."""
 
 
-@dataclass(frozen=True)
-class Outlook:
-    """How fast jobs come along, and when the rest will have ended."""
-
-    per_minute: float | None
-    estimate: Estimate
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it for programs."""
-        return {"jobs_per_minute": self.per_minute, "estimate": self.estimate}
-
-    def __str__(self) -> str:
-        rate = "" if self.per_minute is None else f"{self.per_minute:.3g} jobs/min, "
-        return rate + told(self.estimate)
+def as_json(outlook: Outlook) -> dict[str, Any]:
+    """Return how jobs come along for programs."""
+    return {"jobs_per_minute": outlook.per_minute, "estimate": outlook.estimate}
 
 
-def outlook(session: Session, chosen: Chosen, workers: int) -> Outlook:
-    """Return how some jobs come along; `workers` are counted on where none is alive."""
-    now = datetime.now(UTC)
-    return Outlook(estimates.pace(session, chosen, now), estimates.estimate(session, chosen, now, workers))
+def told_outlook(outlook: Outlook) -> str:
+    """Say how fast jobs come along, and when the rest will have ended."""
+    rate = "" if outlook.per_minute is None else f"{outlook.per_minute:.3g} jobs/min, "
+    return rate + told(outlook.estimate)
 
 
 def told(estimate: Estimate) -> str:
@@ -77,7 +64,7 @@ def wait_for(
     catalogue: Catalogue,
     chosen: Chosen,
     timeout_s: float | None,
-    tell: Callable[[dict[str, int], Outlook | None], None] = lambda counted, outlook: None,
+    tell: Callable[[dict[str, int], Outlook | None], None] = lambda counted, ahead: None,
     still_there: Callable[[], None] = lambda: None,
     workers: int = 1,
 ) -> dict[str, int]:
@@ -119,7 +106,7 @@ def wait_for(
                 total=total,
                 completed=total - active,
                 description=running or "jobs",
-                pace=str(ahead or ""),
+                pace="" if ahead is None else told_outlook(ahead),
             )
             if counted != before:
                 tell(counted, ahead if active else None)

@@ -26,6 +26,7 @@ from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.instruments import Instruments, SerialChannel, Stage, TriggerController, VideoSplitter
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import RigFile, VirtualCamera, VirtualProjector
+from sms_jobs.records.rehearsals import StateRehearsal
 from sms_jobs.records.serial_links import SIMULATED
 from sms_jobs.records.views import view_of
 
@@ -33,37 +34,6 @@ Wired = TypeVar("Wired", Stage, TriggerController, VideoSplitter, SerialChannel)
 
 BYTES_A_PIXEL = 2
 """Of cameras with more than 8 bits, as which all are counted."""
-
-
-@dataclass(frozen=True)
-class StateRehearsal:
-    """What recording a state takes.
-
-    Attributes
-    ----------
-    moving_s
-        Until the instruments are connected and the stage stands in its pose.
-    recording_s
-        All sets, from the first pattern to the last reading of a channel.
-    frames
-        Of all views, the white ones too.
-    raw_bytes, set_bytes
-        Of these frames, and of those of the projector that has most.
-    problem
-        Why the stage cannot take its pose, in words; empty where it can.
-    """
-
-    moving_s: float
-    recording_s: float
-    frames: int
-    raw_bytes: int
-    set_bytes: int
-    problem: str = ""
-
-    @property
-    def seconds(self) -> float:
-        """How long the specimen has to be held, or the artefact to stand."""
-        return self.moving_s + self.recording_s
 
 
 def rehearse(

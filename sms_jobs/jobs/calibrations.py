@@ -13,7 +13,6 @@ from sqlalchemy.orm import Session
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, ArchivedDataset, InputReference
 from sms_jobs.catalogue import campaigns, search, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.search import FileView
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.jobs import calibration_choice
 from sms_jobs.jobs.registration import register_calibration
@@ -26,6 +25,7 @@ from sms_jobs.metrology.calibration.pair_points import Parameters
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps, Surface
+from sms_jobs.records.files import FileView
 from sms_jobs.records.measurement import UNTIMED, FringeSequence
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Box, Calibration, Rig

@@ -16,47 +16,11 @@ from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records.campaign import LoadState, Subject
 from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState
+from sms_jobs.records.state_progress import StateProgress
 
 _BEFORE = "_before"
 _LARGEST = {"correlate": "maximum_displacement_mm", "strain": "maximum_principal_strain"}
 """By kind, the statistic that says at a glance what a state did."""
-
-
-@dataclass(frozen=True)
-class StateProgress:
-    """What is known of a state.
-
-    Attributes
-    ----------
-    label
-        Of the state.
-    load_n
-        As planned, if it is.
-    recording
-        State of the job that records it; empty before there is one, "recorded" once it lies in the archive.
-    recorded_at
-        When its last view was archived.
-    views, doubtful
-        How many are recorded, and how many of these are doubted.
-    channels
-        What was read before its sets, by name: of the last view.
-    processing, failed
-        Jobs that are to process it and have not ended, and that ended without success.
-    displacement_mm, strain
-        Largest displacement and largest principal strain of all views; None before they are computed.
-    """
-
-    label: str
-    load_n: float | None
-    recording: str
-    recorded_at: datetime | None
-    views: int
-    doubtful: int
-    channels: dict[str, float]
-    processing: int
-    failed: int
-    displacement_mm: float | None
-    strain: float | None
 
 
 def progress_of(session: Session, name: str) -> list[StateProgress]:

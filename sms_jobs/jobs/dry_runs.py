@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from sqlalchemy import select
@@ -14,67 +13,18 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue.campaigns import definition
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, RigRow
 from sms_jobs.errors import InvalidInput
-from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL, StateRehearsal, rehearse
+from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL, rehearse
 from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import ANGLES, KIND, AcquireParameters, stage_angles
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.optical_instruments import RigFile
+from sms_jobs.records.rehearsals import DryRun, StateRehearsal
 from sms_jobs.records.views import view_of
 
 _RECENT = 50
 """So many of the rig's last measurements tell how well its frames are packed."""
-
-
-@dataclass(frozen=True)
-class DryRun:
-    """What recording some states would take.
-
-    Attributes
-    ----------
-    states
-        By label, in order.
-    packed
-        What a measurement of this rig takes in the archive, as a fraction of its raw frames; None where
-        there is none yet.
-    spool_bytes, spool_room
-        What one state needs of the spool's disk, at most, and what is free there.
-    archive_room
-        What is free on the archive's disk.
-    missing
-        What keeps these states from being recorded, in words.
-    remarks
-        What is as the plan says and yet worth knowing.
-    """
-
-    states: dict[str, StateRehearsal]
-    packed: float | None
-    spool_bytes: int
-    spool_room: int
-    archive_room: int
-    missing: tuple[str, ...]
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def seconds(self) -> float:
-        """Of all states, nothing between them."""
-        return sum(s.seconds for s in self.states.values())
-
-    @property
-    def frames(self) -> int:
-        """Of all states."""
-        return sum(s.frames for s in self.states.values())
-
-    @property
-    def raw_bytes(self) -> int:
-        """Of all states."""
-        return sum(s.raw_bytes for s in self.states.values())
-
-    @property
-    def archived_bytes(self) -> int:
-        """Of all states in the archive; the raw frames' where nothing is known of packing."""
-        return round(self.raw_bytes * (1.0 if self.packed is None else self.packed))
 
 
 def dry_run(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from math import isfinite
 from statistics import fmean
 
@@ -20,52 +20,12 @@ from sms_jobs.jobs.history import History
 from sms_jobs.jobs.makespan import Places, Task, makespan, shared
 from sms_jobs.jobs.submission import Draft
 from sms_jobs.kinds.kind import Queue
+from sms_jobs.records.estimates import Estimate, Outlook
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, JobState
 
 _PACE_OVER = timedelta(minutes=10)
 _BELIEVED_PROGRESS = 0.05
 """From here on the progress of a running job tells how long it will take where nothing else does."""
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """When jobs will have ended.
-
-    Attributes
-    ----------
-    jobs
-        That have not ended yet.
-    reused
-        Of these, those that are known beforehand to be reused: they count as nothing.
-    seconds
-        Until the last has ended; None where nothing is known, or nobody serves a queue of them.
-    ready_at
-        The same as a time.
-    workers
-        Jobs that run at the same time.
-    alive
-        Whether these workers are there; otherwise they would be once the service is started here.
-    unknown
-        Number of jobs of each kind that has never run here; they count as nothing, so that it takes longer.
-    unserved
-        Queues that no worker serves.
-    paused
-        Queues that are held back; the time counts from when they go on.
-    looked_at
-        Of very many jobs some alone are looked at: so many. What will be reused is then not known, nor what
-        waits for what; None where all were.
-    """
-
-    jobs: int
-    reused: int
-    seconds: float | None
-    ready_at: datetime | None
-    workers: int
-    alive: bool
-    unknown: Mapping[str, int]
-    unserved: tuple[str, ...]
-    paused: tuple[str, ...]
-    looked_at: int | None = None
 
 
 def estimate(session: Session, chosen: Chosen, now: datetime, workers_if_started: int) -> Estimate:
@@ -175,6 +135,12 @@ def _of_sample(work: Sample, history: History, places: Sequence[Places], now: da
     return _Told(
         sum(work.wanted.values()), 0, shared(seconds, queues, places), +unknown, queues, len(work.jobs)
     )
+
+
+def outlook(session: Session, chosen: Chosen, workers: int) -> Outlook:
+    """Return how some jobs come along; `workers` are counted on where none is alive."""
+    now = datetime.now(UTC)
+    return Outlook(pace(session, chosen, now), estimate(session, chosen, now, workers))
 
 
 def pace(session: Session, chosen: Chosen, now: datetime) -> float | None:

@@ -23,7 +23,7 @@ from sms_jobs import bootstrap
 from sms_jobs.bench import large_catalogue
 from sms_jobs.catalogue import finding, saved_queries
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.finding import Page, find_page, restricted
+from sms_jobs.catalogue.finding import find_page, restricted
 from sms_jobs.catalogue.models import (
     CalibrationRow,
     CalibrationUseRow,
@@ -39,6 +39,7 @@ from sms_jobs.catalogue.query_language import parse
 from sms_jobs.cli.main import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.formats.row_tables import write_parquet
+from sms_jobs.records.files import Page
 
 KINDS = frozenset({*large_catalogue.KINDS, "calibration", "report"})
 KNOWN = Vocabulary(lambda: (KINDS, large_catalogue.PARAMETERS))

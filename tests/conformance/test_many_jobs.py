@@ -15,11 +15,12 @@ from sms_jobs.bench.large_queue import SECONDS, fill_queue, name_of
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.parts import AT_ONCE
-from sms_jobs.cli.waiting import Outlook, outlook, wait_for
+from sms_jobs.cli.waiting import wait_for
 from sms_jobs.errors import InvalidInput, WaitTimedOut
 from sms_jobs.jobs import chosen, coming, crowds, doorbell, inquiry, lifecycle, queues, recovery
 from sms_jobs.jobs.chosen import Chosen
-from sms_jobs.jobs.estimates import estimate
+from sms_jobs.jobs.estimates import estimate, outlook
+from sms_jobs.records.estimates import Outlook
 from sms_jobs.records.job import JobState
 
 MANY = 1200

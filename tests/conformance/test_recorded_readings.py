@@ -12,7 +12,7 @@ from support.deployments import Deployment
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.finding import Page, find_page
+from sms_jobs.catalogue.finding import find_page
 from sms_jobs.catalogue.models import FileRow, MeasurementRow
 from sms_jobs.catalogue.query_language import parse
 from sms_jobs.cli.found_files import vocabulary
@@ -21,6 +21,7 @@ from sms_jobs.jobs import reindexing, retention
 from sms_jobs.jobs.importing import amend_campaign, with_readings
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.stations import Stations
+from sms_jobs.records.files import Page
 
 RIG = """
 name = "small-virtual-rig"

@@ -1,0 +1,105 @@
+"""Files of the archive as they are shown: found, with their values, and with what they come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+
+from sms_jobs.records.views import is_view, view_of
+
+
+@dataclass(frozen=True)
+class FileView:
+    """One file as it is shown."""
+
+    id: int
+    source: str
+    subject: str
+    path: str
+    content_hash: str
+    size_bytes: int
+    sha256: str
+    media_type: str
+    created_at: datetime
+    recorded_at: datetime | None
+    job_id: str | None
+
+    @property
+    def in_plane(self) -> bool:
+        """Whether it is about what a camera alone saw."""
+        view = self.subject.rpartition("/")[2]
+        return is_view(view) and not view_of(view).measures_shape
+
+
+@dataclass(frozen=True)
+class Found:
+    """A file, and what was asked about it, in the units of the question; None where it has no such value."""
+
+    file: FileView
+    values: dict[str, float | str | datetime | None]
+
+
+@dataclass(frozen=True)
+class Page:
+    """Some of the files that meet a query, the newest first.
+
+    Attributes
+    ----------
+    columns
+        Names of the values, in the order of the question.
+    next
+        What to go on after to get the next page; None on the last one.
+    """
+
+    columns: tuple[str, ...]
+    found: tuple[Found, ...]
+    next: int | None
+
+
+@dataclass(frozen=True)
+class Ancestor:
+    """A file in a provenance tree, and what it was to the file above it in the tree, or that one to it.
+
+    In a tree of what was computed from a file, `inputs` are what was computed from this one. `told` says that
+    the same file stands elsewhere in the tree with its inputs, which are left out here: a calibration is an
+    input of everything, and has hundreds of its own. `more` says that the tree ends here and its inputs are
+    not all in it.
+    """
+
+    role: str
+    file: FileView
+    inputs: tuple[Ancestor, ...]
+    told: bool
+    more: bool
+
+
+@dataclass(frozen=True)
+class Family:
+    """The tree below a file; `more` as of an `Ancestor`."""
+
+    inputs: tuple[Ancestor, ...]
+    more: bool
+
+
+@dataclass(frozen=True)
+class CalibrationView:
+    """One calibration as it is shown."""
+
+    id: int
+    rig: str
+    valid_from: datetime
+    origin: str
+    sensors: tuple[str, ...]
+    path: str
+    content_hash: str
+    size_bytes: int
+    sha256: str
+    in_use: bool
+    """For its rig: all campaigns that have no calibration of their own."""
+    campaigns: tuple[str, ...]
+    """That it is used for alone."""
+
+    @property
+    def inactive(self) -> bool:
+        """Whether nothing is computed with it."""
+        return not self.in_use and not self.campaigns
