@@ -10,8 +10,9 @@ from typing import Annotated, get_args
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.app import writing
 from sms_jobs.catalogue import search
-from sms_jobs.cli import output, writing
+from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.interchange.styles import Style

@@ -2,40 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.tree import Tree
 
 from sms_jobs import bootstrap
-from sms_jobs.archive import DATASET_MEDIA_TYPE
-from sms_jobs.catalogue import family, search
-from sms_jobs.catalogue.finding import restricted
-from sms_jobs.catalogue.query_language import parse
+from sms_jobs.app import files, finding, writing
 from sms_jobs.cli import (
     advice,
+    comparing,
     completion,
     exporting,
-    field_comparison,
     found_files,
     outline,
     output,
     pins,
     portable_data,
     saved_queries,
-    state_comparison,
-    surface_fields,
-    writing,
+    surface_places,
 )
 from sms_jobs.cli.found_files import After, As, Columns, Force, Format, Limit, Out, Wanted
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.figures import plot_record
-from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.files import Ancestor
-from sms_jobs.records.measurement import Measurement
 
 app = typer.Typer(help="Measurements and results in the archive.", no_args_is_help=True)
 app.add_typer(saved_queries.app, name="query")
@@ -45,11 +35,11 @@ app.command("pin")(pins.pin)
 app.command("unpin")(pins.unpin)
 app.command("pins")(pins.pins)
 app.command("outline")(outline.outline)
-app.command("gauges")(surface_fields.gauges)
-app.command("section")(surface_fields.section)
+app.command("gauges")(surface_places.gauges)
+app.command("section")(surface_places.section)
 app.command("advise")(advice.advise)
-app.command("compare")(field_comparison.compare)
-app.command("compare-states")(state_comparison.compare_states)
+app.command("compare")(comparing.compare)
+app.command("compare-states")(comparing.compare_states)
 app.command("pack")(portable_data.pack)
 app.command("check")(portable_data.check)
 app.command("unpack")(portable_data.unpack)
@@ -91,7 +81,7 @@ def find(
 
     Example: sms data find 'strain where load_kN > 1400 and max_principal > 1e-3' -c wing-fatigue
     """
-    asked = restricted(parse(query or ""), kind=kind, campaign=campaign, state=state, view=view)
+    asked = finding.question(query or "", kind=kind, campaign=campaign, state=state, view=view)
     found_files.tell(home, lambda _: asked, Wanted(limit, after, columns, form, out, force, as_json))
 
 
@@ -102,42 +92,39 @@ def show(file: File, home: Home = None, as_json: Json = False) -> None:
     Example: sms data show 17
     """
     with bootstrap.services(home) as services:
-        with services.catalogue.reading() as session:
-            view = search.file_view(session, file)
-            numbers = search.statistics(session, view.id)
-            readings = search.readings(session, view.id)
-        records: dict[str, Any] = {}
-        if view.media_type == DATASET_MEDIA_TYPE:
-            with services.archive.open(view) as dataset:
-                records = dataset.describe()
-        else:
-            services.archive.verify_bytes(view)
-        path = services.archive.location(view.path)
+        found = files.describe(services, file)
     if as_json:
         output.print_json(
-            {"file": view, "path": path, "statistics": numbers, "readings": readings, "records": records}
+            {
+                "file": found.file,
+                "path": found.path,
+                "statistics": found.statistics,
+                "readings": found.readings,
+                "records": found.records,
+            }
         )
         return
+    view = found.file
     output.print_facts(
         {
             "file": view.id,
             "kind": view.source,
             "subject": view.subject,
-            "path": path,
+            "path": found.path,
             "size": output.size(view.size_bytes),
             "recorded": view.recorded_at,
             "created": view.created_at,
             "content": f"sha256 {view.content_hash}",
             "job": view.job_id,
         }
-        | numbers
-        | {f"channel.{name}": value for name, value in readings.items()}
+        | found.statistics
+        | {f"channel.{name}": value for name, value in found.readings.items()}
     )
     output.print_table(
         ["record", "field", "shape", "unit", "meaning"],
         [
             (name, field, " x ".join(map(str, about["shape"])), about["unit"], about["meaning"])
-            for name, fields in records.items()
+            for name, fields in found.records.items()
             for field, about in fields.items()
         ],
         empty="",
@@ -158,18 +145,17 @@ def tree(
 
     Example: sms data tree 17; sms data tree 3 --down
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        view = search.file_view(session, file)
-        related = family.descent(session, view) if down else family.ancestry(session, view)
+    with bootstrap.services(home) as services:
+        found = files.tree(services, file, down=down)
     if as_json:
         name = "outputs" if down else "inputs"
-        output.print_json({"file": view, name: related.inputs, "more": related.more})
+        output.print_json({"file": found.file, name: found.inputs, "more": found.more})
         return
-    root = Tree(f"{view.source} {view.subject} ({view.id})")
-    _grow(root, related.inputs, whole)
+    root = Tree(f"{found.file.source} {found.file.subject} ({found.file.id})")
+    _grow(root, found.inputs, whole)
     output.answer.print(root)
-    if related.more:
-        output.say(f"the tree ends at {family.MOST} entries; ask for that of a file in it")
+    if found.more:
+        output.say(f"the tree ends at {files.MOST_RELATED} entries; ask for that of a file in it")
 
 
 @app.command()
@@ -192,32 +178,9 @@ def plot(
     """
     writing.check_new_file(out, force)
     with bootstrap.services(home) as services:
-        with services.catalogue.reading() as session:
-            view = search.file_view(session, file)
-            inputs = family.ancestry(session, view).inputs
-        if view.media_type != DATASET_MEDIA_TYPE:
-            raise InvalidInput(f"file {file} is a {view.media_type} document, which cannot be plotted")
-        with services.archive.open(view) as dataset:
-            name = record or dataset.names[0]
-            read: Any = dataset.read(name, dataset.record_class(name))
-        behind = None
-        if view.in_plane:
-            behind = _reference_image(services, inputs)
-    png = plot_record(read, field, component, behind=behind)
+        png = files.picture(services, file, record=record, field=field, component=component)
     writing.write_file(out, png, force)
     output.say(f"wrote {out}")
-
-
-def _reference_image(services: bootstrap.Services, inputs: Iterable[Ancestor]) -> Any:
-    """Return the texture that a result in an image started from; None where it is not in the archive."""
-    for one in inputs:
-        if one.role == "reference" and one.file.source == MEASUREMENT:
-            with services.archive.open(one.file) as dataset:
-                return dataset.read("measurement", Measurement).texture
-        found = _reference_image(services, one.inputs)
-        if found is not None:
-            return found
-    return None
 
 
 def _grow(node: Tree, inputs: tuple[Ancestor, ...], whole: bool) -> None:

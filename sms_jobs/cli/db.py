@@ -12,9 +12,10 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs import settings as settings_file
+from sms_jobs.app import writing
 from sms_jobs.catalogue import copying, schema, upkeep
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.cli import output, writing
+from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.jobs import backups
 from sms_jobs.jobs.backups import Progress

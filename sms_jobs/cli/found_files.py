@@ -13,19 +13,12 @@ from typing import Annotated, Any
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.catalogue import finding
-from sms_jobs.catalogue.query_fields import Vocabulary
-from sms_jobs.catalogue.query_language import Query
-from sms_jobs.cli import output, writing
+from sms_jobs.app import finding, writing
+from sms_jobs.app.finding import Question
+from sms_jobs.app.row_tables import write_csv, write_parquet
+from sms_jobs.cli import output
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.row_tables import write_csv, write_parquet
-from sms_jobs.kinds import all_kinds
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.records.files import FileView, Found, Page
-from sms_jobs.records.surfaces import REFERENCE_SURFACES
-
-_PAGE = 1000
-"""Files that are fetched at once, however many are wanted."""
 
 
 class Format(StrEnum):
@@ -85,29 +78,13 @@ class Wanted:
     as_json: bool
 
 
-def vocabulary() -> Vocabulary:
-    """Return the kinds and parameters that this version of the program knows."""
-    return Vocabulary(_words)
-
-
-def _words() -> tuple[frozenset[str], frozenset[str]]:
-    kinds = all_kinds().values()
-    return (
-        frozenset(
-            {MEASUREMENT, CALIBRATION, REFERENCE_SURFACES} | {kind.makes or kind.name for kind in kinds}
-        ),
-        frozenset(name for kind in kinds for name in kind.parameters.model_fields),
-    )
-
-
-def tell(home: Path | None, ask: Callable[[bootstrap.Services], Query], wanted: Wanted) -> None:
+def tell(home: Path | None, ask: Callable[[bootstrap.Services], Question], wanted: Wanted) -> None:
     """Find files and print or write them."""
     _refuse(wanted)
     names = None if wanted.columns is None else _split(wanted.columns)
     extra = None if names is None else [name for name in names if name not in _OF_FILE]
     with bootstrap.services(home) as services:
-        query = ask(services)
-        pages = _pages(services, query, extra, wanted)
+        pages = finding.find(services, ask(services), columns=extra, after=wanted.after, limit=wanted.limit)
         first = next(pages)
         found = chain([first], pages)
         _tell(first, found, names, wanted)
@@ -140,21 +117,6 @@ def _tell(first: Page, pages: Iterator[Page], names: list[str] | None, wanted: W
         _write(wanted, names or [*_WRITTEN, *(c for c in first.columns if c not in _WRITTEN)], files())
     if last is not None:
         output.say(f"there are more; go on with --after {last}")
-
-
-def _pages(
-    services: bootstrap.Services, query: Query, columns: Sequence[str] | None, wanted: Wanted
-) -> Iterator[Page]:
-    left, after, known = wanted.limit, wanted.after, vocabulary()
-    while True:
-        with services.catalogue.reading() as session:
-            page = finding.find_page(
-                session, query, known, columns=columns, after=after, limit=min(left, _PAGE)
-            )
-        yield page
-        left, after = left - len(page.found), page.next
-        if left <= 0 or after is None:
-            return
 
 
 def _write(wanted: Wanted, columns: list[str], files: Iterator[Found]) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from sms_jobs.app import textures
 from sms_jobs.cli import output
 
 
@@ -28,7 +29,4 @@ def outline(
 
     Example: sms data outline blacked.tif --above 0 --least-px 1000, of a picture with a black background
     """
-    # OpenCV reads the image; no other command of data needs it.
-    from sms_jobs.formats.masks import region_of_mask
-
-    output.print_text(region_of_mask(mask, above, least_px) + "\n")
+    output.print_text(textures.outline(mask, above, least_px) + "\n")

@@ -7,7 +7,8 @@ import logging
 import os
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from datetime import datetime
 from enum import Enum
@@ -21,6 +22,7 @@ from rich.progress import (
     DownloadColumn,
     MofNCompleteColumn,
     Progress,
+    TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
@@ -29,6 +31,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+from sms_jobs.app.progress import Step, Tell
 from sms_jobs.cli.tables import fitted
 from sms_jobs.records.texts import harmless
 
@@ -226,6 +229,22 @@ def byte_bar() -> Progress:
         console=remarks,
         disable=not remarks.is_terminal,
     )
+
+
+@contextmanager
+def followed(bar: Progress) -> Iterator[Tell]:
+    """Show on a bar how far a use case has come: a line for each of the things that it does."""
+    lines: dict[str, TaskID] = {}
+
+    def tell(step: Step) -> None:
+        total = None if step.total is None else max(step.total, 1)
+        if step.doing not in lines:
+            lines[step.doing] = bar.add_task(step.doing, total=total)
+        description = f"{step.doing} {step.detail}" if step.detail else step.doing
+        bar.update(lines[step.doing], description=description, completed=step.done, total=total)
+
+    with bar:
+        yield tell
 
 
 def _plain(value: Any) -> Any:

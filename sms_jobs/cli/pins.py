@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from typing import Annotated
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.catalogue import search
+from sms_jobs.app import files
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.jobs import retention
 
 File = Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")]
 
@@ -25,9 +23,8 @@ def pin(
 
     Example: sms data pin 17 --reason "figure 4 of the paper"
     """
-    with bootstrap.services(home) as services, services.catalogue.writing() as session:
-        view = search.file_view(session, file)
-        retention.pin(session, view.id, reason, datetime.now(UTC))
+    with bootstrap.services(home) as services:
+        view = files.pin(services, file, reason)
     output.say(f"file {view.id} is pinned")
 
 
@@ -36,9 +33,8 @@ def unpin(file: File, home: Home = None) -> None:
 
     Example: sms data unpin 17
     """
-    with bootstrap.services(home) as services, services.catalogue.writing() as session:
-        view = search.file_view(session, file)
-        retention.unpin(session, view.id)
+    with bootstrap.services(home) as services:
+        view = files.unpin(services, file)
     output.say(f"file {view.id} is not pinned any more")
 
 
@@ -47,8 +43,8 @@ def pins(home: Home = None, as_json: Json = False) -> None:
 
     Example: sms data pins
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        found = retention.pins(session)
+    with bootstrap.services(home) as services:
+        found = files.pins(services)
     if as_json:
         output.print_json_list(found)
         return

@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.archive import Checker
-from sms_jobs.catalogue import search
-from sms_jobs.cli import completion, output, writing
+from sms_jobs.app import packing, writing
+from sms_jobs.app.packing import CheckedFolder
+from sms_jobs.cli import completion, output
 from sms_jobs.cli.calibration_acceptance import used_for
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.research_crate import CrateFile, as_text
-from sms_jobs.jobs import lineage_documents, portable, portable_import
-from sms_jobs.jobs.portable import Wanted
-from sms_jobs.jobs.portable_import import CheckedFile
-from sms_jobs.kinds import kind_named
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 
 _FINDINGS = 6
-_ENTERED = ("indexed", "incomplete")
 
 Folder = Annotated[Path, typer.Argument(help="Folder that 'sms data pack' made.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
@@ -65,32 +56,25 @@ def pack(
 
     Example: sms data pack -c wing-fatigue --to /media/stick/wing
     """
-    if link and without_plugins:
-        raise InvalidInput("--link takes files as they are; leave it out, or --without-plugins")
-    for name in kind or []:
-        if name not in (MEASUREMENT, CALIBRATION):
-            kind_named(name)
-    wanted = Wanted(campaign, tuple(sorted(set(kind or []))), inputs, without_plugins, link)
-    now = datetime.now(UTC)
-    with bootstrap.services(home) as services:
-        with services.catalogue.reading() as session:
-            parts = portable.chosen(session, wanted, now)
-        writing.new_folder(to)
-        done = portable.begin(to, wanted, parts)
-        files: list[CrateFile] = []
-        with output.byte_bar() as bar, Checker() as checker:
-            task = bar.add_task("packing", total=max(sum(part.size_bytes for part in parts), 1))
-            for part in parts:
-                before = portable.brought_before(part, done)
-                files += before or portable.bring(services.archive, to, wanted, part, checker)
-                bar.advance(task, part.size_bytes)
-        portable.finish(services.catalogue, services.archive, to, wanted, files, now)
-    size = sum(one.size_bytes for one in files)
+    with bootstrap.services(home) as services, output.followed(output.byte_bar()) as tell:
+        done = packing.pack(
+            services,
+            campaign,
+            to,
+            kinds=tuple(kind or ()),
+            inputs=inputs,
+            without_plugins=without_plugins,
+            link=link,
+            tell=tell,
+        )
     if as_json:
-        output.print_json({"folder": to, "files": len(parts), "bytes": size, "resumed": len(done)})
+        output.print_json(
+            {"folder": to, "files": done.files, "bytes": done.size_bytes, "resumed": done.resumed}
+        )
         return
     output.say(
-        f"{len(parts)} files, {output.size(size)}, are in {to}; 'sms data check {to}' reads them again"
+        f"{done.files} files, {output.size(done.size_bytes)}, are in {to}; 'sms data check {to}' reads them "
+        "again"
     )
 
 
@@ -101,12 +85,12 @@ def check(folder: Folder, as_json: Json = False) -> None:
 
     Example: sms data check /media/stick/wing
     """
-    faults, count, size = _checked(folder)
+    found = _checked(folder)
     if as_json:
-        output.print_json({"checked": count, "bytes": size, "faults": faults})
+        output.print_json({"checked": found.files, "bytes": found.size_bytes, "faults": found.faults})
     else:
-        _print_faults(faults, f"{count} files, {output.size(size)}: all as they were packed")
-    if faults:
+        _print_faults(found, f"{found.files} files, {output.size(found.size_bytes)}: all as they were packed")
+    if found.faults:
         raise typer.Exit(_FINDINGS)
 
 
@@ -131,51 +115,35 @@ def unpack(
 
     Example: sms data unpack /media/stick/wing --dry-run; sms data unpack /media/stick/wing
     """
-    faults, _, size = _checked(folder)
-    if faults:
-        _print_faults(faults, "")
+    checked = _checked(folder)
+    if checked.faults:
+        _print_faults(checked, "")
         output.say("nothing was unpacked; get the folder again from where it was packed")
         raise typer.Exit(_FINDINGS)
-    with bootstrap.services(home) as services, output.byte_bar() as bar:
-        task = bar.add_task("unpacking", total=max(size, 1))
-        done = list(
-            portable_import.enter(
-                services.catalogue,
-                services.archive,
-                folder,
-                portable_import.manifest_of(folder),
-                datetime.now(UTC),
-                dry_run=dry_run,
-                link=link,
-                placed=lambda count: bar.advance(task, count),
-            )
-        )
-        with services.catalogue.reading() as session:
-            brought = search.calibrations_of_files(session, [one.path for one in done])
-    bad = [one for one in done if one.outcome != "indexed"]
-    entered = sum(one.outcome in _ENTERED for one in done)
+    with bootstrap.services(home) as services, output.followed(output.byte_bar()) as tell:
+        done = packing.unpack(services, folder, checked, dry_run=dry_run, link=link, tell=tell)
     if as_json:
         output.print_json(
             {
                 "done": not dry_run,
-                "files": len(done),
-                "indexed": entered,
-                "not_well": bad,
-                "calibrations": brought,
+                "files": len(done.files),
+                "indexed": done.entered,
+                "not_well": done.not_well,
+                "calibrations": done.calibrations,
             }
         )
     else:
-        if bad:
-            rows = [(one.outcome, one.path, one.detail) for one in bad]
+        if done.not_well:
+            rows = [(one.outcome, one.path, one.detail) for one in done.not_well]
             output.print_table(["outcome", "file", "why"], rows, empty="")
         now = "would be" if dry_run else "are now"
-        output.say(f"{entered} of {len(done)} files that were new {now} in the catalogue")
-        for view in brought:
+        output.say(f"{done.entered} of {len(done.files)} files that were new {now} in the catalogue")
+        for view in done.calibrations:
             output.say(
                 f"calibration {view.id} of rig {view.rig} came along and is used for {used_for(view)}; "
                 f"'sms calibration accept {view.id}' takes it into use for the rig"
             )
-    if bad:
+    if done.not_well:
         raise typer.Exit(_FINDINGS)
 
 
@@ -197,30 +165,19 @@ def provenance(
     if out is not None:
         writing.check_new_file(out, force)
     with bootstrap.services(home) as services:
-        with services.catalogue.reading() as session:
-            paths = lineage_documents.paths_of(session, what)
-        document = lineage_documents.document_of(services.catalogue, services.archive, paths)
+        found = packing.provenance(services, what)
+    document = found.document
     if out is None:
         output.print_line(document)
         return
-    writing.write_file(out, as_text(document), force)
+    writing.write_file(out, found.text, force)
     output.say(f"wrote {out}: {len(document['entity'])} files and {len(document['activity'])} activities")
 
 
-def _checked(folder: Path) -> tuple[list[CheckedFile], int, int]:
-    """Return the faults of a folder, how many files were read, and their size."""
-    manifest = portable_import.manifest_of(folder)
-    faults: list[CheckedFile] = []
-    size = 0
-    with output.byte_bar() as bar:
-        task = bar.add_task("checking", total=max(portable_import.size_of(folder, manifest), 1))
-        for one in portable_import.check(folder, manifest):
-            size += one.size_bytes
-            bar.advance(task, one.size_bytes)
-            if one.fault is not None:
-                faults.append(one)
-    return faults, len(manifest), size
+def _checked(folder: Path) -> CheckedFolder:
+    with output.followed(output.byte_bar()) as tell:
+        return packing.check(folder, tell)
 
 
-def _print_faults(faults: list[CheckedFile], empty: str) -> None:
-    output.print_table(["fault", "file"], [(one.fault, one.path) for one in faults], empty=empty)
+def _print_faults(found: CheckedFolder, empty: str) -> None:
+    output.print_table(["fault", "file"], [(one.fault, one.path) for one in found.faults], empty=empty)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from typing import Annotated
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.catalogue import saved_queries
-from sms_jobs.catalogue.query_language import Query, parse
+from sms_jobs.app import finding
 from sms_jobs.cli import found_files, output
 from sms_jobs.cli.found_files import After, As, Columns, Force, Format, Limit, Out, Wanted
 from sms_jobs.cli.output import Home, Json
@@ -21,8 +19,8 @@ app = typer.Typer(help="Questions to the archive that are kept under a name.", n
 def _names(context: typer.Context, incomplete: str) -> list[str]:
     try:
         home = context.params.get("home")
-        with bootstrap.services(home) as services, services.catalogue.reading() as session:
-            names = [query.name for query in saved_queries.saved(session)]
+        with bootstrap.services(home) as services:
+            names = [query.name for query in finding.queries(services)]
     except SmsError:
         return []
     return [name for name in names if name.startswith(incomplete)]
@@ -46,10 +44,8 @@ def save(
 
     Example: sms data query save high-strain 'strain where max_principal > 1e-3'
     """
-    with bootstrap.services(home) as services, services.catalogue.writing() as session:
-        kept = saved_queries.save(
-            session, name, text, datetime.now(UTC), found_files.vocabulary(), replace=force
-        )
+    with bootstrap.services(home) as services:
+        kept = finding.save_query(services, name, text, replace=force)
     if as_json:
         output.print_json({"query": kept})
         return
@@ -62,8 +58,8 @@ def list_queries(home: Home = None, as_json: Json = False) -> None:
 
     Example: sms data query list
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        kept = saved_queries.saved(session)
+    with bootstrap.services(home) as services:
+        kept = finding.queries(services)
     if as_json:
         output.print_json_list(kept)
         return
@@ -90,12 +86,11 @@ def run(
 
     Example: sms data query run high-strain --format csv --out high_strain.csv
     """
-
-    def ask(services: bootstrap.Services) -> Query:
-        with services.catalogue.reading() as session:
-            return parse(saved_queries.text_of(session, name))
-
-    found_files.tell(home, ask, Wanted(limit, after, columns, form, out, force, as_json))
+    found_files.tell(
+        home,
+        lambda services: finding.saved_question(services, name),
+        Wanted(limit, after, columns, form, out, force, as_json),
+    )
 
 
 @app.command()
@@ -104,6 +99,6 @@ def remove(name: Name, home: Home = None) -> None:
 
     Example: sms data query remove high-strain
     """
-    with bootstrap.services(home) as services, services.catalogue.writing() as session:
-        saved_queries.remove(session, name)
+    with bootstrap.services(home) as services:
+        finding.remove_query(services, name)
     output.say(f"removed the query {name}")

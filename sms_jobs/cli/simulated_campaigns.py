@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.app import writing
 from sms_jobs.catalogue import campaigns
-from sms_jobs.cli import output, writing
+from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs.registration import register_campaign

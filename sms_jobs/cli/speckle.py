@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from sms_jobs.cli import output, writing
+from sms_jobs.app import textures, writing
+from sms_jobs.cli import output
 
 app = typer.Typer(help="Speckle patterns for specimens.", no_args_is_help=True)
 
@@ -36,10 +37,16 @@ def print_(
 
     Example: sms speckle print --width-mm 200 --height-mm 100 --speckle-mm 1.2 --output speckle.pdf --mirrored
     """
-    from sms_jobs.formats.printed_speckle import Sheet, as_pdf, as_png
-
     endings = (".pdf", ".png")
     writing.check_new_file(out, force, endings)
-    sheet = Sheet(width_mm, height_mm, speckle_mm, dpi, seed, mirrored)
-    writing.write_file(out, as_pdf(sheet) if out.suffix == ".pdf" else as_png(sheet), force, endings)
+    content = textures.speckle(
+        out.suffix,
+        width_mm=width_mm,
+        height_mm=height_mm,
+        speckle_mm=speckle_mm,
+        dpi=dpi,
+        seed=seed,
+        mirrored=mirrored,
+    )
+    writing.write_file(out, content, force, endings)
     output.say(f"wrote {out}: {width_mm:g} mm x {height_mm:g} mm at {dpi} dpi")

@@ -20,6 +20,7 @@ from support.homes import make_home
 from support.jobs import NOW
 
 from sms_jobs import bootstrap
+from sms_jobs.app.row_tables import write_parquet
 from sms_jobs.bench import large_catalogue
 from sms_jobs.catalogue import finding, saved_queries
 from sms_jobs.catalogue.database import Catalogue
@@ -38,7 +39,6 @@ from sms_jobs.catalogue.query_fields import Vocabulary
 from sms_jobs.catalogue.query_language import parse
 from sms_jobs.cli.main import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
-from sms_jobs.formats.row_tables import write_parquet
 from sms_jobs.records.files import Page
 
 KINDS = frozenset({*large_catalogue.KINDS, "calibration", "report"})

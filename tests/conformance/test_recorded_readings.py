@@ -9,13 +9,13 @@ from sqlalchemy import select
 from support.archives import Clock, emptied, everything, registered, run_jobs, work_again
 from support.deployments import Deployment
 
+from sms_jobs.app.finding import vocabulary
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.finding import find_page
 from sms_jobs.catalogue.models import FileRow, MeasurementRow
 from sms_jobs.catalogue.query_language import parse
-from sms_jobs.cli.found_files import vocabulary
 from sms_jobs.formats.importers.readings import Reading
 from sms_jobs.jobs import reindexing, retention
 from sms_jobs.jobs.importing import amend_campaign, with_readings

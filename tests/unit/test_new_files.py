@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sms_jobs.cli.writing import check_new_file, new_file, new_folder, write_file
+from sms_jobs.app.writing import check_new_file, new_file, new_folder, write_file
 from sms_jobs.errors import Conflict, InvalidInput
 
 

@@ -1,4 +1,4 @@
-"""`sms data compare`: displacement against a calculation or against another measurement."""
+"""Displacement against a calculation or against another measurement."""
 
 from __future__ import annotations
 
@@ -6,17 +6,13 @@ import csv
 import io
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-import typer
 from numpy.typing import NDArray
 
-from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
-from sms_jobs.cli import output, writing
-from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.other_fields import PointField, draw_difference, read_point_field
 from sms_jobs.kinds.products import MESH
@@ -28,62 +24,23 @@ Floats: TypeAlias = NDArray[np.float64]
 _AXES = ("X", "Y", "Z")
 
 
-def compare(
-    file: Annotated[
-        str, typer.Argument(help="Number or archive path of a merged or combined result of a state.")
-    ],
-    other: Annotated[
-        str,
-        typer.Option(
-            "--with", help="Mesh file with a displacement at its nodes, or number of a merged result."
-        ),
-    ],
-    field: Annotated[
-        str | None, typer.Option(help="Displacement in the mesh file; the first with three components.")
-    ] = None,
-    scale_mm: Annotated[float, typer.Option(help="Length of the mesh file's unit in mm.", min=1e-9)] = 1.0,
-    align: Annotated[
-        bool, typer.Option("--align", help="First lay the other shape on this one: they have two frames.")
-    ] = False,
-    free: Annotated[
-        bool, typer.Option("--free-of-motion", help="Leave out the rigid motion that they differ by.")
-    ] = False,
-    within_mm: Annotated[
-        float, typer.Option(help="Points with nothing of the other within this are left out, mm.", min=0.0)
-    ] = 5.0,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="File to write: .csv for numbers, .png for maps.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
-    home: Home = None,
-    as_json: Json = False,
-) -> None:
-    """Subtract another displacement from a merged one: measured minus other, at the measured points.
-
-    Example: sms data compare 42 --with panel.vtu --field U --scale-mm 1000 --free-of-motion --out diff.png
-    """
-    if out is not None:
-        writing.check_new_file(out, force, (".csv", ".png"))
-    how = How(field, scale_mm, align, free, within_mm)
-    with bootstrap.services(home) as services:
-        found = difference_of(services, file, other, how)
-    facts = found.facts()
-    for axis, values in zip(_AXES, found.difference[found.known].T, strict=False):
-        facts[f"mean_{axis}_mm"] = float(values.mean())
-        facts[f"rms_{axis}_mm"] = float(np.sqrt(np.mean(values**2)))
-    if out is not None:
-        content = _written(out, found.points, found.difference, f"file {file} minus {other}")
-        writing.write_file(out, content, force)
-        output.say(f"wrote {out}")
-    if as_json:
-        output.print_json({"file": file, "other": other} | facts)
-        return
-    output.print_facts({k.replace("_mm", " [mm]").replace("_", " "): _short(v) for k, v in facts.items()})
-
-
 @dataclass(frozen=True)
 class How:
-    """How two displacements are compared: the options of the command, under their names."""
+    """How two displacements are compared.
+
+    Attributes
+    ----------
+    field
+        Displacement in a mesh file; the first with three components if it is None.
+    scale_mm
+        Length of the mesh file's unit in mm.
+    align
+        Lay the other shape on this one first: they have two frames.
+    free
+        Leave out the rigid motion that they differ by.
+    within_mm
+        Points with nothing of the other within this are left out.
+    """
 
     field: str | None
     scale_mm: float
@@ -131,15 +88,43 @@ class Difference:
         }
         if self.alignment_rms_mm is not None:
             facts["alignment_rms_mm"] = self.alignment_rms_mm
+        for axis, values in zip(_AXES, self.difference[self.known].T, strict=False):
+            facts[f"mean_{axis}_mm"] = float(values.mean())
+            facts[f"rms_{axis}_mm"] = float(np.sqrt(np.mean(values**2)))
         return facts
+
+    def drawn(self, title: str) -> bytes:
+        """Return maps of it as PNG."""
+        return draw_difference(self.points, self.difference, title)
+
+    def table(self) -> bytes:
+        """Return points and differences as CSV, in mm."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        parts = [f"difference_{axis}_mm" for axis, _ in zip(_AXES, self.difference.T, strict=False)]
+        writer.writerow([f"{axis}_mm" for axis in _AXES] + parts)
+        writer.writerows(np.column_stack([self.points, self.difference]).round(7).tolist())
+        return text.getvalue().encode()
 
 
 def difference_of(services: Services, file: str, other: str, how: How) -> Difference:
     """Subtract the displacement of a mesh file, or of another merged result, from a merged one.
 
-    Raises `InvalidInput` where fewer than three points have anything of the other near.
+    Parameters
+    ----------
+    file
+        Number or archive path of a merged or combined result; of a camera alone, with a scale.
+    other
+        Number of another, or name of a mesh file.
+
+    Raises
+    ------
+    InvalidInput
+        They are no such files, or fewer than three points have anything of the other near.
+    NotFound
+        There is no such file.
     """
-    # Other commands of this group load without what this one computes with.
+    # Many of those who load this module compare nothing.
     from sms_jobs.metrology.deformation.comparison import free_of_motion, laid_on, values_at
     from sms_jobs.metrology.geometry.transforms import transform
 
@@ -164,21 +149,6 @@ def difference_of(services: Services, file: str, other: str, how: How) -> Differ
     if how.free:
         return replace(found, difference=free_of_motion(mine.points, difference)[:, :axes])
     return found
-
-
-def _short(value: float) -> str:
-    return str(value) if isinstance(value, int) else f"{value:.4g}"
-
-
-def _written(out: Path, points: Floats, difference: Floats, title: str) -> bytes:
-    if out.suffix == ".png":
-        return draw_difference(points, difference, title)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    parts = [f"difference_{axis}_mm" for axis, _ in zip(_AXES, difference.T, strict=False)]
-    writer.writerow([f"{axis}_mm" for axis in _AXES] + parts)
-    writer.writerows(np.column_stack([points, difference]).round(7).tolist())
-    return text.getvalue().encode()
 
 
 def _merged(services: Services, key: str) -> tuple[PointField, Floats, int]:

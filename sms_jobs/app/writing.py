@@ -1,4 +1,4 @@
-"""The one way in which a command writes a file that a person names: whole, or not at all."""
+"""The one way in which a file is written that a person names: whole, or not at all."""
 
 from __future__ import annotations
 

@@ -1,0 +1,230 @@
+"""Results in the files of other programs."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from sms_jobs.app import writing
+from sms_jobs.archive import DATASET_MEDIA_TYPE
+from sms_jobs.archive.repacking import repack
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import search
+from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.records.fields import Mesh, PhaseMaps
+from sms_jobs.records.files import FileView
+from sms_jobs.records.quantity import quantities
+
+if TYPE_CHECKING:
+    from sms_jobs.archive.dataset import ArchivedDataset
+    from sms_jobs.formats.exporters import Exporter
+
+_MOST_FILES = 10_000
+_PLAIN_HDF5 = "hdf5"
+_ABOUT_PLAIN_HDF5 = "HDF5 with gzip alone, the whole file, for readers without plugins"
+
+_NO_DATASET = "file {number} is a {media_type} document and is copied as it is; leave out --as"
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of results: its name, the ending of its files, and what it holds."""
+
+    name: str
+    suffix: str
+    summary: str
+
+
+def formats() -> list[Format]:
+    """Return the formats that results are written in, by name."""
+    from sms_jobs.formats.exporters import all_exporters
+
+    found = [Format(e.name, e.suffix, e.summary) for e in all_exporters().values()]
+    return sorted([*found, Format(_PLAIN_HDF5, ".h5", _ABOUT_PLAIN_HDF5)], key=lambda f: f.name)
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Which files: one by its number or path, or the newest of a kind of each subject of a campaign."""
+
+    file: str | None = None
+    kind: str | None = None
+    campaign: str | None = None
+    state: str | None = None
+    view: str | None = None
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be written, and how.
+
+    Attributes
+    ----------
+    form
+        Name of a format; by the ending of the file that is named if it is None, and without one the sealed
+        file itself is copied.
+    record
+        The mesh of the file, or all that the format can hold if it is None.
+    fields
+        Only these values; empty for all.
+    force
+        Whether files that are there are replaced.
+    """
+
+    form: str | None = None
+    record: str | None = None
+    fields: tuple[str, ...] = ()
+    force: bool = False
+
+
+def export(services: Services, chosen: Chosen, out: Path | None, wanted: Wanted) -> list[Path]:
+    """Write results for other programs, or copy sealed files out of the archive; return what was written.
+
+    Parameters
+    ----------
+    out
+        File, or a folder for files with names of their own; None for the present one.
+
+    Raises
+    ------
+    InvalidInput
+        The choice, the format or the fields contradict each other or the file.
+    NotFound
+        There is no such file, campaign or result.
+    Conflict
+        A file is there already and is not to be replaced.
+    ArchiveCorrupt
+        A file is not as it was sealed.
+    """
+    views = _views(services, chosen)
+    if len(views) > 1 and out is not None and not out.is_dir():
+        raise InvalidInput(f"{len(views)} files are to be written and {out} is no folder; make it first")
+    return [path for view in views for path in _export(services, view, out, wanted)]
+
+
+def _views(services: Services, chosen: Chosen) -> list[FileView]:
+    """Return the file that was named, or the newest of a kind of each subject."""
+    file, kind, campaign = chosen.file, chosen.kind, chosen.campaign
+    state, view = chosen.state, chosen.view
+    if (file is None) == (kind is None):
+        raise InvalidInput("name one file, as in 'sms data export 42', or choose by --kind and --campaign")
+    with services.catalogue.reading() as session:
+        if file is not None:
+            if (campaign, state, view) != (None, None, None):
+                raise InvalidInput("--campaign, --state and --view choose with --kind, not beside a file")
+            return [search.file_view(session, file)]
+        if campaign is None:
+            raise InvalidInput("--kind needs --campaign: of which campaign is the result wanted?")
+        found = search.find_files(
+            session, source=kind, campaign=campaign, state=state, view=view, limit=_MOST_FILES
+        )
+    datasets = [one for one in found if one.media_type == DATASET_MEDIA_TYPE]
+    newest: dict[str, list[FileView]] = {}
+    for one in sorted(datasets or found, key=lambda one: one.id, reverse=True):
+        alike = newest.setdefault(one.subject, [])
+        # Of documents, all that the newest job made.
+        if not alike or (not datasets and alike[0].job_id == one.job_id):
+            alike.append(one)
+    if not newest:
+        raise NotFound(
+            f"campaign {campaign} has no such result of kind {kind}; 'sms data find -c {campaign}' shows all"
+        )
+    return [view for subject in sorted(newest) for view in sorted(newest[subject], key=lambda v: v.path)]
+
+
+def _export(services: Services, view: FileView, out: Path | None, wanted: Wanted) -> list[Path]:
+    from sms_jobs.formats.exporters.sources import source_for
+
+    if wanted.form == _PLAIN_HDF5:
+        return [_repacked(services, view, out, wanted)]
+    exporter = _exporter(view, out, wanted)
+    if exporter is None:
+        target = _target(out, PurePosixPath(view.path).name, wanted.force)
+        services.archive.verify_bytes(view)
+        with writing.new_file(target, wanted.force) as part:
+            shutil.copyfile(services.archive.path(view.path), part)
+        return [target]
+    written = []
+    with services.archive.open(view) as dataset:
+        names = [wanted.record] if wanted.record else _records(dataset, exporter)
+        if len(names) > 1 and out is not None and not out.is_dir():
+            raise InvalidInput(
+                f"file {view.id} has the records {', '.join(names)}: choose one with --record, or give a "
+                "folder"
+            )
+        for name in names:
+            record: Any = dataset.read(name, dataset.record_class(name))
+            source = source_for(exporter, record, wanted.fields, _texture(dataset, record))
+            stem = "-".join(
+                [view.subject.replace("/", "-"), view.source, *([name] if len(names) > 1 else ())]
+            )
+            target = _target(out, f"{stem}{exporter.suffix}", wanted.force)
+            with writing.new_file(target, wanted.force) as part:
+                exporter.write(source, part)
+            written.append(target)
+    return written
+
+
+def _repacked(services: Services, view: FileView, out: Path | None, wanted: Wanted) -> Path:
+    """Write a dataset as it is, but with the filters that every HDF5 library has."""
+    if wanted.fields or wanted.record:
+        raise InvalidInput("hdf5 takes the whole file; leave out --fields and --record")
+    if view.media_type != DATASET_MEDIA_TYPE:
+        raise InvalidInput(_NO_DATASET.format(number=view.id, media_type=view.media_type))
+    target = _target(out, f"{view.subject.replace('/', '-')}-{view.source}.h5", wanted.force)
+    services.archive.verify_bytes(view)
+    with writing.new_file(target, wanted.force) as part:
+        repack(services.archive.path(view.path), part, view.path)
+    return target
+
+
+def _exporter(view: FileView, out: Path | None, wanted: Wanted) -> Exporter | None:
+    """Return what writes the file; None where the sealed file itself is wanted."""
+    from sms_jobs.formats.exporters import all_exporters
+
+    form = wanted.form
+    if form is None and out is not None and not out.is_dir() and view.media_type == DATASET_MEDIA_TYPE:
+        fitting = [e for e in all_exporters().values() if out.name.endswith(e.suffix)]
+        form = max(fitting, key=lambda e: len(e.suffix)).name if fitting else None
+    if form is None:
+        if wanted.fields or wanted.record:
+            raise InvalidInput("--fields and --record need a format: add --as, see 'sms data formats'")
+        return None
+    if form not in all_exporters():
+        known = ", ".join(sorted([*all_exporters(), _PLAIN_HDF5]))
+        raise InvalidInput(f"there is no export format '{form}'; choose one of {known}")
+    exporter = all_exporters()[form]
+    if view.media_type != DATASET_MEDIA_TYPE:
+        raise InvalidInput(_NO_DATASET.format(number=view.id, media_type=view.media_type))
+    return exporter
+
+
+def _records(dataset: ArchivedDataset, exporter: Exporter) -> list[str]:
+    """Return which records of a file are written: its mesh, or all that the format can hold."""
+    known = {name: quantities(dataset.record_class(name)) for name in dataset.names}
+    meshes = [name for name in dataset.names if dataset.record_class(name) is Mesh]
+    any_record = object in exporter.takes
+    if meshes and (any_record or Mesh in exporter.takes):
+        return meshes
+    fitting = [name for name, fields in known.items() if (fields if any_record else "position" in fields)]
+    # If none fits, the first tells why.
+    return fitting or [dataset.names[0]]
+
+
+def _texture(dataset: ArchivedDataset, record: Any) -> Any:
+    """Return the mean brightness beside a cloud, 1 at its largest; None where the file has none."""
+    import numpy as np
+
+    if "phase" not in dataset.names or isinstance(record, Mesh) or not hasattr(record, "position"):
+        return None
+    mean = dataset.read("phase", PhaseMaps).mean_intensity
+    return None if mean.shape != record.position.shape[1:] else mean / max(float(np.nanmax(mean)), 1e-9)
+
+
+def _target(out: Path | None, name: str, force: bool) -> Path:
+    """Return the file to write; refuse one that is there and a folder that is not."""
+    path = Path(name) if out is None else out / name if out.is_dir() else out
+    writing.check_new_file(path, force)
+    return path

@@ -1,0 +1,127 @@
+"""Finds files by what is known of them, and keeps questions that are asked again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import finding, saved_queries
+from sms_jobs.catalogue.query_fields import Vocabulary
+from sms_jobs.catalogue.query_language import Query, parse
+from sms_jobs.catalogue.saved_queries import SavedQuery
+from sms_jobs.kinds import all_kinds
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+from sms_jobs.records.files import Page
+from sms_jobs.records.surfaces import REFERENCE_SURFACES
+
+_PAGE = 1000
+"""Files that are fetched at once, however many are wanted."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of the files."""
+
+    query: Query
+
+
+def question(
+    text: str = "",
+    *,
+    kind: str | None = None,
+    campaign: str | None = None,
+    state: str | None = None,
+    view: str | None = None,
+) -> Question:
+    """Return a question in the language of docs/query.md, restricted to a kind, campaign, state or view.
+
+    Raises `InvalidInput` for a text that is not of that language.
+    """
+    return Question(finding.restricted(parse(text), kind=kind, campaign=campaign, state=state, view=view))
+
+
+def saved_question(services: Services, name: str) -> Question:
+    """Return a question that is kept under a name; raises `NotFound` where there is none."""
+    with services.catalogue.reading() as session:
+        return Question(parse(saved_queries.text_of(session, name)))
+
+
+def vocabulary() -> Vocabulary:
+    """Return the kinds and parameters that this version of the program knows."""
+    return Vocabulary(_words)
+
+
+def _words() -> tuple[frozenset[str], frozenset[str]]:
+    kinds = all_kinds().values()
+    return (
+        frozenset(
+            {MEASUREMENT, CALIBRATION, REFERENCE_SURFACES} | {kind.makes or kind.name for kind in kinds}
+        ),
+        frozenset(name for kind in kinds for name in kind.parameters.model_fields),
+    )
+
+
+def find(
+    services: Services,
+    asked: Question,
+    *,
+    columns: Sequence[str] | None = None,
+    after: int | None = None,
+    limit: int = 50,
+) -> Iterator[Page]:
+    """Yield the files that meet a question, the newest first, page by page; at least one page.
+
+    Parameters
+    ----------
+    columns
+        What to tell of each file besides the file; what the question compares if it is None.
+    after
+        `Page.next` of the last page that is known already.
+    limit
+        Of all pages together.
+
+    Raises
+    ------
+    InvalidInput
+        A name is not known, or it is compared with what it cannot be compared with.
+    NotFound
+        There is no such campaign or calibration.
+    """
+    known = vocabulary()
+    while True:
+        with services.catalogue.reading() as session:
+            page = finding.find_page(
+                session, asked.query, known, columns=columns, after=after, limit=min(limit, _PAGE)
+            )
+        yield page
+        limit, after = limit - len(page.found), page.next
+        if limit <= 0 or after is None:
+            return
+
+
+def save_query(services: Services, name: str, text: str, *, replace: bool = False) -> SavedQuery:
+    """Keep a query under a name, if it can be asked.
+
+    Raises
+    ------
+    InvalidInput
+        It cannot, or the name cannot be used.
+    Conflict
+        There is a query of that name, which is not to be replaced.
+    """
+    with services.catalogue.writing() as session:
+        return saved_queries.save(session, name, text, datetime.now(UTC), vocabulary(), replace=replace)
+
+
+def queries(services: Services) -> list[SavedQuery]:
+    """Return the queries that are kept, by name."""
+    with services.catalogue.reading() as session:
+        return saved_queries.saved(session)
+
+
+def remove_query(services: Services, name: str) -> None:
+    """Forget a query; raises `NotFound` where there is none of that name."""
+    with services.catalogue.writing() as session:
+        saved_queries.remove(session, name)

@@ -1,0 +1,246 @@
+"""What a texture is worth, and textures to print; regions of interest from masks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import search
+from sms_jobs.errors import InvalidInput
+from sms_jobs.records.measurement import Measurement
+
+if TYPE_CHECKING:
+    from sms_jobs.metrology.images.texture_quality import Texture
+
+_RADII_PX = (7, 10, 13, 16, 20, 26, 32)
+GAUGES_PX = (30.0, 60.0, 90.0, 120.0)
+_PICTURES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a subset radius gives.
+
+    Attributes
+    ----------
+    radius_px, spacing_px
+        Of the subsets.
+    sigma_px
+        Standard deviation of a match; None where the noise is not known.
+    strain_sigma
+        Of a gauge of each of the lengths `GAUGES_PX`.
+    """
+
+    radius_px: int
+    spacing_px: int
+    sigma_px: float | None
+    strain_sigma: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What a texture is worth.
+
+    Attributes
+    ----------
+    texture
+        Speckle, contrast and range of grey levels.
+    full_scale
+        Grey level at which the image saturates.
+    noise
+        Standard deviation of a pixel in grey levels; None where it is not known.
+    least_radius_px
+        From which on subsets hold enough of the texture.
+    choices
+        One for each of some subset radii.
+    remarks
+        What is wrong with the texture, in words, and what to do about it.
+    """
+
+    texture: Texture
+    full_scale: float
+    noise: float | None
+    least_radius_px: int
+    choices: tuple[Choice, ...]
+    remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Image:
+    """An image whose texture is examined.
+
+    Attributes
+    ----------
+    name
+        As people call it.
+    levels
+        (rows, columns), in grey levels.
+    full_scale
+        Grey level at which it saturates.
+    noise
+        Standard deviation of a pixel in the middle, in grey levels; None where it is not known.
+    """
+
+    name: str
+    levels: NDArray[np.generic]
+    full_scale: float
+    noise: float | None
+
+
+def is_image_file(name: str) -> bool:
+    """Say whether a name is that of an image file, and no number of a measurement."""
+    return Path(name).suffix.lower() in _PICTURES
+
+
+def image_file(path: Path) -> Image:
+    """Read an image; raises `InvalidInput` for what is none."""
+    from sms_jobs.formats.importers.image_files import read_image
+
+    levels, _ = read_image(path)
+    return Image(str(path), levels, float(np.iinfo(levels.dtype).max), None)
+
+
+def measured_image(services: Services, key: str) -> Image:
+    """Return the texture of a measurement, with the noise that its camera is known to have.
+
+    Raises `NotFound` where there is no such file, and `InvalidInput` for what is no measurement.
+    """
+    with services.catalogue.reading() as session:
+        view = search.file_view(session, key)
+    if view.source != "measurement":
+        raise InvalidInput(f"file {key} is a {view.source}, which has no texture; choose a measurement")
+    with services.archive.open(view) as dataset:
+        measurement = dataset.read("measurement", Measurement)
+    mean = float(_middle(measurement.texture).astype(np.float64).mean())
+    noise = float(np.sqrt(measurement.read_noise**2 + measurement.gain * mean))
+    return Image(key, measurement.texture, float(measurement.full_scale), noise)
+
+
+def advise(image: Image, again: Image | None = None, noise: float | None = None) -> Advice:
+    """Examine the middle half of an image, each way, since a specimen seldom fills its rim.
+
+    Parameters
+    ----------
+    again
+        The same state once more, of which the noise is taken.
+    noise
+        Standard deviation of a pixel in grey levels, if it is known better than from the image.
+
+    Raises `InvalidInput` where the two are not of one size.
+    """
+    # Many of those who load this module examine nothing.
+    from sms_jobs.metrology.images.texture_quality import (
+        examine_texture,
+        gauge_sigma,
+        match_sigma,
+        noise_of_pair,
+        suggested_radius,
+    )
+
+    texture = image.levels
+    sigma = image.noise if noise is None else noise
+    if again is not None:
+        second = again.levels
+        if second.shape != texture.shape:
+            raise InvalidInput(
+                f"{again.name} has {second.shape[1]} x {second.shape[0]} px, {image.name} has "
+                f"{texture.shape[1]} x {texture.shape[0]}; give two images of one camera and state"
+            )
+        sigma = noise_of_pair(_middle(texture), _middle(second))
+    found = examine_texture(_middle(texture), sigma or 0.0, image.full_scale)
+    choices = tuple(
+        Choice(
+            radius,
+            max(1, radius // 2),
+            _known(match_sigma(found, radius), sigma),
+            tuple(_known(gauge_sigma(found, radius, gauge), sigma) for gauge in GAUGES_PX),
+        )
+        for radius in _RADII_PX
+    )
+    remarks = tuple(_remarks(found, image.full_scale, sigma))
+    return Advice(found, image.full_scale, sigma, suggested_radius(found), choices, remarks)
+
+
+def _known(value: float, sigma: float | None) -> float | None:
+    return value if sigma and isfinite(value) else None
+
+
+def _middle(image: NDArray[np.generic]) -> NDArray[np.generic]:
+    rows, columns = image.shape
+    return image[rows // 4 : rows - rows // 4, columns // 4 : columns - columns // 4]
+
+
+def _remarks(found: Texture, full_scale: float, noise: float | None) -> list[str]:
+    """Return what is wrong with a texture, in words, and what to do about it."""
+    said = []
+    if not isfinite(found.speckle_px):
+        said.append("the image has no speckle that could be told from its shading")
+    elif found.speckle_px < 1.5:
+        said.append(
+            f"the speckle is {found.speckle_px:.1f} px wide, finer than the 1.5 px that pixels can show "
+            "without aliasing: print it coarser or move the camera nearer"
+        )
+    elif found.speckle_px > 6.0:
+        said.append(f"the speckle is {found.speckle_px:.1f} px wide: at 2 to 4 px smaller subsets would do")
+    use = (found.high - found.low) / full_scale
+    if use < 0.3:
+        said.append(f"only {use:.0%} of the grey levels are used: open the lens or expose longer")
+    if found.saturated > 1e-3:
+        said.append(f"{found.saturated:.1%} of the pixels are saturated and carry nothing: expose shorter")
+    if noise is None:
+        said.append("the noise is not known, so neither are standard deviations")
+    return said
+
+
+def outline(mask: Path, above: float | None = None, least_px: int = 0) -> str:
+    """Return the outlines of a mask image as the text that jobs take for a region of interest.
+
+    Parameters
+    ----------
+    above
+        Pixels brighter than this count; half of the brightest if it is None.
+    least_px
+        Pieces and holes of fewer pixels are left out.
+
+    Raises `InvalidInput` for what is no image, or shows nothing.
+    """
+    from sms_jobs.formats.masks import region_of_mask
+
+    return region_of_mask(mask, above, least_px)
+
+
+def speckle(
+    suffix: str,
+    *,
+    width_mm: float,
+    height_mm: float,
+    speckle_mm: float,
+    dpi: int = 600,
+    seed: int = 1,
+    mirrored: bool = False,
+) -> bytes:
+    """Return a speckle pattern of exact physical size as the file of a suffix, `.pdf` or `.png`.
+
+    Parameters
+    ----------
+    speckle_mm
+        Mean diameter of a speckle.
+    dpi
+        Dots an inch of the printer.
+    seed
+        Another gives another pattern.
+    mirrored
+        Exchange left and right, for transfer paper.
+
+    Raises `InvalidInput` for a pattern that has too many dots.
+    """
+    from sms_jobs.formats.printed_speckle import Sheet, as_pdf, as_png
+
+    sheet = Sheet(width_mm, height_mm, speckle_mm, dpi, seed, mirrored)
+    return as_pdf(sheet) if suffix == ".pdf" else as_png(sheet)
