@@ -4,34 +4,23 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from datetime import UTC, datetime
 from typing import Annotated
 
 import typer
-from sqlalchemy.orm import Session
 
 from sms_jobs import bootstrap
+from sms_jobs.app import recordings
+from sms_jobs.app.recordings import Begun, Plan, Recorded
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.campaigns import campaign_row, definition
-from sms_jobs.catalogue.models import JobRow
-from sms_jobs.cli import completion, output, recorded_states
+from sms_jobs.cli import completion, output, recorded_states, waiting
+from sms_jobs.cli import dry_run as dry_run_
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.cli.waiting import unsuccessful, wait_for
-from sms_jobs.errors import Conflict, InvalidInput, JobFailed
-from sms_jobs.instruments.holding import Hold, HoldDetector
-from sms_jobs.jobs import inquiry, lifecycle, recordings
-from sms_jobs.jobs.chosen import Chosen, named, submitted
-from sms_jobs.jobs.planning import PIPELINE, Request
-from sms_jobs.jobs.recordings import state_value
-from sms_jobs.jobs.submission import Submission, submit_to
-from sms_jobs.kinds.recording.acquire import KIND
-from sms_jobs.records.campaign import Campaign, LoadState
-from sms_jobs.records.job import JobState
+from sms_jobs.errors import InvalidInput, JobFailed
+from sms_jobs.records.job import SHORT_ID
 
 app = typer.Typer(help="Recordings: states, with the instruments of a rig.", no_args_is_help=True)
 app.command("show")(recorded_states.show)
 
-_LOOK_EVERY_S = 0.2
 _FINDINGS = 6
 
 JobId = Annotated[
@@ -86,16 +75,11 @@ def run(
     Example: sms acquire run calibration-1 --dry-run
     """
     with bootstrap.services(home) as services:
-        with services.catalogue.reading() as session:
-            plan = definition(campaign_row(session, campaign))
-            chosen = [plan.state(label) for label in state or ()] or list(plan.states)
-            if missing:
-                left = {s.label for s in recordings.unrecorded(session, campaign)}
-                chosen = [s for s in chosen if s.label in left]
+        plan = recordings.plan(services, campaign, state or (), missing=missing)
         if dry_run:
-            _rehearse(services, plan, chosen, as_json)
+            _rehearse(services, plan, as_json)
             return
-        turns = recordings.turns(chosen)
+        turns, session = plan.turns, plan.campaign.session
         if not turns:
             output.say(f"every state of {campaign} is recorded, or waits; see 'sms acquire list'")
             return
@@ -103,44 +87,33 @@ def run(
         if no_wait and by_hand:
             raise InvalidInput(f"somebody has to be there ({by_hand}): leave out --no-wait")
         # A session is adjusted as a whole, once all of its poses are there.
-        at_once, at_the_end = (process and plan.session is None), (process and plan.session is not None)
-        followed = _Followed(services, as_json)
+        at_once, at_the_end = (process and session is None), (process and session is not None)
+        followed = _Followed(as_json)
         for turn in turns:
             if turn.by_hand:
                 typer.prompt(f"{turn.by_hand}; Enter records it", default="", show_default=False, err=True)
-            requests = _requests(turn.labels, ask, at_once)
-            done = _submitted(services, campaign, requests)
+            begun = recordings.record(services, campaign, turn.labels, ask=ask, process=at_once)
             if not as_json:
-                count = done.kinds.count(KIND.name)
-                output.say(f"submitted {count} recordings" + (", each to be processed" if at_once else ""))
+                said = ", each to be processed" if at_once else ""
+                output.say(f"submitted {begun.recordings} recordings{said}")
             if no_wait:
                 if as_json:
-                    output.print_json({"campaign": campaign, "jobs": done.job_ids})
+                    output.print_json({"campaign": campaign, "jobs": begun.job_ids})
                 return
-            if not followed.succeeded(submitted(done, KIND.name)):
+            if not followed.succeeded(services, begun):
                 break
         followed.end()
         if at_the_end:
-            done = _submitted(services, campaign, [Request(PIPELINE, {}, ())])
+            count = recordings.process(services, campaign)
             if not as_json:
-                output.say(f"submitted {len(done.job_ids)} jobs that calibrate from all poses")
+                output.say(f"submitted {count} jobs that calibrate from all poses")
 
 
-def _rehearse(services: Services, plan: Campaign, states: list[LoadState], as_json: bool) -> None:
-    # Here, because nothing else of these commands needs the instruments.
-    from sms_jobs.cli.dry_run import show
-    from sms_jobs.jobs import dry_runs
-
-    rig, settings = services.stations.rig(plan.rig), services.settings
-    with services.catalogue.reading() as session:
-        done = dry_runs.dry_run(session, rig, plan, states, settings.spool_folder, services.archive)
-    show(plan.name, done, as_json)
+def _rehearse(services: Services, plan: Plan, as_json: bool) -> None:
+    done = recordings.rehearse(services, plan)
+    dry_run_.show(plan.campaign.name, done, as_json)
     if done.missing:
         raise typer.Exit(_FINDINGS)
-
-
-def _submitted(services: Services, campaign: str, requests: list[Request]) -> Submission:
-    return submit_to(services.catalogue, campaign, requests, datetime.now(UTC))
 
 
 @app.command()
@@ -184,36 +157,26 @@ def follow(
     with bootstrap.services(home) as services:
         due = time.monotonic()
         while True:
-            with services.catalogue.reading() as session:
-                state = recordings.next_state(session, campaign)
-                rig = definition(campaign_row(session, campaign)).rig
-            if state is None:
+            following = recordings.next_state(services, campaign)
+            if following is None:
                 output.say(f"every state of {campaign} is recorded, or waits; see 'sms acquire list'")
                 return
+            label = following.state.label
             if on is not None and tolerance is not None:
-                load = Hold(state_value(state, on), tolerance, hold)
-                output.say(
-                    f"{state.label}: waiting for {on} = {load.target:g} +- {tolerance:g} for {hold:g} s"
-                )
-                _wait_for_hold(services, rig, on, load)
+                target = following.value(on)
+                output.say(f"{label}: waiting for {on} = {target:g} +- {tolerance:g} for {hold:g} s")
+                recordings.wait_for_hold(services, following.rig, on, target, tolerance, hold)
             elif every is not None:
-                output.say(f"{state.label}: in {max(0.0, due - time.monotonic()):.0f} s")
+                output.say(f"{label}: in {max(0.0, due - time.monotonic()):.0f} s")
                 time.sleep(max(0.0, due - time.monotonic()))
                 due += every
             else:
-                typer.prompt(f"{state.label}: Enter records it", default="", show_default=False, err=True)
-            done = _submitted(services, campaign, _requests((state.label,), ask, process))
-            _follow(services, submitted(done, KIND.name), as_json=False)
-
-
-def _wait_for_hold(services: Services, rig: str, channel: str, hold: Hold) -> None:
-    """Return when a channel holds its value; the instruments are let go before that."""
-    from sms_jobs.instruments.connection import channel_reader
-
-    detector = HoldDetector(hold)
-    with channel_reader(services.stations.rig(rig), channel) as read:
-        while not detector.held(time.monotonic(), read()):
-            time.sleep(_LOOK_EVERY_S)
+                typer.prompt(f"{label}: Enter records it", default="", show_default=False, err=True)
+            _follow(
+                services,
+                recordings.record(services, campaign, (label,), ask=ask, process=process),
+                as_json=False,
+            )
 
 
 @app.command("list")
@@ -222,14 +185,14 @@ def list_(home: Home = None, as_json: Json = False) -> None:
 
     Example: sms acquire list
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        found = recordings.open_recordings(session, services.settings.spool_folder)
+    with bootstrap.services(home) as services:
+        found = recordings.open_recordings(services)
     if as_json:
         output.print_json_list(found)
         return
     output.print_table(
         ["job", "state of the campaign", "job is", "recorded", "because"],
-        [(r.job_id[:8], r.subject, r.state.value, " ".join(r.finished), r.reason) for r in found],
+        [(r.job_id[:SHORT_ID], r.subject, r.state.value, " ".join(r.finished), r.reason) for r in found],
         empty="no recording runs or waits",
     )
 
@@ -250,13 +213,7 @@ def resume(
     Example: sms acquire resume 3f2a --retake
     """
     with bootstrap.services(home) as services:
-        with services.catalogue.writing() as session:
-            row = _recording(session, job)
-            if retake and not recordings.forget_doubtful(services.stations.spool_of(row.id)):
-                raise Conflict(f"job {row.id[:8]} has no doubtful set to record again; leave out --retake")
-            lifecycle.retry(session, row.id, datetime.now(UTC))
-            job_id = row.id
-        _follow(services, named([job_id]), as_json)
+        _follow(services, recordings.resume(services, job, retake=retake), as_json)
 
 
 @app.command()
@@ -268,73 +225,48 @@ def abort(
 
     Example: sms acquire abort
     """
-    with bootstrap.services(home) as services, services.catalogue.writing() as session:
-        if job is not None:
-            ids = [_recording(session, job).id]
-        else:
-            found = recordings.open_recordings(session, services.settings.spool_folder)
-            ids = [r.job_id for r in found if r.state in (JobState.QUEUED, JobState.RUNNING)]
-        stopped = [i for i in ids if lifecycle.cancel(session, i, datetime.now(UTC))]
-    if not stopped:
-        raise Conflict("no recording runs; nothing was stopped")
-    output.say(f"stopped {', '.join(i[:8] for i in stopped)}; 'sms acquire resume' goes on")
+    with bootstrap.services(home) as services:
+        stopped = recordings.abort(services, job)
+    output.say(f"stopped {', '.join(i[:SHORT_ID] for i in stopped)}; 'sms acquire resume' goes on")
 
 
-def _requests(states: tuple[str, ...], ask: bool, process: bool) -> list[Request]:
-    recording = Request(KIND.name, {"doubtful": "ask" if ask else "keep"}, states)
-    return [recording, Request(PIPELINE, {}, states)] if process else [recording]
-
-
-def _recording(session: Session, prefix: str) -> JobRow:
-    row = inquiry.find_job(session, prefix)
-    if row.kind != KIND.name:
-        raise InvalidInput(f"job {row.id[:8]} is no recording but a {row.kind}; see 'sms job retry'")
-    return row
-
-
-def _follow(services: Services, some: Chosen, as_json: bool) -> None:
+def _follow(services: Services, begun: Begun, as_json: bool) -> None:
     """Wait for recordings and say what became of them; raise `JobFailed` when one did not succeed."""
-    followed = _Followed(services, as_json)
-    followed.succeeded(some)
+    followed = _Followed(as_json)
+    followed.succeeded(services, begun)
     followed.end()
 
 
 class _Followed:
     """Recordings that are waited for, turn by turn; people are told of each turn, programs of all."""
 
-    def __init__(self, services: Services, as_json: bool) -> None:
-        self._services = services
+    def __init__(self, as_json: bool) -> None:
         self._as_json = as_json
-        self._turns: list[Chosen] = []
-        self._counted: Counter[str] = Counter()
+        self._turns: list[Recorded] = []
 
-    def succeeded(self, some: Chosen) -> bool:
+    def succeeded(self, services: Services, begun: Begun) -> bool:
         """Wait for some recordings, and return whether all of them succeeded."""
-        counted = wait_for(self._services.catalogue, some, None, workers=self._services.settings.workers)
-        self._turns.append(some)
-        self._counted += Counter(counted)
+        with waiting.followed() as tell:
+            recorded = recordings.wait_for_recordings(services, begun, tell)
+        self._turns.append(recorded)
         if not self._as_json:
             output.print_table(
                 ["recorded", "lit", "saturated", "modulation", "verdict"],
-                [(v.subject, *_words(v.statistics)) for v in self._verdicts(some)],
+                [(v.subject, *_words(v.statistics)) for v in recorded.verdicts],
                 empty="nothing was recorded",
             )
-        return not unsuccessful(counted)
+        return not recorded.waited.failures
 
     def end(self) -> None:
         """Tell programs what became of all; raise `JobFailed` when one did not succeed."""
+        counted = sum((Counter(turn.waited.counted) for turn in self._turns), Counter[str]())
         if self._as_json:
-            recorded = [verdict for turn in self._turns for verdict in self._verdicts(turn)]
-            output.print_json({"jobs": dict(self._counted), "recorded": recorded})
-        failed = unsuccessful(self._counted)
+            recorded = [verdict for turn in self._turns for verdict in turn.verdicts]
+            output.print_json({"jobs": dict(counted), "recorded": recorded})
+        failed = sum(turn.waited.failures for turn in self._turns)
         if failed:
-            with self._services.catalogue.reading() as session:
-                why = inquiry.failure(session, self._turns[-1])
-            raise JobFailed(f"{failed} of {self._counted.total()} recordings did not succeed; {why}")
-
-    def _verdicts(self, some: Chosen) -> list[recordings.PairVerdict]:
-        with self._services.catalogue.reading() as session:
-            return recordings.verdicts(session, some)
+            why = self._turns[-1].waited.failure
+            raise JobFailed(f"{failed} of {counted.total()} recordings did not succeed; {why}")
 
 
 def _words(statistics: dict[str, float]) -> tuple[str, str, str, str]:

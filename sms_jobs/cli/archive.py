@@ -4,31 +4,23 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterator
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from typing import Annotated
 
 import typer
-from rich.progress import Progress
 
 from sms_jobs import bootstrap
-from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import upkeep
+from sms_jobs.app import archive
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
-from sms_jobs.jobs import left_frames, reindexing, retention, verification
-from sms_jobs.jobs import repair as repairing
-from sms_jobs.jobs.reindexing import Reindexed
-from sms_jobs.jobs.verification import Checked, Finding
-from sms_jobs.kinds import kind_named
+from sms_jobs.records.texts import size
 
 app = typer.Typer(help="The archive: is everything there, and as it was sealed?", no_args_is_help=True)
 
 _FINDINGS = 6
 _AGE = re.compile(r"(\d{1,5})([hdw])")
 _UNITS = {"h": "hours", "d": "days", "w": "weeks"}
-_ENTERED = ("indexed", "incomplete")
 
 
 @app.command()
@@ -54,30 +46,29 @@ def verify(
     Example: sms archive verify --campaign wing-fatigue
     """
     last = after
-    findings: list[Finding] = []
+
+    def passed(number: int) -> None:
+        nonlocal last
+        last = number
+
     with bootstrap.services(home) as services:
-        with services.catalogue.reading() as session:
-            wanted = verification.extent(session, after, campaign)
         try:
-            with output.byte_bar() as bar:
-                for done in _checked(services, bar, wanted.size_bytes, after, campaign, quick):
-                    last = done.file_id
-                    if done.finding is not None:
-                        findings.append(done.finding)
+            with output.followed(output.byte_bar()) as tell:
+                done = archive.verify(
+                    services, campaign=campaign, quick=quick, after=after, tell=tell, passed=passed
+                )
         except KeyboardInterrupt:
             output.say(f"interrupted; 'sms archive verify --after {last}' goes on from here")
             raise
-        if campaign is None:
-            findings += verification.check_unknown(services.catalogue, services.archive)
     if as_json:
-        output.print_json({"checked": wanted.files, "bytes": wanted.size_bytes, "findings": findings})
+        output.print_json({"checked": done.files, "bytes": done.size_bytes, "findings": done.findings})
     else:
         output.print_table(
             ["problem", "file", "what"],
-            [(f.problem, f.path, f.detail) for f in findings],
-            empty=f"{wanted.files} files, {output.size(wanted.size_bytes)}: all as they were sealed",
+            [(f.problem, f.path, f.detail) for f in done.findings],
+            empty=f"{done.files} files, {size(done.size_bytes)}: all as they were sealed",
         )
-    if findings:
+    if done.findings:
         raise typer.Exit(_FINDINGS)
 
 
@@ -101,32 +92,30 @@ def reindex(
     Example: sms init --home new; sms archive reindex --home new --dry-run
     """
     started = time.monotonic()
-    done: list[Reindexed] = []
     with bootstrap.renewed(home, dry_run=dry_run) as (services, renewal):
         if renewal:
             output.say(renewal)
-        paths = reindexing.unknown_files(services.catalogue, services.archive)
-        with output.progress_bar() as bar:
-            task = bar.add_task("reindexing", total=len(paths))
-            for one in reindexing.reindex(services.catalogue, services.archive, paths, dry_run=dry_run):
-                done.append(one)
-                bar.advance(task)
-        if done and not dry_run:
-            upkeep.analyse(services.catalogue)
-    bad = [one for one in done if one.outcome != "indexed"]
-    size, entered = sum(one.size_bytes for one in done), sum(one.outcome in _ENTERED for one in done)
+        with output.followed(output.progress_bar()) as tell:
+            done = archive.reindex(services, dry_run=dry_run, tell=tell)
+    bad = done.not_well
     took = time.monotonic() - started
     if as_json:
         output.print_json(
-            {"files": len(done), "indexed": entered, "bytes": size, "seconds": took, "not_well": bad}
+            {
+                "files": len(done.files),
+                "indexed": done.entered,
+                "bytes": done.size_bytes,
+                "seconds": took,
+                "not_well": bad,
+            }
         )
     else:
         if bad:
             rows = [(one.outcome, one.path, one.detail) for one in bad]
             output.print_table(["outcome", "file", "why"], rows, empty="")
         output.say(
-            f"{entered} of {len(done)} unknown files {'would be' if dry_run else 'are now'} in the catalogue "
-            f"({output.size(size)} in {took:.1f} s)"
+            f"{done.entered} of {len(done.files)} unknown files {'would be' if dry_run else 'are now'} in "
+            f"the catalogue ({size(done.size_bytes)} in {took:.1f} s)"
         )
     if bad:
         raise typer.Exit(_FINDINGS)
@@ -148,16 +137,9 @@ def repair(
 
     Example: sms archive repair; sms archive repair --yes
     """
-    with bootstrap.services(home) as services:
-        catalogue, archive = services.catalogue, services.archive
-        with catalogue.reading() as session:
-            wanted = verification.extent(session)
-        with output.byte_bar() as bar:
-            checked = _checked(services, bar, wanted.size_bytes, 0, None, quick)
-            findings = [done.finding for done in checked if done.finding is not None]
-        findings += verification.check_unknown(catalogue, archive)
-        repairs = repairing.planned(catalogue, archive, findings)
-        undone = repairing.apply(catalogue, archive, repairs, datetime.now(UTC)) if yes else []
+    with bootstrap.services(home) as services, output.followed(output.byte_bar()) as tell:
+        done = archive.repair(services, dry_run=not yes, quick=quick, tell=tell)
+    repairs, undone = done.repairs, done.undone
     if as_json:
         output.print_json({"done": yes, "repairs": repairs, "undone": undone})
     else:
@@ -193,25 +175,18 @@ def gc(
 
     Example: sms archive gc --older-than 90d --kind reconstruct --yes
     """
-    age, kinds, now = _age(older_than), [kind_named(name).name for name in kind or []], datetime.now(UTC)
+    age = _age(older_than)
     with bootstrap.services(home) as services:
-        spool = services.settings.spool_folder
-        if yes:
-            gone = retention.remove(services.catalogue, services.archive, now, age, kinds)
-            frames = left_frames.remove(services.catalogue, spool, now, age, kinds)
-        else:
-            with services.catalogue.reading() as session:
-                gone = retention.removable(session, now, age, kinds)
-                frames = left_frames.removable(session, spool, now, age, kinds)
-    freed = sum(g.size_bytes for g in gone) + sum(f.size_bytes for f in frames)
+        gone = archive.remove_old(services, age, kind or (), dry_run=not yes)
+    freed = gone.size_bytes
     if as_json:
-        output.print_json({"done": yes, "files": gone, "frames": frames, "bytes": freed})
+        output.print_json({"done": yes, "files": gone.files, "frames": gone.frames, "bytes": freed})
         return
     rows: list[tuple[object, ...]] = [
-        (g.file_id, g.kind, g.path, output.size(g.size_bytes), g.created_at) for g in gone
+        (g.file_id, g.kind, g.path, size(g.size_bytes), g.created_at) for g in gone.files
     ]
     rows += [
-        ("", f"frames, {f.state.value}", str(f.path), output.size(f.size_bytes), f.ended_at) for f in frames
+        ("", f"frames, {f.state.value}", str(f.path), size(f.size_bytes), f.ended_at) for f in gone.frames
     ]
     output.print_table(
         ["file", "kind", "path", "size", "created"],
@@ -220,7 +195,7 @@ def gc(
     )
     if rows:
         done = "removed" if yes else "would be removed; 'sms archive gc --yes' does it"
-        output.say(f"{len(rows)} files and folders, {output.size(freed)}, {done}")
+        output.say(f"{len(rows)} files and folders, {size(freed)}, {done}")
 
 
 def _age(text: str) -> timedelta:
@@ -228,14 +203,3 @@ def _age(text: str) -> timedelta:
     if found is None:
         raise InvalidInput(f"--older-than should be a number of hours, days or weeks like 90d, not '{text}'")
     return timedelta(**{_UNITS[found[2]]: int(found[1])})
-
-
-def _checked(
-    services: Services, bar: Progress, size: int, after: int, campaign: str | None, quick: bool
-) -> Iterator[Checked]:
-    task = bar.add_task("verifying", total=max(size, 1))
-    for done in verification.check_known(
-        services.catalogue, services.archive, after=after, campaign=campaign, quick=quick
-    ):
-        bar.advance(task, done.size_bytes)
-        yield done

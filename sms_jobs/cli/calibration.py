@@ -1,24 +1,18 @@
-"""`sms calibration`: the calibrations of rigs.
-
-What computes with them is imported by the commands that need it: its kernels take a second, which every other
-command would wait for.
-"""
+"""`sms calibration`: the calibrations of rigs."""
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Annotated
 
 import numpy as np
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.catalogue import search
+from sms_jobs.app import calibrations
 from sms_jobs.cli import calibration_acceptance, calibration_files, completion, output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.metrology.geometry.lens import COEFFICIENTS
 from sms_jobs.records.calibration import CalibrationQuality
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.times import parsed_time
 
@@ -44,8 +38,8 @@ def list_(
 
     Example: sms calibration list --rig hall-3; sms calibration list --inactive
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        views = [v for v in search.list_calibrations(session, rig) if v.inactive or not inactive]
+    with bootstrap.services(home) as services:
+        views = [v for v in calibrations.list_calibrations(services, rig) if v.inactive or not inactive]
     if as_json:
         output.print_json_list(views)
         return
@@ -66,10 +60,8 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
 
     Example: sms calibration show 1
     """
-    from sms_jobs.jobs import calibrations
-
     with bootstrap.services(home) as services:
-        known = calibrations.known_calibration(services.catalogue, services.archive, number)
+        known = calibrations.show(services, number)
     calibration = known.calibration
     worth = {} if known.quality is None else _worth(calibration, known.quality)
     if as_json:
@@ -98,7 +90,7 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
         }
     )
     output.print_table(
-        ["sensor", "px", "fx, fy [px]", "cx, cy [px]", ", ".join(COEFFICIENTS), "pin-hole [mm]"],
+        ["sensor", "px", "fx, fy [px]", "cx, cy [px]", ", ".join(calibrations.DISTORTION), "pin-hole [mm]"],
         [
             (
                 s.name,
@@ -151,25 +143,17 @@ def certify(
 
     Example: sms calibration certify hall-3-june --valid-from 2026-06-01T08:00:00+01:00
     """
-    from sms_jobs.jobs import calibrations
-
     since = None if valid_from is None else _time(valid_from)
     with bootstrap.services(home) as services:
-        number, new, calibration = calibrations.certify(
-            services.catalogue,
-            services.archive,
-            session,
-            since,
-            datetime.now(UTC),
-            despite_warnings=despite_warnings,
-        )
+        done = calibrations.certify(services, session, since, despite_warnings=despite_warnings)
+    number, calibration = done.number, done.calibration
     if as_json:
-        output.print_json({"calibration": number, "new": new, "valid_from": calibration.valid_from})
+        output.print_json({"calibration": number, "new": done.new, "valid_from": calibration.valid_from})
         return
     when = output.shown(calibration.valid_from)
     output.say(
         f"calibration {number} of rig {calibration.rig.name} is valid from {when} on"
-        if new
+        if done.new
         else f"it is in use already, as calibration {number}"
     )
 
@@ -196,12 +180,9 @@ def compare(
 
     Example: sms calibration compare 1 2
     """
-    from sms_jobs.jobs import calibrations
-
     with bootstrap.services(home) as services:
-        found, tolerance = calibrations.compare(
-            services.catalogue, services.archive, before, after, tolerance_mm
-        )
+        done = calibrations.compare(services, before, after, tolerance_mm)
+    found, tolerance = done.comparison, done.tolerance_mm
     if as_json:
         output.print_json({"tolerance_mm": tolerance, "comparison": found})
         return
@@ -252,21 +233,8 @@ def check(
 
     Example: sms calibration check wing-fatigue/S00/C1P1 wing-fatigue/S00/C2P2
     """
-    from sms_jobs.jobs import calibrations
-
-    now = datetime.now(UTC)
     with bootstrap.services(home) as services:
-        found = [
-            calibrations.check(
-                services.catalogue,
-                services.archive,
-                Subject.parse(text),
-                now,
-                baseline_mm=baseline_mm,
-                false_alarm=false_alarm,
-            )
-            for text in tuples
-        ]
+        found = calibrations.check(services, tuples, baseline_mm=baseline_mm, false_alarm=false_alarm)
     if as_json:
         output.print_json_list(found)
     else:

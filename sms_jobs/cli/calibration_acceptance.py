@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.catalogue import search
+from sms_jobs.app import calibrations
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.jobs.acceptances import accept as decide
 from sms_jobs.records.files import CalibrationView
 
 Number = Annotated[int, typer.Argument(help="Number of a calibration; see 'sms calibration list'.")]
@@ -51,18 +49,17 @@ def withdraw(number: Number, campaign: Of = None, home: Home = None, as_json: Js
 
 def _decide(number: int, campaign: str | None, home: Path | None, as_json: bool, *, in_use: bool) -> None:
     with bootstrap.services(home) as services:
-        new = decide(services.catalogue, services.archive, number, campaign, datetime.now(UTC), in_use=in_use)
-        with services.catalogue.reading() as session:
-            view = search.calibration_view(session, number)
+        done = calibrations.decide(services, number, campaign, in_use=in_use)
     if as_json:
-        output.print_json({"calibration": number, "campaign": campaign, "in_use": in_use, "new": new})
+        output.print_json({"calibration": number, "campaign": campaign, "in_use": in_use, "new": done.new})
         return
+    view = done.calibration
     whom = f"rig {view.rig}" if campaign is None else f"campaign {campaign} alone"
     if in_use:
         said = f"is used for {whom} from {output.shown(view.valid_from)} on"
     else:
         said = f"is not used for {whom}"
-    output.say(f"calibration {number} {said}" + ("" if new else ", as before"))
+    output.say(f"calibration {number} {said}" + ("" if done.new else ", as before"))
 
 
 def used_for(view: CalibrationView) -> str:

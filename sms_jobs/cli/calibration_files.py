@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import writing
-from sms_jobs.catalogue import search
+from sms_jobs.app import calibrations, writing
+from sms_jobs.app.calibrations import STYLES, Imported
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.interchange.styles import Style
-from sms_jobs.jobs.registration import Registered, register_calibration
-from sms_jobs.records.sensors import Box, Calibration
+from sms_jobs.records.calibration import Supplement
+from sms_jobs.records.sensors import Box
 from sms_jobs.records.times import parsed_time
 
-_STYLES: tuple[Style, ...] = get_args(Style)
 _SIZE = re.compile(r"(?P<name>\w{1,8})=(?P<columns>\d{1,6})x(?P<rows>\d{1,6})")
 
 _Six = tuple[float, float, float, float, float, float]
@@ -28,7 +26,7 @@ _Six = tuple[float, float, float, float, float, float]
 
 def export(
     number: Annotated[int, typer.Argument(help="Number of a calibration; see 'sms calibration list'.")],
-    style: Annotated[str, typer.Option("--as", help=f"One of {', '.join(_STYLES)}.")],
+    style: Annotated[str, typer.Option("--as", help=f"One of {', '.join(STYLES)}.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
     pixel_pitch_um: Annotated[
         float,
@@ -51,24 +49,14 @@ def export(
 
     Example: sms calibration export 3 --as opencv-yaml --out hall-3.yml
     """
-    # OpenCV writes and reads the files; no other command of calibrations needs it.
-    from sms_jobs.formats.interchange.calibration_files import calibration_text
-
-    chosen = next((one for one in _STYLES if one == style), None)
-    if chosen is None:
-        raise InvalidInput(f"--as should be one of {', '.join(_STYLES)}, not '{style}'")
     writing.check_new_file(out, force)
     with bootstrap.services(home) as services:
-        with services.catalogue.reading() as session:
-            view = search.calibration_view(session, number)
-        with services.archive.open(view) as dataset:
-            calibration = dataset.read("calibration", Calibration)
-    text, remarks = calibration_text(calibration, chosen, pixel_pitch_um / 1000.0)
-    writing.write_file(out, text, force)
+        found = calibrations.export(services, number, style, pixel_pitch_um=pixel_pitch_um)
+    writing.write_file(out, found.text, force)
     if as_json:
-        output.print_json({"calibration": number, "style": chosen, "file": out, "remarks": remarks})
+        output.print_json({"calibration": number, "style": style, "file": out, "remarks": found.remarks})
         return
-    for remark in remarks:
+    for remark in found.remarks:
         output.say(remark)
     output.say(f"wrote {out}")
 
@@ -128,8 +116,6 @@ def import_(
     --size C1=1280x1024 --size P1=1920x1080 --unit-mm 1000 --rig desk --valid-from 2026-05-04T10:00:00+02:00
     --volume -200 -200 500 200 200 900
     """
-    from sms_jobs.formats.interchange.calibration_files import Supplement, read_calibration
-
     supplement = Supplement(
         rig=rig,
         valid_from=_time(valid_from),
@@ -138,10 +124,9 @@ def import_(
         sizes=_sizes(size or []),
         millimetres_per_unit=unit_mm,
     )
-    found = read_calibration(files, supplement)
-    calibration = found.calibration
     with bootstrap.services(home) as services:
-        known = register_calibration(services.catalogue, services.archive, calibration, datetime.now(UTC))
+        found = calibrations.import_files(services, files, supplement)
+    known, calibration = found.registered, found.calibration
     if as_json:
         output.print_json(
             {
@@ -159,10 +144,11 @@ def import_(
         output.say(remark)
     names = " ".join(s.name for s in calibration.rig.sensors)
     said = "is entered" if known.new else "is known already"
-    output.say(f"calibration {known.number} of rig {calibration.rig.name} ({names}) {said}; {_next(known)}")
+    output.say(f"calibration {known.number} of rig {calibration.rig.name} ({names}) {said}; {_next(found)}")
 
 
-def _next(known: Registered) -> str:
+def _next(found: Imported) -> str:
+    known = found.registered
     if known.in_use:
         return f"next: sms calibration show {known.number}"
     return (

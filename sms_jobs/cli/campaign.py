@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.catalogue import campaigns, valid_calibrations
-from sms_jobs.cli import completion, output, simulated_campaigns
+from sms_jobs.app import campaigns
+from sms_jobs.cli import completion, output, simulated
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.formats import configuration
-from sms_jobs.jobs import inquiry
-from sms_jobs.jobs.chosen import Chosen
-from sms_jobs.jobs.registration import register_campaign
 
 app = typer.Typer(
     help="Campaigns: a specimen, its load states, and how they are measured.", no_args_is_help=True
 )
-app.command("simulate")(simulated_campaigns.simulate)
-app.command("exact")(simulated_campaigns.exact)
+app.command("simulate")(simulated.simulate)
+app.command("exact")(simulated.exact)
 
 
 @app.command()
@@ -44,24 +39,14 @@ def create(
     Example: sms campaign create --example > plan.toml; sms campaign create plan.toml
     """
     if example or example_session:
-        text = configuration.example_session() if example_session else configuration.example_campaign()
-        sys.stdout.write(text)
+        sys.stdout.write(campaigns.example(session=example_session))
         return
     if plan is None:
         raise InvalidInput(
             "give the file of a test plan; 'sms campaign create --example' prints one to start from"
         )
-    loaded = configuration.load_campaign(plan)
-    campaign = loaded.campaign
     with bootstrap.services(home) as services:
-        register_campaign(
-            services.catalogue,
-            services.archive,
-            campaign,
-            loaded.calibration,
-            datetime.now(UTC),
-            loaded.text,
-        )
+        campaign = campaigns.create(services, plan)
     if as_json:
         output.print_json(
             {"campaign": campaign.name, "states": len(campaign.states), "views": campaign.views}
@@ -87,11 +72,10 @@ def list_(
 
     Example: sms campaign list --limit 200
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        rows = inquiry.list_campaigns(session, limit)
-        total = campaigns.number_of_campaigns(session)
+    with bootstrap.services(home) as services:
+        found = campaigns.list_campaigns(services, limit)
     if as_json:
-        output.print_json_list(rows)
+        output.print_json_list(found.newest)
         return
     output.print_table(
         ["campaign", "specimen", "rig", "states", "views", "created", "jobs"],
@@ -105,12 +89,12 @@ def list_(
                 r.created_at,
                 ", ".join(f"{n} {s}" for s, n in r.jobs.items()),
             )
-            for r in rows
+            for r in found.newest
         ],
         empty="there is no campaign yet; see 'sms campaign create --help'",
     )
-    if total > len(rows):
-        output.say(f"the newest {len(rows)} of {total} campaigns; --limit shows more")
+    if found.total > len(found.newest):
+        output.say(f"the newest {len(found.newest)} of {found.total} campaigns; --limit shows more")
 
 
 @app.command()
@@ -126,19 +110,22 @@ def show(
 
     Example: sms campaign show wing-fatigue; sms campaign show wing-fatigue --plan > again.toml
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        row = campaigns.campaign_row(session, name)
-        jobs = inquiry.counts(session, Chosen(campaign_id=row.id))
-        times = valid_calibrations.state_times(session, row.id)
+    with bootstrap.services(home) as services:
+        found = campaigns.show(services, name)
     if plan and not as_json:
-        if row.plan is None:
+        if found.plan is None:
             raise NotFound(f"campaign {name} was made by a program, not from a test plan")
-        output.print_text(row.plan)
+        output.print_text(found.plan)
         return
-    campaign = campaigns.definition(row)
+    campaign = found.campaign
     if as_json:
         output.print_json(
-            {"campaign": row.definition, "created_at": row.created_at, "plan": row.plan, "jobs": jobs}
+            {
+                "campaign": found.stored,
+                "created_at": found.created_at,
+                "plan": found.plan,
+                "jobs": found.jobs,
+            }
         )
         return
     output.print_facts(
@@ -149,8 +136,8 @@ def show(
             "views": ", ".join(campaign.views),
             "fringes": f"{campaign.sequence.densities} x {campaign.sequence.steps} steps, "
             f"{campaign.sequence.frames} frames",
-            "created": row.created_at,
-            "jobs": ", ".join(f"{n} {s}" for s, n in jobs.items()),
+            "created": found.created_at,
+            "jobs": ", ".join(f"{n} {s}" for s, n in found.jobs.items()),
         }
     )
     output.print_table(
@@ -160,7 +147,7 @@ def show(
                 s.label,
                 s.known_load_n,
                 s.known_displacement_mm,
-                times.get(s.label),
+                found.times.get(s.label),
                 ", ".join(f"{k}={v:g}" for k, v in s.channels.items()),
             )
             for s in campaign.states

@@ -26,6 +26,7 @@ from sms_jobs.cli import (
 from sms_jobs.cli.found_files import After, As, Columns, Force, Format, Limit, Out, Wanted
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.files import Ancestor
+from sms_jobs.records.texts import size
 
 app = typer.Typer(help="Measurements and results in the archive.", no_args_is_help=True)
 app.add_typer(saved_queries.app, name="query")
@@ -111,7 +112,7 @@ def show(file: File, home: Home = None, as_json: Json = False) -> None:
             "kind": view.source,
             "subject": view.subject,
             "path": found.path,
-            "size": output.size(view.size_bytes),
+            "size": size(view.size_bytes),
             "recorded": view.recorded_at,
             "created": view.created_at,
             "content": f"sha256 {view.content_hash}",

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import closing
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs import settings as settings_file
-from sms_jobs.app import writing
-from sms_jobs.catalogue import copying, schema, upkeep
-from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.app import database
+from sms_jobs.app.database import SHARES, BackedUp
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.jobs import backups
-from sms_jobs.jobs.backups import Progress
 
 app = typer.Typer(help="The catalogue's database, and backups.", no_args_is_help=True)
 
@@ -31,11 +24,8 @@ def upgrade(home: Home = None) -> None:
 
     Example: sms db upgrade
     """
-    catalogue = Catalogue(settings_file.load(home).catalogue_url)
-    before = schema.current_revision(catalogue)
-    schema.upgrade(catalogue)
-    after = schema.current_revision(catalogue)
-    output.say(f"the catalogue has revision {after}" + ("" if before != after else " already"))
+    done = database.upgrade(home)
+    output.say(f"the catalogue has revision {done.revision}" + (" already" if done.already else ""))
 
 
 @app.command()
@@ -45,14 +35,13 @@ def check(home: Home = None, as_json: Json = False) -> None:
     Example: sms db check --json
     """
     with bootstrap.services(home) as services:
-        differences = schema.differences_from_models(services.catalogue)
-        revision = schema.current_revision(services.catalogue)
+        found = database.check(services)
     if as_json:
-        output.print_json({"revision": revision, "differences": differences})
+        output.print_json({"revision": found.revision, "differences": found.differences})
     else:
-        for difference in differences or [f"revision {revision}, no difference"]:
+        for difference in found.differences or [f"revision {found.revision}, no difference"]:
             output.print_sentence(difference)
-    if differences:
+    if found.differences:
         raise typer.Exit(_FINDINGS)
 
 
@@ -77,22 +66,13 @@ def copy(
 
     Example: sms db copy postgresql+psycopg://sms@db.example/sms
     """
-    done = None
-    with bootstrap.services(home) as services, closing(Catalogue(to_url, create=True)) as target:
-        copying.require_idle(services.catalogue, datetime.now(UTC))
-        copying.prepare(target)
-        with output.progress_bar() as bar:
-            task = bar.add_task("copying", total=None)
-            for done in copying.copy(services.catalogue, target):
-                bar.update(task, description=f"copying {done.table}", completed=done.done, total=done.total)
-        upkeep.analyse(target)
-        into = target.describe()
-    rows = done.total if done else 0
+    with bootstrap.services(home) as services, output.followed(output.progress_bar()) as tell:
+        done = database.copy(services, to_url, tell)
     if as_json:
-        output.print_json({"rows": rows, "to": into})
+        output.print_json({"rows": done.rows, "to": done.to})
     output.say(
-        f"copied {rows} rows to {into}; set database_url to it (in sms.toml, or SMS_DATABASE_URL) before "
-        "anything is written to the old catalogue, then run 'sms doctor'"
+        f"copied {done.rows} rows to {done.to}; set database_url to it (in sms.toml, or SMS_DATABASE_URL) "
+        "before anything is written to the old catalogue, then run 'sms doctor'"
     )
 
 
@@ -101,7 +81,7 @@ def backup(
     folder: Annotated[Path, typer.Argument(help="Where to; every backup adds to what is there.")],
     shares: Annotated[
         int, typer.Option(help="In how many backups all is read again; 1 for all of it now.", min=1)
-    ] = backups.SHARES,
+    ] = SHARES,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
@@ -114,14 +94,9 @@ def backup(
 
     Example: sms db backup /mnt/backup/sms
     """
-    with bootstrap.services(home) as services:
-        writing.new_folder(folder)
-        steps = backups.back_up(
-            services.catalogue, services.archive, services.settings, folder, datetime.now(UTC), shares
-        )
-        facts = _followed("backing up", steps)
-    facts = {"snapshot": str(backups.snapshots(folder)[-1])} | facts
-    _tell(facts, as_json)
+    with bootstrap.services(home) as services, output.followed(output.byte_bar()) as tell:
+        snapshot, done = database.back_up(services, folder, shares, tell)
+    _tell({"snapshot": str(snapshot)}, done, as_json)
 
 
 @app.command()
@@ -144,34 +119,27 @@ def restore(
     Example: sms db restore /mnt/backup/sms /data/sms-restored
     """
     home = home.expanduser().absolute()
-    _tell(
-        {"home": str(home)} | _followed("restoring", backups.restore(folder, home, snapshot, host)), as_json
-    )
+    with output.followed(output.byte_bar()) as tell:
+        done = database.restore(folder, home, snapshot, host, tell)
+    _tell({"home": str(home)}, done, as_json)
 
 
-def _followed(what: str, steps: Iterator[Progress]) -> dict[str, Any]:
-    """Show how work comes on, and return what came of it."""
-    files = copied = again = total = 0
-    findings = []
-    with output.byte_bar() as bar:
-        task = bar.add_task(what, total=None)
-        for step in steps:
-            bar.update(task, completed=step.done_bytes, total=step.total_bytes)
-            files, copied, again = files + 1, copied + step.copied, again + step.read_again
-            total = step.total_bytes or total
-            if step.finding:
-                findings.append({"path": step.path, "finding": step.finding})
-    return {"files": files, "bytes": total, "copied": copied, "read_again": again, "findings": findings}
-
-
-def _tell(facts: dict[str, Any], as_json: bool) -> None:
-    findings = facts["findings"]
+def _tell(facts: dict[str, Any], done: BackedUp, as_json: bool) -> None:
+    facts |= {
+        "files": done.files,
+        "bytes": done.size_bytes,
+        "copied": done.copied,
+        "read_again": done.read_again,
+    }
     if as_json:
-        output.print_json(facts)
+        output.print_json(facts | {"findings": done.findings})
     else:
-        output.print_facts({name: value for name, value in facts.items() if name != "findings"})
-    if findings:
+        output.print_facts(facts)
+    if done.findings:
         if not as_json:
-            output.print_table(["file", "what"], [tuple(one.values()) for one in findings], empty="")
-        output.say(f"{len(findings)} files are missing or damaged; see 'sms archive verify' and the runbook")
+            rows = [(one.path, one.finding) for one in done.findings]
+            output.print_table(["file", "what"], rows, empty="")
+        output.say(
+            f"{len(done.findings)} files are missing or damaged; see 'sms archive verify' and the runbook"
+        )
         raise typer.Exit(_FINDINGS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sms_jobs.cli import output
 from sms_jobs.records.rehearsals import DryRun
+from sms_jobs.records.texts import size
 
 
 def show(campaign: str, done: DryRun, as_json: bool) -> None:
@@ -34,8 +35,8 @@ def show(campaign: str, done: DryRun, as_json: bool) -> None:
                 f"{s.moving_s:.1f}",
                 f"{s.recording_s:.1f}",
                 s.frames,
-                output.size(s.raw_bytes),
-                output.size(round(s.raw_bytes * (done.packed or 1.0))),
+                size(s.raw_bytes),
+                size(round(s.raw_bytes * (done.packed or 1.0))),
             )
             for label, s in done.states.items()
         ],
@@ -48,10 +49,10 @@ def show(campaign: str, done: DryRun, as_json: bool) -> None:
         output.print_facts(
             {
                 "in all": f"{output.duration(done.seconds)}, {done.frames} frames",
-                "raw": output.size(done.raw_bytes),
-                "archived": f"{output.size(done.archived_bytes)} ({packed})",
-                "free for it": output.size(done.archive_room),
-                "spool": f"{output.size(done.spool_bytes)} a state, free {output.size(done.spool_room)}",
+                "raw": size(done.raw_bytes),
+                "archived": f"{size(done.archived_bytes)} ({packed})",
+                "free for it": size(done.archive_room),
+                "spool": f"{size(done.spool_bytes)} a state, free {size(done.spool_room)}",
             }
         )
     for words in done.remarks:

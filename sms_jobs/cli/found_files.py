@@ -19,6 +19,7 @@ from sms_jobs.app.row_tables import write_csv, write_parquet
 from sms_jobs.cli import output
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.files import FileView, Found, Page
+from sms_jobs.records.texts import size
 
 
 class Format(StrEnum):
@@ -54,7 +55,7 @@ _OF_FILE: dict[str, Callable[[FileView], Any]] = {
     "kind": lambda f: f.source,
     "subject": lambda f: f.subject,
     "type": lambda f: PurePosixPath(f.path).suffix,
-    "size": lambda f: output.size(f.size_bytes),
+    "size": lambda f: size(f.size_bytes),
     "created": lambda f: f.created_at,
     "path": lambda f: f.path,
     "size_bytes": lambda f: f.size_bytes,

@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from typing import Annotated, Any
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import search, upkeep
+from sms_jobs.app import jobs as jobs_
+from sms_jobs.app import kinds as kinds_
+from sms_jobs.app.jobs import Work
+from sms_jobs.app.waiting import Waited, Waiting, wait_for
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.kind_options import CONTEXT, KindCommand, split_words
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import as_json as outlook_as_json
-from sms_jobs.cli.waiting import told, told_outlook, unsuccessful, wait_for
-from sms_jobs.errors import Conflict, InvalidInput, JobFailed
-from sms_jobs.jobs import chosen, crowds, inquiry, lifecycle
-from sms_jobs.jobs.chosen import Chosen
-from sms_jobs.jobs.estimates import estimate_planned, outlook
-from sms_jobs.jobs.logs import job_log
-from sms_jobs.jobs.planning import PIPELINE, Request
-from sms_jobs.jobs.submission import Submission, draft, enter, while_outdated
-from sms_jobs.jobs.turns import planning_turn
-from sms_jobs.kinds import all_kinds
-from sms_jobs.records.estimates import Estimate, Outlook
-from sms_jobs.records.job import JobState
+from sms_jobs.cli.waiting import followed, told, told_outlook
+from sms_jobs.errors import InvalidInput
+from sms_jobs.records.job import SHORT_ID, JobState
+from sms_jobs.records.texts import size
 
 app = typer.Typer(help="Jobs: submit, follow and mend them.", no_args_is_help=True)
 
@@ -99,49 +92,25 @@ def submit(
         raise InvalidInput("--dry-run submits nothing that --wait could wait for; give one of them")
     kind, settings = split_words(kind)
     parameters = given_parameters([*settings, *(parameter or [])])
-    requests = requested(kind, parameters, tuple(state or ()), tuple(view or ()))
+    work = Work(
+        campaign, tuple(kind), parameters, tuple(state or ()), tuple(view or ()), priority, not no_cache
+    )
     with bootstrap.services(home) as services:
-        done, ahead = _planned(services, campaign, requests, priority, not no_cache, dry_run)
-        counted = {name: done.kinds.count(name) for name in dict.fromkeys(done.kinds)}
+        done = jobs_.submit(services, work, dry_run=dry_run)
         if as_json and dry_run:
-            output.print_json({"campaign": campaign, "jobs": counted, "estimate": ahead})
+            output.print_json({"campaign": campaign, "jobs": done.counted, "estimate": done.estimate})
         elif as_json and not wait:
-            output.print_json({"campaign": campaign, "jobs": done.job_ids, "estimate": ahead})
+            output.print_json({"campaign": campaign, "jobs": done.job_ids, "estimate": done.estimate})
         elif not as_json:
-            what = ", ".join(f"{count} {name}" for name, count in counted.items())
+            what = ", ".join(f"{count} {name}" for name, count in done.counted.items())
             would = "would submit" if dry_run else "submitted"
-            output.say(f"{would} {len(done.job_ids)} jobs: {what}" if counted else "there is nothing to do")
-            if counted:
-                output.say(told(ahead))
+            output.say(f"{would} {len(done.job_ids)} jobs: {what}" if what else "there is nothing to do")
+            if what:
+                output.say(told(done.estimate))
         if wait:
-            _wait(services, chosen.submitted(done), None, as_json)
-
-
-def _planned(
-    services: Services,
-    campaign: str,
-    requests: Sequence[Request],
-    priority: int,
-    use_cache: bool,
-    dry_run: bool,
-) -> tuple[Submission, Estimate]:
-    """Plan jobs and tell how long they take; enter them, unless that is all that is asked for."""
-    now = datetime.now(UTC)
-
-    def attempt() -> tuple[Submission, Estimate]:
-        with services.catalogue.reading() as session:
-            planned = draft(session, campaign, requests, now, priority=priority, use_cache=use_cache)
-            ahead = estimate_planned(session, planned, now, services.settings.workers)
-        if dry_run:
-            return planned.submission, ahead
-        with services.catalogue.writing() as session:
-            return enter(session, planned), ahead
-
-    with planning_turn(services.settings.home):
-        done, ahead = while_outdated(attempt)
-    if not dry_run and len(done.job_ids) >= upkeep.MANY:
-        upkeep.analyse(services.catalogue)
-    return done, ahead
+            with followed() as tell:
+                waited = wait_for(services, done.jobs, tell=tell)
+            _tell_waited(waited, as_json)
 
 
 @app.command()
@@ -150,28 +119,25 @@ def kinds(as_json: Json = False) -> None:
 
     Example: sms job kinds
     """
-    found = [
-        {
-            "kind": kind.name,
-            "version": kind.version,
-            "per": kind.scope.value,
-            "summary": kind.summary,
-            "inputs": [port.described() for port in kind.inputs],
-            "outputs": [product.described() for product in kind.outputs],
-            "parameters": {
-                name: None if field.is_required() else field.get_default(call_default_factory=True)
-                for name, field in kind.parameters.model_fields.items()
-            },
-        }
-        for kind in all_kinds().values()
-    ]
+    found = kinds_.kinds()
     if as_json:
-        output.print_json_list(found)
+        output.print_json_list(
+            {
+                "kind": kind.name,
+                "version": kind.version,
+                "per": kind.per,
+                "summary": kind.summary,
+                "inputs": kind.inputs,
+                "outputs": kind.outputs,
+                "parameters": {one.name: one.default for one in kind.parameters},
+            }
+            for kind in found
+        )
         return
     output.print_table(
         ["kind", "per", "summary", "parameters"],
         [
-            (k["kind"], k["per"], k["summary"], ", ".join(f"{n}={v}" for n, v in _items(k["parameters"])))
+            (k.name, k.per, k.summary, ", ".join(f"{one.name}={one.default}" for one in k.parameters))
             for k in found
         ],
         empty="there is no job kind: the installation is broken",
@@ -191,21 +157,17 @@ def list_(
 
     Example: sms job list -c wing-fatigue --state failed
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        jobs = inquiry.list_jobs(session, campaign=campaign, states=state or (), kind=kind, limit=limit)
-        active, ahead = 0, None
-        if campaign is not None and not as_json:
-            scope = chosen.of_campaign(session, campaign)
-            active = inquiry.still_active(inquiry.counts(session, scope))
-            ahead = outlook(session, scope, services.settings.workers) if active else None
-    if as_json:
-        output.print_json_list(jobs)
-        return
+    with bootstrap.services(home) as services:
+        found = jobs_.list_jobs(services, campaign=campaign, states=state or (), kind=kind, limit=limit)
+        if as_json:
+            output.print_json_list(found)
+            return
+        left = None if campaign is None else jobs_.remaining(services, campaign)
     output.print_table(
         ["job", "kind", "subject", "state", "%", "seconds", "message"],
         [
             (
-                j.id[: inquiry.SHORT],
+                j.id[:SHORT_ID],
                 j.kind,
                 j.subject,
                 j.state,
@@ -213,12 +175,12 @@ def list_(
                 j.seconds,
                 j.message,
             )
-            for j in jobs
+            for j in found
         ],
         empty="there is no such job",
     )
-    if ahead is not None:
-        output.say(f"{active} jobs of {campaign} have not ended: {told_outlook(ahead)}")
+    if left is not None and left.outlook is not None:
+        output.say(f"{left.active} jobs of {campaign} have not ended: {told_outlook(left.outlook)}")
 
 
 @app.command()
@@ -227,13 +189,11 @@ def show(job: JobId, home: Home = None, as_json: Json = False) -> None:
 
     Example: sms job show 3f2a
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        row = inquiry.find_job(session, job)
-        view = inquiry.job_view(row)
-        happened = inquiry.events(session, row.id)
-        files = search.files_of_job(session, row.reused_from or row.id)
+    with bootstrap.services(home) as services:
+        found = jobs_.show(services, job)
+    view = found.job
     if as_json:
-        output.print_json({"job": view, "events": happened, "files": files})
+        output.print_json({"job": view, "events": found.events, "files": found.files})
         return
     output.print_facts(
         {
@@ -249,12 +209,12 @@ def show(job: JobId, home: Home = None, as_json: Json = False) -> None:
     )
     output.print_table(
         ["time", "state", "attempt", "message"],
-        [(e.at, e.state, e.attempt, e.message) for e in happened],
+        [(e.at, e.state, e.attempt, e.message) for e in found.events],
         empty="",
     )
     output.print_table(
         ["file", "subject", "size", "path"],
-        [(f.id, f.subject, output.size(f.size_bytes), f.path) for f in files],
+        [(f.id, f.subject, size(f.size_bytes), f.path) for f in found.files],
         empty="it has made no file",
     )
 
@@ -266,15 +226,12 @@ def logs(job: JobId, home: Home = None) -> None:
     Example: sms job logs 3f2a
     """
     with bootstrap.services(home) as services:
-        with services.catalogue.reading() as session:
-            row = inquiry.find_job(session, job)
-        path = job_log(services.settings.job_log_folder, row.id)
-    if path.exists():
-        output.print_text(path.read_text(encoding="utf-8", errors="backslashreplace"))
+        found = jobs_.log(services, job)
+    if found.text is not None:
+        output.print_text(found.text)
     else:
-        output.say(
-            f"job {row.id[: inquiry.SHORT]} is {row.state.value} and has written no log: there is no {path}"
-        )
+        short = found.job.id[:SHORT_ID]
+        output.say(f"job {short} is {found.job.state} and has written no log: there is no {found.path}")
 
 
 @app.command()
@@ -291,13 +248,19 @@ def watch(
     Example: sms job watch -c wing-fatigue
     """
     with bootstrap.services(home) as services:
-        followed = named_jobs(services, jobs or [], campaign)
+        some = jobs_.choose(services, jobs or [], campaign)
+        told_before: dict[str, int] = {}
+        with followed() as show_on_bar:
 
-        def tell(counted: dict[str, int], ahead: Outlook | None) -> None:
-            if as_json:
-                output.print_json({"jobs": counted} | ({} if ahead is None else outlook_as_json(ahead)))
+            def tell(now: Waiting) -> None:
+                nonlocal told_before
+                show_on_bar(now)
+                if as_json and now.counted != told_before:
+                    ahead = {} if now.outlook is None else outlook_as_json(now.outlook)
+                    output.print_json({"jobs": now.counted} | ahead)
+                told_before = now.counted
 
-        counted = wait_for(services.catalogue, followed, None, tell, workers=services.settings.workers)
+            counted = wait_for(services, some, tell=tell).counted
     if not as_json:
         output.print_sentence(", ".join(f"{n} {s}" for s, n in counted.items()) or "no job is active")
 
@@ -317,7 +280,10 @@ def wait(
     Example: sms job wait -c wing-fatigue --timeout 3600
     """
     with bootstrap.services(home) as services:
-        _wait(services, named_jobs(services, jobs or [], campaign), timeout, as_json)
+        some = jobs_.choose(services, jobs or [], campaign)
+        with followed() as tell:
+            waited = wait_for(services, some, timeout, tell)
+    _tell_waited(waited, as_json)
 
 
 @app.command()
@@ -330,13 +296,8 @@ def cancel(
 
     Example: sms job cancel 3f2a
     """
-    if not jobs and campaign is None:
-        raise InvalidInput("name the jobs to cancel, or a campaign with --campaign")
     with bootstrap.services(home) as services:
-        some = named_jobs(services, jobs or [], campaign)
-        cancelled = crowds.cancel(services.catalogue, some, datetime.now(UTC))
-    if jobs and not cancelled:
-        raise Conflict("these jobs have ended already; nothing was cancelled")
+        cancelled = jobs_.cancel(services, jobs or [], campaign)
     output.say(f"cancelled {cancelled} jobs")
 
 
@@ -350,16 +311,8 @@ def retry(
 
     Example: sms job retry -c wing-fatigue
     """
-    if not jobs and campaign is None:
-        raise InvalidInput("name the jobs to retry, or a campaign with --campaign")
     with bootstrap.services(home) as services:
-        now = datetime.now(UTC)
-        if campaign is not None and not jobs:
-            count = crowds.retry(services.catalogue, campaign, now)
-        else:
-            with services.catalogue.writing() as session:
-                ids = inquiry.find_jobs(session, jobs or [])
-                count = sum(lifecycle.retry(session, job_id, now) for job_id in ids)
+        count = jobs_.retry(services, jobs or [], campaign)
     output.say(f"{count} jobs run again")
 
 
@@ -369,39 +322,13 @@ def explain(job: JobId, home: Home = None, as_json: Json = False) -> None:
 
     Example: sms job explain 3f2a
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        row = inquiry.find_job(session, job)
-        sentences = inquiry.explain(session, row, datetime.now(UTC))
+    with bootstrap.services(home) as services:
+        found = jobs_.explain(services, job)
     if as_json:
-        output.print_json({"job": row.id, "explanation": sentences})
+        output.print_json({"job": found.job_id, "explanation": found.sentences})
         return
-    for sentence in sentences:
+    for sentence in found.sentences:
         output.print_sentence(sentence)
-
-
-def _items(mapping: Any) -> list[tuple[str, Any]]:
-    return list(mapping.items())
-
-
-def requested(
-    kinds: Sequence[str], parameters: dict[str, Any], states: tuple[str, ...], views: tuple[str, ...]
-) -> list[Request]:
-    """Give each kind its parameters: all to a single one, by `KIND.` to one of several."""
-    if len(kinds) == 1:
-        return [Request(kinds[0], parameters, states, views)]
-    stray = [name for name in parameters if name.partition(".")[0] not in kinds]
-    if stray and PIPELINE not in kinds:
-        raise InvalidInput(
-            f"parameter '{stray[0]}' must be KIND.NAME=VALUE, with KIND one of {', '.join(kinds)}"
-        )
-    requests = []
-    for kind in kinds:
-        own = {name: value for name, value in parameters.items() if name.startswith(f"{kind}.")}
-        given = {name.partition(".")[2]: value for name, value in own.items()}
-        if kind == PIPELINE:
-            given = {n: v for n, v in parameters.items() if n.partition(".")[0] not in kinds}
-        requests.append(Request(kind, given, states, views))
-    return requests
 
 
 def given_parameters(settings: Sequence[str]) -> dict[str, Any]:
@@ -415,24 +342,12 @@ def given_parameters(settings: Sequence[str]) -> dict[str, Any]:
     return parameters
 
 
-def named_jobs(services: Services, prefixes: Sequence[str], campaign: str | None) -> Chosen:
-    """Choose the named jobs; if none is named, all active ones, or a campaign's."""
-    with services.catalogue.reading() as session:
-        if prefixes:
-            return chosen.named(inquiry.find_jobs(session, prefixes))
-        return chosen.active_now(session, campaign)
-
-
-def _wait(services: Services, waited_for: Chosen, timeout: float | None, as_json: bool) -> None:
-    counted = wait_for(services.catalogue, waited_for, timeout, workers=services.settings.workers)
+def _tell_waited(waited: Waited, as_json: bool) -> None:
+    """Print how jobs ended; raise `JobFailed` where one did not succeed."""
     if as_json:
-        output.print_json({"jobs": counted})
+        output.print_json({"jobs": waited.counted})
     else:
         output.say(
-            ", ".join(f"{count} {state}" for state, count in counted.items()) or "there is no such job"
+            ", ".join(f"{count} {state}" for state, count in waited.counted.items()) or "there is no such job"
         )
-    failures = unsuccessful(counted)
-    if failures:
-        with services.catalogue.reading() as session:
-            last = inquiry.failure(session, waited_for)
-        raise JobFailed(f"{failures} of {sum(counted.values())} jobs did not succeed; {last}")
+    waited.require_success()

@@ -11,10 +11,9 @@ from typing import Any
 
 from typer.core import TyperCommand
 
+from sms_jobs.app.kinds import KindView, find_kind
 from sms_jobs.cli import output
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds import all_kinds
-from sms_jobs.kinds.kind import Kind
 
 _WORDS = "sms_jobs.cli.kind_options.words"
 
@@ -47,13 +46,9 @@ def split_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
     return kinds, settings
 
 
-def parameter_rows(kind: Kind[Any]) -> list[tuple[str, Any, str]]:
+def parameter_rows(kind: KindView) -> list[tuple[str, Any, str]]:
     """Return option, default and description of each parameter of a kind."""
-    rows = []
-    for name, field in kind.parameters.model_fields.items():
-        default = None if field.is_required() else field.get_default(call_default_factory=True)
-        rows.append((f"--{name.replace('_', '-')}", default, field.description or ""))
-    return rows
+    return [(f"--{one.name.replace('_', '-')}", one.default, one.meaning) for one in kind.parameters]
 
 
 class KindCommand(TyperCommand):
@@ -68,7 +63,7 @@ class KindCommand(TyperCommand):
         """Write the command's help, then that of the kinds."""
         super().format_help(ctx, formatter)
         for word in ctx.meta.get(_WORDS, ()):
-            kind = all_kinds().get(word)
-            if kind is not None and kind.parameters.model_fields:
+            kind = find_kind(word)
+            if kind is not None and kind.parameters:
                 output.print_sentence(f"Parameters of {kind.name}: {kind.summary}")
                 output.print_table(["option", "default", "meaning"], parameter_rows(kind), empty="")

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from typing import Annotated
 
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.app import rigs
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.jobs import inquiry, locks
+from sms_jobs.records.job import SHORT_ID
 
 app = typer.Typer(help="Devices that a job or a person holds.", no_args_is_help=True)
 
@@ -21,8 +21,8 @@ def list_(home: Home = None, as_json: Json = False) -> None:
 
     Example: sms lock list
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        found = locks.held(session, datetime.now(UTC))
+    with bootstrap.services(home) as services:
+        found = rigs.held_devices(services)
     if as_json:
         output.print_json_list(found)
         return
@@ -33,7 +33,7 @@ def list_(home: Home = None, as_json: Json = False) -> None:
                 lock.device,
                 lock.holder
                 if lock.job_id is None
-                else f"job {lock.job_id[: inquiry.SHORT]}: {lock.kind} {lock.subject}",
+                else f"job {lock.job_id[:SHORT_ID]}: {lock.kind} {lock.subject}",
                 lock.since,
                 lock.lease_until or "it ends",
                 "alive" if lock.alive else "gone: the device is free",
@@ -55,6 +55,6 @@ def release(
 
     Example: sms lock release rig-1/camera-C1
     """
-    with bootstrap.services(home) as services, services.catalogue.writing() as session:
-        gone = locks.release_device(session, device, datetime.now(UTC))
+    with bootstrap.services(home) as services:
+        gone = rigs.release(services, device)
     output.say(f"released {gone}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ipaddress
 import socket
-from datetime import UTC, datetime
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Annotated
@@ -12,11 +11,11 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.app import service
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home
-from sms_jobs.errors import ConfigurationError, Conflict, SmsError
-from sms_jobs.jobs.metrics import Metric, as_text, gather
+from sms_jobs.errors import ConfigurationError, Conflict
 
 _PATIENCE_S = 10.0
 """How long a client may take to say what it wants."""
@@ -36,7 +35,7 @@ def metrics(
     """
     with bootstrap.services(home) as services:
         if once:
-            output.print_text(served(services))
+            output.print_text(service.metrics(services))
             return
         server = _Server(services, address, port)
         host, listening = server.server_address[:2]
@@ -86,7 +85,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.path.partition("?")[0] != "/metrics":
             self.send_error(HTTPStatus.NOT_FOUND, "only /metrics is here")
             return
-        body = served(self.server.services).encode()
+        body = service.metrics(self.server.services).encode()
         self.send_response(HTTPStatus.OK)
         self.send_header("Content-Type", "text/plain; version=0.0.4; charset=utf-8")
         self.send_header("Content-Length", str(len(body)))
@@ -95,15 +94,3 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002 - named by the base class
         """Say nothing of each request."""
-
-
-def served(services: Services) -> str:
-    """Return the numbers; a catalogue that is away is one of them, so that somebody is told."""
-    up = Metric("sms_catalogue_up", "1 when the catalogue answers.")
-    try:
-        with services.catalogue.reading() as session:
-            found = gather(session, services.archive, datetime.now(UTC))
-    except (SmsError, OSError):
-        found = []
-    up.add(bool(found))
-    return as_text([up, *found])

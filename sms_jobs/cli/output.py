@@ -159,16 +159,6 @@ def shown(value: Any) -> str:
     return harmless(str(value))
 
 
-def size(count: int) -> str:
-    """Return a number of bytes as people read it."""
-    amount = float(count)
-    for unit in ("B", "kB", "MB", "GB"):
-        if amount < 1000:
-            return f"{amount:.0f} {unit}" if unit == "B" else f"{amount:.1f} {unit}"
-        amount /= 1000
-    return f"{amount:.1f} TB"
-
-
 def duration(seconds: float) -> str:
     """Return a time span as people read it: two units at most."""
     whole = round(seconds)

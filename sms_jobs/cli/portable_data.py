@@ -13,6 +13,7 @@ from sms_jobs.app.packing import CheckedFolder
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.calibration_acceptance import used_for
 from sms_jobs.cli.output import Home, Json
+from sms_jobs.records.texts import size
 
 _FINDINGS = 6
 
@@ -73,8 +74,7 @@ def pack(
         )
         return
     output.say(
-        f"{done.files} files, {output.size(done.size_bytes)}, are in {to}; 'sms data check {to}' reads them "
-        "again"
+        f"{done.files} files, {size(done.size_bytes)}, are in {to}; 'sms data check {to}' reads them again"
     )
 
 
@@ -89,7 +89,7 @@ def check(folder: Folder, as_json: Json = False) -> None:
     if as_json:
         output.print_json({"checked": found.files, "bytes": found.size_bytes, "faults": found.faults})
     else:
-        _print_faults(found, f"{found.files} files, {output.size(found.size_bytes)}: all as they were packed")
+        _print_faults(found, f"{found.files} files, {size(found.size_bytes)}: all as they were packed")
     if found.faults:
         raise typer.Exit(_FINDINGS)
 

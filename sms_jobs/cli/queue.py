@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from typing import Annotated, Literal
 
 import typer
-from sqlalchemy.orm import Session
 
 from sms_jobs import bootstrap
-from sms_jobs.bootstrap import Services
+from sms_jobs.app import queues
 from sms_jobs.cli import output
-from sms_jobs.cli.job import Campaign, JobIds, named_jobs
+from sms_jobs.cli.job import Campaign, JobIds
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.jobs import queues
-from sms_jobs.jobs.chosen import Chosen
 
 app = typer.Typer(help="Queues: what may begin, and in which order.", no_args_is_help=True)
 
@@ -30,8 +25,8 @@ def list_(home: Home = None, as_json: Json = False) -> None:
 
     Example: sms queue list
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        found = queues.queues(session)
+    with bootstrap.services(home) as services:
+        found = queues.list_queues(services)
     if as_json:
         output.print_json_list(found)
         return
@@ -52,11 +47,9 @@ def pause(
 
     Example: sms queue pause cpu --reason "the rig needs the machine until 14:00"
     """
-    with bootstrap.services(home) as services, services.catalogue.writing() as session:
-        wanted = _checked(session, names)
-        for name in wanted:
-            queues.pause(session, name, reason, datetime.now(UTC))
-    output.say(f"paused {', '.join(wanted)}; 'sms queue resume' lets them go on")
+    with bootstrap.services(home) as services:
+        paused = queues.pause(services, names or [], reason)
+    output.say(f"paused {', '.join(paused)}; 'sms queue resume' lets them go on")
 
 
 @app.command()
@@ -65,11 +58,8 @@ def resume(names: Names = None, home: Home = None) -> None:
 
     Example: sms queue resume cpu
     """
-    with bootstrap.services(home) as services, services.catalogue.writing() as session:
-        wanted = _checked(session, names)
-        resumed = [name for name in wanted if queues.resume(session, name)]
-    if names and not resumed:
-        raise Conflict(f"{', '.join(wanted)} was not paused; nothing was changed")
+    with bootstrap.services(home) as services:
+        resumed = queues.resume(services, names or [])
     output.say(f"resumed {', '.join(resumed) or 'nothing: no queue was paused'}")
 
 
@@ -85,9 +75,7 @@ def move(
     Example: sms queue move front 3f2a
     """
     with bootstrap.services(home) as services:
-        some = _jobs(services, jobs, campaign)
-        with services.catalogue.writing() as session:
-            count = queues.move(session, some, to)
+        count = queues.move(services, jobs or [], campaign, to)
     output.say(f"moved {count} jobs to the {to}")
 
 
@@ -104,28 +92,6 @@ def priority(
 
     Example: sms queue priority 10 --campaign wing-fatigue
     """
-    if abs(value) > queues.HIGHEST_PRIORITY:
-        raise InvalidInput(
-            f"a priority of {value} is beyond +-{queues.HIGHEST_PRIORITY}; give one between these"
-        )
     with bootstrap.services(home) as services:
-        some = _jobs(services, jobs, campaign)
-        with services.catalogue.writing() as session:
-            count = queues.set_priority(session, some, value)
-    if not count:
-        raise Conflict("these jobs have begun or ended already; nothing was changed")
+        count = queues.set_priority(services, jobs or [], campaign, value)
     output.say(f"gave {count} jobs the priority {value}")
-
-
-def _checked(session: Session, names: list[str] | None) -> list[str]:
-    known = queues.known(session)
-    unknown = [name for name in names or [] if name not in known]
-    if unknown:
-        raise InvalidInput(f"there is no queue '{unknown[0]}'; choose among {', '.join(known)}")
-    return names or known
-
-
-def _jobs(services: Services, jobs: list[str] | None, campaign: str | None) -> Chosen:
-    if not jobs and campaign is None:
-        raise InvalidInput("name the jobs, or a campaign with --campaign")
-    return named_jobs(services, jobs or [], campaign)

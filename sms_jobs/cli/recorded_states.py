@@ -12,10 +12,10 @@ from rich.live import Live
 from rich.table import Table
 
 from sms_jobs import bootstrap
+from sms_jobs.app import recordings
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.jobs.campaign_progress import progress_of
 from sms_jobs.records.state_progress import StateProgress
 
 _EVERY_S = 2.0
@@ -40,23 +40,20 @@ def show(
     """
     with bootstrap.services(home) as services:
         if as_json:
-            output.print_json_list(_found(services, campaign))
+            output.print_json_list(recordings.progress(services, campaign))
         elif watch:
             _watch(services, campaign)
         else:
-            output.print_table(_COLUMNS, map(_row, _found(services, campaign)), empty="there is no state")
+            output.print_table(
+                _COLUMNS, map(_row, recordings.progress(services, campaign)), empty="there is no state"
+            )
 
 
 def _watch(services: Services, campaign: str) -> None:
     with suppress(KeyboardInterrupt), Live(console=output.answer, auto_refresh=False) as live:
         while True:
-            live.update(_table(map(_row, _found(services, campaign))), refresh=True)
+            live.update(_table(map(_row, recordings.progress(services, campaign))), refresh=True)
             time.sleep(_EVERY_S)
-
-
-def _found(services: Services, campaign: str) -> list[StateProgress]:
-    with services.catalogue.reading() as session:
-        return progress_of(session, campaign)
 
 
 def _table(rows: Iterable[tuple[object, ...]]) -> Table:

@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-import getpass
-import os
 import signal
-import socket
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
 from math import degrees, radians
 from pathlib import Path
 from typing import Annotated
@@ -17,16 +11,14 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.app import rigs
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.optical_instruments import RigFile
 
 app = typer.Typer(help="Rigs: the instruments that are connected to this host.", no_args_is_help=True)
 
 Rig = Annotated[str, typer.Argument(help="Name of the rig.")]
-_LONGEST = timedelta(minutes=5)
-"""What a check or a move may take; a rig whose holder was killed is free again after it."""
 _SIMULATED = "simulated: there when a campaign gives it a scene"
 
 
@@ -43,15 +35,13 @@ def add(
 
     Example: sms rig add --example > rig.toml; sms rig add rig.toml
     """
-    from sms_jobs.formats.rig_configuration import example_rig
-
     if example:
-        sys.stdout.write(example_rig())
+        sys.stdout.write(rigs.example())
         return
     if file is None:
         raise InvalidInput("name the rig file, or print one with --example")
     with bootstrap.services(home) as services:
-        rig = services.stations.add(file, replace)
+        rig = rigs.add(services, file, replace=replace)
     output.say(
         f"rig {rig.name} is connected: {', '.join(rig.devices)}; 'sms rig check {rig.name}' talks to them, "
         "'sms up' or 'sms worker start' serves it, now if it runs"
@@ -65,9 +55,9 @@ def list_(home: Home = None, as_json: Json = False) -> None:
     Example: sms rig list
     """
     with bootstrap.services(home) as services:
-        rigs = [services.stations.rig(name) for name in services.stations.names()]
+        found = rigs.list_rigs(services)
     if as_json:
-        output.print_json_list(rigs)
+        output.print_json_list(found)
         return
     output.print_table(
         ["rig", "cameras", "projectors", "other instruments"],
@@ -78,7 +68,7 @@ def list_(home: Home = None, as_json: Json = False) -> None:
                 " ".join(p.name for p in r.projectors),
                 " ".join(d for d in r.devices if d not in r.sensors),
             )
-            for r in rigs
+            for r in found
         ],
         empty="no rig is connected to this host; 'sms rig add FILE' takes one",
     )
@@ -91,9 +81,8 @@ def show(rig: Rig, home: Home = None) -> None:
     Example: sms rig show virtual
     """
     with bootstrap.services(home) as services:
-        services.stations.rig(rig)
-        path = services.settings.rig_folder / f"{rig}.toml"
-    output.print_text(path.read_text("utf-8"))
+        text = rigs.file_text(services, rig)
+    output.print_text(text)
 
 
 @app.command()
@@ -105,11 +94,9 @@ def check(rig: Rig, home: Home = None, as_json: Json = False) -> None:
 
     Example: sms rig check virtual
     """
-    from sms_jobs.instruments.checking import checked
-    from sms_jobs.instruments.connection import connected
-
-    with _held(home, rig, "check") as described, connected(described) as found:
-        check = checked(found)
+    with bootstrap.services(home) as services:
+        checked = rigs.check(services, rig)
+    described, check = checked.rig, checked.found
     sensors = {name: check.sensors.get(name, _SIMULATED) for name in described.sensors}
     if as_json:
         pan, tilt = check.stage_rad or (None, None)
@@ -121,7 +108,7 @@ def check(rig: Rig, home: Home = None, as_json: Json = False) -> None:
     for name, levels in check.views.items():
         seen = ", ".join(f"{what} {level:.1f}" for what, level in levels.items())
         rows.append((name, f"sees on average {seen} of {check.full_scales[name]}"))
-    rows += [(name, f"{value:g} {found.channels[name].unit}") for name, value in check.channels.items()]
+    rows += [(name, f"{value:g} {checked.units[name]}") for name, value in check.channels.items()]
     if described.stage is not None:
         rows.append((described.stage.name, _angles(check.stage_rad, rig)))
     output.print_table(["instrument", "says"], rows, empty="this rig has no instruments")
@@ -133,10 +120,8 @@ def home_(rig: Rig, home: Home = None) -> None:
 
     Example: sms rig home virtual
     """
-    from sms_jobs.instruments.connection import connected_stage
-
-    with _held(home, rig, "home") as described, connected_stage(described) as stage:
-        stage.home()
+    with bootstrap.services(home) as services:
+        rigs.home_stage(services, rig)
     output.say(f"the stage of {rig} is at home")
 
 
@@ -151,12 +136,8 @@ def move(
 
     Example: sms rig move virtual --pan 22.5 --tilt -45
     """
-    from sms_jobs.instruments.connection import connected_stage
-
-    with _held(home, rig, "move") as described, connected_stage(described) as stage:
-        stage.stage()
-        stage.move(radians(pan_deg), radians(tilt_deg))
-        pan, tilt = stage.angles()
+    with bootstrap.services(home) as services:
+        pan, tilt = rigs.move_stage(services, rig, radians(pan_deg), radians(tilt_deg))
     output.say(f"the stage of {rig} is at pan {degrees(pan):.3f} deg, tilt {degrees(tilt):.3f} deg")
 
 
@@ -168,12 +149,8 @@ def stop(rig: Rig, home: Home = None) -> None:
 
     Example: sms rig stop virtual
     """
-    from sms_jobs.instruments.clock import RealClock
-    from sms_jobs.instruments.devices.emergency_stop import emergency_stop
-
     with bootstrap.services(home) as services:
-        described = services.stations.rig(rig)
-    stopped = emergency_stop(described.serial.stages, RealClock())
+        stopped = rigs.stop(services, rig)
     output.say(f"stopped {', '.join(stopped)}" if stopped else f"rig {rig} has no stage")
 
 
@@ -189,13 +166,11 @@ def simulate(
 
     Example: sms rig simulate virtual --folder /tmp/virtual
     """
-    from sms_jobs.instruments.simulated.serial.simulation import simulate as put_on_terminals
-
     with bootstrap.services(home) as services:
-        described = services.stations.rig(rig)
-    # Until the ports are waited for, so that their links are removed however it is ended.
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    with put_on_terminals(described.serial, folder) as simulated:
+        # Until the ports are waited for, so that their links are removed however it is ended.
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+        ports = rigs.simulation(services, rig, folder)
+    with ports as simulated:
         output.print_table(
             ["instrument", "port", "baud rate"],
             [(p.device, p.path, p.baud_rate) for p in simulated.ports],
@@ -227,21 +202,13 @@ def serve(
 
     Example: sms rig serve left --listen 192.168.7.11:7411
     """
-    from sms_jobs.instruments.scanners.keys import made_key
-    from sms_jobs.instruments.scanners.link import Address
-    from sms_jobs.instruments.scanners.server import ScannerServer
-
-    address = Address.parse(listen)
-    with bootstrap.services(home) as services:
-        stations, settings = services.stations, services.settings
-        stations.rig(rig)
-        path = key_file or settings.rig_folder / f"{rig}.key"
-        key = made_key(path)
     output.log_to_stderr()
-    server = ScannerServer(lambda: stations.rig(rig), address, key, settings.threads)
+    with bootstrap.services(home) as services:
+        lent = rigs.lend(services, rig, listen, key_file)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    output.say(f"serving scanner {rig} on {server.address}; clients need a copy of {path.absolute()}")
-    server.serve()
+    key = lent.key_file.absolute()
+    output.say(f"serving scanner {rig} on {lent.server.address}; clients need a copy of {key}")
+    lent.server.serve()
 
 
 def _angles(angles_rad: tuple[float, float] | None, rig: str) -> str:
@@ -249,21 +216,3 @@ def _angles(angles_rad: tuple[float, float] | None, rig: str) -> str:
         return f"not homed yet, so that it does not know its angles: 'sms rig home {rig}' looks for them"
     pan, tilt = map(degrees, angles_rad)
     return f"pan {pan:.3f} deg, tilt {tilt:.3f} deg"
-
-
-@contextmanager
-def _held(home: Path | None, rig: str, doing: str) -> Iterator[RigFile]:
-    """Hold a rig as a recording does, so that none begins meanwhile and none is disturbed."""
-    from sms_jobs.jobs import locks
-    from sms_jobs.kinds.kind import rig_queue
-
-    holder = f"{getpass.getuser()}, sms rig {doing}, process {os.getpid()} on {socket.gethostname()}"
-    with bootstrap.services(home) as services:
-        described = services.stations.rig(rig)
-        with services.catalogue.writing() as session:
-            locks.acquire_for(session, [rig_queue(rig)], holder, datetime.now(UTC), _LONGEST)
-        try:
-            yield described
-        finally:
-            with services.catalogue.writing() as session:
-                locks.release(session, holder=holder)

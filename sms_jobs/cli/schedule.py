@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.app import schedules
+from sms_jobs.app.jobs import Work
 from sms_jobs.cli import completion, output
-from sms_jobs.cli.job import given_parameters, requested
+from sms_jobs.cli.job import given_parameters
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
-from sms_jobs.jobs import schedules
-from sms_jobs.jobs.fire_times import parse_expression
-from sms_jobs.jobs.schedules import MissedFire, Order
 
 app = typer.Typer(help="Schedules: jobs that are submitted at their time.", no_args_is_help=True)
 
@@ -50,7 +48,7 @@ def add(
         str | None, typer.Option(help="IANA time zone of the times; this machine's if not given.")
     ] = None,
     missed: Annotated[
-        MissedFire,
+        Literal["skip", "once", "all"],
         typer.Option(help="Times that passed with no service running: skip them, run once, or run all."),
     ] = "once",
     grace: Annotated[float, typer.Option(help="Seconds after which a time counts as missed.", min=1.0)] = 300,
@@ -76,22 +74,21 @@ def add(
     if len(given) != 1:
         raise InvalidInput(f"say when: one of --cron, --at, --every and --after, not {len(given)} of them")
     ((form, what),) = given.items()
-    expression = parse_expression(f"{form} {what}", zone or local_zone())
-    requests = requested(kinds, given_parameters(parameter or []), tuple(state or ()), tuple(view or ()))
-    order = Order(campaign, tuple(requests), priority, not no_cache)
+    parameters = given_parameters(parameter or [])
+    work = Work(
+        campaign, tuple(kinds), parameters, tuple(state or ()), tuple(view or ()), priority, not no_cache
+    )
     now = datetime.now(UTC)
     with bootstrap.services(home) as services:
-        schedules.add(
-            services.catalogue,
+        first = schedules.add(
+            services,
             name,
-            expression,
-            order,
-            now,
-            missed_fire=missed,
+            f"{form} {what}",
+            work,
+            zone=zone,
+            missed=missed,
             grace=timedelta(seconds=grace),
         )
-        with services.catalogue.reading() as session:
-            first = schedules.first_fire(session, name, now)
     if as_json:
         output.print_json({"schedule": name, "next_fire": first})
     else:
@@ -113,8 +110,8 @@ def list_(home: Home = None, as_json: Json = False) -> None:
 
     Example: sms schedule list
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        found = schedules.schedules(session, datetime.now(UTC))
+    with bootstrap.services(home) as services:
+        found = schedules.list_schedules(services)
     if as_json:
         output.print_json_list(found)
         return
@@ -148,8 +145,8 @@ def next_(
 
     Example: sms schedule next nightly --count 3
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        times = schedules.coming(session, name, datetime.now(UTC), count)
+    with bootstrap.services(home) as services:
+        times = schedules.coming(services, name, count)
     if as_json:
         output.print_json({"schedule": name, "times": times})
         return
@@ -181,21 +178,12 @@ def remove(name: Name, home: Home = None) -> None:
 
     Example: sms schedule remove nightly
     """
-    with bootstrap.services(home) as services, services.catalogue.writing() as session:
-        schedules.remove(session, name)
+    with bootstrap.services(home) as services:
+        schedules.remove(services, name)
     output.say(f"removed schedule {name}")
 
 
 def _set_paused(name: str, paused: bool, home: Path | None) -> None:
-    with bootstrap.services(home) as services, services.catalogue.writing() as session:
-        schedules.set_paused(session, name, paused)
+    with bootstrap.services(home) as services:
+        schedules.set_paused(services, name, paused)
     output.say(f"schedule {name} {'is paused' if paused else 'goes on'}")
-
-
-def local_zone() -> str:
-    """Return the IANA name of this machine's zone; UTC where the machine does not tell it."""
-    link = Path("/etc/localtime")
-    _, found, name = str(link.resolve()).partition("zoneinfo/") if link.is_symlink() else ("", "", "")
-    if found and time.localtime().tm_zone not in ("", "UTC"):
-        return name
-    return "UTC"

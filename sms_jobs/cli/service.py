@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import campaigns
+from sms_jobs.app import service
+from sms_jobs.app.service import Status
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import told_outlook
-from sms_jobs.jobs import inquiry
-from sms_jobs.jobs.chosen import Chosen
-from sms_jobs.jobs.estimates import outlook
-from sms_jobs.records.estimates import Outlook
-from sms_jobs.records.job import ALIVE_WITHIN
+from sms_jobs.records.texts import size
 
 
 def init(
@@ -50,11 +45,9 @@ def up(
 
     Example: sms up --home /data/sms
     """
-    from sms_jobs.workers.supervisor import Supervisor
-
     output.log_to_stderr()
     with bootstrap.services(home) as services:
-        supervisor = Supervisor(services)
+        supervisor = service.supervisor(services)
         output.say(
             f"worker {supervisor.worker_id} serves {services.settings.home} with "
             f"{services.settings.workers} jobs at a time; Ctrl-C ends it"
@@ -68,48 +61,35 @@ def status(home: Home = None, as_json: Json = False) -> None:
     Example: sms status --json
     """
     with bootstrap.services(home) as services:
-        facts = _facts(services)
-        facts["outlook"] = _ahead(services)
+        found = service.status(services)
     if as_json:
-        output.print_json(facts)
+        output.print_json(_facts(found))
         return
-    jobs = facts.pop("jobs")
-    workers = facts.pop("workers")
-    facts["jobs"] = ", ".join(f"{count} {state}" for state, count in jobs.items()) or "none"
-    facts["workers"] = (
-        ", ".join(f"{w['id']} on {w['host']}" for w in workers) or "none; start one with 'sms up'"
-    )
-    facts["archive_free"] = output.size(facts.pop("archive_free_bytes"))
-    ahead = facts.pop("outlook")
-    if ahead is not None:
-        facts["ahead"] = told_outlook(ahead)
-    output.print_facts(facts)
-
-
-def _ahead(services: Services) -> Outlook | None:
-    with services.catalogue.reading() as session:
-        active = inquiry.still_active(inquiry.counts(session))
-        return outlook(session, Chosen(), services.settings.workers) if active else None
-
-
-def _facts(services: Services) -> dict[str, Any]:
-    with services.catalogue.reading() as session:
-        return {
-            "home": str(services.settings.home),
-            "catalogue": services.catalogue.describe(),
-            "archive": services.archive.where,
-            "archive_free_bytes": services.archive.room().free_bytes,
-            "campaigns": campaigns.number_of_campaigns(session),
-            "jobs": inquiry.counts(session),
-            "workers": [
-                {
-                    "id": w.id,
-                    "host": w.host,
-                    "pid": w.pid,
-                    "processes": w.processes,
-                    "running": w.running,
-                    "beat_at": w.beat_at,
-                }
-                for w in inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)
-            ],
+    output.print_facts(
+        {
+            "home": found.home,
+            "catalogue": found.catalogue,
+            "archive": found.archive,
+            "campaigns": found.campaigns,
+            "jobs": ", ".join(f"{count} {state}" for state, count in found.jobs.items()) or "none",
+            "workers": ", ".join(f"{w.id} on {w.host}" for w in found.workers)
+            or "none; start one with 'sms up'",
+            "archive_free": size(found.archive_free_bytes),
         }
+        | ({} if found.outlook is None else {"ahead": told_outlook(found.outlook)})
+    )
+
+
+def _facts(found: Status) -> dict[str, Any]:
+    workers = [
+        {
+            "id": w.id,
+            "host": w.host,
+            "pid": w.pid,
+            "processes": w.processes,
+            "running": w.running,
+            "beat_at": w.beat_at,
+        }
+        for w in found.workers
+    ]
+    return {**vars(found), "workers": workers}

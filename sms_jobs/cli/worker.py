@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
 from typing import Annotated
 
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.app import service
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.jobs import inquiry, recovery
 
 app = typer.Typer(help="Workers on this and other hosts.", no_args_is_help=True)
-
-_SHOWN_FOR = timedelta(minutes=5)
 
 
 @app.command()
@@ -33,17 +29,10 @@ def start(
 
     Example: sms worker start --queues cpu,io,rigs
     """
-    from sms_jobs.workers.celery_app import ALL_QUEUES
-    from sms_jobs.workers.supervisor import Supervisor
-
     output.log_to_stderr()
+    wanted = None if queues is None else [queue.strip() for queue in queues.split(",")]
     with bootstrap.services(home) as services:
-        known = (*ALL_QUEUES, *services.stations.queues())
-        wanted = ALL_QUEUES if queues is None else tuple(queue.strip() for queue in queues.split(","))
-        unknown = [queue for queue in wanted if queue not in known]
-        if unknown:
-            raise InvalidInput(f"there is no queue '{unknown[0]}' here; choose among {', '.join(known)}")
-        Supervisor(services, wanted).run()
+        service.supervisor(services, wanted).run()
 
 
 @app.command("list")
@@ -52,8 +41,8 @@ def list_(home: Home = None, as_json: Json = False) -> None:
 
     Example: sms worker list
     """
-    with bootstrap.services(home) as services, services.catalogue.reading() as session:
-        workers = inquiry.workers(session, datetime.now(UTC) - _SHOWN_FOR)
+    with bootstrap.services(home) as services:
+        workers = service.workers(services)
     if as_json:
         output.print_json_list(workers)
         return
@@ -76,10 +65,6 @@ def drain(worker: str, home: Home = None) -> None:
 
     Example: sms worker drain 1f3a
     """
-    with bootstrap.services(home) as services, services.catalogue.writing() as session:
-        known = inquiry.workers(session, datetime.now(UTC) - _SHOWN_FOR)
-        matching = [w.id for w in known if worker and w.id.startswith(worker)]
-        if len(matching) != 1:
-            raise NotFound(f"there is no one worker '{worker}'; 'sms worker list' shows them")
-        recovery.drain(session, matching[0])
-    output.say(f"worker {matching[0]} claims no more jobs")
+    with bootstrap.services(home) as services:
+        drained = service.drain(services, worker)
+    output.say(f"worker {drained} claims no more jobs")

@@ -31,10 +31,7 @@ from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, UNSUCCESSFUL, JobState
-
-SHORT = 8
-"""Characters of a job id that are shown; a unique prefix is enough to name a job."""
+from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, SHORT_ID, UNSUCCESSFUL, JobState
 
 
 @dataclass(frozen=True)
@@ -174,7 +171,7 @@ def _why_waiting(session: Session, job: JobRow) -> list[str]:
         .distinct()
     ).all()
     return [
-        f"it needs {p.kind} {p.subject} (job {p.id[:SHORT]}), which is {p.state.value}" for p in producers
+        f"it needs {p.kind} {p.subject} (job {p.id[:SHORT_ID]}), which is {p.state.value}" for p in producers
     ]
 
 
@@ -207,7 +204,7 @@ def _why_queued(session: Session, job: JobRow, now: datetime) -> list[str]:
 def _why_computed(session: Session, job: JobRow) -> list[str]:
     if job.reused_from is not None:
         same = "same kind and version, parameters, inputs and definition"
-        return [f"it was reused from job {job.reused_from[:SHORT]}: {same}"]
+        return [f"it was reused from job {job.reused_from[:SHORT_ID]}: {same}"]
     earlier = session.scalar(
         select(JobRow)
         .where(
@@ -225,7 +222,7 @@ def _why_computed(session: Session, job: JobRow) -> list[str]:
     if not job.use_cache:
         return ["it was computed because reuse was switched off for it"]
     return [
-        f"it was computed although job {earlier.id[:SHORT]} is alike: {why}"
+        f"it was computed although job {earlier.id[:SHORT_ID]} is alike: {why}"
         for why in _changes(session, earlier, job)
     ]
 
@@ -399,5 +396,5 @@ def failure(session: Session, some: Chosen) -> str:
         return "they were skipped; see 'sms job list'"
     return (
         f"the last was {row.kind} {row.subject}, {row.state.value}: {row.message}; "
-        f"see 'sms job logs {row.id[:SHORT]}', then 'sms job retry {row.id[:SHORT]}'"
+        f"see 'sms job logs {row.id[:SHORT_ID]}', then 'sms job retry {row.id[:SHORT_ID]}'"
     )

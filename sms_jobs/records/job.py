@@ -74,6 +74,10 @@ ALIVE_WITHIN = timedelta(seconds=60)
 """A worker whose last sign of life is older counts as dead."""
 
 
+SHORT_ID = 8
+"""Characters of a job id that are shown; a unique prefix is enough to name a job."""
+
+
 def origins(target: JobState) -> tuple[JobState, ...]:
     """Return the states from which a job may go to `target`."""
     return tuple(state for state, targets in TRANSITIONS.items() if target in targets)

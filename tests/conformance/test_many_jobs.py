@@ -4,24 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import timedelta
+from pathlib import Path
 
 import pytest
 from sqlalchemy import select
 from support.jobs import NOW, claim, events
 from support.statements import heard
 
+from sms_jobs.app.waiting import wait_for
+from sms_jobs.archive import Archive
 from sms_jobs.bench import large_queue
 from sms_jobs.bench.large_queue import SECONDS, fill_queue, name_of
+from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.parts import AT_ONCE
-from sms_jobs.cli.waiting import wait_for
 from sms_jobs.errors import InvalidInput, WaitTimedOut
 from sms_jobs.jobs import chosen, coming, crowds, doorbell, inquiry, lifecycle, queues, recovery
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.estimates import estimate, outlook
 from sms_jobs.records.estimates import Outlook
 from sms_jobs.records.job import JobState
+from sms_jobs.settings import Settings
 
 MANY = 1200
 """More than are looked at one by one here, and than a statement is given values."""
@@ -56,7 +60,7 @@ def waited_for(catalogue: Catalogue) -> None:
     with catalogue.reading() as session:
         some = chosen.active_now(session, CAMPAIGN_NAME)
     with pytest.raises(WaitTimedOut, match=f"{MANY} of {MANY} jobs"):
-        wait_for(catalogue, some, 0.0)
+        wait_for(Services(Settings(home=Path(), workers=2), catalogue, Archive(Path())), some, 0.0)
 
 
 def recovered(catalogue: Catalogue) -> None:

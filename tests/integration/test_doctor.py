@@ -31,6 +31,7 @@ from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, FolderStore
+from sms_jobs.app.doctor import Examined, examine
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import WorkerRow
@@ -371,8 +372,8 @@ def test_an_examination_that_fails_or_hangs_keeps_nothing_from_being_told() -> N
         never.wait()
         raise AssertionError
 
-    examinations = {"fails": fails, "hangs": hangs, "ends": doctor_command.Examined}
-    found = doctor_command.examine(examinations, patience_s=0.2)
+    examinations = {"fails": fails, "hangs": hangs, "ends": Examined}
+    found = examine(examinations, patience_s=0.2)
     never.set()
     assert "RuntimeError: so it is" in found["fails"].findings[0]
     assert "gave no answer within 0.2 s" in found["hangs"].findings[0]

@@ -21,9 +21,9 @@ from support.jobs import NOW, claim, submit_pipeline
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, FolderStore
+from sms_jobs.app.service import metrics
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import WorkerRow
-from sms_jobs.cli.metrics import served
 from sms_jobs.jobs import lifecycle, queues, recovery, schedules
 from sms_jobs.jobs.fire_times import parse_expression
 from sms_jobs.jobs.metrics import Metric, as_text, gather
@@ -188,13 +188,13 @@ def test_a_catalogue_that_is_away_is_a_number(
     for variable, value in environment.items():
         monkeypatch.setenv(variable, value)
     with bootstrap.services(home) as services, server.connect() as connection:
-        assert read(served(services))["sms_catalogue_up"] == 1
+        assert read(metrics(services))["sms_catalogue_up"] == 1
         connection.execute(sqlalchemy.text(f"ALTER DATABASE {name} ALLOW_CONNECTIONS false"))
         ended = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = :name"
         connection.execute(sqlalchemy.text(ended), {"name": name})
-        assert read(served(services)) == {"sms_catalogue_up": 0}
+        assert read(metrics(services)) == {"sms_catalogue_up": 0}
         connection.execute(sqlalchemy.text(f"ALTER DATABASE {name} ALLOW_CONNECTIONS true"))
-        assert read(served(services))["sms_catalogue_up"] == 1
+        assert read(metrics(services))["sms_catalogue_up"] == 1
 
 
 def test_once_prints_and_tells_no_secret(lived_in: Deployment) -> None:

@@ -7,9 +7,9 @@ import re
 import pytest
 from support.command import inside
 
+from sms_jobs.app.kinds import KindView, kinds
 from sms_jobs.cli.kind_options import parameter_rows, split_words
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds import all_kinds
 
 
 def test_options_among_the_kinds_become_settings() -> None:
@@ -35,9 +35,9 @@ def test_what_cannot_be_meant_is_refused(words: list[str], message: str) -> None
         split_words(words)
 
 
-@pytest.mark.parametrize("kind", all_kinds().values(), ids=lambda kind: kind.name)
-def test_every_parameter_of_every_kind_says_what_it_means(kind: object) -> None:
-    for option, _, meaning in parameter_rows(kind):  # type: ignore[arg-type]
+@pytest.mark.parametrize("kind", kinds(), ids=lambda kind: kind.name)
+def test_every_parameter_of_every_kind_says_what_it_means(kind: KindView) -> None:
+    for option, _, meaning in parameter_rows(kind):
         assert re.fullmatch(r"--[a-z][a-z0-9-]*", option)
         assert meaning
 

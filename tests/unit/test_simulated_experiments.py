@@ -9,8 +9,8 @@ import pytest
 from support.homes import make_home
 
 from sms_jobs import bootstrap
+from sms_jobs.app.experiments import EXPERIMENTS, experiment_campaigns
 from sms_jobs.catalogue import campaigns
-from sms_jobs.cli.simulated_campaigns import EXPERIMENTS, experiment_campaigns
 from sms_jobs.jobs.registration import register_campaign
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from dataclasses import dataclass
+from datetime import UTC
 from math import isfinite
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from sms_jobs.formats.interchange.thesis_calibration import find_thesis_calibrat
 from sms_jobs.formats.interchange.xml_elements import parse_xml
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import distortion_jacobian, undistort
+from sms_jobs.records.calibration import Supplement
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
 from sms_jobs.records.views import role_of, sensor_name
@@ -29,30 +30,6 @@ _DIALECTS: dict[Style, Dialect] = {"opencv-yaml": "yml", "opencv-xml": "xml", "o
 _MOST_BLIND = 0.5
 """The part of an image that may have no ray before the coefficients are taken for those of another model."""
 _GRID = 33
-
-
-@dataclass(frozen=True)
-class Supplement:
-    """What a person says of a file that does not say it itself.
-
-    Attributes
-    ----------
-    rig, valid_from, volume
-        Win over what the file says.
-    names
-        C1, P1, ... of the sensors, in the order of the file; by default cameras and projectors are counted.
-    sizes
-        Columns and rows of sensors, by name.
-    millimetres_per_unit
-        Of the lengths in the file.
-    """
-
-    rig: str | None = None
-    valid_from: datetime | None = None
-    volume: Box | None = None
-    names: tuple[str, ...] = ()
-    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
-    millimetres_per_unit: float = 1.0
 
 
 @dataclass(frozen=True)

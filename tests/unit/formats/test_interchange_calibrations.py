@@ -13,7 +13,6 @@ import pytest
 
 from sms_jobs.errors import ConfigurationError, InvalidInput, OtherFormat, SmsError
 from sms_jobs.formats.interchange.calibration_files import (
-    Supplement,
     calibration_text,
     read_calibration,
 )
@@ -21,6 +20,7 @@ from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
+from sms_jobs.records.calibration import Supplement
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
 from sms_jobs.records.views import Role
 

@@ -1,0 +1,186 @@
+"""The archive: compared with what was sealed, entered again, repaired and tidied up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+from sms_jobs.app.progress import Step, Tell, nobody
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import upkeep
+from sms_jobs.jobs import left_frames, reindexing, retention, verification
+from sms_jobs.jobs import repair as repairing
+from sms_jobs.jobs.left_frames import LeftFrames
+from sms_jobs.jobs.reindexing import Reindexed
+from sms_jobs.jobs.repair import Repair
+from sms_jobs.jobs.retention import Removable
+from sms_jobs.jobs.verification import Checked, Finding
+from sms_jobs.kinds import kind_named
+
+_ENTERED = ("indexed", "incomplete")
+
+
+@dataclass(frozen=True)
+class Verified:
+    """How many files were compared, their size, and what is not as it should be."""
+
+    files: int
+    size_bytes: int
+    findings: tuple[Finding, ...]
+
+
+def verify(
+    services: Services,
+    *,
+    campaign: str | None = None,
+    quick: bool = False,
+    after: int = 0,
+    tell: Tell = nobody,
+    passed: Callable[[int], None] = lambda number: None,
+) -> Verified:
+    """Read every file of the archive, or of a campaign, and compare it with the catalogue.
+
+    Files that the catalogue does not know are findings too, unless only those of a campaign are looked at.
+
+    Parameters
+    ----------
+    quick
+        Look at presence and size alone.
+    after
+        Go on after the file of this number.
+    tell
+        Told bytes.
+    passed
+        Told the number of each file that has been compared.
+
+    Raises `NotFound` where there is no such campaign.
+    """
+    with services.catalogue.reading() as session:
+        wanted = verification.extent(session, after, campaign)
+    findings = []
+    for done in _checked(services, tell, wanted.size_bytes, after, campaign, quick):
+        passed(done.file_id)
+        if done.finding is not None:
+            findings.append(done.finding)
+    if campaign is None:
+        findings += verification.check_unknown(services.catalogue, services.archive)
+    return Verified(wanted.files, wanted.size_bytes, tuple(findings))
+
+
+def _checked(
+    services: Services, tell: Tell, size: int, after: int, campaign: str | None, quick: bool
+) -> Iterator[Checked]:
+    read = 0
+    for done in verification.check_known(
+        services.catalogue, services.archive, after=after, campaign=campaign, quick=quick
+    ):
+        read += done.size_bytes
+        tell(Step("verifying", read, size))
+        yield done
+
+
+@dataclass(frozen=True)
+class Reindexing:
+    """What became of the files that the catalogue did not know."""
+
+    files: tuple[Reindexed, ...]
+
+    @property
+    def entered(self) -> int:
+        """How many are in the catalogue, or would be."""
+        return sum(one.outcome in _ENTERED for one in self.files)
+
+    @property
+    def not_well(self) -> tuple[Reindexed, ...]:
+        """Those that were refused, or lack an input."""
+        return tuple(one for one in self.files if one.outcome != "indexed")
+
+    @property
+    def size_bytes(self) -> int:
+        """Of all of them."""
+        return sum(one.size_bytes for one in self.files)
+
+
+def reindex(services: Services, *, dry_run: bool = False, tell: Tell = nobody) -> Reindexing:
+    """Enter the files of the archive that the catalogue does not know; `tell` is told files."""
+    paths = reindexing.unknown_files(services.catalogue, services.archive)
+    done = []
+    for one in reindexing.reindex(services.catalogue, services.archive, paths, dry_run=dry_run):
+        done.append(one)
+        tell(Step("reindexing", len(done), len(paths)))
+    if done and not dry_run:
+        upkeep.analyse(services.catalogue)
+    return Reindexing(tuple(done))
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """What was done, or would be, and what could not be done after all."""
+
+    repairs: tuple[Repair, ...]
+    undone: tuple[Repair, ...]
+
+
+def repair(services: Services, *, dry_run: bool = True, quick: bool = False, tell: Tell = nobody) -> Repaired:
+    """Verify the archive and mend what can be mended; nothing is ever deleted.
+
+    Parameters
+    ----------
+    dry_run
+        Only say what would be done.
+    quick
+        Look at presence and size alone.
+    tell
+        Told bytes.
+    """
+    catalogue, archive = services.catalogue, services.archive
+    with catalogue.reading() as session:
+        wanted = verification.extent(session)
+    checked = _checked(services, tell, wanted.size_bytes, 0, None, quick)
+    findings = [done.finding for done in checked if done.finding is not None]
+    findings += verification.check_unknown(catalogue, archive)
+    repairs = repairing.planned(catalogue, archive, findings)
+    undone = [] if dry_run else repairing.apply(catalogue, archive, repairs, datetime.now(UTC))
+    return Repaired(tuple(repairs), tuple(undone))
+
+
+@dataclass(frozen=True)
+class Removed:
+    """Results, and frames of recordings in this host's spool, that were removed, or would be."""
+
+    files: tuple[Removable, ...]
+    frames: tuple[LeftFrames, ...]
+
+    @property
+    def size_bytes(self) -> int:
+        """Of all of them."""
+        return sum(g.size_bytes for g in self.files) + sum(f.size_bytes for f in self.frames)
+
+
+def remove_old(
+    services: Services, age: timedelta, kinds: Sequence[str] = (), *, dry_run: bool = True
+) -> Removed:
+    """Remove old results that newer ones have replaced, and frames that old recordings have left.
+
+    Parameters
+    ----------
+    age
+        Only what is older.
+    kinds
+        Only results of these; all if it is empty.
+    dry_run
+        Only say what would go.
+
+    Raises `NotFound` where there is no such kind.
+    """
+    wanted, now = [kind_named(name).name for name in kinds], datetime.now(UTC)
+    spool = services.settings.spool_folder
+    if dry_run:
+        with services.catalogue.reading() as session:
+            gone = retention.removable(session, now, age, wanted)
+            frames = left_frames.removable(session, spool, now, age, wanted)
+    else:
+        gone = retention.remove(services.catalogue, services.archive, now, age, wanted)
+        frames = left_frames.remove(services.catalogue, spool, now, age, wanted)
+    return Removed(tuple(gone), tuple(frames))

@@ -1,0 +1,243 @@
+"""Calibrations of rigs: shown, certified, compared, and taken into use; in the files of other programs too.
+
+What computes with them is imported by the functions that need it: its kernels take a second, for which
+whoever lists them would wait.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import search
+from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.interchange.styles import Style
+from sms_jobs.jobs import acceptances
+from sms_jobs.jobs.registration import Registered, register_calibration
+from sms_jobs.metrology.geometry.lens import COEFFICIENTS
+from sms_jobs.records.calibration import Supplement
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.files import CalibrationView
+from sms_jobs.records.sensors import Calibration
+
+if TYPE_CHECKING:
+    from sms_jobs.jobs.calibrations import CalibrationCheck, KnownCalibration
+    from sms_jobs.metrology.calibration.comparison import CalibrationComparison
+
+STYLES: tuple[str, ...] = get_args(Style)
+"""Names of the files of other programs that calibrations are written as."""
+DISTORTION: tuple[str, ...] = COEFFICIENTS
+"""Names of a lens's coefficients, in the order of `Intrinsics.distortion`."""
+
+
+def list_calibrations(services: Services, rig: str | None = None) -> list[CalibrationView]:
+    """Return the calibrations of a rig, or all: the one that became valid last first."""
+    with services.catalogue.reading() as session:
+        return search.list_calibrations(session, rig)
+
+
+def show(services: Services, number: int) -> KnownCalibration:
+    """Return a calibration with what is known of it; raises `NotFound` where there is no such one."""
+    from sms_jobs.jobs import calibrations
+
+    return calibrations.known_calibration(services.catalogue, services.archive, number)
+
+
+@dataclass(frozen=True)
+class Certified:
+    """The calibration that a session gave, in use; `new` unless it was before."""
+
+    number: int
+    new: bool
+    calibration: Calibration
+
+
+def certify(
+    services: Services, session: str, valid_from: datetime | None = None, *, despite_warnings: bool = False
+) -> Certified:
+    """Take the calibration that a session gave into use.
+
+    Parameters
+    ----------
+    valid_from
+        From when on it is used; from the session's beginning if it is None.
+    despite_warnings
+        Whether it is taken though it has warnings.
+
+    Raises
+    ------
+    NotFound
+        There is no such session, or it has given no calibration.
+    Conflict
+        It has warnings, or contradicts what is in use.
+    """
+    from sms_jobs.jobs import calibrations
+
+    return Certified(
+        *calibrations.certify(
+            services.catalogue,
+            services.archive,
+            session,
+            valid_from,
+            datetime.now(UTC),
+            despite_warnings=despite_warnings,
+        )
+    )
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What changed between two calibrations, and from which change of points in mm on it matters."""
+
+    comparison: CalibrationComparison
+    tolerance_mm: float
+
+
+def compare(services: Services, before: int, after: int, tolerance_mm: float | None = None) -> Compared:
+    """Say what changed between two calibrations of a rig, and whether it matters.
+
+    Parameters
+    ----------
+    tolerance_mm
+        Change of points from which on it matters; what the earlier lets expect if it is None.
+
+    Raises
+    ------
+    NotFound
+        There is no such calibration.
+    InvalidInput
+        They are of two rigs.
+    """
+    from sms_jobs.jobs import calibrations
+
+    return Compared(*calibrations.compare(services.catalogue, services.archive, before, after, tolerance_mm))
+
+
+def check(
+    services: Services, tuples: Sequence[str], *, baseline_mm: float = 0.01, false_alarm: float = 0.001
+) -> list[CalibrationCheck]:
+    """Decide from ordinary measurements, by their ray gaps, whether the calibration still holds.
+
+    Parameters
+    ----------
+    tuples
+        As campaign/state/view, whose shape has been measured.
+    baseline_mm
+        Systematic gap that is usual for the rig.
+    false_alarm
+        Probability that a calibration that holds is said to have drifted.
+
+    Raises
+    ------
+    NotFound
+        A tuple has no shape.
+    InvalidInput
+        It is no tuple.
+    """
+    from sms_jobs.jobs import calibrations
+
+    now = datetime.now(UTC)
+    return [
+        calibrations.check(
+            services.catalogue,
+            services.archive,
+            Subject.parse(text),
+            now,
+            baseline_mm=baseline_mm,
+            false_alarm=false_alarm,
+        )
+        for text in tuples
+    ]
+
+
+@dataclass(frozen=True)
+class Decision:
+    """A calibration after somebody decided what it is used for; `new` unless it was so before."""
+
+    calibration: CalibrationView
+    new: bool
+
+
+def decide(services: Services, number: int, campaign: str | None, *, in_use: bool) -> Decision:
+    """Take a calibration into use for its rig, or for one campaign; or use it no longer.
+
+    Raises
+    ------
+    NotFound
+        There is no such calibration or campaign.
+    Conflict
+        It is of other sensors.
+    """
+    new = acceptances.accept(
+        services.catalogue, services.archive, number, campaign, datetime.now(UTC), in_use=in_use
+    )
+    with services.catalogue.reading() as session:
+        return Decision(search.calibration_view(session, number), new)
+
+
+@dataclass(frozen=True)
+class CalibrationText:
+    """A calibration as a file of another program, and what that file cannot say."""
+
+    text: str
+    remarks: tuple[str, ...]
+
+
+def export(services: Services, number: int, style: str, *, pixel_pitch_um: float = 5.0) -> CalibrationText:
+    """Return a calibration as a file of another program, one of `STYLES`.
+
+    Parameters
+    ----------
+    pixel_pitch_um
+        Width of a pixel, where the file has millimetres on the chip.
+
+    Raises
+    ------
+    InvalidInput
+        There is no such style.
+    NotFound
+        There is no such calibration.
+    """
+    # OpenCV writes the files; no other function here needs it.
+    from sms_jobs.formats.interchange.calibration_files import calibration_text
+
+    styles: tuple[Style, ...] = get_args(Style)
+    chosen = next((one for one in styles if one == style), None)
+    if chosen is None:
+        raise InvalidInput(f"--as should be one of {', '.join(STYLES)}, not '{style}'")
+    with services.catalogue.reading() as session:
+        view = search.calibration_view(session, number)
+    with services.archive.open(view) as dataset:
+        calibration = dataset.read("calibration", Calibration)
+    text, remarks = calibration_text(calibration, chosen, pixel_pitch_um / 1000.0)
+    return CalibrationText(text, remarks)
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A calibration that was brought in, what became of it, and what was assumed of its file."""
+
+    registered: Registered
+    calibration: Calibration
+    remarks: tuple[str, ...]
+
+
+def import_files(services: Services, files: Sequence[Path], given: Supplement) -> Imported:
+    """Bring in a calibration that was made elsewhere, from a file or several that complete each other.
+
+    Raises
+    ------
+    InvalidInput
+        The files cannot be read, or do not say enough with what is given.
+    Conflict
+        The rig has other sensors.
+    """
+    from sms_jobs.formats.interchange.calibration_files import read_calibration
+
+    found = read_calibration(files, given)
+    known = register_calibration(services.catalogue, services.archive, found.calibration, datetime.now(UTC))
+    return Imported(known, found.calibration, found.remarks)

@@ -1,0 +1,111 @@
+"""Campaigns: made from their plans, listed and shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import campaigns, valid_calibrations
+from sms_jobs.formats import configuration
+from sms_jobs.jobs import inquiry
+from sms_jobs.jobs.chosen import Chosen
+from sms_jobs.jobs.inquiry import CampaignView
+from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.records.campaign import Campaign
+
+
+def example(*, session: bool = False) -> str:
+    """Return a test plan to start from, or, with `session`, that of a calibration session."""
+    return configuration.example_session() if session else configuration.example_campaign()
+
+
+def create(services: Services, plan: Path) -> Campaign:
+    """Create a campaign, or a calibration session, from the file of its plan.
+
+    Raises
+    ------
+    InvalidInput
+        The plan cannot be read.
+    Conflict
+        There is a campaign of that name.
+    """
+    loaded = configuration.load_campaign(plan)
+    register_campaign(
+        services.catalogue,
+        services.archive,
+        loaded.campaign,
+        loaded.calibration,
+        datetime.now(UTC),
+        loaded.text,
+    )
+    return loaded.campaign
+
+
+@dataclass(frozen=True)
+class Campaigns:
+    """The newest campaigns, and how many there are in all."""
+
+    newest: tuple[CampaignView, ...]
+    total: int
+
+
+def list_campaigns(services: Services, limit: int = 50) -> Campaigns:
+    """Return campaigns, the newest first."""
+    with services.catalogue.reading() as session:
+        rows = inquiry.list_campaigns(session, limit)
+        return Campaigns(tuple(rows), campaigns.number_of_campaigns(session))
+
+
+def names(services: Services) -> list[str]:
+    """Return the names of all campaigns."""
+    with services.catalogue.reading() as session:
+        return inquiry.campaign_names(session)
+
+
+def definition(services: Services, name: str) -> Campaign:
+    """Return a campaign as it is defined; raises `NotFound` where there is none of that name."""
+    with services.catalogue.reading() as session:
+        return campaigns.definition(campaigns.campaign_row(session, name))
+
+
+@dataclass(frozen=True)
+class CampaignStory:
+    """What is known of a campaign.
+
+    Attributes
+    ----------
+    campaign, stored
+        As it is defined, and as the catalogue keeps that.
+    created_at
+        When it was made.
+    plan
+        The test plan that it was made from, letter by letter; None where a program made it.
+    jobs
+        How many are in each state.
+    times
+        When states were measured, by label.
+    """
+
+    campaign: Campaign
+    stored: dict[str, Any]
+    created_at: datetime
+    plan: str | None
+    jobs: dict[str, int]
+    times: dict[str, datetime]
+
+
+def show(services: Services, name: str) -> CampaignStory:
+    """Return what is known of a campaign; raises `NotFound` where there is none of that name."""
+    with services.catalogue.reading() as session:
+        row = campaigns.campaign_row(session, name)
+        return CampaignStory(
+            campaigns.definition(row),
+            row.definition,
+            row.created_at,
+            row.plan,
+            inquiry.counts(session, Chosen(campaign_id=row.id)),
+            valid_calibrations.state_times(session, row.id),
+        )

@@ -1,0 +1,253 @@
+"""Jobs: submitted, looked at and mended."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import search, upkeep
+from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.jobs import chosen, crowds, inquiry, lifecycle
+from sms_jobs.jobs.chosen import Chosen
+from sms_jobs.jobs.estimates import estimate_planned, outlook
+from sms_jobs.jobs.inquiry import Event, JobView
+from sms_jobs.jobs.logs import job_log
+from sms_jobs.jobs.planning import PIPELINE, Request
+from sms_jobs.jobs.submission import Submission, draft, enter, while_outdated
+from sms_jobs.jobs.turns import planning_turn
+from sms_jobs.records.estimates import Estimate, Outlook
+from sms_jobs.records.files import FileView
+from sms_jobs.records.job import JobState
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is to be computed of a campaign.
+
+    Attributes
+    ----------
+    kinds
+        Names of kinds, or `kinds.EVERYTHING`.
+    parameters
+        By name of a single kind, by `kind.name` of one of several or of everything.
+    states, views
+        Empty for all.
+    priority
+        Higher runs earlier.
+    use_cache
+        Whether what was computed before is taken.
+    """
+
+    campaign: str
+    kinds: tuple[str, ...]
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    states: tuple[str, ...] = ()
+    views: tuple[str, ...] = ()
+    priority: int = 0
+    use_cache: bool = True
+
+    @property
+    def requests(self) -> list[Request]:
+        """Each kind with its parameters; raises `InvalidInput` for a parameter of no kind."""
+        kinds, parameters = self.kinds, self.parameters
+        if len(kinds) == 1:
+            return [Request(kinds[0], parameters, self.states, self.views)]
+        stray = [name for name in parameters if name.partition(".")[0] not in kinds]
+        if stray and PIPELINE not in kinds:
+            raise InvalidInput(
+                f"parameter '{stray[0]}' must be KIND.NAME=VALUE, with KIND one of {', '.join(kinds)}"
+            )
+        requests = []
+        for kind in kinds:
+            own = {name: value for name, value in parameters.items() if name.startswith(f"{kind}.")}
+            given = {name.partition(".")[2]: value for name, value in own.items()}
+            if kind == PIPELINE:
+                given = {n: v for n, v in parameters.items() if n.partition(".")[0] not in kinds}
+            requests.append(Request(kind, given, self.states, self.views))
+        return requests
+
+
+@dataclass(frozen=True)
+class Submitted:
+    """Jobs that were submitted, or would be.
+
+    Attributes
+    ----------
+    job_ids
+        Each after those that it needs.
+    counted
+        How many of each kind.
+    estimate
+        When they will have ended.
+    jobs
+        What they are waited for by.
+    """
+
+    job_ids: tuple[str, ...]
+    counted: dict[str, int]
+    estimate: Estimate
+    jobs: Chosen
+
+
+def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitted:
+    """Submit jobs and say how long they will take; with `dry_run`, say so alone.
+
+    Raises
+    ------
+    NotFound
+        There is no such campaign or kind, or something that it needs.
+    InvalidInput
+        A parameter, state or view is not one of them.
+    """
+    requests, now = work.requests, datetime.now(UTC)
+
+    def attempt() -> tuple[Submission, Estimate]:
+        with services.catalogue.reading() as session:
+            planned = draft(
+                session, work.campaign, requests, now, priority=work.priority, use_cache=work.use_cache
+            )
+            ahead = estimate_planned(session, planned, now, services.settings.workers)
+        if dry_run:
+            return planned.submission, ahead
+        with services.catalogue.writing() as session:
+            return enter(session, planned), ahead
+
+    with planning_turn(services.settings.home):
+        done, ahead = while_outdated(attempt)
+    if not dry_run and len(done.job_ids) >= upkeep.MANY:
+        upkeep.analyse(services.catalogue)
+    counted = {name: done.kinds.count(name) for name in dict.fromkeys(done.kinds)}
+    return Submitted(done.job_ids, counted, ahead, chosen.submitted(done))
+
+
+def list_jobs(
+    services: Services,
+    *,
+    campaign: str | None = None,
+    states: Sequence[JobState] = (),
+    kind: str | None = None,
+    limit: int = 50,
+) -> list[JobView]:
+    """Return jobs, the latest first; of a campaign, in some states, of a kind.
+
+    Raises `NotFound` where there is no such campaign.
+    """
+    with services.catalogue.reading() as session:
+        return inquiry.list_jobs(session, campaign=campaign, states=states, kind=kind, limit=limit)
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """How many jobs have not ended, and how they come along; None where all have."""
+
+    active: int
+    outlook: Outlook | None
+
+
+def remaining(services: Services, campaign: str | None = None) -> Remaining:
+    """Return how the jobs of a campaign, or all, come along."""
+    with services.catalogue.reading() as session:
+        scope = chosen.of_campaign(session, campaign)
+        active = inquiry.still_active(inquiry.counts(session, scope))
+        return Remaining(active, outlook(session, scope, services.settings.workers) if active else None)
+
+
+@dataclass(frozen=True)
+class JobStory:
+    """A job, what has happened to it, and the files that it made or took over."""
+
+    job: JobView
+    events: tuple[Event, ...]
+    files: tuple[FileView, ...]
+
+
+def show(services: Services, prefix: str) -> JobStory:
+    """Return the job whose id begins so, with what became of it.
+
+    Raises `NotFound` where there is none, and `Conflict` where there are several.
+    """
+    with services.catalogue.reading() as session:
+        row = inquiry.find_job(session, prefix)
+        files = search.files_of_job(session, row.reused_from or row.id)
+        return JobStory(inquiry.job_view(row), tuple(inquiry.events(session, row.id)), tuple(files))
+
+
+@dataclass(frozen=True)
+class JobLog:
+    """The log of a job, and where it lies; None where the job has written none."""
+
+    job: JobView
+    path: Path
+    text: str | None
+
+
+def log(services: Services, prefix: str) -> JobLog:
+    """Return the log of the job whose id begins so, whichever host has run it; raises as `show` does."""
+    with services.catalogue.reading() as session:
+        view = inquiry.job_view(inquiry.find_job(session, prefix))
+    path = job_log(services.settings.job_log_folder, view.id)
+    there = path.exists()
+    return JobLog(view, path, path.read_text("utf-8", errors="backslashreplace") if there else None)
+
+
+def choose(services: Services, prefixes: Sequence[str], campaign: str | None) -> Chosen:
+    """Choose the named jobs; if none is named, all active ones, or a campaign's."""
+    with services.catalogue.reading() as session:
+        if prefixes:
+            return chosen.named(inquiry.find_jobs(session, prefixes))
+        return chosen.active_now(session, campaign)
+
+
+def cancel(services: Services, prefixes: Sequence[str], campaign: str | None) -> int:
+    """Cancel the named jobs, or those of a campaign, and return how many.
+
+    Raises
+    ------
+    InvalidInput
+        Neither is named.
+    NotFound
+        There is no such job or campaign.
+    Conflict
+        The named jobs have ended already.
+    """
+    if not prefixes and campaign is None:
+        raise InvalidInput("name the jobs to cancel, or a campaign with --campaign")
+    some = choose(services, prefixes, campaign)
+    cancelled = crowds.cancel(services.catalogue, some, datetime.now(UTC))
+    if prefixes and not cancelled:
+        raise Conflict("these jobs have ended already; nothing was cancelled")
+    return cancelled
+
+
+def retry(services: Services, prefixes: Sequence[str], campaign: str | None) -> int:
+    """Give jobs that ended without success another chance, with all that was skipped for them.
+
+    Returns how many run again. Raises as `cancel` does, `Conflict` for a job that cannot be retried.
+    """
+    if not prefixes and campaign is None:
+        raise InvalidInput("name the jobs to retry, or a campaign with --campaign")
+    now = datetime.now(UTC)
+    if campaign is not None and not prefixes:
+        return crowds.retry(services.catalogue, campaign, now)
+    with services.catalogue.writing() as session:
+        ids = inquiry.find_jobs(session, prefixes)
+        return sum(lifecycle.retry(session, job_id, now) for job_id in ids)
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why a job waits, ran, was reused, or is stale, in sentences."""
+
+    job_id: str
+    sentences: tuple[str, ...]
+
+
+def explain(services: Services, prefix: str) -> Explanation:
+    """Say why a job waits, ran, was reused, or is stale; raises as `show` does."""
+    with services.catalogue.reading() as session:
+        row = inquiry.find_job(session, prefix)
+        return Explanation(row.id, tuple(inquiry.explain(session, row, datetime.now(UTC))))

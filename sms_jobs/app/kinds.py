@@ -1,0 +1,77 @@
+"""What can be computed: the job kinds and their parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from sms_jobs.jobs.planning import PIPELINE
+from sms_jobs.kinds import all_kinds
+from sms_jobs.kinds.kind import Kind
+
+EVERYTHING = PIPELINE
+"""Instead of a kind: all that lead from measurements to the report."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a kind; None is the default of one that has to be given, too."""
+
+    name: str
+    default: Any
+    meaning: str
+
+
+@dataclass(frozen=True)
+class KindView:
+    """A job kind.
+
+    Attributes
+    ----------
+    name, version, summary
+        Which it is, and what it does.
+    per
+        What one job of it is for: a tuple, a state or a campaign.
+    inputs, outputs
+        What it takes and gives: ports and records, as plain values.
+    parameters
+        In the order in which they are declared.
+    """
+
+    name: str
+    version: int
+    per: str
+    summary: str
+    inputs: tuple[dict[str, Any], ...]
+    outputs: tuple[dict[str, str], ...]
+    parameters: tuple[Parameter, ...]
+
+
+def kinds() -> list[KindView]:
+    """Return the job kinds, in the order in which results follow from each other."""
+    return [_view(kind) for kind in all_kinds().values()]
+
+
+def find_kind(name: str) -> KindView | None:
+    """Return the kind of a name; None where there is none."""
+    kind = all_kinds().get(name)
+    return None if kind is None else _view(kind)
+
+
+def _view(kind: Kind[Any]) -> KindView:
+    return KindView(
+        kind.name,
+        kind.version,
+        kind.scope.value,
+        kind.summary,
+        tuple(port.described() for port in kind.inputs),
+        tuple(product.described() for product in kind.outputs),
+        tuple(
+            Parameter(
+                name,
+                None if field.is_required() else field.get_default(call_default_factory=True),
+                field.description or "",
+            )
+            for name, field in kind.parameters.model_fields.items()
+        ),
+    )

@@ -1,0 +1,95 @@
+"""Queues: what may begin, and in which order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Literal
+
+from sqlalchemy.orm import Session
+
+from sms_jobs.app import jobs
+from sms_jobs.bootstrap import Services
+from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.jobs import queues as held
+from sms_jobs.jobs.chosen import Chosen
+from sms_jobs.jobs.queues import QueueView
+
+
+def list_queues(services: Services) -> list[QueueView]:
+    """Return the queues, how many jobs are in them, and which are paused."""
+    with services.catalogue.reading() as session:
+        return held.queues(session)
+
+
+def pause(services: Services, names: Sequence[str], reason: str) -> list[str]:
+    """Let no more jobs of some queues begin, or of all if none is named; return which.
+
+    Raises `InvalidInput` for a queue that is not there.
+    """
+    with services.catalogue.writing() as session:
+        wanted = _checked(session, names)
+        for name in wanted:
+            held.pause(session, name, reason, datetime.now(UTC))
+    return wanted
+
+
+def resume(services: Services, names: Sequence[str]) -> list[str]:
+    """Let the jobs of paused queues begin again, of all if none is named; return which were paused.
+
+    Raises `InvalidInput` for a queue that is not there, and `Conflict` where none of the named was paused.
+    """
+    with services.catalogue.writing() as session:
+        wanted = _checked(session, names)
+        resumed = [name for name in wanted if held.resume(session, name)]
+    if names and not resumed:
+        raise Conflict(f"{', '.join(wanted)} was not paused; nothing was changed")
+    return resumed
+
+
+def move(
+    services: Services, prefixes: Sequence[str], campaign: str | None, to: Literal["front", "back"]
+) -> int:
+    """Bring the named jobs, or those of a campaign, that have not begun before or behind all others.
+
+    Returns how many. Raises as `jobs.choose` does, and `InvalidInput` where neither is named.
+    """
+    some = _named(services, prefixes, campaign)
+    with services.catalogue.writing() as session:
+        return held.move(session, some, to)
+
+
+def set_priority(services: Services, prefixes: Sequence[str], campaign: str | None, priority: int) -> int:
+    """Give the named jobs, or those of a campaign, that have not begun another priority; return how many.
+
+    Raises
+    ------
+    InvalidInput
+        Neither is named, or the priority is beyond what is kept.
+    Conflict
+        They have all begun or ended.
+    """
+    if abs(priority) > held.HIGHEST_PRIORITY:
+        raise InvalidInput(
+            f"a priority of {priority} is beyond +-{held.HIGHEST_PRIORITY}; give one between these"
+        )
+    some = _named(services, prefixes, campaign)
+    with services.catalogue.writing() as session:
+        count = held.set_priority(session, some, priority)
+    if not count:
+        raise Conflict("these jobs have begun or ended already; nothing was changed")
+    return count
+
+
+def _checked(session: Session, names: Sequence[str]) -> list[str]:
+    known = held.known(session)
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise InvalidInput(f"there is no queue '{unknown[0]}'; choose among {', '.join(known)}")
+    return list(names) or known
+
+
+def _named(services: Services, prefixes: Sequence[str], campaign: str | None) -> Chosen:
+    if not prefixes and campaign is None:
+        raise InvalidInput("name the jobs, or a campaign with --campaign")
+    return jobs.choose(services, prefixes, campaign)

@@ -1,0 +1,227 @@
+"""Recordings: states of a campaign, with the instruments of a rig."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from sqlalchemy.orm import Session
+
+from sms_jobs.app.waiting import Waited, Waiting, wait_for
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue.campaigns import campaign_row, definition
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.instruments.holding import Hold, HoldDetector
+from sms_jobs.jobs import inquiry, lifecycle, recordings
+from sms_jobs.jobs.campaign_progress import progress_of
+from sms_jobs.jobs.chosen import Chosen, named, submitted
+from sms_jobs.jobs.planning import PIPELINE, Request
+from sms_jobs.jobs.recordings import OpenRecording, PairVerdict, Turn, state_value
+from sms_jobs.jobs.submission import submit_to
+from sms_jobs.kinds.recording.acquire import KIND
+from sms_jobs.records.campaign import Campaign, LoadState
+from sms_jobs.records.job import SHORT_ID, JobState
+from sms_jobs.records.rehearsals import DryRun
+from sms_jobs.records.state_progress import StateProgress
+
+_LOOK_EVERY_S = 0.2
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be recorded.
+
+    Attributes
+    ----------
+    campaign
+        As it is defined.
+    states
+        Those that were asked for.
+    """
+
+    campaign: Campaign
+    states: tuple[LoadState, ...]
+
+    @property
+    def turns(self) -> list[Turn]:
+        """States that are recorded one after the other without a person; a new turn where one is needed."""
+        return recordings.turns(self.states)
+
+
+def plan(services: Services, campaign: str, states: Sequence[str] = (), *, missing: bool = False) -> Plan:
+    """Return some states of a campaign, or all; of these, with `missing`, those that are not recorded yet.
+
+    Raises `NotFound` where there is no such campaign or state.
+    """
+    with services.catalogue.reading() as session:
+        found = definition(campaign_row(session, campaign))
+        chosen = [found.state(label) for label in states] or list(found.states)
+        if missing:
+            left = {s.label for s in recordings.unrecorded(session, campaign)}
+            chosen = [s for s in chosen if s.label in left]
+    return Plan(found, tuple(chosen))
+
+
+def rehearse(services: Services, wanted: Plan) -> DryRun:
+    """Return what recording some states would take, and what is missing for it.
+
+    Raises `NotFound` where the rig is not connected to this host.
+    """
+    # Which loads all instruments; nothing else here needs them.
+    from sms_jobs.jobs import dry_runs
+
+    rig, settings = services.stations.rig(wanted.campaign.rig), services.settings
+    with services.catalogue.reading() as session:
+        return dry_runs.dry_run(
+            session, rig, wanted.campaign, wanted.states, settings.spool_folder, services.archive.root
+        )
+
+
+@dataclass(frozen=True)
+class Begun:
+    """Jobs that record, and those that were submitted with them; `recordings` is how many record."""
+
+    job_ids: tuple[str, ...]
+    recordings: int
+    jobs: Chosen
+
+
+def record(
+    services: Services, campaign: str, states: tuple[str, ...], *, ask: bool = False, process: bool = False
+) -> Begun:
+    """Submit recordings of some states.
+
+    Parameters
+    ----------
+    ask
+        Ask an operator about a doubtful set instead of keeping it.
+    process
+        Process each state as soon as it is recorded.
+    """
+    requests = [Request(KIND.name, {"doubtful": "ask" if ask else "keep"}, states)]
+    if process:
+        requests.append(Request(PIPELINE, {}, states))
+    done = submit_to(services.catalogue, campaign, requests, datetime.now(UTC))
+    return Begun(done.job_ids, done.kinds.count(KIND.name), submitted(done, KIND.name))
+
+
+def process(services: Services, campaign: str) -> int:
+    """Submit what follows from the recordings of a campaign, and return how many jobs that is."""
+    return len(submit_to(services.catalogue, campaign, [Request(PIPELINE)], datetime.now(UTC)).job_ids)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """How recordings ended, and how good each set is."""
+
+    waited: Waited
+    verdicts: tuple[PairVerdict, ...]
+
+
+def wait_for_recordings(
+    services: Services, begun: Begun, tell: Callable[[Waiting], None] = lambda waiting: None
+) -> Recorded:
+    """Return what became of recordings, once they have ended."""
+    waited = wait_for(services, begun.jobs, tell=tell)
+    with services.catalogue.reading() as session:
+        return Recorded(waited, tuple(recordings.verdicts(session, begun.jobs)))
+
+
+@dataclass(frozen=True)
+class NextState:
+    """The state of a test that is to be recorded next, and by which rig."""
+
+    state: LoadState
+    rig: str
+
+    def value(self, channel: str) -> float:
+        """Return what a channel reads at the state, as planned; `InvalidInput` if that is not known."""
+        return state_value(self.state, channel)
+
+
+def next_state(services: Services, campaign: str) -> NextState | None:
+    """Return the first state that is neither recorded nor waits; None where there is none."""
+    with services.catalogue.reading() as session:
+        state = recordings.next_state(session, campaign)
+        rig = definition(campaign_row(session, campaign)).rig
+    return None if state is None else NextState(state, rig)
+
+
+def wait_for_hold(
+    services: Services, rig: str, channel: str, target: float, tolerance: float, seconds: float
+) -> None:
+    """Return when a channel has been near a value for some time; the instruments are let go before that."""
+    from sms_jobs.instruments.connection import channel_reader
+
+    detector = HoldDetector(Hold(target, tolerance, seconds))
+    with channel_reader(services.stations.rig(rig), channel) as read:
+        while not detector.held(time.monotonic(), read()):
+            time.sleep(_LOOK_EVERY_S)
+
+
+def open_recordings(services: Services) -> list[OpenRecording]:
+    """Return the recordings that run, or wait for an operator."""
+    with services.catalogue.reading() as session:
+        return recordings.open_recordings(session, services.settings.spool_folder)
+
+
+def resume(services: Services, prefix: str, *, retake: bool = False) -> Begun:
+    """Go on with a recording that was interrupted: what is there is kept, the rest is recorded.
+
+    Parameters
+    ----------
+    prefix
+        Beginning of its job's id.
+    retake
+        Record the doubtful sets again; their frames are kept too.
+
+    Raises
+    ------
+    NotFound
+        There is no such job.
+    InvalidInput
+        It is no recording.
+    Conflict
+        It cannot go on, or has no doubtful set.
+    """
+    with services.catalogue.writing() as session:
+        row = _recording(session, prefix)
+        if retake and not recordings.forget_doubtful(services.stations.spool_of(row.id)):
+            short = row.id[:SHORT_ID]
+            raise Conflict(f"job {short} has no doubtful set to record again; leave out --retake")
+        lifecycle.retry(session, row.id, datetime.now(UTC))
+        return Begun((row.id,), 1, named([row.id]))
+
+
+def abort(services: Services, prefix: str | None = None) -> list[str]:
+    """Stop a recording, or all, now, and return the ids of their jobs; complete frames stay.
+
+    Raises `Conflict` where none runs, and as `resume` does.
+    """
+    with services.catalogue.writing() as session:
+        if prefix is not None:
+            ids = [_recording(session, prefix).id]
+        else:
+            found = recordings.open_recordings(session, services.settings.spool_folder)
+            ids = [r.job_id for r in found if r.state in (JobState.QUEUED, JobState.RUNNING)]
+        stopped = [i for i in ids if lifecycle.cancel(session, i, datetime.now(UTC))]
+    if not stopped:
+        raise Conflict("no recording runs; nothing was stopped")
+    return stopped
+
+
+def progress(services: Services, campaign: str) -> list[StateProgress]:
+    """Return what is recorded of each state, how good it is, and what is known of it already."""
+    with services.catalogue.reading() as session:
+        return progress_of(session, campaign)
+
+
+def _recording(session: Session, prefix: str) -> JobRow:
+    row = inquiry.find_job(session, prefix)
+    if row.kind != KIND.name:
+        short = row.id[:SHORT_ID]
+        raise InvalidInput(f"job {short} is no recording but a {row.kind}; see 'sms job retry'")
+    return row

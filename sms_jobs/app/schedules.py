@@ -1,0 +1,86 @@
+"""Schedules: jobs that are submitted at their time."""
+
+from __future__ import annotations
+
+import time
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from sms_jobs.app.jobs import Work
+from sms_jobs.bootstrap import Services
+from sms_jobs.jobs import schedules
+from sms_jobs.jobs.fire_times import parse_expression
+from sms_jobs.jobs.schedules import MissedFire, Order, ScheduleView
+
+
+def add(
+    services: Services,
+    name: str,
+    when: str,
+    work: Work,
+    *,
+    zone: str | None = None,
+    missed: MissedFire = "once",
+    grace: timedelta = timedelta(minutes=5),
+) -> datetime | None:
+    """Submit work at a time, again and again, or when another campaign is done; return the first time.
+
+    Parameters
+    ----------
+    when
+        A form and what belongs to it: "cron 0 2 * * *", "at 2026-05-04T10:00", "every 2h", "after panel".
+    zone
+        IANA time zone of the times; this machine's if it is None.
+    missed
+        What becomes of times that passed with no service running.
+    grace
+        After which a time counts as missed.
+
+    Raises
+    ------
+    InvalidInput
+        The time or the work cannot be understood.
+    NotFound
+        There is no such campaign or kind.
+    Conflict
+        There is a schedule of that name.
+    """
+    expression = parse_expression(when, zone or local_zone())
+    order = Order(work.campaign, tuple(work.requests), work.priority, work.use_cache)
+    now = datetime.now(UTC)
+    schedules.add(services.catalogue, name, expression, order, now, missed_fire=missed, grace=grace)
+    with services.catalogue.reading() as session:
+        return schedules.first_fire(session, name, now)
+
+
+def list_schedules(services: Services) -> list[ScheduleView]:
+    """Return the schedules, what became of them last, and when they fire next."""
+    with services.catalogue.reading() as session:
+        return schedules.schedules(session, datetime.now(UTC))
+
+
+def coming(services: Services, name: str, count: int) -> list[datetime]:
+    """Return the next times of a schedule; raises `NotFound` where there is none of that name."""
+    with services.catalogue.reading() as session:
+        return schedules.coming(session, name, datetime.now(UTC), count)
+
+
+def set_paused(services: Services, name: str, paused: bool) -> None:
+    """Hold a schedule back, or let it go on; times that passed meanwhile count as missed."""
+    with services.catalogue.writing() as session:
+        schedules.set_paused(session, name, paused)
+
+
+def remove(services: Services, name: str) -> None:
+    """Remove a schedule; jobs that it submitted stay."""
+    with services.catalogue.writing() as session:
+        schedules.remove(session, name)
+
+
+def local_zone() -> str:
+    """Return the IANA name of this machine's zone; UTC where the machine does not tell it."""
+    link = Path("/etc/localtime")
+    _, found, name = str(link.resolve()).partition("zoneinfo/") if link.is_symlink() else ("", "", "")
+    if found and time.localtime().tm_zone not in ("", "UTC"):
+        return name
+    return "UTC"

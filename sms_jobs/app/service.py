@@ -1,0 +1,127 @@
+"""The service of a home: what it does, who works for it, and its numbers for monitoring."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sms_jobs.app import jobs
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import campaigns
+from sms_jobs.errors import InvalidInput, NotFound, SmsError
+from sms_jobs.jobs import inquiry, recovery
+from sms_jobs.jobs.inquiry import WorkerView
+from sms_jobs.records.estimates import Outlook
+from sms_jobs.records.job import ALIVE_WITHIN
+
+if TYPE_CHECKING:
+    from sms_jobs.workers.supervisor import Supervisor
+
+_SHOWN_FOR = timedelta(minutes=5)
+
+
+@dataclass(frozen=True)
+class Status:
+    """How a home stands.
+
+    Attributes
+    ----------
+    home, catalogue, archive
+        Where they are; the catalogue without secrets.
+    archive_free_bytes
+        Room on the archive's disk.
+    campaigns
+        How many there are.
+    jobs
+        How many are in each state.
+    workers
+        Those that are alive.
+    outlook
+        How the jobs that have not ended come along; None where there are none.
+    """
+
+    home: Path
+    catalogue: str
+    archive: Path
+    archive_free_bytes: int
+    campaigns: int
+    jobs: dict[str, int]
+    workers: tuple[WorkerView, ...]
+    outlook: Outlook | None
+
+
+def status(services: Services) -> Status:
+    """Return how a home stands."""
+    root = services.archive.root
+    ahead = jobs.remaining(services).outlook
+    with services.catalogue.reading() as session:
+        return Status(
+            services.settings.home,
+            services.catalogue.describe(),
+            root,
+            shutil.disk_usage(root).free,
+            campaigns.number_of_campaigns(session),
+            inquiry.counts(session),
+            tuple(inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)),
+            ahead,
+        )
+
+
+def supervisor(services: Services, queues: Sequence[str] | None = None) -> Supervisor:
+    """Return a supervisor of jobs on this host, which serves once it is told to run.
+
+    Parameters
+    ----------
+    queues
+        That it serves, of this host's; None for those of every deployment.
+
+    Raises `InvalidInput` for a queue that this host does not have.
+    """
+    # Which loads Celery; nothing else here needs it.
+    from sms_jobs.workers.celery_app import ALL_QUEUES
+    from sms_jobs.workers.supervisor import Supervisor
+
+    known = (*ALL_QUEUES, *services.stations.queues())
+    wanted = tuple(ALL_QUEUES if queues is None else queues)
+    unknown = [queue for queue in wanted if queue not in known]
+    if unknown:
+        raise InvalidInput(f"there is no queue '{unknown[0]}' here; choose among {', '.join(known)}")
+    return Supervisor(services, wanted)
+
+
+def workers(services: Services) -> list[WorkerView]:
+    """Return the workers that have lately given a sign of life."""
+    with services.catalogue.reading() as session:
+        return inquiry.workers(session, datetime.now(UTC) - _SHOWN_FOR)
+
+
+def drain(services: Services, worker: str) -> str:
+    """Let the worker whose id begins so finish what it runs and claim nothing more; return its id.
+
+    Raises `NotFound` where there is not one such worker.
+    """
+    with services.catalogue.writing() as session:
+        known = inquiry.workers(session, datetime.now(UTC) - _SHOWN_FOR)
+        matching = [w.id for w in known if worker and w.id.startswith(worker)]
+        if len(matching) != 1:
+            raise NotFound(f"there is no one worker '{worker}'; 'sms worker list' shows them")
+        recovery.drain(session, matching[0])
+    return matching[0]
+
+
+def metrics(services: Services) -> str:
+    """Return the numbers of a home as Prometheus reads them; one says whether the catalogue answers."""
+    from sms_jobs.jobs.metrics import Metric, as_text, gather
+
+    up = Metric("sms_catalogue_up", "1 when the catalogue answers.")
+    try:
+        with services.catalogue.reading() as session:
+            found = gather(session, services.archive.root, datetime.now(UTC))
+    except (SmsError, OSError):
+        found = []
+    up.add(bool(found))
+    return as_text([up, *found])
