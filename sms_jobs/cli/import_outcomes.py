@@ -1,23 +1,16 @@
-"""What imports of images tell, and ask: outcomes by tuple, times, the campaign that is there."""
+"""What imports of images tell, and ask: outcomes by tuple, and times."""
 
 from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
 
 import typer
 
-from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import campaigns
+from sms_jobs.app.importing.outcomes import Outcome, TupleOutcome
 from sms_jobs.cli import output
-from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.formats.importers.folders import LeftOut
-from sms_jobs.formats.importers.inspection import Inspected
-from sms_jobs.records.campaign import Campaign
+from sms_jobs.errors import InvalidInput
 from sms_jobs.records.times import parsed_time
 
 _FINDINGS = 6
@@ -32,63 +25,27 @@ def confirm(question: str) -> None:
     typer.confirm(question, abort=True, err=True)
 
 
-@dataclass
-class Outcome:
-    """What became of every tuple, in order."""
-
-    rows: list[dict[str, Any]]
-    remarks: list[str]
-
-    @property
-    def bad(self) -> bool:
-        """Whether a tuple was refused."""
-        return any(r["outcome"] == "refused" for r in self.rows)
-
-
 def time_given(text: str | None) -> datetime | None:
     """Return the time of --recorded-at; raise `InvalidInput` for one without a zone."""
     return None if text is None else parsed_time(text, "--recorded-at")
 
 
-def existing_campaign(services: Services, name: str) -> Campaign | None:
-    """Return a campaign; None where there is none of that name."""
-    with services.catalogue.reading() as session:
-        try:
-            return campaigns.definition(campaigns.campaign_row(session, name))
-        except NotFound:
-            return None
+def _shown(one: TupleOutcome) -> tuple[object, ...]:
+    """Return what a table shows of a tuple; why it is refused stands below."""
+    detail = "see below" if one.outcome == "refused" else one.detail
+    return (one.state, one.view, one.frames, one.size, one.outcome, detail)
 
 
-def row_of(one: Inspected, outcome: str, detail: str) -> dict[str, Any]:
-    """Return what is told of a tuple."""
-    facts = next(iter(one.facts.values()), None)
-    return {
-        "state": one.found.state,
-        "view": one.found.view,
-        "frames": len(set(one.found.files)),
-        "size": None if facts is None else f"{facts.columns} x {facts.rows}",
-        "outcome": outcome,
-        "detail": detail,
-    }
-
-
-def _short(row: Mapping[str, Any]) -> str:
-    """Return what a table shows of a detail; why a tuple is refused stands below it."""
-    return "see below" if row["outcome"] == "refused" else row["detail"]
-
-
-def tell(
-    outcome: Outcome, files: Sequence[LeftOut], *, as_json: bool, dry_run: bool, campaign: str, then: str
-) -> None:
+def tell_outcome(outcome: Outcome, *, as_json: bool, dry_run: bool, campaign: str, then: str) -> None:
     """Print what became of every tuple and which files were left out; end with 6 where one was refused."""
-    counts = Counter(row["outcome"] for row in outcome.rows)
-    left_out = [{"file": one.name, "why": one.why} for one in files]
+    counts = Counter(one.outcome for one in outcome.tuples)
+    left_out = [{"file": one.name, "why": one.why} for one in outcome.left_out]
     if as_json:
         output.print_json(
             {
                 "campaign": campaign,
                 "dry_run": dry_run,
-                "tuples": outcome.rows,
+                "tuples": outcome.tuples,
                 "left_out": left_out,
                 "remarks": outcome.remarks,
             }
@@ -96,16 +53,16 @@ def tell(
     else:
         output.print_table(
             ["state", "view", "frames", "size [px]", "outcome", "detail"],
-            [tuple({**row, "detail": _short(row)}.values()) for row in outcome.rows],
+            [_shown(one) for one in outcome.tuples],
             empty="there is nothing to import",
         )
-        for row in outcome.rows:
-            if row["outcome"] == "refused":
-                output.say(f"refused: {row['state']}/{row['view']}: {row['detail']}")
+        for one in outcome.tuples:
+            if one.outcome == "refused":
+                output.say(f"refused: {one.state}/{one.view}: {one.detail}")
         for remark in outcome.remarks:
             output.say(f"note: {remark}")
-        for one in left_out[:TOLD]:
-            output.say(f"left out: {one['file']} {one['why']}")
+        for file in left_out[:TOLD]:
+            output.say(f"left out: {file['file']} {file['why']}")
         if len(left_out) > TOLD:
             output.say(f"left out: {len(left_out) - TOLD} more files; --json lists all")
         output.say(

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.app.importing.images import Arranged, Camera, Task, arrange_images, enter
 from sms_jobs.cli import output
-from sms_jobs.cli.image_entry import EnteredImages, GivenCamera, arranged, inspect_images, make_campaign
 from sms_jobs.cli.import_options import (
     AddStates,
     Cameras,
@@ -25,15 +25,8 @@ from sms_jobs.cli.import_options import (
     SpecimenName,
     Yes,
 )
-from sms_jobs.cli.import_outcomes import TOLD, confirm, existing_campaign, tell, time_given
+from sms_jobs.cli.import_outcomes import TOLD, confirm, tell_outcome, time_given
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.importers.folders import list_folder
-from sms_jobs.formats.importers.frames import Arrangement
-from sms_jobs.formats.importers.image_files import RawFormat
-from sms_jobs.formats.importers.image_sets import named_cameras
-from sms_jobs.jobs.importing import with_states
-from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 
 
 def images(
@@ -70,67 +63,33 @@ def images(
     Example: sms import images coupon -c coupon --pattern 'oht_cfrp_{state}.tiff'; sms job submit
     pipeline -c coupon
     """
-    listing = list_folder(folder, only)
     at = time_given(recorded_at)
-    settings = GivenCamera(None if raw is None else RawFormat.parse(raw), full_scale, gain, read_noise)
-    named = named_cameras(cameras)
-    text, arrangement = arranged(listing, pattern, camera, reference, named)
+    task = Task(
+        folder,
+        campaign,
+        only=only,
+        pattern=pattern,
+        cameras=cameras,
+        camera=camera,
+        reference=reference,
+        rig=rig,
+        specimen=specimen,
+        add_states=add_states,
+        made_by=Camera(raw, full_scale, gain, read_noise),
+    )
     with bootstrap.services(home) as services:
-        existing = existing_campaign(services, campaign)
-        wanted = _wanted(existing, campaign, rig, specimen, arrangement, add_states)
-        _preview(text, arrangement)
+        found = arrange_images(services, task)
+        _preview(found)
         if pattern is None and not (yes or dry_run):
             confirm("Is this right?")
-        inspected = inspect_images(listing, arrangement, settings)
-        good = [one for one in inspected if not one.found.faults]
-        if good and not dry_run:
-            make_campaign(services, existing, wanted)
-        enter = EnteredImages(services, campaign, listing, settings, at, newer, dry_run)
-        outcome = enter.all_of(inspected)
-    tell(
-        outcome,
-        arrangement.left_out,
-        as_json=as_json,
-        dry_run=dry_run,
-        campaign=campaign,
-        then="pipeline",
-    )
+        with output.followed(output.progress_bar()) as tell:
+            outcome = enter(services, found, recorded_at=at, newer=newer, dry_run=dry_run, tell=tell)
+    tell_outcome(outcome, as_json=as_json, dry_run=dry_run, campaign=campaign, then="pipeline")
 
 
-def _wanted(
-    existing: Campaign | None,
-    name: str,
-    rig: str,
-    specimen: str | None,
-    arrangement: Arrangement,
-    add_states: bool,
-) -> Campaign:
-    """Return the campaign as it has to be; raise where what there is contradicts the files."""
-    if existing is None:
-        return Campaign(
-            name=name,
-            specimen=Specimen(specimen or name),
-            rig=rig,
-            states=tuple(map(LoadState, arrangement.labels)) or (LoadState("S00"),),
-            views=arrangement.views or ("C1",),
-        )
-    unknown = [p for p in arrangement.views if p not in existing.views]
-    if unknown:
-        raise InvalidInput(
-            f"campaign {name} has no camera {', '.join(unknown)} by itself; it has "
-            f"{', '.join(existing.views)}"
-        )
-    wanted = with_states(existing, arrangement.labels)
-    added = [s.label for s in wanted.states[len(existing.states) :]]
-    if added and not add_states:
-        raise InvalidInput(
-            f"campaign {name} has no state {', '.join(added[:5])}: say --add-states to add {len(added)}"
-        )
-    return wanted
-
-
-def _preview(text: str, arrangement: Arrangement) -> None:
-    output.say(f"pattern   {text}")
+def _preview(found: Arranged) -> None:
+    arrangement = found.arrangement
+    output.say(f"pattern   {found.pattern}")
     output.say(f"reference {arrangement.states[0]}")
     for one in arrangement.tuples[:TOLD]:
         output.say(f"  {one.white}  state {one.state}, camera {one.view}")

@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.app.importing.points import Task, import_points
 from sms_jobs.cli import output
 from sms_jobs.cli.import_options import CampaignName, DryRun
-from sms_jobs.cli.import_outcomes import existing_campaign, time_given
+from sms_jobs.cli.import_outcomes import time_given
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.formats.importers.board_points import BoardTable, read_points
-from sms_jobs.formats.importers.boards import BOARD
-from sms_jobs.jobs.importing import import_observations
-from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
-from sms_jobs.records.sensors import SensorFormat
-from sms_jobs.records.views import view_of
+from sms_jobs.errors import InvalidInput
 
 _SIZE = re.compile(r"(\d{1,5})x(\d{1,5})")
 
@@ -53,45 +46,10 @@ def points(
     Example: sms import points corners.csv -c june --rig desk --view C1P1 --size C1=1280x960 --size
     P1=1024x768
     """
-    at = time_given(recorded_at) or datetime.now(UTC)
-    table = read_points(file, view, sigma_px)
-    sensors = _sensors(view, size)
-    made = Campaign(
-        name=campaign,
-        specimen=Specimen(BOARD),
-        rig=rig,
-        states=tuple(LoadState(label, time=at, artefact=BOARD) for label in table.observations),
-        views=(view,),
-        session=CalibrationSession({BOARD: table.board}, sensors),
-    )
+    task = Task(file, campaign, rig, view, _sizes(size), sigma_px, time_given(recorded_at))
     with bootstrap.services(home) as services:
-        if existing_campaign(services, campaign) is not None:
-            raise Conflict(f"there is a campaign {campaign} already: give another name to -c")
-        if not dry_run:
-            now = datetime.now(UTC)
-            register_campaign(services.catalogue, services.archive, made, None, now)
-            told = {"file": str(file), "source_sha256": table.sha256, "sigma_px": sigma_px}
-            import_observations(services.catalogue, services.archive, made, table.observations, told, now)
-    _tell(table, campaign, dry_run, as_json)
-
-
-def _sensors(view: str, sizes: list[str]) -> tuple[SensorFormat, ...]:
-    found: dict[str, SensorFormat] = {}
-    for text in sizes:
-        name, _, rest = text.partition("=")
-        match = _SIZE.fullmatch(rest)
-        if match is None or int(match[1]) < 1 or int(match[2]) < 1:
-            raise InvalidInput(f"--size should be as in C1=1280x960, not '{text}'")
-        found[name] = SensorFormat(name, int(match[1]), int(match[2]))
-    wanted = view_of(view).sensors
-    if set(found) != set(wanted):
-        raise InvalidInput(f"give --size of {' and '.join(wanted)}, not of {', '.join(found) or 'none'}")
-    return tuple(found[name] for name in wanted)
-
-
-def _tell(table: BoardTable, campaign: str, dry_run: bool, as_json: bool) -> None:
-    counts = {pose: len(seen.point) for pose, seen in table.observations.items()}
-    board = table.board
+        found = import_points(services, task, dry_run=dry_run)
+    board, counts = found.board, found.counts
     if as_json:
         output.print_json({"campaign": campaign, "dry_run": dry_run, "board": board, "points": counts})
         return
@@ -100,3 +58,14 @@ def _tell(table: BoardTable, campaign: str, dry_run: bool, as_json: bool) -> Non
     output.say(
         "nothing was changed" if dry_run else f"next: sms job submit calibrate-boards --campaign {campaign}"
     )
+
+
+def _sizes(texts: list[str]) -> dict[str, tuple[int, int]]:
+    found = {}
+    for text in texts:
+        name, _, rest = text.partition("=")
+        match = _SIZE.fullmatch(rest)
+        if match is None or int(match[1]) < 1 or int(match[2]) < 1:
+            raise InvalidInput(f"--size should be as in C1=1280x960, not '{text}'")
+        found[name] = (int(match[1]), int(match[2]))
+    return found

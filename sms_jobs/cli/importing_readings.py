@@ -2,39 +2,22 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
-from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import campaigns
+from sms_jobs.app.importing.readings import Arranged, Task, arrange_readings, enter
 from sms_jobs.cli import output
 from sms_jobs.cli.import_options import CampaignName
 from sms_jobs.cli.import_outcomes import confirm
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.importers.readings import (
-    Column,
-    Reading,
-    Table,
-    read_table,
-    readings_of,
-    states_by_label,
-    states_by_time,
-    zone_named,
-)
-from sms_jobs.jobs.importing import amend_campaign, measured_at, with_readings
 
 _FINDINGS = 6
 _TOLD = 20
-_STATE_NAMES = ("state", "label", "step", "load step")
-_TIME_NAMES = ("time", "timestamp", "date", "datetime")
 
 File = Annotated[Path, typer.Argument(help="CSV file with a header.")]
 Maps = Annotated[
@@ -56,22 +39,6 @@ Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask whether guess
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would change, and change nothing.")]
 
 
-@dataclass(frozen=True)
-class _Wanted:
-    """Of which campaign readings are, which columns are meant, how rows find states, and what may change."""
-
-    campaign: str
-    maps: list[str] | None
-    state_column: str | None
-    time_column: str | None
-    time_zone: str | None
-    within: timedelta
-    unit: str
-    replace: bool
-    dry_run: bool
-    yes: bool
-
-
 def _command(unit: str, words: str) -> Callable[..., None]:
     """Return a command that enters a table, whose columns are in `unit` unless they say another."""
 
@@ -91,22 +58,26 @@ def _command(unit: str, words: str) -> Callable[..., None]:
         home: Home = None,
         as_json: Json = False,
     ) -> None:
-        table = read_table(file, delimiter, decimal)
-        wanted = _Wanted(
+        task = Task(
+            file,
             campaign,
-            maps,
+            tuple(maps or ()),
             state_column,
             time_column,
             time_zone,
             timedelta(seconds=within),
+            delimiter,
+            decimal,
             unit,
             replace,
-            dry_run,
-            yes,
         )
         with bootstrap.services(home) as services:
-            entered = _enter(services, table, wanted)
-        _tell(table, entered, wanted, as_json)
+            found = arrange_readings(services, task)
+            if found.changes and not dry_run:
+                if not (maps or yes):
+                    _confirm(found)
+                enter(services, found)
+        _tell(found, campaign, dry_run, as_json)
 
     command.__doc__ = words
     return command
@@ -134,94 +105,18 @@ gauges = _command(
 )
 
 
-@dataclass(frozen=True)
-class _Entered:
-    """What a table told, what was left out of it, and what it changes, in words."""
-
-    columns: list[Column]
-    readings: tuple[Reading, ...]
-    left_out: list[str]
-    changes: list[str]
-
-
-def _enter(services: Services, table: Table, wanted: _Wanted) -> _Entered:
-    """Find the states of the rows, and give the campaign what they say of them."""
-    key, by_time = _key_column(table, wanted.state_column, wanted.time_column)
-    columns = _columns(table, wanted.maps, key, wanted.unit)
-    with services.catalogue.reading() as session:
-        before = campaigns.definition(campaigns.campaign_row(session, wanted.campaign))
-        times = measured_at(session, before)
-    if by_time:
-        if not times:
-            raise InvalidInput(
-                f"no state of campaign {wanted.campaign} has a time or a measurement: give --state-column "
-                "instead"
-            )
-        zone = None if wanted.time_zone is None else zone_named(wanted.time_zone)
-        states, left_out = states_by_time(table, table.column(key), times, zone, wanted.within)
-    else:
-        states, left_out = states_by_label(table, table.column(key), [s.label for s in before.states])
-    found = readings_of(table, states, columns)
-    after, changes = with_readings(before, found.readings, replace_others=wanted.replace)
-    if changes and not wanted.dry_run:
-        if not (wanted.maps or wanted.yes):
-            _confirm(table, columns, changes)
-        amend_campaign(services.catalogue, services.archive, before, after, datetime.now(UTC))
-    return _Entered(columns, found.readings, [*left_out, *found.left_out], changes)
-
-
-def _key_column(table: Table, state: str | None, time: str | None) -> tuple[str, bool]:
-    """Return the column that finds states, and whether it holds times."""
-    if state is not None and time is not None:
-        raise InvalidInput("give --state-column or --time-column, not both")
-    if state is not None:
-        return state, False
-    if time is not None:
-        return time, True
-    for names, by_time in ((_STATE_NAMES, False), (_TIME_NAMES, True)):
-        for header in table.header:
-            if header.lower() in names:
-                return header, by_time
-    raise InvalidInput(
-        f"{table.source} has no column 'state' or 'time': say --state-column or --time-column; it has "
-        f"{', '.join(table.header[:20])}"
-    )
-
-
-def _columns(table: Table, maps: list[str] | None, key: str, unit: str) -> list[Column]:
-    """Return what the columns become: as they are mapped, or all of them by their own names."""
-    if maps:
-        columns = []
-        for text in maps:
-            header, equals, target = text.rpartition("=")
-            if not equals or not header.strip():
-                raise InvalidInput(f"--map should be as in 'Force=load[kN]', not '{text}'")
-            table.column(header.strip())
-            columns.append(Column.parse(header.strip(), target.strip(), unit))
-        return columns
-    columns = []
-    for header in table.header:
-        if header and header != key:
-            stem, bracket, rest = header.partition("[")
-            name = re.sub(r"[^A-Za-z0-9._-]+", "_", stem.strip()).strip("_")
-            columns.append(Column.parse(header, name.lower() + bracket + rest, unit))
-    if not columns:
-        raise InvalidInput(f"{table.source} has no column besides '{key}'")
-    return columns
-
-
-def _confirm(table: Table, columns: list[Column], changes: list[str]) -> None:
-    for column in columns:
+def _confirm(found: Arranged) -> None:
+    for column in found.columns:
         output.say(f"guessed: {column.header} becomes {column.target}")
-    confirm(f"Enter {len(changes)} values of {table.source}?")
+    confirm(f"Enter {len(found.changes)} values of {found.source}?")
 
 
-def _tell(table: Table, entered: _Entered, wanted: _Wanted, as_json: bool) -> None:
-    remarks = [*table.remarks, *(f"{c.header} becomes {c.target}" for c in entered.columns)]
+def _tell(entered: Arranged, campaign: str, dry_run: bool, as_json: bool) -> None:
+    remarks = [*entered.remarks, *(f"{c.header} becomes {c.target}" for c in entered.columns)]
     if as_json:
         body: dict[str, Any] = {
-            "campaign": wanted.campaign,
-            "dry_run": wanted.dry_run,
+            "campaign": campaign,
+            "dry_run": dry_run,
             "states": [r.state for r in entered.readings],
             "changes": entered.changes,
             "left_out": entered.left_out,
@@ -237,8 +132,8 @@ def _tell(table: Table, entered: _Entered, wanted: _Wanted, as_json: bool) -> No
             output.say(f"left out: {len(entered.left_out) - _TOLD} more; --json lists all")
         for change in entered.changes:
             output.print_sentence(change)
-        end = f"campaign {wanted.campaign} is brought up to date"
-        if wanted.dry_run or not entered.changes:
+        end = f"campaign {campaign} is brought up to date"
+        if dry_run or not entered.changes:
             end = "nothing was changed"
         output.say(f"{len(entered.changes)} values of {len(entered.readings)} states; {end}")
     if not entered.readings:

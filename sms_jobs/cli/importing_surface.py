@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.app.importing.surface import import_surface
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.jobs.surfaces import register_surface
 
 
 def surface(
@@ -36,20 +34,20 @@ def surface(
 
     Example: sms import surface panel.stl -c wing; sms job submit deviate -c wing --upper-mm 0.2
     """
-    # Which imports kernels, and every other command would wait for them.
-    from sms_jobs.formats.reference_surfaces import read_reference_surface
-
-    found = read_reference_surface(file, unit, turn_over)
     with bootstrap.services(home) as services:
-        number, new = register_surface(
-            services.catalogue, services.archive, campaign, found, datetime.now(UTC)
-        )
-    low, high = found.vertices.min(axis=0), found.vertices.max(axis=0)
+        found = import_surface(services, campaign, file, unit=unit, turn_over=turn_over)
     if as_json:
-        size = [float(v) for v in high - low]
-        told = {"file": number, "new": new, "triangles": len(found.faces), "size_mm": size}
-        output.print_json(told | {"filename": found.filename, "file_sha256": found.file_sha256})
+        output.print_json(
+            {
+                "file": found.file,
+                "new": found.new,
+                "triangles": found.triangles,
+                "size_mm": found.size_mm,
+                "filename": found.filename,
+                "file_sha256": found.sha256,
+            }
+        )
         return
-    extent = " x ".join(f"{v:.4g}" for v in np.asarray(high - low))
-    word = "stored as" if new else "is already"
-    output.say(f"{found.filename}, {len(found.faces):,} triangles, {extent} mm, {word} file {number}")
+    extent = " x ".join(f"{v:.4g}" for v in found.size_mm)
+    word = "stored as" if found.new else "is already"
+    output.say(f"{found.filename}, {found.triangles:,} triangles, {extent} mm, {word} file {found.file}")

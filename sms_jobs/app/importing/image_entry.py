@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
 
+from sms_jobs.app.importing.outcomes import Outcome, TupleOutcome, outcome_of
+from sms_jobs.app.progress import Step, Tell
 from sms_jobs.bootstrap import Services
-from sms_jobs.cli import output
-from sms_jobs.cli.import_outcomes import Outcome, row_of
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.importers.folders import Listing, NamePattern
 from sms_jobs.formats.importers.frames import Arrangement, is_image
@@ -61,16 +60,29 @@ def arranged(
     return text, found
 
 
-def inspect_images(listing: Listing, arrangement: Arrangement, camera: GivenCamera) -> list[Inspected]:
-    """Read every file once, before anything is written."""
-    with output.progress_bar() as bar:
-        step = bar.add_task("reading", total=len(arrangement.tuples))
-        return of_one_size(
-            [
-                inspect(listing.folder, one, camera.raw, camera.full_scale, lambda: bar.advance(step))
-                for one in arrangement.tuples
-            ]
-        )
+def inspect_images(
+    listing: Listing, arrangement: Arrangement, camera: GivenCamera, tell: Tell
+) -> list[Inspected]:
+    """Read every file once, before anything is written; `tell` is told files."""
+    counted = Counted(tell, "reading", len(arrangement.tuples))
+    return of_one_size(
+        [
+            inspect(listing.folder, one, camera.raw, camera.full_scale, counted.one_more)
+            for one in arrangement.tuples
+        ]
+    )
+
+
+class Counted:
+    """Tells how many of some things are done."""
+
+    def __init__(self, tell: Tell, doing: str, total: int) -> None:
+        self._tell, self._doing, self._total, self._done = tell, doing, total, 0
+
+    def one_more(self) -> None:
+        """Tell that one more is done."""
+        self._done += 1
+        self._tell(Step(self._doing, self._done, self._total))
 
 
 def make_campaign(services: Services, existing: Campaign | None, wanted: Campaign) -> None:
@@ -93,6 +105,7 @@ class EnteredImages:
     recorded_at: datetime | None
     newer: bool
     dry_run: bool
+    tell: Tell
     noise_counts: bool = True
 
     def all_of(self, inspected: list[Inspected]) -> Outcome:
@@ -100,16 +113,14 @@ class EnteredImages:
         good = [one for one in inspected if not one.found.faults]
         remarks = list(dict.fromkeys(r for one in good for r in one.remarks))
         camera = self._camera(good, remarks) if good else None
-        rows = []
-        with output.progress_bar() as bar:
-            step = bar.add_task("importing", total=len(inspected))
-            for one in inspected:
-                if one.found.faults or camera is None:
-                    rows.append(row_of(one, "refused", "; ".join(one.found.faults)))
-                else:
-                    rows.append(self._one(one, camera))
-                bar.advance(step)
-        return Outcome(rows, remarks)
+        counted, rows = Counted(self.tell, "importing", len(inspected)), []
+        for one in inspected:
+            if one.found.faults or camera is None:
+                rows.append(outcome_of(one, "refused", "; ".join(one.found.faults)))
+            else:
+                rows.append(self._one(one, camera))
+            counted.one_more()
+        return Outcome(tuple(rows), tuple(remarks))
 
     def _camera(self, good: list[Inspected], remarks: list[str]) -> ImageCamera:
         given = self.settings
@@ -122,16 +133,16 @@ class EnteredImages:
             read_noise = usual.read_noise if read_noise is None else read_noise
         return ImageCamera(full_scale, gain, read_noise)
 
-    def _one(self, one: Inspected, camera: ImageCamera) -> dict[str, Any]:
+    def _one(self, one: Inspected, camera: ImageCamera) -> TupleOutcome:
         subject = Subject(self.campaign, one.found.state, one.found.view)
         digest = image_hash(one, self.settings.given())
         known = known_of(self.services.catalogue, self.services.archive, subject, digest)
         if known.status == "there":
-            return row_of(one, "already there", known.path)
+            return outcome_of(one, "already there", known.path)
         if self.dry_run:
             differs = known.status == "other" and not self.newer
             detail = "it has another image already: say --newer" if differs else ""
-            return row_of(one, "refused" if differs else "would be imported", detail)
+            return outcome_of(one, "refused" if differs else "would be imported", detail)
         at = self.recorded_at or one.recorded_at
         try:
             done = import_measurement(
@@ -153,5 +164,5 @@ class EnteredImages:
                 newer=self.newer,
             )
         except (Conflict, InvalidInput) as error:
-            return row_of(one, "refused", str(error))
-        return row_of(one, "imported", done.path)
+            return outcome_of(one, "refused", str(error))
+        return outcome_of(one, "imported", done.path)

@@ -1,0 +1,191 @@
+"""Images of a calibration board become the poses of a calibration session."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+from sms_jobs.app.importing.image_entry import (
+    EnteredImages,
+    GivenCamera,
+    arranged,
+    inspect_images,
+    make_campaign,
+)
+from sms_jobs.app.importing.outcomes import Outcome, existing_campaign
+from sms_jobs.app.progress import Tell, nobody
+from sms_jobs.bootstrap import Services
+from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.importers import boards as board_images
+from sms_jobs.formats.importers.folders import Listing, list_folder
+from sms_jobs.formats.importers.frames import Arrangement
+from sms_jobs.formats.importers.image_sets import named_cameras
+from sms_jobs.records.artefacts import Artefact
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.sensors import Box, SensorFormat
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is asked for: which files, as what, and where to.
+
+    Attributes
+    ----------
+    folder
+        Of the images; its sub-folders belong to it.
+    only
+        Only files whose path below the folder has this form.
+    pattern
+        Of the files' names; guessed if it is None.
+    cameras, camera
+        Cameras by what the names call them, as "left=C1"; and the one that the names do not say.
+    session
+        Calibration session that they belong to.
+    rig, volume
+        Of a session that is to be made; the volume is where the calibration is to hold, in mm.
+    board
+        File that describes the board; or else:
+    chessboard, pitch_mm
+        Inner corners of a chessboard, as "9x6", and the side of its squares.
+    add_states
+        Give the session poses that it does not have yet.
+    """
+
+    folder: Path
+    session: str
+    only: str | None = None
+    pattern: str | None = None
+    cameras: str | None = None
+    camera: str | None = None
+    rig: str | None = None
+    volume: Box | None = None
+    board: Path | None = None
+    chessboard: str | None = None
+    pitch_mm: float | None = None
+    add_states: bool = False
+
+
+@dataclass(frozen=True)
+class Arranged:
+    """What the images are taken for, before anything is entered."""
+
+    task: Task
+    listing: Listing
+    pattern: str
+    arrangement: Arrangement
+    board: Artefact | None
+    existing: Campaign | None
+
+
+def arrange_boards(services: Services, task: Task) -> Arranged:
+    """Say which pose and camera each image is of.
+
+    Raises `InvalidInput` for a folder without images, and where names, board and session contradict each
+    other.
+    """
+    listing = list_folder(task.folder, task.only)
+    named = named_cameras(task.cameras)
+    described = _described(task.board, task.chessboard, task.pitch_mm)
+    text, arrangement = arranged(listing, task.pattern, task.camera, None, named)
+    existing = existing_campaign(services, task.session)
+    _check(existing, task.session, task.rig, described, arrangement, task.add_states)
+    return Arranged(task, listing, text, arrangement, described, existing)
+
+
+def enter(
+    services: Services,
+    found: Arranged,
+    *,
+    recorded_at: datetime | None = None,
+    newer: bool = False,
+    dry_run: bool = False,
+    tell: Tell = nobody,
+) -> Outcome:
+    """Read all images, then enter those without fault as poses, and say what became of each.
+
+    Parameters
+    ----------
+    recorded_at
+        When; the files' times if it is None.
+    newer
+        Enter what differs from an image that is there as the newest.
+    dry_run
+        Read and check everything, and change nothing.
+    tell
+        Told files, then poses.
+    """
+    task, existing, settings = found.task, found.existing, GivenCamera()
+    inspected = inspect_images(found.listing, found.arrangement, settings, tell)
+    if existing is not None and existing.session is not None:
+        inspected = board_images.of_known_size(inspected, _known(existing))
+    sensors = list(board_images.sizes(inspected).values())
+    if sensors and not dry_run:
+        poses = board_images.held_at(inspected, recorded_at)
+        if existing is None:
+            assert found.board is not None
+            assert task.rig is not None
+            wanted = board_images.session_of_boards(
+                task.session, task.rig, found.board, poses, sensors, task.volume
+            )
+        else:
+            wanted = board_images.with_poses(existing, poses)
+        make_campaign(services, existing, wanted)
+    images = EnteredImages(
+        services,
+        task.session,
+        found.listing,
+        settings,
+        recorded_at,
+        newer,
+        dry_run,
+        tell,
+        noise_counts=False,
+    )
+    return replace(images.all_of(inspected), left_out=found.arrangement.left_out)
+
+
+def _described(board: Path | None, corners: str | None, pitch_mm: float | None) -> Artefact | None:
+    """Return the board that the options describe; None where they describe none."""
+    if board is not None and corners is not None:
+        raise InvalidInput("say what the board is by --board or by --chessboard, not by both")
+    if board is not None:
+        return board_images.load_board(board)
+    return None if corners is None else board_images.chessboard(corners, pitch_mm)
+
+
+def _check(
+    existing: Campaign | None,
+    name: str,
+    rig: str | None,
+    board: Artefact | None,
+    arrangement: Arrangement,
+    add_states: bool,
+) -> None:
+    """Refuse what contradicts the session that is there, or what leaves a new one undescribed."""
+    if existing is None:
+        if rig is None or board is None:
+            missing = "name the rig, as --rig stereo" if rig is None else "say what the board is, as --board"
+            raise InvalidInput(f"there is no session {name} yet: {missing}")
+        return
+    if existing.session is None:
+        raise InvalidInput(f"campaign {name} is no calibration session: import into another")
+    if board is not None and board not in existing.session.artefacts.values():
+        raise InvalidInput(f"session {name} shows another board: leave --board out, or make another session")
+    unknown = [p for p in arrangement.views if p not in existing.views]
+    if unknown:
+        raise InvalidInput(
+            f"session {name} has no camera {', '.join(unknown)} by itself; it has {', '.join(existing.views)}"
+        )
+    known = {s.label for s in existing.states}
+    added = [label for label in arrangement.states if label not in known]
+    if added and not add_states:
+        raise InvalidInput(
+            f"session {name} has no pose {', '.join(added[:5])}: say --add-states to add {len(added)}"
+        )
+
+
+def _known(existing: Campaign) -> Mapping[str, SensorFormat]:
+    assert existing.session is not None
+    return {s.name: s for s in existing.session.sensors}

@@ -1,0 +1,347 @@
+"""Folders of fringe frames become the measurements of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from math import degrees
+from pathlib import Path
+from typing import Any
+
+from sms_jobs.app.importing.image_entry import Counted
+from sms_jobs.app.importing.outcomes import Outcome, TupleOutcome, existing_campaign, outcome_of
+from sms_jobs.app.progress import Tell, nobody
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import search
+from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.formats import configuration
+from sms_jobs.formats.configuration import CampaignPlan
+from sms_jobs.formats.importers.folders import Listing, list_folder
+from sms_jobs.formats.importers.frames import Arrangement, arrange, roles_told
+from sms_jobs.formats.importers.guess import Guess, guess_layout, with_options
+from sms_jobs.formats.importers.inspection import (
+    CameraModel,
+    Inspected,
+    camera_model,
+    inspect,
+    measurement_of,
+    source_hash,
+)
+from sms_jobs.formats.importers.layout import FrameLayout, layout_of, load_layout
+from sms_jobs.jobs.importing import amend_campaign, import_measurement, known_of, with_states
+from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.views import view_of
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is asked for: which files, as what, where to, and how freely.
+
+    Attributes
+    ----------
+    folder
+        Of the frames; its sub-folders belong to it.
+    only
+        Only files whose path below the folder has this form.
+    campaign
+        That they belong to.
+    rig, specimen, plan
+        Of a campaign that is to be made: by name, or all of it by the file of its test plan.
+    layout
+        File that says what the files are; None to guess.
+    given
+        What of a layout is known otherwise, by table and name as in "phase.origin"; None where it is not.
+    recorded_at
+        When; the files' times if it is None.
+    add_states
+        Give the campaign states that it does not have yet.
+    newer
+        Enter what differs from a measurement that is there as the newest.
+    """
+
+    folder: Path
+    campaign: str
+    only: str | None = None
+    rig: str | None = None
+    specimen: str | None = None
+    plan: Path | None = None
+    layout: Path | None = None
+    given: Mapping[str, Any] = field(default_factory=dict)
+    recorded_at: datetime | None = None
+    add_states: bool = False
+    newer: bool = False
+
+
+@dataclass(frozen=True)
+class Guessed:
+    """What the files of a task may be: a layout, what of it was guessed, and the campaign that is there."""
+
+    task: Task
+    listing: Listing
+    guess: Guess
+    existing: Campaign | None
+
+    @property
+    def layout_text(self) -> str:
+        """The layout as a file to correct and give back."""
+        return self.guess.as_toml()
+
+
+def guess(services: Services, task: Task) -> Guessed:
+    """Say what the files of a folder may be, where it is not given.
+
+    Raises `InvalidInput` for a folder or a layout that cannot be read.
+    """
+    listing = list_folder(task.folder, task.only)
+    existing = existing_campaign(services, task.campaign)
+    table = with_options({} if task.layout is None else load_layout(task.layout), dict(task.given))
+    guessed = guess_layout(listing, table, None if existing is None else existing.sequence)
+    return Guessed(task, listing, guessed, existing)
+
+
+@dataclass(frozen=True)
+class Example:
+    """A complete tuple: its state and view, and each file with what it shows."""
+
+    state: str
+    view: str
+    frames: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Arranged:
+    """What the files are taken for, and the campaign as it has to be, before anything is entered."""
+
+    guessed: Guessed
+    layout: FrameLayout
+    arrangement: Arrangement
+    plan: CampaignPlan | None
+    wanted: Campaign
+
+    @property
+    def fringes(self) -> str:
+        """What is projected, in words."""
+        return _fringes(self.layout.sequence)
+
+    @property
+    def example(self) -> Example | None:
+        """A complete tuple; None where there is none."""
+        complete = next((t for t in self.arrangement.tuples if not t.faults), None)
+        if complete is None:
+            return None
+        return Example(complete.state, complete.view, tuple(roles_told(self.layout, complete)))
+
+
+def arrange_frames(services: Services, guessed: Guessed) -> Arranged:
+    """Say what each file is taken for, and for which campaign.
+
+    Raises `InvalidInput` where the layout makes no sense, or contradicts the files or the campaign.
+    """
+    task, listing = guessed.task, guessed.listing
+    named = "the layout" if task.layout is None else str(task.layout)
+    layout, plan = layout_of(guessed.guess.table, named), _planned(task)
+    arrangement = arrange(listing, layout)
+    run = _Import(services, task, listing, layout, guessed.existing, plan)
+    return Arranged(guessed, layout, arrangement, plan, run.wanted(arrangement))
+
+
+def enter(services: Services, found: Arranged, *, dry_run: bool = False, tell: Tell = nobody) -> Outcome:
+    """Read everything, then enter what has no fault, and say what became of each tuple.
+
+    Each state and view is taken as a whole or not at all; what is in the archive is not entered again.
+
+    Parameters
+    ----------
+    dry_run
+        Read and check everything, and change nothing.
+    tell
+        Told files, then tuples.
+    """
+    guessed = found.guessed
+    run = _Import(services, guessed.task, guessed.listing, found.layout, guessed.existing, found.plan)
+    return run.enter(found.arrangement, found.wanted, dry_run, tell)
+
+
+def _planned(task: Task) -> CampaignPlan | None:
+    """Return the test plan of a campaign that is to be made; `InvalidInput` for that of another."""
+    if task.plan is None:
+        return None
+    plan = configuration.load_campaign(task.plan)
+    if plan.campaign.name != task.campaign:
+        raise InvalidInput(
+            f"{task.plan} is the plan of campaign {plan.campaign.name}, not of {task.campaign}"
+        )
+    return plan
+
+
+def _fringes(sequence: Any) -> str:
+    angles = ", ".join(f"{degrees(a):g}" for a in sequence.orientations_rad)
+    return f"densities {', '.join(map(str, sequence.densities))} x {sequence.steps} steps along {angles} deg"
+
+
+@dataclass(frozen=True)
+class _Import:
+    """Frames of a folder on their way into a campaign: the one that is there, a planned one, or a new one."""
+
+    services: Services
+    task: Task
+    listing: Listing
+    layout: FrameLayout
+    existing: Campaign | None
+    plan: CampaignPlan | None
+
+    def wanted(self, arrangement: Arrangement) -> Campaign:
+        """Return the campaign as it has to be; raise where what there is contradicts the files."""
+        task, layout = self.task, self.layout
+        if not arrangement.tuples:
+            raise InvalidInput(
+                f"no file of {task.folder} fits the pattern '{layout.pattern.text}': give another "
+                "--pattern; '--print-layout' shows the guess"
+            )
+        known = self._known()
+        if known is None:
+            if task.rig is None:
+                raise InvalidInput(
+                    f"there is no campaign {task.campaign} yet: name the rig that measured, as --rig desk, "
+                    "or give its --plan; 'sms calibration list' shows rigs"
+                )
+            return Campaign(
+                name=task.campaign,
+                specimen=Specimen(task.specimen or task.campaign),
+                rig=task.rig,
+                states=tuple(LoadState(label, time=task.recorded_at) for label in arrangement.labels)
+                or (LoadState("S00"),),
+                views=arrangement.views or ("C1P1",),
+                sequence=layout.sequence,
+            )
+        unknown = [p for p in arrangement.views if p not in known.views]
+        if unknown:
+            raise InvalidInput(
+                f"campaign {known.name} has no view {', '.join(unknown)}; it has {', '.join(known.views)}"
+            )
+        if layout.sequence != known.sequence:
+            raise InvalidInput(
+                f"campaign {known.name} is measured with {_fringes(known.sequence)}, but the layout has "
+                f"{_fringes(layout.sequence)}: import into another campaign"
+            )
+        added = [label for label in arrangement.labels if label not in {s.label for s in known.states}]
+        if added and not task.add_states:
+            raise InvalidInput(
+                f"campaign {known.name} has no state {', '.join(added[:5])}: say --add-states to add "
+                f"{len(added)}, take others by --only, or map them to its own under [states] of a layout"
+            )
+        return with_states(known, added)
+
+    def _known(self) -> Campaign | None:
+        """Return what is known of the campaign besides the files."""
+        return self.plan.campaign if self.existing is None and self.plan is not None else self.existing
+
+    def enter(self, arrangement: Arrangement, wanted: Campaign, dry_run: bool, tell: Tell) -> Outcome:
+        """Read everything, then enter what has no fault, and say what became of each tuple."""
+        inspected = _inspect_all(self.listing, self.layout, arrangement, tell)
+        good = [one for one in inspected if not one.found.faults]
+        remarks = list(dict.fromkeys(r for one in good for r in one.remarks))
+        camera = camera_model(self.listing.folder, good, self.layout) if good else None
+        if camera is not None:
+            remarks += camera.remarks
+        remarks += self._calibrated_otherwise(wanted.rig, good)
+        if good and not dry_run:
+            self._prepare(wanted)
+        counted, rows = Counted(tell, "importing", len(inspected)), []
+        for one in inspected:
+            if one.found.faults:
+                rows.append(outcome_of(one, "refused", "; ".join(one.found.faults)))
+            else:
+                assert camera is not None
+                rows.append(self._enter(camera, one, dry_run))
+            counted.one_more()
+        return Outcome(tuple(rows), tuple(remarks), arrangement.left_out)
+
+    def _calibrated_otherwise(self, rig: str, good: Sequence[Inspected]) -> list[str]:
+        """Say which cameras the newest calibration of the rig knows with images of another size."""
+        with self.services.catalogue.reading() as session:
+            views = [v for v in search.list_calibrations(session, rig) if not v.inactive]
+        if not views:
+            return []
+        with self.services.archive.open(views[0]) as dataset:
+            known = {s.name: s for s in dataset.read("calibration", Calibration).rig.sensors}
+        told: dict[str, None] = {}
+        for one in good:
+            camera = view_of(one.found.view).camera
+            about, sensor = next(iter(one.facts.values())), known.get(camera)
+            if sensor and (about.columns, about.rows) != (sensor.columns, sensor.rows):
+                remark = (
+                    f"{camera} of rig {rig} is calibrated for {sensor.columns} x {sensor.rows} px, and these "
+                    f"frames have {about.columns} x {about.rows}: shape needs a calibration of that size"
+                )
+                told[remark] = None
+        return list(told)
+
+    def _prepare(self, wanted: Campaign) -> None:
+        catalogue, archive, now = self.services.catalogue, self.services.archive, datetime.now(UTC)
+        if self.existing is not None:
+            if wanted != self.existing:
+                amend_campaign(catalogue, archive, self.existing, wanted, now)
+        elif self.plan is not None:
+            register_campaign(catalogue, archive, wanted, self.plan.calibration, now, self.plan.text)
+        else:
+            register_campaign(catalogue, archive, wanted, None, now)
+
+    def _enter(self, camera: CameraModel, one: Inspected, dry_run: bool) -> TupleOutcome:
+        task, catalogue, archive = self.task, self.services.catalogue, self.services.archive
+        subject = Subject(task.campaign, one.found.state, one.found.view)
+        digest = source_hash(one, self.layout)
+        known = known_of(catalogue, archive, subject, digest)
+        if known.status == "there":
+            return outcome_of(one, "already there", known.path)
+        if dry_run:
+            differs = known.status == "other" and not task.newer
+            detail = "it has another measurement already: say --newer" if differs else ""
+            return outcome_of(one, "refused" if differs else "would be imported", detail)
+        at = task.recorded_at or one.recorded_at
+        sources = _sources(task, self.listing, one, self.layout)
+        try:
+            measurement = measurement_of(self.listing.folder, one, self.layout, camera, at)
+            done = import_measurement(
+                catalogue,
+                archive,
+                subject,
+                measurement,
+                digest,
+                sources,
+                datetime.now(UTC),
+                newer=task.newer,
+            )
+        except (Conflict, InvalidInput) as error:
+            return outcome_of(one, "refused", str(error))
+        return outcome_of(one, "imported", done.path)
+
+
+def _inspect_all(
+    listing: Listing, layout: FrameLayout, arrangement: Arrangement, tell: Tell
+) -> list[Inspected]:
+    """Read every file once, before anything is written."""
+    counted = Counted(tell, "reading", sum(len(t.files) for t in arrangement.tuples))
+    return [
+        inspect(listing.folder, t, layout.raw, layout.full_scale, counted.one_more)
+        for t in arrangement.tuples
+    ]
+
+
+def _sources(task: Task, listing: Listing, one: Inspected, layout: FrameLayout) -> Mapping[str, Any]:
+    """Return what the provenance tells besides the hash: where from, and which file is what."""
+    told = dict(roles_told(layout, one.found))
+    return {
+        "folder": str(listing.folder),
+        "pattern": layout.pattern.text,
+        "time_from": "given" if task.recorded_at else "files",
+        "texture_from": "white frame" if one.found.white else "mean of the fringe frames",
+        "remarks": list(one.remarks),
+        "files": [
+            {"name": name, "sha256": one.facts[name].sha256, "shows": told.get(name, "black")}
+            for name in dict.fromkeys(one.found.files)
+        ],
+    }

@@ -1,0 +1,94 @@
+"""Points of a board that another program has found become observations of a session."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from sms_jobs.app.importing.outcomes import existing_campaign
+from sms_jobs.bootstrap import Services
+from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.formats.importers.board_points import read_points
+from sms_jobs.formats.importers.boards import BOARD
+from sms_jobs.jobs.importing import import_observations
+from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.records.artefacts import Chessboard
+from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
+from sms_jobs.records.sensors import SensorFormat
+from sms_jobs.records.views import view_of
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is asked for.
+
+    Attributes
+    ----------
+    file
+        Table of the points.
+    session, rig
+        Calibration session that is to be made, and the rig that it calibrates.
+    view
+        Camera and projector that saw the board, or a camera alone.
+    sizes
+        Columns and rows of each of these, by name.
+    sigma_px
+        Standard deviation of the points, in each direction.
+    recorded_at
+        When; now if it is None.
+    """
+
+    file: Path
+    session: str
+    rig: str
+    view: str
+    sizes: Mapping[str, tuple[int, int]]
+    sigma_px: float = 0.1
+    recorded_at: datetime | None = None
+
+
+@dataclass(frozen=True)
+class ImportedPoints:
+    """The board, and how many points of it were seen in each pose."""
+
+    board: Chessboard
+    counts: dict[str, int]
+
+
+def import_points(services: Services, task: Task, *, dry_run: bool = False) -> ImportedPoints:
+    """Enter points as a session of their own, where observing the board's images would have put them.
+
+    Raises
+    ------
+    InvalidInput
+        The table cannot be read, or the sizes are not those of the view.
+    Conflict
+        There is a campaign of that name.
+    """
+    now = datetime.now(UTC)
+    table = read_points(task.file, task.view, task.sigma_px)
+    at = task.recorded_at or now
+    made = Campaign(
+        name=task.session,
+        specimen=Specimen(BOARD),
+        rig=task.rig,
+        states=tuple(LoadState(label, time=at, artefact=BOARD) for label in table.observations),
+        views=(task.view,),
+        session=CalibrationSession({BOARD: table.board}, _sensors(task.view, task.sizes)),
+    )
+    if existing_campaign(services, task.session) is not None:
+        raise Conflict(f"there is a campaign {task.session} already: give another name to -c")
+    if not dry_run:
+        register_campaign(services.catalogue, services.archive, made, None, now)
+        told = {"file": str(task.file), "source_sha256": table.sha256, "sigma_px": task.sigma_px}
+        import_observations(services.catalogue, services.archive, made, table.observations, told, now)
+    return ImportedPoints(table.board, {pose: len(s.point) for pose, s in table.observations.items()})
+
+
+def _sensors(view: str, sizes: Mapping[str, tuple[int, int]]) -> tuple[SensorFormat, ...]:
+    wanted = view_of(view).sensors
+    if set(sizes) != set(wanted):
+        raise InvalidInput(f"give --size of {' and '.join(wanted)}, not of {', '.join(sizes) or 'none'}")
+    return tuple(SensorFormat(name, *sizes[name]) for name in wanted)
