@@ -25,7 +25,7 @@ class Command:
     help
         The first sentence of its help, as `sms --help` shows it.
     module
-        In `sms_jobs.cli`.
+        In `sms_jobs`.
     function
         Of the module; empty for a group of commands, the module's `app`.
     """
@@ -36,7 +36,7 @@ class Command:
 
     def load(self, name: str) -> Any:
         """Return the command itself."""
-        module = import_module(f"sms_jobs.cli.{self.module}")
+        module = import_module(f"sms_jobs.{self.module}")
         above = typer.Typer(rich_markup_mode="rich")
         if self.function:
             above.command(name)(getattr(module, self.function))
@@ -71,50 +71,52 @@ def _guard(command: Any) -> None:
 COMMANDS: Mapping[str, Command] = {
     "demo": Command(
         "Calibrate a simulated rig and measure a bending test with it, and compare with the exact truth.",
-        "demo",
+        "cli.demo",
         "demo",
     ),
-    "init": Command("Make a home: folder, settings file and an empty catalogue.", "service", "init"),
+    "init": Command("Make a home: folder, settings file and an empty catalogue.", "cli.service", "init"),
     "up": Command(
         "Serve: run queued jobs until Ctrl-C, which lets running jobs finish; twice kills them.",
-        "service",
+        "cli.service",
         "up",
     ),
-    "status": Command("Show campaigns, jobs by state, workers and disk.", "service", "status"),
+    "status": Command("Show campaigns, jobs by state, workers and disk.", "cli.service", "status"),
     "doctor": Command(
         "Check catalogue, archive, messages, workers, clock and disk; say what to do about each finding.",
-        "doctor",
+        "cli.doctor",
         "doctor",
     ),
     "metrics": Command(
         "Serve numbers about jobs, queues, workers, archive and schedules to Prometheus, until Ctrl-C.",
-        "metrics",
+        "cli.metrics",
         "metrics",
     ),
     "bench": Command(
         "Measure speed and accuracy on this machine, and compare them with the project's targets.",
-        "bench",
+        "bench.command",
         "bench",
     ),
     "study": Command(
-        "Run a study again: its table on the screen, its picture and numbers in a folder.", "bench", "study"
+        "Run a study again: its table on the screen, its picture and numbers in a folder.",
+        "bench.command",
+        "study",
     ),
-    "campaign": Command("Campaigns: a specimen, its load states, and how they are measured.", "campaign"),
-    "job": Command("Jobs: submit, follow and mend them.", "job"),
-    "acquire": Command("Recordings: states, with the instruments of a rig.", "acquire"),
-    "rig": Command("Rigs: the instruments that are connected to this host.", "rig"),
-    "queue": Command("Queues: what may begin, and in which order.", "queue"),
-    "schedule": Command("Schedules: jobs that are submitted at their time.", "schedule"),
-    "lock": Command("Devices that a job or a person holds.", "lock"),
-    "data": Command("Measurements and results in the archive.", "data"),
+    "campaign": Command("Campaigns: a specimen, its load states, and how they are measured.", "cli.campaign"),
+    "job": Command("Jobs: submit, follow and mend them.", "cli.job"),
+    "acquire": Command("Recordings: states, with the instruments of a rig.", "cli.acquire"),
+    "rig": Command("Rigs: the instruments that are connected to this host.", "cli.rig"),
+    "queue": Command("Queues: what may begin, and in which order.", "cli.queue"),
+    "schedule": Command("Schedules: jobs that are submitted at their time.", "cli.schedule"),
+    "lock": Command("Devices that a job or a person holds.", "cli.lock"),
+    "data": Command("Measurements and results in the archive.", "cli.data"),
     "import": Command(
-        "Bring in what was made elsewhere: frames, images, readings, calibrations, surfaces.", "importing"
+        "Bring in what was made elsewhere: frames, images, readings, calibrations, surfaces.", "cli.importing"
     ),
-    "speckle": Command("Speckle patterns for specimens.", "speckle"),
-    "archive": Command("The archive: is everything there, and as it was sealed?", "archive"),
-    "calibration": Command("Calibrations of rigs.", "calibration"),
-    "worker": Command("Workers on this and other hosts.", "worker"),
-    "db": Command("The catalogue's database, and backups.", "db"),
+    "speckle": Command("Speckle patterns for specimens.", "cli.speckle"),
+    "archive": Command("The archive: is everything there, and as it was sealed?", "cli.archive"),
+    "calibration": Command("Calibrations of rigs.", "cli.calibration"),
+    "worker": Command("Workers on this and other hosts.", "cli.worker"),
+    "db": Command("The catalogue's database, and backups.", "cli.db"),
 }
 
 
