@@ -1,4 +1,7 @@
-"""What the shell offers on Tab: campaigns, states, views, kinds and job ids of the home."""
+"""What the shell offers on Tab: campaigns, states, views, kinds and job ids of the home.
+
+Every command knows these functions, and few runs of one call them: they import what they ask themselves.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,6 @@ from typing import TypeVar
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import campaigns, jobs, kinds
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import SmsError
 from sms_jobs.records.campaign import Campaign
@@ -22,6 +24,8 @@ Offered = TypeVar("Offered", str, tuple[str, str])
 
 def campaign_names(context: typer.Context, incomplete: str) -> list[str]:
     """Offer the names of campaigns."""
+    from sms_jobs.app import campaigns
+
     return _offer(context, incomplete, campaigns.names)
 
 
@@ -39,6 +43,7 @@ def view_names(context: typer.Context, incomplete: str) -> list[str]:
 
 def job_ids(context: typer.Context, incomplete: str) -> list[tuple[str, str]]:
     """Offer the latest jobs, each with what it is."""
+    from sms_jobs.app import jobs
 
     def latest(services: Services) -> list[tuple[str, str]]:
         found = jobs.list_jobs(services, limit=_JOBS_OFFERED)
@@ -49,12 +54,16 @@ def job_ids(context: typer.Context, incomplete: str) -> list[tuple[str, str]]:
 
 def kind_names(incomplete: str) -> list[tuple[str, str]]:
     """Offer the job kinds."""
+    from sms_jobs.app import kinds
+
     offered = [(kinds.EVERYTHING, "all kinds but simulate")]
     offered += [(kind.name, kind.summary) for kind in kinds.kinds()]
     return [(name, summary) for name, summary in offered if name.startswith(incomplete)]
 
 
 def _campaign(services: Services, context: typer.Context) -> Campaign:
+    from sms_jobs.app import campaigns
+
     return campaigns.definition(services, context.params.get("campaign") or "")
 
 
