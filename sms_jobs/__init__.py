@@ -1,5 +1,25 @@
 """A job service with a data archive for optical shape, deformation and strain measurement."""
 
+import os
+from importlib import import_module
 from importlib.metadata import version
+from typing import Any
 
 __version__ = version("sms-jobs")
+
+
+def open(home: str | os.PathLike[str] | None = None) -> Any:  # noqa: A001 - it stands behind the package's name
+    """Open a home for a program or a notebook, as a `sms_jobs.lab.Lab`; see docs/python.md.
+
+    Parameters
+    ----------
+    home
+        Its folder; the usual one if it is None.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no home, or its catalogue is older than this version needs.
+    """
+    # By its name: every layer imports this package, and none of them the interface above it.
+    return import_module("sms_jobs.lab").Lab(home)

@@ -5,8 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import nbformat
 import pytest
+from nbclient import NotebookClient
 from support.command import answer, sms
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -94,3 +98,19 @@ def test_the_report_stands_alone(first: Any) -> None:
     assert 'href="http' not in page
     for word in ("top-hat-small", "S03", "C1", "strain", "mm"):
         assert word in page
+
+
+def test_the_notebook_shows_the_demo_with_its_uncertainty(
+    first: Any, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SMS_HOME", str(folder))
+    # Pictures go into the notebook, as they do where somebody looks at it.
+    monkeypatch.delenv("MPLBACKEND")
+    notebook = nbformat.read(ROOT / "docs" / "demo.ipynb", as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells), "leave out what the notebook printed"
+    NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
+    given = [one for cell in notebook.cells for one in cell.get("outputs", [])]
+    assert sum("image/png" in one.get("data", {}) for one in given) == 3
+    said = "".join(one.get("text", "") for one in given)
+    assert said.count("median standard deviation") == 3
+    assert first["campaign"] in said

@@ -1,0 +1,163 @@
+"""A home in Python: what docs/python.md shows runs, and says what the archive holds."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.archives import Clock, registered, run_jobs, runner, work_again
+
+import sms_jobs
+from sms_jobs import bootstrap
+from sms_jobs.app import jobs
+from sms_jobs.archive import Archive
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.errors import ConfigurationError, InvalidInput, JobFailed, NotFound, WaitTimedOut
+from sms_jobs.jobs.planning import Request
+from sms_jobs.lab import Lab
+from sms_jobs.records.fields import StrainField
+from sms_jobs.records.reasons import Reason
+
+ROOT = Path(__file__).resolve().parents[2]
+BLOCKS = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "python.md").read_text("utf-8"), re.M | re.S)
+CAMPAIGN = "top-hat-small"
+"""The name of the demo's campaign, which is a smaller one here."""
+ADDRESS = f"{CAMPAIGN}/S01/C1P1"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a home in it, whose jobs up to strain have been done."""
+    folder = tmp_path_factory.mktemp("python")
+    home = folder / "sms-demo"
+    bootstrap.initialise(home)
+    clock, archive = Clock(), Archive(home / "archive")
+    with closing(Catalogue(f"sqlite:///{home / 'catalogue.sqlite'}")) as catalogue:
+        work_again(catalogue, clock)
+        registered(catalogue, archive, clock, CAMPAIGN)
+        kinds = ("simulate", "reconstruct", "correlate", "strain")
+        run_jobs(catalogue, archive, clock, [Request(kind) for kind in kinds], CAMPAIGN)
+    return folder
+
+
+@pytest.fixture
+def lab(folder: Path) -> Iterator[Lab]:
+    with sms_jobs.open(folder / "sms-demo") as lab:
+        yield lab
+
+
+@contextmanager
+def served(home: Path) -> Iterator[None]:
+    """Run what is queued meanwhile, as the service of a home does."""
+    ending = threading.Event()
+
+    def serve() -> None:
+        with closing(Catalogue(f"sqlite:///{home / 'catalogue.sqlite'}")) as catalogue:
+            here = runner(catalogue, Archive(home / "archive"), Clock())
+            while not ending.wait(0.05):
+                here.run_queued()
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield
+    finally:
+        ending.set()
+        thread.join()
+
+
+def test_the_page_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    assert len(BLOCKS) >= 8
+    names: dict[str, object] = {}
+    with served(folder / "sms-demo"):
+        for block in BLOCKS:
+            exec(compile(block, "docs/python.md", "exec"), names)
+
+
+def test_what_is_found_is_walked_through_and_tabled(lab: Lab) -> None:
+    found = lab.find("kind = strain")
+    assert {file.subject for file in found} == {ADDRESS}
+    table = found.table()
+    assert list(table.columns) == ["file", "kind", "subject", "created"]
+    assert table.loc[0, "kind"] == "strain"
+    assert len(lab.find("strain where load_N > 1e9")) == 0
+    assert lab.find("strain where load_N > 1e9").table().empty
+    assert len(lab.find(limit=3)) == 3
+    with pytest.raises(InvalidInput, match="character"):
+        lab.find("strain where")
+
+
+def test_a_field_is_what_was_archived_and_says_so(lab: Lab) -> None:
+    strain = lab.read(ADDRESS, "strain")
+    file = next(iter(lab.find("kind = strain")))
+    assert strain.attrs["file"] == file.id
+    assert strain.attrs["content_hash"] == file.content_hash
+    assert strain.attrs["subject"] == ADDRESS
+    assert strain.attrs["job"] == file.job_id
+    assert strain.strain.dims == ("strain_component", "row", "column")
+    assert list(strain.strain_component.values) == ["xx", "yy", "xy"]
+    assert strain.sigma.dims == strain.strain.dims
+    assert strain.strain.attrs["long_name"] == "strain"
+    masks = strain.reason.attrs["flag_masks"]
+    assert masks.dtype == strain.reason.dtype
+    assert len(strain.reason.attrs["flag_meanings"].split()) == len(masks) == len(Reason)
+    valid = (strain.reason == 0).values
+    assert valid.any()
+    assert np.isfinite(strain.strain.values[:, valid]).all()
+    assert np.isnan(strain.strain.values[:, ~valid]).all()
+    # What is no array stands in the attributes, by its name in the record.
+    assert {"measure", "gauge_length_mm"} <= StrainField.__dataclass_fields__.keys() & strain.attrs.keys()
+
+
+def test_records_are_read_by_kind_by_name_and_by_file(lab: Lab) -> None:
+    shape = lab.read(ADDRESS, "reconstruct")
+    assert shape.identical(lab.read(ADDRESS, "cloud"))
+    assert shape.identical(lab.read(shape.attrs["file"]))
+    phase = lab.read(shape.attrs["file"], "phase")
+    assert phase.attrs["record"] == "phase"
+    assert json.loads(phase.attrs["orientations_rad"]) == [0.0, pytest.approx(np.pi / 2)]
+    measurement = lab.read(ADDRESS, "measurement")
+    assert "texture" in measurement
+    assert "frames" not in measurement
+
+
+@pytest.mark.parametrize(
+    ("subject", "what"),
+    [(ADDRESS, "merge"), (ADDRESS, "nonsense"), ("nobody/S01/C1P1", "strain"), (999, None)],
+)
+def test_what_is_not_there_is_said(lab: Lab, subject: str | int, what: str | None) -> None:
+    with pytest.raises(NotFound, match=r"there is no"):
+        lab.read(subject, what)
+
+
+def test_a_job_that_does_not_succeed_is_an_error(lab: Lab, folder: Path) -> None:
+    with pytest.raises(InvalidInput, match="gauge"):
+        lab.submit("strain", CAMPAIGN, dry_run=True, gauge_length_mm=-1.0)
+    done = lab.submit("strain", CAMPAIGN, gauge_length_mm=25.0)
+    with pytest.raises(WaitTimedOut, match="1 of 1 jobs"):
+        lab.wait(done, timeout_s=0.0)
+    with bootstrap.services(folder / "sms-demo") as services:
+        assert jobs.cancel(services, done.job_ids, None) == 1
+    with pytest.raises(JobFailed, match="the last was strain"):
+        lab.wait(done)
+    assert "cancelled" in lab.explain(done.job_ids[0])
+
+
+@pytest.mark.parametrize("package", ["pandas", "xarray"])
+def test_a_missing_extra_is_named(lab: Lab, monkeypatch: pytest.MonkeyPatch, package: str) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ConfigurationError, match=rf"{package} is not installed.*sms-jobs\[notebook\]"):
+        lab.find().table() if package == "pandas" else lab.read(ADDRESS, "strain")
+
+
+def test_a_folder_that_is_no_home_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="sms init"):
+        sms_jobs.open(tmp_path / "nowhere")
