@@ -25,7 +25,7 @@ from sms_jobs.errors import SmsError
 from sms_jobs.jobs import health, inquiry, liveness
 from sms_jobs.jobs.origin import Origin
 from sms_jobs.records.job import ALIVE_WITHIN
-from sms_jobs.records.texts import size
+from sms_jobs.records.sizes import size
 from sms_jobs.settings import Settings
 
 _LITTLE_ROOM_BYTES = 10e9

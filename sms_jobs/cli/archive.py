@@ -14,7 +14,7 @@ from sms_jobs.app import archive
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.texts import size
+from sms_jobs.records.sizes import size
 
 app = typer.Typer(help="The archive: is everything there, and as it was sealed?", no_args_is_help=True)
 

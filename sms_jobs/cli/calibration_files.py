@@ -15,8 +15,8 @@ from sms_jobs.app.calibrations import STYLES, Imported
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.calibration import Supplement
 from sms_jobs.records.sensors import Box
+from sms_jobs.records.supplements import Supplement
 from sms_jobs.records.times import parsed_time
 
 _SIZE = re.compile(r"(?P<name>\w{1,8})=(?P<columns>\d{1,6})x(?P<rows>\d{1,6})")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sms_jobs.cli import output
 from sms_jobs.records.rehearsals import DryRun
-from sms_jobs.records.texts import size
+from sms_jobs.records.sizes import size
 
 
 def show(campaign: str, done: DryRun, as_json: bool) -> None:

@@ -19,7 +19,7 @@ from sms_jobs.app.row_tables import write_csv, write_parquet
 from sms_jobs.cli import output
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.files import FileView, Found, Page
-from sms_jobs.records.texts import size
+from sms_jobs.records.sizes import size
 
 
 class Format(StrEnum):

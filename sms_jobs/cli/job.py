@@ -19,7 +19,7 @@ from sms_jobs.cli.waiting import as_json as outlook_as_json
 from sms_jobs.cli.waiting import followed, told, told_outlook
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.job import SHORT_ID, JobState
-from sms_jobs.records.texts import size
+from sms_jobs.records.sizes import size
 
 app = typer.Typer(help="Jobs: submit, follow and mend them.", no_args_is_help=True)
 

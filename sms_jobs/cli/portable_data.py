@@ -13,7 +13,7 @@ from sms_jobs.app.packing import CheckedFolder
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.calibration_acceptance import used_for
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.records.texts import size
+from sms_jobs.records.sizes import size
 
 _FINDINGS = 6
 

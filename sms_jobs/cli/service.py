@@ -13,7 +13,7 @@ from sms_jobs.app.service import Status
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import told_outlook
-from sms_jobs.records.texts import size
+from sms_jobs.records.sizes import size
 
 
 def init(

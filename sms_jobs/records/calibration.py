@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from datetime import datetime
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.records.quantity import array
-from sms_jobs.records.sensors import Box
 
 
 @dataclass(frozen=True)
@@ -132,27 +130,3 @@ class CalibrationQuality:
         """Return the rms error of the held-out bar lengths; NaN when there was no bar."""
         errors = np.array(list(self.bar_length_error_mm.values()))
         return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
-
-
-@dataclass(frozen=True)
-class Supplement:
-    """What a person says of a file that does not say it itself.
-
-    Attributes
-    ----------
-    rig, valid_from, volume
-        Win over what the file says.
-    names
-        C1, P1, ... of the sensors, in the order of the file; by default cameras and projectors are counted.
-    sizes
-        Columns and rows of sensors, by name.
-    millimetres_per_unit
-        Of the lengths in the file.
-    """
-
-    rig: str | None = None
-    valid_from: datetime | None = None
-    volume: Box | None = None
-    names: tuple[str, ...] = ()
-    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
-    millimetres_per_unit: float = 1.0

@@ -51,13 +51,3 @@ def _as_number(letter: str) -> str:
     if 0xDC80 <= code <= 0xDCFF:  # a byte of a name that is not in UTF-8
         code -= 0xDC00
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
-
-
-def size(count: int) -> str:
-    """Return a number of bytes as people read it."""
-    amount = float(count)
-    for unit in ("B", "kB", "MB", "GB"):
-        if amount < 1000:
-            return f"{amount:.0f} {unit}" if unit == "B" else f"{amount:.1f} {unit}"
-        amount /= 1000
-    return f"{amount:.1f} TB"

@@ -21,9 +21,9 @@ from sms_jobs.formats.interchange.thesis_calibration import find_thesis_calibrat
 from sms_jobs.formats.interchange.xml_elements import parse_xml
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import distortion_jacobian, undistort
-from sms_jobs.records.calibration import Supplement
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.supplements import Supplement
 from sms_jobs.records.views import role_of, sensor_name
 
 _DIALECTS: dict[Style, Dialect] = {"opencv-yaml": "yml", "opencv-xml": "xml", "opencv-json": "json"}

@@ -20,8 +20,8 @@ from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
-from sms_jobs.records.calibration import Supplement
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.supplements import Supplement
 from sms_jobs.records.views import Role
 
 WRONG = Path(__file__).parent / "wrong_calibrations"
