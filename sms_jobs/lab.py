@@ -25,7 +25,7 @@ from sms_jobs.app.reading import StoredRecord
 from sms_jobs.app.waiting import Waited
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.records.files import FileView, Found
-from sms_jobs.records.quantity import Quantity, quantities
+from sms_jobs.records.quantity import Quantity, quantities, quantities_of
 from sms_jobs.records.reasons import Reason
 
 if TYPE_CHECKING:
@@ -137,8 +137,8 @@ class Lab:
         what_of
             A subject as campaign/state/view, or the number of a file.
         what
-            Name of a kind or of a record, such as strain, displacement or cloud; of a file, its first record
-            if it is None.
+            Name of a kind or of a record, such as strain, displacement or surface; None for the first record
+            of a file.
 
         Returns
         -------
@@ -227,7 +227,7 @@ def _dataset(stored: StoredRecord) -> xarray.Dataset:
     record = stored.record
     declared = {
         name: quantity
-        for name, quantity in quantities(type(record)).items()
+        for name, quantity in quantities_of(record).items()
         if isinstance(getattr(record, name), np.ndarray)
     }
     dimensions = _dimensions(declared)

@@ -45,7 +45,7 @@ def newest(services: Services, subject: str, what: str) -> StoredRecord:
     subject
         As campaign/state/view, campaign/state or campaign.
     what
-        Name of a kind, such as strain, or else of a record, such as displacement or cloud.
+        Name of a kind, such as strain, or else of a record, such as displacement or surface.
 
     Raises
     ------
