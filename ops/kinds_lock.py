@@ -145,9 +145,9 @@ def complaints(now: dict[str, Locked], noted: dict[str, Locked]) -> list[str]:
             said.append(f"version {now[name].version} of {name} is not noted: run ops/kinds_lock.py --write")
         elif now[name].digest != noted[name].digest:
             said.append(
-                f"the source of {name} has changed and its version, {now[name].version}, has not: raise it and "
-                "run ops/kinds_lock.py --write, or, if no number changes, ops/kinds_lock.py --same-numbers "
-                f"{name} WHY"
+                f"the source of {name} has changed and its version, {now[name].version}, has not: "
+                "raise it and run ops/kinds_lock.py --write, or, if no number changes, "
+                f"ops/kinds_lock.py --same-numbers {name} WHY"
             )
     return said
 

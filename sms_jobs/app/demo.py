@@ -185,6 +185,6 @@ def _products(session: Session, services: Services, campaign: str) -> dict[str, 
         for file in reversed(search.find_files(session, source="export", campaign=campaign, limit=10_000))
     }
     return {
-        "report": str(services.archive.path(reports[0].path)),
-        "exports": [str(services.archive.path(path)) for path in exports.values()],
+        "report": services.archive.location(reports[0].path),
+        "exports": [services.archive.location(path) for path in exports.values()],
     }

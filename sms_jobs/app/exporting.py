@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
@@ -144,7 +143,7 @@ def _export(services: Services, view: FileView, out: Path | None, wanted: Wanted
         target = _target(out, PurePosixPath(view.path).name, wanted.force)
         services.archive.verify_bytes(view)
         with writing.new_file(target, wanted.force) as part:
-            shutil.copyfile(services.archive.path(view.path), part)
+            services.archive.copy_out(view.path, part)
         return [target]
     written = []
     with services.archive.open(view) as dataset:
@@ -175,8 +174,8 @@ def _repacked(services: Services, view: FileView, out: Path | None, wanted: Want
         raise InvalidInput(_NO_DATASET.format(number=view.id, media_type=view.media_type))
     target = _target(out, f"{view.subject.replace('/', '-')}-{view.source}.h5", wanted.force)
     services.archive.verify_bytes(view)
-    with writing.new_file(target, wanted.force) as part:
-        repack(services.archive.path(view.path), part, view.path)
+    with writing.new_file(target, wanted.force) as part, services.archive.local(view.path) as sealed:
+        repack(sealed, part, view.path)
     return target
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE
@@ -37,7 +36,7 @@ class Description:
     """
 
     file: FileView
-    path: Path
+    path: str
     statistics: dict[str, float]
     readings: dict[str, float]
     records: dict[str, Any]
@@ -63,7 +62,7 @@ def describe(services: Services, key: str) -> Description:
             records = dataset.describe()
     else:
         services.archive.verify_bytes(view)
-    return Description(view, services.archive.path(view.path), numbers, readings, records)
+    return Description(view, services.archive.location(view.path), numbers, readings, records)
 
 
 MOST_RELATED = family.MOST

@@ -76,7 +76,7 @@ def rehearse(services: Services, wanted: Plan) -> DryRun:
     rig, settings = services.stations.rig(wanted.campaign.rig), services.settings
     with services.catalogue.reading() as session:
         return dry_runs.dry_run(
-            session, rig, wanted.campaign, wanted.states, settings.spool_folder, services.archive.root
+            session, rig, wanted.campaign, wanted.states, settings.spool_folder, services.archive
         )
 
 

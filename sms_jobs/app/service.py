@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -46,7 +45,7 @@ class Status:
 
     home: Path
     catalogue: str
-    archive: Path
+    archive: str
     archive_free_bytes: int
     campaigns: int
     jobs: dict[str, int]
@@ -56,14 +55,13 @@ class Status:
 
 def status(services: Services) -> Status:
     """Return how a home stands."""
-    root = services.archive.root
     ahead = jobs.remaining(services).outlook
     with services.catalogue.reading() as session:
         return Status(
             services.settings.home,
             services.catalogue.describe(),
-            root,
-            shutil.disk_usage(root).free,
+            services.archive.where,
+            services.archive.room().free_bytes,
             campaigns.number_of_campaigns(session),
             inquiry.counts(session),
             tuple(inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)),
@@ -120,7 +118,7 @@ def metrics(services: Services) -> str:
     up = Metric("sms_catalogue_up", "1 when the catalogue answers.")
     try:
         with services.catalogue.reading() as session:
-            found = gather(session, services.archive.root, datetime.now(UTC))
+            found = gather(session, services.archive, datetime.now(UTC))
     except (SmsError, OSError):
         found = []
     up.add(bool(found))

@@ -12,7 +12,7 @@ from support.jobs import NOW, claim, events
 from support.statements import heard
 
 from sms_jobs.app.waiting import wait_for
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, MemoryStore
 from sms_jobs.bench import large_queue
 from sms_jobs.bench.large_queue import SECONDS, fill_queue, name_of
 from sms_jobs.bootstrap import Services
@@ -60,7 +60,7 @@ def waited_for(catalogue: Catalogue) -> None:
     with catalogue.reading() as session:
         some = chosen.active_now(session, CAMPAIGN_NAME)
     with pytest.raises(WaitTimedOut, match=f"{MANY} of {MANY} jobs"):
-        wait_for(Services(Settings(home=Path(), workers=2), catalogue, Archive(Path())), some, 0.0)
+        wait_for(Services(Settings(home=Path(), workers=2), catalogue, Archive(MemoryStore())), some, 0.0)
 
 
 def recovered(catalogue: Catalogue) -> None:

@@ -30,8 +30,8 @@ from support.servers import RedisServer
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
-from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.app.doctor import Examined, examine
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import WorkerRow

@@ -20,8 +20,8 @@ from support.deployments import Deployment
 from support.jobs import NOW, claim, submit_pipeline
 
 from sms_jobs import bootstrap
-from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.app.service import metrics
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import WorkerRow
 from sms_jobs.jobs import lifecycle, queues, recovery, schedules

@@ -17,7 +17,7 @@ from support.archives import Clock, registered, run_jobs, runner, work_again
 import sms_jobs
 from sms_jobs import bootstrap
 from sms_jobs.app import jobs
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import ConfigurationError, InvalidInput, JobFailed, NotFound, WaitTimedOut
 from sms_jobs.jobs.planning import Request
@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("python")
     home = folder / "sms-demo"
     bootstrap.initialise(home)
-    clock, archive = Clock(), Archive(home / "archive")
+    clock, archive = Clock(), Archive(FolderStore(home / "archive"))
     with closing(Catalogue(f"sqlite:///{home / 'catalogue.sqlite'}")) as catalogue:
         work_again(catalogue, clock)
         registered(catalogue, archive, clock, CAMPAIGN)
@@ -59,7 +59,7 @@ def served(home: Path) -> Iterator[None]:
 
     def serve() -> None:
         with closing(Catalogue(f"sqlite:///{home / 'catalogue.sqlite'}")) as catalogue:
-            here = runner(catalogue, Archive(home / "archive"), Clock())
+            here = runner(catalogue, Archive(FolderStore(home / "archive")), Clock())
             while not ending.wait(0.05):
                 here.run_queued()
 
