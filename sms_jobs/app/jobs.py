@@ -11,7 +11,7 @@ from typing import Any
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search, upkeep
 from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.jobs import chosen, crowds, inquiry, lifecycle
+from sms_jobs.jobs import chosen, crowds, inquiry, orders
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.estimates import estimate_planned, outlook
 from sms_jobs.jobs.inquiry import Event, JobView
@@ -235,7 +235,7 @@ def retry(services: Services, prefixes: Sequence[str], campaign: str | None) -> 
         return crowds.retry(services.catalogue, campaign, now)
     with services.catalogue.writing() as session:
         ids = inquiry.find_jobs(session, prefixes)
-        return sum(lifecycle.retry(session, job_id, now) for job_id in ids)
+        return sum(orders.retry(session, job_id, now) for job_id in ids)
 
 
 @dataclass(frozen=True)

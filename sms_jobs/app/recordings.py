@@ -15,7 +15,7 @@ from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.instruments.holding import Hold, HoldDetector
-from sms_jobs.jobs import inquiry, lifecycle, recordings
+from sms_jobs.jobs import inquiry, orders, recordings
 from sms_jobs.jobs.campaign_progress import progress_of
 from sms_jobs.jobs.chosen import Chosen, named, submitted
 from sms_jobs.jobs.planning import PIPELINE, Request
@@ -192,7 +192,7 @@ def resume(services: Services, prefix: str, *, retake: bool = False) -> Begun:
         if retake and not recordings.forget_doubtful(services.stations.spool_of(row.id)):
             short = row.id[:SHORT_ID]
             raise Conflict(f"job {short} has no doubtful set to record again; leave out --retake")
-        lifecycle.retry(session, row.id, datetime.now(UTC))
+        orders.retry(session, row.id, datetime.now(UTC))
         return Begun((row.id,), 1, named([row.id]))
 
 
@@ -207,7 +207,7 @@ def abort(services: Services, prefix: str | None = None) -> list[str]:
         else:
             found = recordings.open_recordings(session, services.settings.spool_folder)
             ids = [r.job_id for r in found if r.state in (JobState.QUEUED, JobState.RUNNING)]
-        stopped = [i for i in ids if lifecycle.cancel(session, i, datetime.now(UTC))]
+        stopped = [i for i in ids if orders.cancel(session, i, datetime.now(UTC))]
     if not stopped:
         raise Conflict("no recording runs; nothing was stopped")
     return stopped

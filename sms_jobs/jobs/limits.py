@@ -11,7 +11,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import JobRow
-from sms_jobs.jobs import lifecycle
+from sms_jobs.jobs import orders
 from sms_jobs.jobs.stillness import Stillness
 from sms_jobs.records.job import JobState
 
@@ -113,7 +113,7 @@ def ask_those_over_limit(
     asked = []
     for job in running:
         reason = _excess(job, limits, memory_of) if job.asked_s is None else None
-        if reason and lifecycle.ask_to_stop(session, job.job_id, JobState.FAILED, now, reason):
+        if reason and orders.ask_to_stop(session, job.job_id, JobState.FAILED, now, reason):
             asked.append(job.job_id)
     return asked
 

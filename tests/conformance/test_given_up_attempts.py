@@ -9,7 +9,7 @@ from support.jobs import NOW, claim, ids, state, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
-from sms_jobs.jobs import inquiry, lifecycle, recovery
+from sms_jobs.jobs import inquiry, lifecycle, orders, recovery
 from sms_jobs.records.job import UNSUCCESSFUL, JobState
 
 LATER = NOW + timedelta(minutes=5)
@@ -22,7 +22,7 @@ def test_a_frozen_process_cannot_undo_what_was_decided(catalogue: Catalogue, sto
     assert held is not None
     with catalogue.writing() as session:
         if stopped:
-            lifecycle.ask_to_stop(session, held.job_id, JobState.FAILED, NOW, "took too much")
+            orders.ask_to_stop(session, held.job_id, JobState.FAILED, NOW, "took too much")
         else:
             session.get_one(JobRow, held.job_id).repeatable = False
     with catalogue.writing() as session:
@@ -41,10 +41,10 @@ def test_a_retry_wakes_nothing_that_another_failure_holds_back(catalogue: Catalo
     with catalogue.writing() as session:
         needs = {job_id: ids(session, job_id) for job_id in submitted}
         first, second = [job_id for job_id in submitted if not needs[job_id]][:2]
-        assert lifecycle.cancel(session, first, NOW)
-        assert lifecycle.cancel(session, second, NOW)
+        assert orders.cancel(session, first, NOW)
+        assert orders.cancel(session, second, NOW)
     with catalogue.writing() as session:
-        woken = lifecycle.retry(session, first, NOW)
+        woken = orders.retry(session, first, NOW)
         still = inquiry.counts(session)["skipped"]
         states = {job_id: session.get_one(JobRow, job_id).state for job_id in submitted}
     assert woken > 1
@@ -54,5 +54,5 @@ def test_a_retry_wakes_nothing_that_another_failure_holds_back(catalogue: Catalo
         if states[job_id] is JobState.WAITING:
             assert not any(states[needed] in UNSUCCESSFUL for needed in needs[job_id])
     with catalogue.writing() as session:
-        assert lifecycle.retry(session, second, NOW) == 1 + still
+        assert orders.retry(session, second, NOW) == 1 + still
         assert set(inquiry.counts(session)) == {"queued", "waiting"}

@@ -9,7 +9,7 @@ import pytest
 from support.jobs import NOW, claim, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.jobs import left_frames, lifecycle
+from sms_jobs.jobs import left_frames, lifecycle, orders
 from sms_jobs.records.job import JobState
 
 DAY = timedelta(days=1)
@@ -58,8 +58,8 @@ def test_a_recording_that_goes_on_after_all_keeps_its_frames(catalogue: Catalogu
     job_id = submit_pipeline(catalogue)[0]
     record(spool, job_id)
     with catalogue.writing() as session:
-        lifecycle.cancel(session, job_id, NOW)
-        lifecycle.retry(session, job_id, NOW)
+        orders.cancel(session, job_id, NOW)
+        orders.retry(session, job_id, NOW)
     assert left_frames.remove(catalogue, spool, NOW + 2 * DAY, DAY) == []
     assert left(spool) == {job_id}
 

@@ -13,7 +13,7 @@ from support.jobs import JOBS, NOW, claim, events, ids, state, submit_pipeline
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow, JobRow, OutboxRow
 from sms_jobs.errors import Cancelled, Conflict, LeaseLost
-from sms_jobs.jobs import doorbell, inquiry, lifecycle, queues, recovery
+from sms_jobs.jobs import doorbell, inquiry, lifecycle, orders, queues, recovery
 from sms_jobs.records.job import ACTIVE, TRANSITIONS, JobState
 
 
@@ -148,7 +148,7 @@ def test_a_job_that_brings_its_worker_down_three_times_is_quarantined(catalogue:
             recovery.recover(session, NOW, "w1", 3, set)
     assert state(catalogue, first.job_id) is JobState.QUARANTINED
     with catalogue.writing() as session:
-        assert lifecycle.retry(session, first.job_id, NOW) > 1
+        assert orders.retry(session, first.job_id, NOW) > 1
     assert state(catalogue, first.job_id) is JobState.QUEUED
 
 
@@ -177,10 +177,10 @@ def test_a_failure_stops_only_what_depends_on_it_and_a_retry_brings_it_back(cata
     assert counted["skipped"] > 0
     assert counted["queued"] > 0
     with catalogue.writing() as session:
-        assert lifecycle.retry(session, held.job_id, NOW) == 1 + counted["skipped"]
+        assert orders.retry(session, held.job_id, NOW) == 1 + counted["skipped"]
         assert "skipped" not in inquiry.counts(session)
         with pytest.raises(Conflict, match="only a job that failed"):
-            lifecycle.retry(session, held.job_id, NOW)
+            orders.retry(session, held.job_id, NOW)
 
 
 def test_cancelling_stops_what_does_not_run_and_asks_what_does(catalogue: Catalogue) -> None:
@@ -189,12 +189,12 @@ def test_cancelling_stops_what_does_not_run_and_asks_what_does(catalogue: Catalo
     assert held is not None
     with catalogue.writing() as session:
         lifecycle.report_progress(session, held, 0.1, "begun")
-        assert lifecycle.cancel(session, held.job_id, NOW)
+        assert orders.cancel(session, held.job_id, NOW)
         with pytest.raises(Cancelled, match="by an operator"):
             lifecycle.report_progress(session, held, 0.2, "going on")
         for job_id in jobs:
             if job_id != held.job_id:
-                lifecycle.cancel(session, job_id, NOW)
+                orders.cancel(session, job_id, NOW)
         assert set(inquiry.counts(session)) <= {"cancelled", "skipped", "running"}
 
 

@@ -11,7 +11,7 @@ from support.jobs import NOW, claim, ids, state, submit_pipeline
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import Cancelled, Conflict, OverLimit
-from sms_jobs.jobs import inquiry, lifecycle, limits, queues, recovery
+from sms_jobs.jobs import inquiry, lifecycle, limits, orders, queues, recovery
 from sms_jobs.jobs.chosen import named
 from sms_jobs.jobs.limits import Force, Limits, Watch
 from sms_jobs.records.job import JobState
@@ -145,9 +145,9 @@ def test_a_job_that_does_not_stop_is_terminated_then_killed_and_ends_as_asked(ca
 
     assert force(100) == []
     with catalogue.writing() as session:
-        assert lifecycle.cancel(session, held.job_id, NOW)
+        assert orders.cancel(session, held.job_id, NOW)
         # Who asks later is not heard: neither the time nor the reason changes.
-        assert lifecycle.ask_to_stop(session, held.job_id, JobState.FAILED, NOW + GRACE, "too slow")
+        assert orders.ask_to_stop(session, held.job_id, JobState.FAILED, NOW + GRACE, "too slow")
         with pytest.raises(Cancelled, match="by an operator"):
             lifecycle.report_progress(session, held, 0.5, "half way")
     assert force(15) == []
@@ -163,11 +163,11 @@ def test_a_job_that_was_killed_for_its_limit_has_failed_and_can_be_retried(catal
     held = claim(catalogue)
     assert held is not None
     with catalogue.writing() as session:
-        lifecycle.ask_to_stop(session, held.job_id, JobState.FAILED, NOW, "took 9 GB")
+        orders.ask_to_stop(session, held.job_id, JobState.FAILED, NOW, "took 9 GB")
         recovery.recover(session, NOW, "w1", 3, set)
         row = session.get_one(JobRow, held.job_id)
         assert (row.state, row.error) == (JobState.FAILED, "took 9 GB; its process was ended")
-        assert lifecycle.retry(session, held.job_id, NOW) > 1
+        assert orders.retry(session, held.job_id, NOW) > 1
     again = claim(catalogue)
     assert again is not None
     with catalogue.writing() as session:

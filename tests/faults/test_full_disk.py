@@ -16,7 +16,7 @@ from support.homes import make_home
 
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow
-from sms_jobs.jobs import lifecycle, queues
+from sms_jobs.jobs import orders, queues
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.submission import submit
 from sms_jobs.records.job import ACTIVE, JobState
@@ -46,7 +46,7 @@ def ended(catalogue: Catalogue) -> bool:
 
 def retry(catalogue: Catalogue, job_id: str) -> None:
     with catalogue.writing() as session:
-        lifecycle.retry(session, job_id, datetime.now(UTC))
+        orders.retry(session, job_id, datetime.now(UTC))
 
 
 def known(catalogue: Catalogue, of_jobs: Collection[str]) -> set[str]:

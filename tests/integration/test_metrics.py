@@ -24,7 +24,7 @@ from sms_jobs.app.service import metrics
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import WorkerRow
-from sms_jobs.jobs import lifecycle, queues, recovery, schedules
+from sms_jobs.jobs import lifecycle, orders, queues, recovery, schedules
 from sms_jobs.jobs.fire_times import parse_expression
 from sms_jobs.jobs.metrics import Metric, as_text, gather
 from sms_jobs.jobs.planning import Request
@@ -110,7 +110,7 @@ def test_the_numbers_are_those_of_the_catalogue(
     with catalogue.writing() as session:
         held = claim_all(catalogue, session, now)
         lifecycle.change(session, held, JobState.FAILED, now, "", finished_at=now)
-        lifecycle.retry(session, held, now + timedelta(seconds=1))
+        orders.retry(session, held, now + timedelta(seconds=1))
         session.execute(update(WorkerRow).values(draining=True))
     found = numbers(catalogue, home, now + timedelta(seconds=6))
     assert found['sms_queue_oldest_seconds{queue="acquisition"}'] == 5

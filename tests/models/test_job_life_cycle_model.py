@@ -33,7 +33,7 @@ from sms_jobs.archive import DATASET_MEDIA_TYPE, InputReference, Sealed
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow
 from sms_jobs.errors import Cancelled, Conflict, LeaseLost, NotFound, OverLimit
-from sms_jobs.jobs import doorbell, indexing, lifecycle, queues, recovery, reuse
+from sms_jobs.jobs import doorbell, indexing, lifecycle, orders, queues, recovery, reuse
 from sms_jobs.jobs.chosen import named
 from sms_jobs.jobs.indexing import Entry
 from sms_jobs.jobs.lifecycle import Claim
@@ -238,9 +238,9 @@ class JobLives(JobModel):
         job, end = self.jobs[job_id], JobState.FAILED if limit else JobState.CANCELLED
         with self.catalogue.writing() as session:
             if limit:
-                done = lifecycle.ask_to_stop(session, job_id, end, self.now, "took too much")
+                done = orders.ask_to_stop(session, job_id, end, self.now, "took too much")
             else:
-                done = lifecycle.cancel(session, job_id, self.now)
+                done = orders.cancel(session, job_id, self.now)
         if job.state is JobState.RUNNING:
             assert done
             job.stop = job.stop or end
@@ -258,10 +258,10 @@ class JobLives(JobModel):
         states = [self.jobs[p].state for p in job.producers]
         if job.state is JobState.SKIPPED or any(state in UNSUCCESSFUL for state in states):
             with self.catalogue.writing() as session, pytest.raises(Conflict):
-                lifecycle.retry(session, job_id, self.now)
+                orders.retry(session, job_id, self.now)
             return
         with self.catalogue.writing() as session:
-            count = lifecycle.retry(session, job_id, self.now)
+            count = orders.retry(session, job_id, self.now)
         job.crashes, job.stop = 0, None
         ready = all(state is JobState.SUCCEEDED for state in states)
         self.go(job_id, JobState.QUEUED if ready else JobState.WAITING)
