@@ -24,9 +24,9 @@ from sms_jobs.app.jobs import Submitted, Work
 from sms_jobs.app.reading import StoredRecord
 from sms_jobs.app.waiting import Waited
 from sms_jobs.errors import ConfigurationError
-from sms_jobs.records.files import FileView, Found
 from sms_jobs.records.quantity import Quantity, quantities, quantities_of
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.shown.files import FileView, Found
 
 if TYPE_CHECKING:
     import pandas

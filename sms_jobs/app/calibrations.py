@@ -20,8 +20,8 @@ from sms_jobs.jobs import acceptances
 from sms_jobs.jobs.registration import Registered, register_calibration
 from sms_jobs.metrology.geometry.lens import COEFFICIENTS
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.files import CalibrationView
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.shown.files import CalibrationView
 from sms_jobs.records.supplements import Supplement
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.fields import Mesh, PhaseMaps
-from sms_jobs.records.files import FileView
 from sms_jobs.records.quantity import quantities
+from sms_jobs.records.shown.files import FileView
 
 if TYPE_CHECKING:
     from sms_jobs.archive.dataset import ArchivedDataset

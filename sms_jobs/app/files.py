@@ -15,8 +15,8 @@ from sms_jobs.formats.figures import plot_record
 from sms_jobs.jobs import retention
 from sms_jobs.jobs.retention import Pin
 from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.records.files import Ancestor, FileView
 from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.shown.files import Ancestor, FileView
 
 
 @dataclass(frozen=True)

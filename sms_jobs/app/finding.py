@@ -13,7 +13,7 @@ from sms_jobs.catalogue.query_language import Query, parse
 from sms_jobs.catalogue.saved_queries import SavedQuery
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
-from sms_jobs.records.files import Page
+from sms_jobs.records.shown.files import Page
 from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
 _PAGE = 1000

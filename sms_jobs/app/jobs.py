@@ -19,9 +19,9 @@ from sms_jobs.jobs.logs import job_log
 from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.submission import Submission, draft, enter, while_outdated
 from sms_jobs.jobs.turns import planning_turn
-from sms_jobs.records.estimates import Estimate, Outlook
-from sms_jobs.records.files import FileView
 from sms_jobs.records.job import JobState
+from sms_jobs.records.shown.estimates import Estimate, Outlook
+from sms_jobs.records.shown.files import FileView
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from sms_jobs.jobs.portable_import import CheckedFile
 from sms_jobs.jobs.reindexing import Reindexed
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
-from sms_jobs.records.files import CalibrationView
+from sms_jobs.records.shown.files import CalibrationView
 
 _ENTERED = ("indexed", "incomplete")
 

@@ -14,7 +14,7 @@ from sms_jobs.catalogue import campaigns, search
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.kinds import all_kinds
 from sms_jobs.records.campaign import Subject
-from sms_jobs.records.files import FileView
+from sms_jobs.records.shown.files import FileView
 
 
 @dataclass(frozen=True)

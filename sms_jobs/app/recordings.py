@@ -24,8 +24,8 @@ from sms_jobs.jobs.submission import submit_to
 from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.job import SHORT_ID, JobState
-from sms_jobs.records.rehearsals import DryRun
-from sms_jobs.records.state_progress import StateProgress
+from sms_jobs.records.shown.rehearsals import DryRun
+from sms_jobs.records.shown.state_progress import StateProgress
 
 _LOOK_EVERY_S = 0.2
 

@@ -14,8 +14,8 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.errors import InvalidInput, NotFound, SmsError
 from sms_jobs.jobs import inquiry, recovery
 from sms_jobs.jobs.inquiry import WorkerView
-from sms_jobs.records.estimates import Outlook
 from sms_jobs.records.job import ALIVE_WITHIN
+from sms_jobs.records.shown.estimates import Outlook
 
 if TYPE_CHECKING:
     from sms_jobs.workers.supervisor import Supervisor

@@ -16,8 +16,8 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, family, search
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.fields import Surface
-from sms_jobs.records.files import Ancestor, FileView
 from sms_jobs.records.gauges import GaugeReadings
+from sms_jobs.records.shown.files import Ancestor, FileView
 
 if TYPE_CHECKING:
     from sms_jobs.formats.gauge_descriptions import GaugeReading

@@ -11,8 +11,8 @@ from sms_jobs.errors import JobFailed, WaitTimedOut
 from sms_jobs.jobs import inquiry
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.estimates import outlook
-from sms_jobs.records.estimates import Outlook
 from sms_jobs.records.job import UNSUCCESSFUL, JobState
+from sms_jobs.records.shown.estimates import Outlook
 
 _EVERY_S = 0.25
 _OUTLOOK_EVERY_S = 5.0

@@ -11,7 +11,7 @@ from sqlalchemy.orm import InstrumentedAttribute, Session
 from sms_jobs.catalogue.models import ProvenanceRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.catalogue.search import views_with
-from sms_jobs.records.files import Ancestor, Family, FileView
+from sms_jobs.records.shown.files import Ancestor, Family, FileView
 
 GENERATIONS = 100
 """A tree goes no deeper; further down it is asked for from there."""

@@ -29,7 +29,7 @@ from sms_jobs.catalogue.query_language import (
     conjuncts,
 )
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.files import Found, Page
+from sms_jobs.records.shown.files import Found, Page
 
 FEW = 4000
 """Up to so many files are looked at one by one rather than walked over in order."""

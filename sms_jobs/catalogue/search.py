@@ -22,7 +22,7 @@ from sms_jobs.catalogue.models import (
 )
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import NotFound
-from sms_jobs.records.files import CalibrationView, FileView
+from sms_jobs.records.shown.files import CalibrationView, FileView
 
 _MOST_DIGITS = 18
 

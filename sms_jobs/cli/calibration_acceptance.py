@@ -12,7 +12,7 @@ from sms_jobs import bootstrap
 from sms_jobs.app import calibrations
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.records.files import CalibrationView
+from sms_jobs.records.shown.files import CalibrationView
 
 Number = Annotated[int, typer.Argument(help="Number of a calibration; see 'sms calibration list'.")]
 Of = Annotated[

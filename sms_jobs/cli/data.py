@@ -25,7 +25,7 @@ from sms_jobs.cli import (
 )
 from sms_jobs.cli.found_files import After, As, Columns, Force, Format, Limit, Out, Wanted
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.records.files import Ancestor
+from sms_jobs.records.shown.files import Ancestor
 from sms_jobs.records.sizes import size
 
 app = typer.Typer(help="Measurements and results in the archive.", no_args_is_help=True)

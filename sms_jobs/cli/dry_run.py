@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sms_jobs.cli import output
-from sms_jobs.records.rehearsals import DryRun
+from sms_jobs.records.shown.rehearsals import DryRun
 from sms_jobs.records.sizes import size
 
 

@@ -18,7 +18,7 @@ from sms_jobs.app.finding import Question
 from sms_jobs.app.row_tables import write_csv, write_parquet
 from sms_jobs.cli import output
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.files import FileView, Found, Page
+from sms_jobs.records.shown.files import FileView, Found, Page
 from sms_jobs.records.sizes import size
 
 

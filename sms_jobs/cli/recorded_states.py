@@ -16,7 +16,7 @@ from sms_jobs.app import recordings
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.records.state_progress import StateProgress
+from sms_jobs.records.shown.state_progress import StateProgress
 
 _EVERY_S = 2.0
 _COLUMNS = ("state", "planned [N]", "read", "recording", "verdict", "processing", "mm", "microstrain")

@@ -9,7 +9,7 @@ from typing import Any
 
 from sms_jobs.app.waiting import Waiting
 from sms_jobs.cli.output import clock, duration, job_bar
-from sms_jobs.records.estimates import Estimate, Outlook
+from sms_jobs.records.shown.estimates import Estimate, Outlook
 
 
 @contextmanager

@@ -26,8 +26,8 @@ from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.instruments import Instruments, SerialChannel, Stage, TriggerController, VideoSplitter
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import RigFile, VirtualCamera, VirtualProjector
-from sms_jobs.records.rehearsals import StateRehearsal
 from sms_jobs.records.serial_links import SIMULATED
+from sms_jobs.records.shown.rehearsals import StateRehearsal
 from sms_jobs.records.views import view_of
 
 Wired = TypeVar("Wired", Stage, TriggerController, VideoSplitter, SerialChannel)

@@ -16,7 +16,7 @@ from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records.campaign import LoadState, Subject
 from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState
-from sms_jobs.records.state_progress import StateProgress
+from sms_jobs.records.shown.state_progress import StateProgress
 
 _BEFORE = "_before"
 _LARGEST = {"correlate": "maximum_displacement_mm", "strain": "maximum_principal_strain"}

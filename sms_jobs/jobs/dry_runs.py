@@ -20,7 +20,7 @@ from sms_jobs.kinds.recording.acquire import ANGLES, KIND, AcquireParameters, st
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.optical_instruments import RigFile
-from sms_jobs.records.rehearsals import DryRun, StateRehearsal
+from sms_jobs.records.shown.rehearsals import DryRun, StateRehearsal
 from sms_jobs.records.views import view_of
 
 _RECENT = 50

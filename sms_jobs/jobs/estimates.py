@@ -20,8 +20,8 @@ from sms_jobs.jobs.history import History
 from sms_jobs.jobs.makespan import Places, Task, makespan, shared
 from sms_jobs.jobs.submission import Draft
 from sms_jobs.kinds.kind import Queue
-from sms_jobs.records.estimates import Estimate, Outlook
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, JobState
+from sms_jobs.records.shown.estimates import Estimate, Outlook
 
 _PACE_OVER = timedelta(minutes=10)
 _BELIEVED_PROGRESS = 0.05

@@ -18,8 +18,8 @@ from sms_jobs.jobs.chosen import named
 from sms_jobs.jobs.estimates import estimate, pace
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.submission import submit
-from sms_jobs.records.estimates import Estimate
 from sms_jobs.records.job import JobState
+from sms_jobs.records.shown.estimates import Estimate
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 SECONDS = {

@@ -39,7 +39,7 @@ from sms_jobs.catalogue.query_fields import Vocabulary
 from sms_jobs.catalogue.query_language import parse
 from sms_jobs.cli.main import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
-from sms_jobs.records.files import Page
+from sms_jobs.records.shown.files import Page
 
 KINDS = frozenset({*large_catalogue.KINDS, "calibration", "report"})
 KNOWN = Vocabulary(lambda: (KINDS, large_catalogue.PARAMETERS))

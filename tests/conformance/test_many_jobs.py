@@ -23,8 +23,8 @@ from sms_jobs.errors import InvalidInput, WaitTimedOut
 from sms_jobs.jobs import chosen, coming, crowds, doorbell, inquiry, lifecycle, queues, recovery
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.estimates import estimate, outlook
-from sms_jobs.records.estimates import Outlook
 from sms_jobs.records.job import JobState
+from sms_jobs.records.shown.estimates import Outlook
 from sms_jobs.settings import Settings
 
 MANY = 1200

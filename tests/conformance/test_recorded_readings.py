@@ -21,7 +21,7 @@ from sms_jobs.jobs import reindexing, retention
 from sms_jobs.jobs.importing import amend_campaign, with_readings
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.stations import Stations
-from sms_jobs.records.files import Page
+from sms_jobs.records.shown.files import Page
 
 RIG = """
 name = "small-virtual-rig"

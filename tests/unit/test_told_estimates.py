@@ -9,7 +9,7 @@ import pytest
 
 from sms_jobs.cli.output import clock, duration
 from sms_jobs.cli.waiting import told
-from sms_jobs.records.estimates import Estimate
+from sms_jobs.records.shown.estimates import Estimate
 
 NOW = datetime.now(UTC)
 KNOWN = Estimate(40, 0, 11_400.0, NOW + timedelta(seconds=11_400), 2, True, {}, (), ())

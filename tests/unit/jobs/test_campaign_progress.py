@@ -18,7 +18,7 @@ from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.jobs.submission import submit
 from sms_jobs.records.job import JobState
-from sms_jobs.records.state_progress import StateProgress
+from sms_jobs.records.shown.state_progress import StateProgress
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 NOW = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
