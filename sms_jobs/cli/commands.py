@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import wraps
@@ -36,7 +37,13 @@ class Command:
 
     def load(self, name: str) -> Any:
         """Return the command itself."""
-        module = import_module(f"sms_jobs.{self.module}")
+        # What is imported stays: to look for garbage among it again and again takes a sixth of a short command.
+        gc.disable()
+        try:
+            module = import_module(f"sms_jobs.{self.module}")
+        finally:
+            gc.freeze()
+            gc.enable()
         above = typer.Typer(rich_markup_mode="rich")
         if self.function:
             above.command(name)(getattr(module, self.function))
