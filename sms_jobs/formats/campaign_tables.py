@@ -234,7 +234,7 @@ class _State(Table):
         )
 
     def _angles(self) -> dict[str, float]:
-        """Return the angles of the stage as channels; on a virtual rig it reads what it was told."""
+        """Return the angles of the stage as channels; on a virtual rig they are those it was sent to."""
         if self.pan_deg is not None and self.tilt_deg is not None:
             return {"pan_rad": radians(self.pan_deg), "tilt_rad": radians(self.tilt_deg)}
         for motion in self.deformation:

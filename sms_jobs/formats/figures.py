@@ -245,15 +245,15 @@ def _chosen(record: Any, name: str, quantity: Quantity, component: str | None) -
             raise InvalidInput(f"{name} has no components, so there is no '{component}'; leave it out")
         return values, "", quantity.unit
     names = _components(record, name, quantity, values.shape[0])
-    wanted = _default_component(name, quantity, names) if component is None else component
-    if wanted == MAGNITUDE and quantity.axes[0] == "component":
+    chosen = _default_component(name, quantity, names) if component is None else component
+    if chosen == MAGNITUDE and quantity.axes[0] == "component":
         return np.sqrt(np.sum(np.asarray(values, np.float64) ** 2, axis=0)), MAGNITUDE, quantity.unit
-    if wanted not in names:
+    if chosen not in names:
         known = ", ".join((*names, MAGNITUDE) if quantity.axes[0] == "component" else names)
-        raise InvalidInput(f"{name} has no component '{wanted}'; choose one of {known}")
-    index = names.index(wanted)
+        raise InvalidInput(f"{name} has no component '{chosen}'; choose one of {known}")
+    index = names.index(chosen)
     unit = record.value_units[index] if quantity.axes[0] == "value" else quantity.unit
-    return (values.frame(index) if quantity.axes[0] == "frame" else values[index]), wanted, unit
+    return (values.frame(index) if quantity.axes[0] == "frame" else values[index]), chosen, unit
 
 
 def plottable(record: type) -> tuple[str, ...]:

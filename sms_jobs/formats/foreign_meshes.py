@@ -89,7 +89,7 @@ def _read_here(path: str, memory: int, seconds: int) -> int:
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    told = os.fdopen(os.dup(1), "wb")
+    output = os.fdopen(os.dup(1), "wb")
     try:
         # Readers speak on stdout.
         with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
@@ -97,11 +97,11 @@ def _read_here(path: str, memory: int, seconds: int) -> int:
     except MemoryError:
         return 1
     except (Exception, SystemExit) as error:  # noqa: BLE001 - readers raise anything on damaged files
-        told.write((" ".join(str(error).split()) or type(error).__name__).encode("utf-8", "replace"))
-        told.close()
+        output.write((" ".join(str(error).split()) or type(error).__name__).encode("utf-8", "replace"))
+        output.close()
         return 1
-    told.write(packed)
-    told.close()
+    output.write(packed)
+    output.close()
     return 0
 
 

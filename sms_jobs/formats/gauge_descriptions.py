@@ -85,11 +85,11 @@ def read_gauge_file(path: Path) -> tuple[GaugeReading, ...]:
     Raises `InvalidInput` with the line for a missing column or a reading that is no number.
     """
     header, rows = csv_rows(read_text(path, "gauge file").splitlines(), str(path), skip_spaces=True)
-    wanted = ("state", "gauge", "microstrain")
-    missing = [name for name in wanted if name not in header]
+    required = ("state", "gauge", "microstrain")
+    missing = [name for name in required if name not in header]
     if missing:
         raise InvalidInput(
-            f"gauge file {path} has no column {missing[0]}; its first line must name {', '.join(wanted)}"
+            f"gauge file {path} has no column {missing[0]}; its first line must name {', '.join(required)}"
         )
     found = []
     for number, row in enumerate(rows, start=2):

@@ -98,8 +98,8 @@ def provenance_document(
     }
 
     def relate(kind: str, **ends: Any) -> None:
-        told = {f"prov:{name}": value for name, value in ends.items() if value is not None}
-        parts[kind][f"_:{kind}{len(parts[kind]) + 1}"] = told
+        attributes = {f"prov:{name}": value for name, value in ends.items() if value is not None}
+        parts[kind][f"_:{kind}{len(parts[kind]) + 1}"] = attributes
 
     for one in activities:
         activity = f"job:{quote(one.name, safe='-._')}"
@@ -128,21 +128,21 @@ def _qualified(name: str) -> dict[str, str]:
 
 
 def _entity(one: DocumentedFile) -> dict[str, Any]:
-    told = {f"sms:{name}": value for name, value in one.attributes.items() if value is not None}
+    attributes = {f"sms:{name}": value for name, value in one.attributes.items() if value is not None}
     return {
         "prov:type": _qualified("sms:File"),
         "prov:location": one.path,
         "sms:sha256": one.content_hash,
-    } | told
+    } | attributes
 
 
 def _activity(one: DocumentedActivity) -> dict[str, Any]:
-    told: dict[str, Any] = {f"sms:{name}": v for name, v in one.attributes.items() if v is not None}
+    attributes: dict[str, Any] = {f"sms:{name}": v for name, v in one.attributes.items() if v is not None}
     if one.begun is not None:
-        told["prov:startTime"] = one.begun.isoformat()
+        attributes["prov:startTime"] = one.begun.isoformat()
     if one.ended is not None:
-        told["prov:endTime"] = one.ended.isoformat()
-    return told
+        attributes["prov:endTime"] = one.ended.isoformat()
+    return attributes
 
 
 def _associate(one: DocumentedActivity, activity: str, agents: dict[str, Any], relate: Any) -> None:

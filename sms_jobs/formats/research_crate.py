@@ -93,7 +93,7 @@ def metadata(
 
 
 def _described(one: CrateFile) -> dict[str, Any]:
-    told: dict[str, Any] = {
+    entity: dict[str, Any] = {
         "@id": quote(one.path, safe="/-._~"),
         "@type": "File",
         "name": PurePosixPath(one.path).name,
@@ -103,8 +103,8 @@ def _described(one: CrateFile) -> dict[str, Any]:
         "sha256": one.sha256,
     }
     if one.made_at is not None:
-        told["dateCreated"] = one.made_at.isoformat()
-    return told
+        entity["dateCreated"] = one.made_at.isoformat()
+    return entity
 
 
 def manifest(hashes: Mapping[str, str]) -> str:

@@ -18,7 +18,7 @@ from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats import configuration
 from sms_jobs.formats.configuration import CampaignPlan
 from sms_jobs.formats.importers.folders import Listing, list_folder
-from sms_jobs.formats.importers.frames import Arrangement, arrange, roles_told
+from sms_jobs.formats.importers.frames import Arrangement, arrange, role_descriptions
 from sms_jobs.formats.importers.guess import Guess, guess_layout, with_options
 from sms_jobs.formats.importers.inspection import (
     CameraModel,
@@ -132,7 +132,7 @@ class Arranged:
         complete = next((t for t in self.arrangement.tuples if not t.faults), None)
         if complete is None:
             return None
-        return Example(complete.state, complete.view, tuple(roles_told(self.layout, complete)))
+        return Example(complete.state, complete.view, tuple(role_descriptions(self.layout, complete)))
 
 
 def arrange_frames(services: Services, guessed: Guessed) -> Arranged:
@@ -333,7 +333,7 @@ def _inspect_all(
 
 def _sources(task: Task, listing: Listing, one: Inspected, layout: FrameLayout) -> Mapping[str, Any]:
     """Return what the provenance tells besides the hash: where from, and which file is what."""
-    told = dict(roles_told(layout, one.found))
+    told = dict(role_descriptions(layout, one.found))
     return {
         "folder": str(listing.folder),
         "pattern": layout.pattern.text,

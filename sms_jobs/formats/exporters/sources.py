@@ -69,7 +69,7 @@ def _sigma_of(record: Any) -> NDArray[np.float64] | None:
 
 
 def grid_of(
-    record: Any, chosen: Sequence[str] = (), texture: NDArray[Any] | None = None, wanted_by: str = "a grid"
+    record: Any, chosen: Sequence[str] = (), texture: NDArray[Any] | None = None, needed_by: str = "a grid"
 ) -> PointGrid:
     """Return the points of a record over an image, and its other image fields as values.
 
@@ -78,7 +78,7 @@ def grid_of(
     known = quantities_of(record)
     if _POSITION not in known:
         raise InvalidInput(
-            f"a {type(record).__name__} has no positions, which {wanted_by} needs: choose another record of "
+            f"a {type(record).__name__} has no positions, which {needed_by} needs: choose another record of "
             "the file, a file of the kind merge, or a format for any record: csv, npz, matlab"
         )
     shape = record.position.shape[1:]

@@ -67,8 +67,8 @@ def read_points(path: Path, view: str, sigma_px: float) -> BoardTable:
     """
     text = read_text(path, "table of points")
     sensors = view_of(view).sensors
-    wanted = COLUMNS + (PROJECTOR_COLUMNS if len(sensors) > 1 else ())
-    rows = _rows(path, text, wanted)
+    required = COLUMNS + (PROJECTOR_COLUMNS if len(sensors) > 1 else ())
+    rows = _rows(path, text, required)
     places = np.array([row[:2] for points in rows.values() for row in points])
     x, y = _lines(places[:, 0]), _lines(places[:, 1])
     pitch = _pitch(path, x, y)
@@ -80,17 +80,17 @@ def read_points(path: Path, view: str, sigma_px: float) -> BoardTable:
     )
 
 
-def _rows(path: Path, text: str, wanted: tuple[str, ...]) -> dict[str, list[list[float]]]:
+def _rows(path: Path, text: str, required: tuple[str, ...]) -> dict[str, list[list[float]]]:
     header, read = csv_rows(text.splitlines(), str(path))
-    missing = [name for name in wanted if name not in header]
+    missing = [name for name in required if name not in header]
     if missing:
         raise InvalidInput(
-            f"{path} has no column {', '.join(missing)}: its header should have {', '.join(wanted)}"
+            f"{path} has no column {', '.join(missing)}: its header should have {', '.join(required)}"
         )
     rows: dict[str, list[list[float]]] = defaultdict(list)
     for number, row in enumerate(read, start=2):
         values = []
-        for name in wanted[1:]:
+        for name in required[1:]:
             try:
                 values.append(float(row[name] or ""))
             except ValueError:

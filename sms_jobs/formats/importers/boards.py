@@ -12,7 +12,7 @@ from typing import Annotated, TypeAlias
 from pydantic import RootModel
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.importers.frames import told
+from sms_jobs.formats.importers.frames import abridged
 from sms_jobs.formats.importers.inspection import Inspected
 from sms_jobs.formats.interchange.text_files import read_text
 from sms_jobs.formats.record_tables import flat
@@ -120,7 +120,7 @@ def of_known_size(inspected: Sequence[Inspected], known: Mapping[str, SensorForm
                 f"it has {about.columns} x {about.rows} px, but the session says that {sensor.name} has "
                 f"{sensor.columns} x {sensor.rows}: import it into a session of its own"
             )
-            found = replace(one.found, faults=told([*one.found.faults, fault]))
+            found = replace(one.found, faults=abridged([*one.found.faults, fault]))
             one = replace(one, found=found)
         checked.append(one)
     return checked

@@ -15,7 +15,7 @@ from sms_jobs.formats.importers.layout import FrameLayout, Role
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.views import is_view, view_of
 
-_FAULTS_TOLD = 4
+_FAULTS_SHOWN = 4
 
 
 @dataclass(frozen=True)
@@ -174,16 +174,16 @@ def _sorter(
         ]
         wrong += _missing(layout, named, first)
         if wrong:
-            return FoundTuple(*key, tuple(n for n, _ in files), faults=told(wrong))
+            return FoundTuple(*key, tuple(n for n, _ in files), faults=abridged(wrong))
         return _complete(layout, key, {role: names[0] for role, names in named.items()})
 
     return sort
 
 
-def told(faults: Sequence[str]) -> tuple[str, ...]:
+def abridged(faults: Sequence[str]) -> tuple[str, ...]:
     """Return the first faults, and how many there are besides."""
-    more = len(faults) - _FAULTS_TOLD
-    return (*faults[:_FAULTS_TOLD], f"and {more} more faults") if more > 0 else tuple(faults)
+    more = len(faults) - _FAULTS_SHOWN
+    return (*faults[:_FAULTS_SHOWN], f"and {more} more faults") if more > 0 else tuple(faults)
 
 
 def _numbered(layout: FrameLayout, said: Mapping[str, str], first: int) -> Role | None:
@@ -262,7 +262,7 @@ def _complete(layout: FrameLayout, key: _Key, named: Mapping[Role, str]) -> Foun
     return FoundTuple(*key, stack("fringe"), code, white)
 
 
-def roles_told(layout: FrameLayout, found: FoundTuple) -> Iterator[tuple[str, str]]:
+def role_descriptions(layout: FrameLayout, found: FoundTuple) -> Iterator[tuple[str, str]]:
     """Yield each file of a complete tuple and what it shows, in words."""
     for name, (angle, density, step) in zip(found.fringes, layout.sequence.patterns(), strict=True):
         yield name, f"{density} fringe{'s' * (density != 1)} along {degrees(angle):g} deg, step {step}"

@@ -212,13 +212,13 @@ def _guess_frames(sequence: Mapping[str, Any], seen: FrameOrder | None, remarks:
     if seen is None or not seen.steps:
         return "fringes"
     count = len(seen.fringes)
-    wanted = 0
+    expected = 0
     if {"densities", "steps"} <= sequence.keys():
         shown = [sequence["steps"] if t else 2 for t in sequence["densities"]]
-        wanted = sum(shown) * len(sequence.get("orientations_deg", (0.0,)))
-    if seen.fringes.all() or wanted == count:
+        expected = sum(shown) * len(sequence.get("orientations_deg", (0.0,)))
+    if seen.fringes.all() or expected == count:
         return "fringes"
-    if wanted and count == wanted + 1:
+    if expected and count == expected + 1:
         text = "white fringes" if seen.fringes[-1] and not seen.fringes[0] else "fringes white"
     else:
         words = ["fringes" if stepped else "gray" for stepped in seen.fringes]

@@ -15,7 +15,7 @@ import numpy as np
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.importers.folders import LeftOut, Listing, NamePattern, natural
-from sms_jobs.formats.importers.frames import Arrangement, FoundTuple, is_image, told
+from sms_jobs.formats.importers.frames import Arrangement, FoundTuple, abridged, is_image
 from sms_jobs.formats.importers.image_files import RawFormat, read_image
 from sms_jobs.formats.importers.inspection import Inspected
 from sms_jobs.records.campaign import checked_name
@@ -144,7 +144,7 @@ def of_one_size(inspected: list[Inspected]) -> list[Inspected]:
             checked.append(one)
             continue
         fault = f"it has {mine} and the others of {one.found.view} {usual}: crop them alike, or leave it out"
-        checked.append(replace(one, found=replace(one.found, faults=told([*one.found.faults, fault]))))
+        checked.append(replace(one, found=replace(one.found, faults=abridged([*one.found.faults, fault]))))
     return checked
 
 

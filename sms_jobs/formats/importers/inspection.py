@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.importers.frames import FoundTuple, told
+from sms_jobs.formats.importers.frames import FoundTuple, abridged
 from sms_jobs.formats.importers.image_files import ImageFacts, RawFormat, read_image
 from sms_jobs.formats.importers.layout import FrameLayout
 from sms_jobs.metrology.phase.frame_noise import FrameNoise, noise_of_steps
@@ -90,7 +90,7 @@ def inspect(
     if not found.faults:
         faults += _differences(facts, found.fringes, full_scale)
     at = datetime.fromtimestamp(min(times), UTC) if times else datetime(1970, 1, 1, tzinfo=UTC)
-    return Inspected(replace(found, faults=told(faults)), facts, tuple(remarks), at)
+    return Inspected(replace(found, faults=abridged(faults)), facts, tuple(remarks), at)
 
 
 def _differences(
@@ -178,7 +178,7 @@ def source_hash(one: Inspected, layout: FrameLayout) -> str:
 def camera_model(folder: Path, inspected: Sequence[Inspected], layout: FrameLayout) -> CameraModel:
     """Return the camera's full scale and noise: as the layout says, else as the frames show.
 
-    Raises `InvalidInput` where the full scale cannot be told.
+    Raises `InvalidInput` where the full scale cannot be inferred.
     """
     remarks: list[str] = []
     facts = [about for one in inspected for about in one.facts.values()]
@@ -213,7 +213,7 @@ def usual_noise(full_scale: int, remarks: list[str]) -> FrameNoise:
 def full_scale_of(facts: Sequence[ImageFacts], raw: RawFormat | None, remarks: list[str]) -> int:
     """Return the grey level at which the camera saturates, as the files show it, and remark on guesses.
 
-    Raises `InvalidInput` where it cannot be told.
+    Raises `InvalidInput` where it cannot be inferred.
     """
     if raw is not None and any(f.dtype == raw.dtype.newbyteorder("=").name for f in facts):
         return (1 << raw.bits) - 1

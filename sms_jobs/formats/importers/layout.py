@@ -395,16 +395,16 @@ def _check_frames(layout: FrameLayout) -> None:
     sequence, roles = layout.sequence, layout.roles
     if len(set(sequence.densities)) < len(sequence.densities):
         raise InvalidInput(f"densities has one twice: {', '.join(map(str, sequence.densities))}")
-    wanted = {Role("fringe", i) for i in range(sequence.frames)}
+    expected = {Role("fringe", i) for i in range(sequence.frames)}
     if layout.gray is not None:
         count = layout.gray.frames(len(sequence.orientations_rad))
         apart = 2 if layout.gray.threshold == "white-black" else 0
-        wanted |= {Role("code", i) for i in range(count - apart)}
+        expected |= {Role("code", i) for i in range(count - apart)}
     shown = [r for r in roles if r.kind in ("fringe", "code")]
-    if set(shown) != wanted or len(shown) != len(wanted):
+    if set(shown) != expected or len(shown) != len(expected):
         raise InvalidInput(
             f"frames describe {len(shown)} frames of fringes and Gray code, {len(set(shown))} of them "
-            f"different, but the sequence has {len(wanted)}: name every orientation once"
+            f"different, but the sequence has {len(expected)}: name every orientation once"
         )
     for kind in ("white", "black"):
         if sum(r.kind == kind for r in roles) > 1:

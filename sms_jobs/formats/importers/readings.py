@@ -1,7 +1,7 @@
 """Tables of readings: CSV whose rows belong to states, by label or by time.
 
-A row is used as a whole or told to be left out; a cell that holds no number is an error unless it is empty or
-NaN, which is nothing measured.
+A row is used as a whole, or left out and reported; a cell that holds no number is an error unless it is
+empty or NaN, which is nothing measured.
 """
 
 from __future__ import annotations
@@ -304,7 +304,7 @@ def _time(table: Table, row: int, column: int, zone: tzinfo | None) -> datetime:
 
 
 def readings_of(table: Table, states: Sequence[str | None], columns: Sequence[Column]) -> Readings:
-    """Return what the rows tell of their states; empty and NaN cells are left out and told.
+    """Return what the rows tell of their states; empty and NaN cells are left out and reported.
 
     Raises
     ------

@@ -43,7 +43,7 @@ class Places:
         """Return file, line and element of the value at a path, or of the nearest that surrounds it."""
         place: Path = ()
         for part in path:
-            # What is no element is the tag of a union, or a key that is missing.
+            # A field without an element is the tag of a union, or a missing key.
             place = (*place, part) if (*place, part) in self._known else place
         while place and place not in self._found:
             place = place[:-1]

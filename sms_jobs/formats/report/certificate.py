@@ -21,7 +21,7 @@ def calibration_summary(calibration: Calibration, quality: CalibrationQuality | 
     """Say which calibration it is, what it is worth, and what speaks against it."""
     box = calibration.volume
     span = " x ".join(f"{high - low:.0f}" for low, high in zip(box.low, box.high, strict=True))
-    told = [
+    entries = [
         ("rig", calibration.rig.name),
         ("origin", calibration.origin),
         ("valid from", local_time(calibration.valid_from) or ""),
@@ -30,15 +30,15 @@ def calibration_summary(calibration: Calibration, quality: CalibrationQuality | 
     ]
     if quality is None:
         words = "Nothing is known of its uncertainty: it came without a record of its adjustment."
-        return [facts(told), paragraph(words)]
+        return [facts(entries), paragraph(words)]
     held_out = quality.held_out_bar_rms_mm()
     if isfinite(held_out) and held_out > 0.0:
         part = box.diagonal_mm / held_out
-        told.append(
+        entries.append(
             ("held-out bar lengths", f"{_MICROMETRES * held_out:.1f} µm rms, 1/{part:,.0f} of the diagonal")
         )
-    told.append(("world", quality.gauge))
-    told.append(("adjustment", f"{quality.residuals:,} residuals, {quality.iterations} iterations"))
+    entries.append(("world", quality.gauge))
+    entries.append(("adjustment", f"{quality.residuals:,} residuals, {quality.iterations} iterations"))
     rows: list[list[Cell]] = []
     for view, sigma in zip(quality.views, quality.expected_sigma, strict=True):
         known = _MICROMETRES * sigma[np.isfinite(sigma)]
@@ -46,7 +46,7 @@ def calibration_summary(calibration: Calibration, quality: CalibrationQuality | 
             rows.append([view, *(float(v) for v in np.percentile(known, (0.0, 50.0, 100.0)))])
     header = ["view", "least [µm]", "median [µm]", "largest [µm]"]
     words = "Standard deviation of a point from the calibration alone; the camera's noise comes on top of it."
-    return [facts(told), *([paragraph(words), table(header, rows)] if rows else [])]
+    return [facts(entries), *([paragraph(words), table(header, rows)] if rows else [])]
 
 
 def recordings(found: Mapping[str, Recording]) -> list[Markup]:

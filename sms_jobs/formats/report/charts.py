@@ -106,8 +106,8 @@ def charts(found: Sequence[Chart], along: Sequence[Axis]) -> Markup:
 
 def axes_block(along: Sequence[Axis]) -> Markup:
     """Tell the script what points can be followed along."""
-    told = [{"label": a.label, "places": a.places, "names": a.names} for a in along]
-    return json_block(told, "axes")
+    descriptions = [{"label": a.label, "places": a.places, "names": a.names} for a in along]
+    return json_block(descriptions, "axes")
 
 
 def _caption(chart: Chart, axis: Axis) -> str:
@@ -207,8 +207,8 @@ def _line(line: Line, axis: Axis, x: _Scale, y: _Scale, colour: int, unit: str) 
             low, high = y(point.value - point.sigma), y(point.value + point.sigma)
             ends = f"M{left - 4} {low}h8M{left - 4} {high}h8"
             bar = f'<path class="bar t{colour}" d="M{left} {low}V{high}{ends}"/>'
-        told = escape(f"{words} {unit}".strip())
-        parts.append(f"<g><title>{told}</title>{bar}{_mark(left, y(point.value), colour)}</g>")
+        label = escape(f"{words} {unit}".strip())
+        parts.append(f"<g><title>{label}</title>{bar}{_mark(left, y(point.value), colour)}</g>")
     return "".join(parts)
 
 

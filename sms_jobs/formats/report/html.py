@@ -89,7 +89,7 @@ def facts(pairs: Iterable[tuple[str, str]]) -> Markup:
 
 
 def figure(png: bytes, caption: str) -> Markup:
-    """Make a picture with a caption, which is also what a reader without eyes is told."""
+    """Make a picture with a caption, which is also its text for screen readers."""
     data = base64.b64encode(png).decode("ascii")
     words = escape(caption)
     return Markup(

@@ -295,15 +295,15 @@ class View {
     const value = (await this.fields.values(field))[place];
     const sigma = ((await this.fields.sigma(field)) || [])[place];
     const position = await this.fields.vectors(this.about.position);
-    const told = [made("b", {}, this.inWords(field, value, sigma))];
-    if (!field.categories && !(value === value)) told.push(` (${await this.status(place)})`);
-    told.push(` at x ${x}, y ${y} px`);
+    const pieces = [made("b", {}, this.inWords(field, value, sigma))];
+    if (!field.categories && !(value === value)) pieces.push(` (${await this.status(place)})`);
+    pieces.push(` at x ${x}, y ${y} px`);
     if (position && position[0][place] === position[0][place])
-      told.push(`; X ${position[0][place].toFixed(3)}, Y ${position[1][place].toFixed(3)}, Z ${position[2][place].toFixed(3)} mm`);
+      pieces.push(`; X ${position[0][place].toFixed(3)}, Y ${position[1][place].toFixed(3)}, Z ${position[2][place].toFixed(3)} mm`);
     else if (this.about.mmPerPx)
-      told.push(`; ${(x * this.about.mmPerPx).toFixed(3)}, ${(y * this.about.mmPerPx).toFixed(3)} mm`);
+      pieces.push(`; ${(x * this.about.mmPerPx).toFixed(3)}, ${(y * this.about.mmPerPx).toFixed(3)} mm`);
     if (this.cursor.row === row && this.cursor.column === column && this.field === field)
-      this.read.replaceChildren(...told);
+      this.read.replaceChildren(...pieces);
   }
 
   inWords(field, value, sigma) {

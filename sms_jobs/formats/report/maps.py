@@ -33,8 +33,8 @@ def view_markup(view: View, number: int, state: str, still_px: int, level: int =
         yield Markup(f'<p class="notes">{escape(note)}</p>')
     about = []
     for place, field in enumerate(view.fields):
-        told, blocks = _packed(field, f"{name}-{place}")
-        about.append(told)
+        description, blocks = _packed(field, f"{name}-{place}")
+        about.append(description)
         yield from blocks
     yield json_block(
         {
@@ -79,11 +79,11 @@ def _lean(png: bytes) -> bytes:
 
 
 def _packed(field: Field, name: str) -> tuple[dict[str, Any], list[Markup]]:
-    """Return what the script is told of a field, and the blocks that hold its values."""
+    """Return a field's description for the script, and the blocks that hold its values."""
     if field.categories is not None:
         return _packed_categories(field, name)
     packed = pack(field.values, field.sigma, field.grain)
-    told = {
+    description = {
         "name": field.name,
         "unit": field.unit,
         "low": packed.low,
@@ -95,9 +95,9 @@ def _packed(field: Field, name: str) -> tuple[dict[str, Any], list[Markup]]:
     if field.sigma is not None:
         spread = pack_sigma(field.sigma)
         limits = robust_limits(field.sigma)
-        told["sigma"] = {"low": spread.low, "step": spread.step, "data": f"{name}s", "limits": limits}
+        description["sigma"] = {"low": spread.low, "step": spread.step, "data": f"{name}s", "limits": limits}
         blocks.append(_block(f"{name}s", spread.text))
-    return told, blocks
+    return description, blocks
 
 
 def _packed_categories(field: Field, name: str) -> tuple[dict[str, Any], list[Markup]]:
@@ -113,7 +113,7 @@ def _packed_categories(field: Field, name: str) -> tuple[dict[str, Any], list[Ma
     meanings = [words.get(flags, str(flags)) for flags in listed]
     # Coloured by the first of several reasons, as there are too many combinations to tell apart.
     firsts = list(dict.fromkeys([VALID, *map(_first, meanings)]))
-    told = {
+    description = {
         "name": field.name,
         "unit": field.unit,
         "low": packed.low,
@@ -124,7 +124,7 @@ def _packed_categories(field: Field, name: str) -> tuple[dict[str, Any], list[Ma
         "names": firsts,
         "groups": [firsts.index(_first(words)) for words in meanings],
     }
-    return told, [_block(name, packed.text)]
+    return description, [_block(name, packed.text)]
 
 
 def _first(words: str) -> str:

@@ -134,7 +134,7 @@ def commands(
         if not isinstance(dataset, Traceable) or dataset.provenance.subject.campaign != campaign:
             continue
         made = dataset.provenance
-        # What was brought in has a folder and files for parameters, each of its own: it is told once.
+        # What was brought in has a folder and files for parameters, each of its own: it is listed once.
         settings = dict(made.parameters) if made.kind in defaults else {}
         key = (made.kind, made.kind_version, json.dumps(settings, sort_keys=True))
         group = alike.setdefault(key, _Alike(made))
