@@ -224,8 +224,8 @@ def _sensors(box: TriggerController | VideoSplitter) -> frozenset[str]:
 
 def _values(setting: Setting | None) -> dict[str, Callable[[float], float]]:
     """Return what simulated channels read: what the state says."""
-    told = {} if setting is None else setting.channels
-    return {name: partial(_steady, value) for name, value in told.items()}
+    channels = {} if setting is None else setting.channels
+    return {name: partial(_steady, value) for name, value in channels.items()}
 
 
 def _steady(value: float, time_s: float) -> float:

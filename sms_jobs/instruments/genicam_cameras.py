@@ -203,12 +203,12 @@ class GenicamCamera:
         return ", ".join(words)
 
     def arm(self, exposure: float) -> None:
-        """Make ready to be triggered, and expose as long as told.
+        """Make ready to be triggered, and set the exposure.
 
         Raises
         ------
         DeviceFault
-            When the camera cannot expose so long, or was not told its own exposure.
+            When the camera cannot expose so long, or its settings give no exposure of its own.
         """
         self._halt()
         self._clocks_apart_s = None  # clocks drift
@@ -350,14 +350,14 @@ class GenicamCamera:
                 )
             return
         feature = self._one_of("ExposureTime", "ExposureTimeAbs")
-        wanted = 1e3 * own_ms * exposure
-        self._set(feature, wanted)
+        requested_us = 1e3 * own_ms * exposure
+        self._set(feature, requested_us)
         taken = float(self._features.get(feature))
         # A line of the sensor more or less is what cameras round to.
-        if abs(taken - wanted) > max(50.0, 0.01 * wanted):
+        if abs(taken - requested_us) > max(50.0, 0.01 * requested_us):
             raise DeviceFault(
-                f"camera {name} is to expose for {wanted / 1e3:g} ms and says {taken / 1e3:g} ms: choose an "
-                "exposure that it has"
+                f"camera {name} is to expose for {requested_us / 1e3:g} ms and says {taken / 1e3:g} ms: "
+                "choose an exposure that it has"
             )
         self._exposure_s = taken / 1e6
 

@@ -23,7 +23,7 @@ class Hold:
 
 
 class HoldDetector:
-    """Is told what a channel reads, and says when the load is held."""
+    """Receives what a channel reads, and says when the load is held."""
 
     def __init__(self, hold: Hold) -> None:
         self._hold = hold

@@ -61,8 +61,8 @@ def judged(file: Spooled, sequence: FringeSequence, saturated: NDArray[np.bool_]
     patterns = list(sequence.patterns())
     first = next(i for i, (_, density, _) in enumerate(patterns) if density)
     steps = np.stack([file.frame(first + k)[LOOKED_AT] for k in range(sequence.steps)])
-    told = file.header.about
-    quality = recording_quality(steps, saturated, told["full_scale"], told["gain"], told["read_noise"])
+    about = file.header.about
+    quality = recording_quality(steps, saturated, about["full_scale"], about["gain"], about["read_noise"])
     return Verdict(quality.lit_fraction, quality.saturated_fraction, quality.modulation)
 
 

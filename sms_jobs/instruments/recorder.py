@@ -163,26 +163,26 @@ def recorded(spool: Path, view: str, sequence: FringeSequence) -> tuple[Measurem
     """Return a finished set; its frames are read from the spool as they are asked for."""
     facts = json.loads(_facts_path(spool, view).read_text(encoding="utf-8"))
     file = Spooled(spool / facts["file"])
-    told = file.header.about
+    about = file.header.about
     numbers, times = file.numbers_and_times(file.complete)
     measurement = Measurement(
         file.header.recorded_at,
         sequence,
-        told["full_scale"],
-        told["gain"],
-        told["read_noise"],
+        about["full_scale"],
+        about["gain"],
+        about["read_noise"],
         file.frame(sequence.frames).astype(np.uint16),
         SpooledFrames(file, sequence.frames),
-        None if told["simulation"] is None else _SIMULATION.validate_python(told["simulation"]),
+        None if about["simulation"] is None else _SIMULATION.validate_python(about["simulation"]),
     )
     return measurement, Recording(
-        told["rig"],
+        about["rig"],
         Verdict(**{**facts["verdict"], "doubts": tuple(facts["verdict"]["doubts"])}),
         facts["retaken"],
         facts["recordings"],
-        told["channels"],
+        about["channels"],
         facts["channels"],
-        None if told["stage_rad"] is None else tuple(told["stage_rad"]),
+        None if about["stage_rad"] is None else tuple(about["stage_rad"]),
         numbers=numbers,
         times_s=times,
     )

@@ -151,7 +151,7 @@ def _on_no_port(instrument: Wired) -> Wired:
 
 
 def _nobody(fraction: float, words: str) -> None:
-    """Be told how a rehearsal comes along."""
+    """Receive the progress of a rehearsal."""
 
 
 @dataclass

@@ -211,9 +211,9 @@ def _header(head: bytes, path: Path) -> SpoolHeader:
     if not head.startswith(_MAGIC) or len(head) < _HEADER_BYTES:
         raise ArchiveCorrupt(f"{path} holds no frames: it has no header")
     try:
-        told = json.loads(head[len(_MAGIC) :])
-        recorded_at = datetime.fromisoformat(told.pop("recorded_at"))
-        header = SpoolHeader(recorded_at=recorded_at, **told)
+        fields = json.loads(head[len(_MAGIC) :])
+        recorded_at = datetime.fromisoformat(fields.pop("recorded_at"))
+        header = SpoolHeader(recorded_at=recorded_at, **fields)
         possible = header.dtype in ("uint8", "uint16") and min(header.rows, header.columns, header.frames) > 0
     except (ValueError, TypeError, KeyError) as error:
         raise ArchiveCorrupt(f"{path} holds no frames: {error}") from error

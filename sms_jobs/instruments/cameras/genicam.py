@@ -192,9 +192,15 @@ def connect(camera: GentlSettings, context: DriverContext) -> GenicamCamera:
 
     harvester = context.shared(("producer", camera.producer), make)
     known = [info.property_dict for info in harvester.device_info_list]
-    chosen = [i for i, told in enumerate(known) if camera.device in (told["id_"], told["serial_number"])]
+    chosen = [
+        i
+        for i, properties in enumerate(known)
+        if camera.device in (properties["id_"], properties["serial_number"])
+    ]
     if len(chosen) != 1:
-        listed = ", ".join(f"{told['id_']} (serial number {told['serial_number']})" for told in known)
+        listed = ", ".join(
+            f"{properties['id_']} (serial number {properties['serial_number']})" for properties in known
+        )
         raise LinkLost(
             f"camera {camera.name} is not found as '{camera.device}': the producer lists {listed or 'none'}; "
             "check its cable and power"

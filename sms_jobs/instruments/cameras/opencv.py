@@ -117,12 +117,12 @@ class OpencvCamera:
         self._capture.release()
 
     def arm(self, exposure: float) -> None:
-        """Make ready to be triggered, and expose as long as told.
+        """Make ready to be triggered, and set the exposure.
 
         Raises
         ------
         DeviceFault
-            When the camera cannot expose so long, or was not told its own exposure.
+            When the camera cannot expose so long, or its settings give no exposure of its own.
         """
         self._asked = 0
         name, own = self._settings.name, self._settings.exposure_ms
@@ -196,11 +196,11 @@ class OpencvCamera:
             self._expose(settings.exposure_ms)
 
     def _expose(self, exposure_ms: float) -> None:
-        wanted = round(exposure_ms / _EXPOSURE_UNIT_MS)
-        self._capture.set(self._cv2.CAP_PROP_EXPOSURE, wanted)
+        requested = round(exposure_ms / _EXPOSURE_UNIT_MS)
+        self._capture.set(self._cv2.CAP_PROP_EXPOSURE, requested)
         taken = self._capture.get(self._cv2.CAP_PROP_EXPOSURE)
         # A line of the sensor more or less is what cameras round to.
-        if abs(taken - wanted) > max(1.0, 0.02 * wanted):
+        if abs(taken - requested) > max(1.0, 0.02 * requested):
             raise DeviceFault(
                 f"camera {self._settings.name} is to expose for {exposure_ms:g} ms and says "
                 f"{taken * _EXPOSURE_UNIT_MS:g} ms: choose an exposure that it has"

@@ -60,13 +60,13 @@ def unpacked(data: NDArray[np.uint8], pixel_format: str, columns: int, rows: int
     Packed are of GigE Vision: two pixels in three bytes, their lowest bits in the middle one.
     """
     pixels = columns * rows
-    wanted = bytes_of(pixel_format, pixels)
-    if data.size < wanted:
+    expected = bytes_of(pixel_format, pixels)
+    if data.size < expected:
         raise DeviceFault(
-            f"an image of {columns} x {rows} pixels {pixel_format} has {wanted} bytes, and {data.size} came: "
-            "check the camera's region of interest and pixel format"
+            f"an image of {columns} x {rows} pixels {pixel_format} has {expected} bytes, and {data.size} "
+            "came: check the camera's region of interest and pixel format"
         )
-    data = data[:wanted]
+    data = data[:expected]
     if pixel_format == "Mono8":
         return data.reshape(rows, columns).copy()
     if pixel_format not in _GROUPS:
@@ -74,7 +74,7 @@ def unpacked(data: NDArray[np.uint8], pixel_format: str, columns: int, rows: int
     together, length = _GROUPS[pixel_format]
     groups = ceil(pixels / together)
     padded = np.zeros(groups * length, np.uint8)
-    padded[:wanted] = data
+    padded[:expected] = data
     b = padded.reshape(groups, length).astype(np.uint16).T
     levels = np.empty((groups, together), np.uint16)
     for place, level in enumerate(_LEVELS[pixel_format](b)):

@@ -22,7 +22,7 @@ class Description:
     name, kind
         In the rig, and in words.
     facts
-        What it told of itself when it was connected: serial numbers, firmware, resolutions.
+        What it reported of itself when it was connected: serial numbers, firmware, resolutions.
     units
         Of its readings, by their names.
     """

@@ -31,18 +31,18 @@ def stop_requests(stage: Stage) -> tuple[bytes, ...]:
 
 
 def emergency_stop(stages: Iterable[Stage], clock: Clock) -> tuple[str, ...]:
-    """Stop stages at once, even while another program uses their ports; return the names of those told.
+    """Stop stages at once, even while another program uses their ports; return the names of those commanded.
 
     What is being moved ends with an error there, and the stage must be recovered before it moves again.
 
     Raises
     ------
     LinkLost
-        A port cannot be written to; all others were told before this is raised. Switch the power off.
+        A port cannot be written to; all others were commanded before this is raised. Switch the power off.
     ConfigurationError
         A stage is simulated in memory: only the program that simulates it can stop it.
     """
-    told: list[str] = []
+    commanded: list[str] = []
     errors: list[SmsError] = []
     for stage in stages:
         if stage.link.port == SIMULATED:
@@ -62,10 +62,10 @@ def emergency_stop(stages: Iterable[Stage], clock: Clock) -> tuple[str, ...]:
                 )
             )
         else:
-            told.append(stage.name)
+            commanded.append(stage.name)
     if errors:
         raise errors[0]
-    return tuple(told)
+    return tuple(commanded)
 
 
 def _tell(stage: Stage, clock: Clock) -> None:

@@ -186,25 +186,25 @@ class PanTilt:
 
     def _targets(self, pose: StagePose) -> dict[AxisName, float]:
         targets = {}
-        for axis, wanted in zip(AXES, (pose.pan_rad, pose.tilt_rad), strict=True):
+        for axis, requested in zip(AXES, (pose.pan_rad, pose.tilt_rad), strict=True):
             valid = self._ranges[axis]
             slack = 1e-9
             turns = range(
-                ceil((valid.minimum_rad - slack - wanted) / _TURN),
-                floor((valid.maximum_rad + slack - wanted) / _TURN) + 1,
+                ceil((valid.minimum_rad - slack - requested) / _TURN),
+                floor((valid.maximum_rad + slack - requested) / _TURN) + 1,
             )
             if not turns:
                 own = self._axis(axis)
                 cause = (
                     "where the bar would meet the tripod"
-                    if own.minimum_rad <= wanted <= own.maximum_rad
+                    if own.minimum_rad <= requested <= own.maximum_rad
                     else "beyond its range"
                 )
                 raise LimitExceeded(
-                    f"the {axis} axis of '{self.name}' is told to go to {wanted:.4f} rad, {cause}: it may go "
-                    f"from {valid.minimum_rad:.4f} to {valid.maximum_rad:.4f} rad"
+                    f"the {axis} axis of '{self.name}' is told to go to {requested:.4f} rad, {cause}: it may "
+                    f"go from {valid.minimum_rad:.4f} to {valid.maximum_rad:.4f} rad"
                 )
-            nearest = min((wanted + turn * _TURN for turn in turns), key=abs)
+            nearest = min((requested + turn * _TURN for turn in turns), key=abs)
             targets[axis] = min(max(nearest, valid.minimum_rad), valid.maximum_rad)
         return targets
 

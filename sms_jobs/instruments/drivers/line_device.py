@@ -66,14 +66,14 @@ class ScalarInstrument:
         )
 
     def value(self) -> float:
-        """Return a value that is told after the call.
+        """Return a value that is reported after the call.
 
         Raises
         ------
         LinkLost
-            None is told in time.
+            None is reported in time.
         DeviceFault
-            It is told in another unit than the channel is configured to.
+            It is reported in another unit than the channel is configured to.
         """
         text = self._asked() if self._channel.request else self._overheard()
         value = reported_value(self._channel, text)

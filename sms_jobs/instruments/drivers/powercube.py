@@ -119,9 +119,9 @@ class PowerCubes:
     def synchronise(self, module: int, *, wait_for_start: bool) -> None:
         """Have a module begin its moves at once, or at `start_all`."""
         word = self._get(module, Parameter.CONFIGURATION, m5.word_value) & 0xFFFF_FFFF
-        wanted = word | m5.SYNCHRONISED if wait_for_start else word & ~m5.SYNCHRONISED
-        if wanted != word:
-            self._set(module, m5.set_word(Parameter.CONFIGURATION, wanted), "its configuration")
+        target = word | m5.SYNCHRONISED if wait_for_start else word & ~m5.SYNCHRONISED
+        if target != word:
+            self._set(module, m5.set_word(Parameter.CONFIGURATION, target), "its configuration")
 
     def set_profile(self, module: int, velocity_rad_s: float, acceleration_rad_s2: float) -> None:
         """Set the steady velocity and the ramps of the moves to come."""

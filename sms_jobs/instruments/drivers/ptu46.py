@@ -42,15 +42,15 @@ class Ptu46:
         return reply.value or 0.0
 
     def constants(self, names: Sequence[str]) -> dict[str, float]:
-        """Return numbers that do not change, once all were told twice alike: replies have no checksum.
+        """Return numbers that do not change, once all were read twice alike: replies have no checksum.
 
         They are asked for in rounds, so that one disturbance does not change the same number twice.
         """
-        told = [self.ask(name) for name in names]
+        values = [self.ask(name) for name in names]
         for _ in range(_ROUNDS):
-            before, told = told, [self.ask(name) for name in names]
-            if told == before:
-                return dict(zip(names, told, strict=True))
+            before, values = values, [self.ask(name) for name in names]
+            if values == before:
+                return dict(zip(names, values, strict=True))
         raise DeviceFault(
             f"'{self.device}' tells other limits and resolutions each time it is asked: check its cable"
         )
@@ -78,7 +78,7 @@ class Ptu46:
 
 @dataclass
 class _Scale:
-    """What the unit says of an axis: angle of a count, range in counts; and where it was told to go."""
+    """What the unit says of an axis: angle of a count, range in counts; and where it was sent."""
 
     radians: float
     minimum: int
@@ -101,8 +101,8 @@ class PtuAxes:
         facts = []
         for name in AXES:
             letter, axis = _LETTERS[name], self._axis(name)
-            told = self._unit.constants([f"{letter}{what}" for what in "rnxlu"])
-            seconds_of_arc, minimum, maximum, slowest, fastest = told.values()
+            constants = self._unit.constants([f"{letter}{what}" for what in "rnxlu"])
+            seconds_of_arc, minimum, maximum, slowest, fastest = constants.values()
             radians = ptu46.radians_per_count(seconds_of_arc)
             if not _FINEST_RAD <= radians <= _COARSEST_RAD:
                 raise DeviceFault(
@@ -121,7 +121,7 @@ class PtuAxes:
         return tuple(facts)
 
     def state(self, axis: AxisName) -> AxisState:
-        """Return the present state; the unit moves as long as it is not where it was told to go."""
+        """Return the present state; the unit moves as long as it is not where it was sent."""
         scale = self._scales[axis]
         counts = round(self._unit.ask(f"{_LETTERS[axis]}p"))
         moving = scale.target is not None and counts != scale.target
@@ -159,7 +159,7 @@ class PtuAxes:
         self._unit.command("h")
 
     def clear(self) -> None:
-        """Forget where it was told to go; the unit has no errors to clear."""
+        """Forget where it was sent; the unit has no errors to clear."""
         for scale in self._scales.values():
             scale.target = None
 

@@ -57,7 +57,7 @@ class ScannerProjector:
     def load(self, sequence: FringeSequence) -> None:
         """Make ready for the patterns of a sequence."""
         self._sequence = sequence
-        self.link.ask("load", projector=self.name, sequence=self._told)
+        self.link.ask("load", projector=self.name, sequence=self._sequence_message)
         if self.room is not None:
             # What a stage has moved stands elsewhere than when the scanners were connected.
             stands = DEFORMATION.dump_python(self.room.present_deformation(), mode="json")
@@ -86,10 +86,10 @@ class ScannerProjector:
         """Let the light fall into the other scanners' cameras, where it is not real."""
         for link in self.scanners.values():
             if link is not self.link and link.simulated:
-                link.ask("elsewhere", projector=self.name, sequence=self._told, number=number)
+                link.ask("elsewhere", projector=self.name, sequence=self._sequence_message, number=number)
 
     @property
-    def _told(self) -> object:
+    def _sequence_message(self) -> object:
         return SEQUENCE.dump_python(self._sequence, mode="json")
 
 

@@ -54,7 +54,7 @@ class WindowSettings(ProjectorInstrument):
         delay.
     gamma
         Exponent of the projector's response, which is compensated: brightness = (level / 255)^gamma; 1 shows
-        levels that are proportional to the wanted brightness.
+        levels that are proportional to the requested brightness.
     """
 
     driver: Literal["window"]

@@ -136,15 +136,15 @@ class Door:
 
     def _attend(self, caller: _Caller) -> None:
         """Take what a caller says, and answer or let it in when it has said all."""
-        wanted = PROOF_BYTES if caller.greeting else HELLO_BYTES
+        expected = PROOF_BYTES if caller.greeting else HELLO_BYTES
         try:
-            said = caller.wire.recv(wanted - len(caller.said))
+            said = caller.wire.recv(expected - len(caller.said))
             caller.said += said
             if not said:
                 self._send_away(caller, "it closed the connection")
-            elif len(caller.said) == wanted and caller.greeting:
+            elif len(caller.said) == expected and caller.greeting:
                 self._judge(caller)
-            elif len(caller.said) == wanted:
+            elif len(caller.said) == expected:
                 self._greet(caller)
         except BlockingIOError:  # there was nothing after all
             return

@@ -1,7 +1,7 @@
 """The server of a scanner: it lends its cameras and projectors to one client at a time.
 
-It does what it is told and nothing by itself. When the client is gone, whatever the reason, projectors go
-dark and cameras stop.
+It does what its client requests and nothing by itself. When the client is gone, whatever the reason,
+projectors go dark and cameras stop.
 """
 
 from __future__ import annotations

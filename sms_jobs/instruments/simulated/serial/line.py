@@ -75,11 +75,11 @@ class SimulatedLine:
 
     def take(self, now: float) -> bytes:
         """Return the bytes that have arrived from the device by now."""
-        for told_at, unasked in self._device.speak(now):
+        for sent_at, unasked in self._device.speak(now):
             self._replies += 1
             # Of a device that is never asked, the messages are counted instead of the requests.
             if not (self._unplugged if self._requests else self._without_cable(self._replies)):
-                self._carry_back(unasked, told_at)
+                self._carry_back(unasked, sent_at)
         arrived, left = b"", []
         for flight in sorted(self._flights, key=lambda f: f.begins):
             count = min(len(flight.data), max(0, int((now - flight.begins) / self._byte_s + 1e-6)))

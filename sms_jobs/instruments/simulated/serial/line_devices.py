@@ -106,17 +106,19 @@ class SimulatedScalar:
 
     def receive(self, data: bytes, now: float) -> list[bytes]:
         """Take bytes and return the replies."""
-        wanted = self._channel.protocol.prefix + self._channel.request
+        request = self._channel.protocol.prefix + self._channel.request
         return [
-            self._told(now) for line in self._decoder.feed(data) if self._channel.request and line == wanted
+            self._encoded_reading(now)
+            for line in self._decoder.feed(data)
+            if self._channel.request and line == request
         ]
 
     def speak(self, now: float) -> list[tuple[float, bytes]]:
         """Return values that it tells by itself, when it is not one that is asked."""
         if self._next is None or now < self._next:
             return []
-        told_at, self._next = self._next, now + _SPEAKS_EVERY_S
-        return [(told_at, self._told(now))]
+        sent_at, self._next = self._next, now + _SPEAKS_EVERY_S
+        return [(sent_at, self._encoded_reading(now))]
 
     def next_event(self) -> float | None:
         """Return when it tells its next value by itself."""
@@ -126,7 +128,7 @@ class SimulatedScalar:
         """Return a garbled reply."""
         return bytes((reply[0] ^ 0x80,)) + reply[1:]
 
-    def _told(self, now: float) -> bytes:
+    def _encoded_reading(self, now: float) -> bytes:
         raw = (self._value(now) - self._channel.offset) / self._channel.scale
         return encode_reply(self._channel.protocol, self._write(raw))
 
@@ -163,10 +165,10 @@ def _writer(channel: SerialChannel) -> Callable[[float], str]:
         for sign in ("{:+", "{:")
         for gap in ("", " ")
     ]
-    wanted = 12.5 * channel.scale + channel.offset
+    expected = 12.5 * channel.scale + channel.offset
     for form in (*forms, *("ST,GS," + form for form in forms)):
         value = reported_value(channel, form.format(12.5)) if unit in form else None
-        if value is not None and abs(value - wanted) <= 1e-9 * max(1.0, abs(wanted)):
+        if value is not None and abs(value - expected) <= 1e-9 * max(1.0, abs(expected)):
             return form.format
     raise InvalidInput(
         f"channel '{channel.name}' cannot be simulated: its expression {channel.reply!r} reads none of the "

@@ -72,7 +72,7 @@ class _Module:
         return None
 
     def obey(self, command: int, now: float) -> None:
-        """Do what needs no values; so too when all are told."""
+        """Do what needs no values, also for a broadcast to all modules."""
         if command == Command.RESET:
             self.axis.advance(now)
             self.axis.clear()

@@ -119,12 +119,12 @@ class SimulatedMotionModules:
 
     def speak(self, now: float) -> list[tuple[float, bytes]]:
         """Return what modules tell unasked, with the times."""
-        told = []
+        messages = []
         for module in self._modules.values():
-            told_at, frame = module.tells_at, module.tell(now)
-            if frame is not None and told_at is not None:
-                told.append((told_at, protocol.encode(frame)))
-        return told
+            sent_at, frame = module.tells_at, module.tell(now)
+            if frame is not None and sent_at is not None:
+                messages.append((sent_at, protocol.encode(frame)))
+        return messages
 
     def next_event(self) -> float | None:
         """Return when a module will have arrived."""

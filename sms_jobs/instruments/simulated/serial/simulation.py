@@ -75,7 +75,7 @@ class SerialSimulation:
         return axes["pan"].true_position(now), axes["tilt"].true_position(now)
 
     def controller(self, name: str) -> SimulatedLineDevice:
-        """Return a controller or splitter, which remembers what it was told."""
+        """Return a controller or splitter, which remembers what it was commanded."""
         device = self._of(self._devices, name)
         if not isinstance(device, SimulatedLineDevice):
             raise NotFound(f"'{name}' is no simulated controller or splitter")
