@@ -8,7 +8,7 @@ from datetime import datetime
 
 @dataclass(frozen=True)
 class Reading:
-    """A value that a device told, and when."""
+    """A value that a device reported, and when."""
 
     name: str
     value: float

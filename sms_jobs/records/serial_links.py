@@ -118,7 +118,7 @@ class LineProtocol:
         Whether replies bear the same checksum, which is then tested.
     accepted, refused
         Regular expressions, searched for in a reply. `refused` wins, and its group `error`, if it has one,
-        is told to people. A reply that neither fits is taken for garbled, and asked for again.
+        is shown to people. A reply that neither fits is taken for garbled, and asked for again.
     """
 
     prefix: str = ""
