@@ -60,7 +60,7 @@ class Port:
     name
         By which `run` asks for it, and which tells in a result's history what an input was for.
     source
-        `MEASUREMENT`, `CALIBRATION`, `REFERENCE_SURFACES`, or the name of the kind whose result is wanted.
+        `MEASUREMENT`, `CALIBRATION`, `REFERENCE_SURFACES`, or the name of the kind whose result is needed.
     products
         The records of it that may be read.
     several

@@ -102,14 +102,14 @@ class BarShown:
 
 def special_labels(campaign: Campaign) -> tuple[str, ...]:
     """Return the states of the home, the pan and the tilt pose; none where angles are not known."""
-    known = [(s.label, a) for s in bar_states(campaign) if (a := angles(s)) is not None]
-    if not known:
+    posed = [(s.label, a) for s in bar_states(campaign) if (a := angles(s)) is not None]
+    if not posed:
         return ()
     try:
-        chosen = special_poses(np.array([a for _, a in known]))
+        chosen = special_poses(np.array([a for _, a in posed]))
     except InvalidInput:
         return ()
-    return tuple(known[k][0] for k in chosen)
+    return tuple(posed[k][0] for k in chosen)
 
 
 def bar_shown(campaign: Campaign, subject: Subject) -> BarShown:
@@ -254,19 +254,19 @@ def _observation(
         refused[problem] = 1
     row, column = np.concatenate(pixels).T
     projected = maps.pixel[:, row, column].T - np.concatenate(shifts)
-    known = np.isfinite(projected).all(axis=1)
-    if not known.all():
-        refused["at the limb"] = int(np.count_nonzero(~known))
-    row, column = row[known], column[known]
+    finite = np.isfinite(projected).all(axis=1)
+    if not finite.all():
+        refused["at the limb"] = int(np.count_nonzero(~finite))
+    row, column = row[finite], column[finite]
     return BarObservation(
         camera.name,
         projector.name,
         shown.name,
         refused,
         search.searched_fraction,
-        np.concatenate(numbers)[known],
+        np.concatenate(numbers)[finite],
         np.stack([column, row], axis=-1).astype(np.float64),
-        np.ascontiguousarray(projected[known]),
+        np.ascontiguousarray(projected[finite]),
         np.ascontiguousarray(maps.sigma[:, row, column].T, dtype=np.float64),
         centre,
         centre_sigma,

@@ -47,7 +47,7 @@ Boards = Mapping[str, Sequence[BoardObservation]]
 Bars = Mapping[str, Sequence[BarObservation]]
 
 _OUTER = 6  # parameters of a sensor that place it
-_GRID = 7  # places along each side of the volume at which the expected deviation is told
+_GRID = 7  # places along each side of the volume at which the expected deviation is given
 
 
 @dataclass(frozen=True)
@@ -146,13 +146,13 @@ def start_from_last(
     The lenses keep what was known of them; where the sensors stand is found anew, but for the first, which
     keeps the world's frame. The length of the board's pitch is that which the last calibration found.
     """
-    known = {s.name: s for s in last.rig.sensors}
+    sensors = {s.name: s for s in last.rig.sensors}
     poses: dict[str, Pose] = {}
-    usable, refused = usable_views([v for v in board_views(boards) if v.sensor in known])
+    usable, refused = usable_views([v for v in board_views(boards) if v.sensor in sensors])
     for view, _ in sorted(usable, key=lambda seen: -len(seen[0].point)):
         if view.pose in poses:
             continue
-        sensor = known[view.sensor]
+        sensor = sensors[view.sensor]
         inner = sensor.intrinsics
         flat = undistort(inner, (view.pixel - [inner.cx, inner.cy]) / [inner.fx, inner.fy])
         homography = fit_homography(view.point[:, :2], flat).matrix
@@ -285,11 +285,11 @@ def _corners(box: Box) -> tuple[Floats, Floats]:
 def middle_centres(seen: Sequence[BarObservation]) -> Floats:
     """Return the middle of where views saw the spheres, (2, 3); NaN for one that none saw."""
     centres = np.stack([one.centre for one in seen])
-    known = np.isfinite(centres.sum(axis=2))
+    finite = np.isfinite(centres.sum(axis=2))
     middle = np.full((2, 3), np.nan)
     for k in range(2):
-        if known[:, k].any():
-            middle[k] = np.median(centres[known[:, k], k], axis=0)
+        if finite[:, k].any():
+            middle[k] = np.median(centres[finite[:, k], k], axis=0)
     return middle
 
 
@@ -350,8 +350,8 @@ def quality_of(
     for one in every:
         for why, count in one.refused.items():
             refused[why] = refused.get(why, 0) + count
-    known = [np.isfinite(r).all(axis=1) for r in found.residual_board]
-    points = [*zip(problem.board_points, found.residual_board, known, strict=True)]
+    used = [np.isfinite(r).all(axis=1) for r in found.residual_board]
+    points = [*zip(problem.board_points, found.residual_board, used, strict=True)]
     none = np.empty((0, 2))
     return CalibrationQuality(
         gauge=found.gauge,
@@ -370,17 +370,15 @@ def quality_of(
         views=tuple("".join(pair) for pair in pairs),
         place=place,
         expected_sigma=np.stack(sigma) if sigma else np.empty((0, len(place))),
-        residual_sensor=np.repeat([p.sensor for p, _, _ in points], [k.sum() for k in known]).astype(
-            np.int32
-        ),
+        residual_sensor=np.repeat([p.sensor for p, _, _ in points], [k.sum() for k in used]).astype(np.int32),
         residual_px=np.concatenate([none, *(p.pixel[k] for p, _, k in points)]),
         residual=np.concatenate([none, *(r[k] for _, r, k in points)]),
     )
 
 
 def _both(camera_px: float, projector_px: float) -> float:
-    known = [x for x in (camera_px, projector_px) if np.isfinite(x)]
-    return float(np.sqrt(np.mean(np.square(known)))) if known else float("nan")
+    finite = [x for x in (camera_px, projector_px) if np.isfinite(x)]
+    return float(np.sqrt(np.mean(np.square(finite)))) if finite else float("nan")
 
 
 def _found(plan: SessionPlan, found: Adjustment, boards: Boards) -> dict[str, float]:
@@ -390,9 +388,9 @@ def _found(plan: SessionPlan, found: Adjustment, boards: Boards) -> dict[str, fl
         numbers[f"{length.name}, sigma [{length.unit}]"] = length.sigma
     for camera in dict.fromkeys(view_of(view).camera for view in plan.views):
         blurs = [o.blur_px for seen in boards.values() for o in seen if o.camera == camera]
-        known = [b for b in blurs if np.isfinite(b)]
-        if known:
-            numbers[blur_name(camera)] = float(np.median(known))
+        finite = [b for b in blurs if np.isfinite(b)]
+        if finite:
+            numbers[blur_name(camera)] = float(np.median(finite))
     return numbers
 
 

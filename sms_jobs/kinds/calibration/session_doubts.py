@@ -19,24 +19,24 @@ def alike_numbered(bars: Bars) -> tuple[Bars, tuple[str, ...]]:
     Each view's centres are compared with those of the first view that saw both spheres.
     """
     found: dict[str, list[BarObservation]] = {}
-    told = []
+    warnings = []
     for pose, seen in bars.items():
         found[pose] = []
         first: BarObservation | None = None
         for one in seen:
-            known = bool(np.isfinite(one.centre).all())
-            if first is not None and known and _exchanged(first, one):
-                told.append(
+            complete = bool(np.isfinite(one.centre).all())
+            if first is not None and complete and _exchanged(first, one):
+                warnings.append(
                     f"pose {pose}: {one.camera}{one.projector} numbers the spheres the other way round than "
                     f"{first.camera}{first.projector}; they were exchanged: look whether the pose is right"
                 )
                 one = replace(
                     one, sphere=3 - one.sphere, centre=one.centre[::-1], centre_sigma=one.centre_sigma[::-1]
                 )
-            elif first is None and known:
+            elif first is None and complete:
                 first = one
             found[pose].append(one)
-    return found, tuple(told)
+    return found, tuple(warnings)
 
 
 def _exchanged(first: BarObservation, other: BarObservation) -> bool:
@@ -47,41 +47,41 @@ def _exchanged(first: BarObservation, other: BarObservation) -> bool:
 def doubts_of(start: Start, boards: Boards, bars: Bars) -> tuple[str, ...]:
     """Return what a person has to look at: poses that nobody saw, bars that tell little."""
     shown = {pose for _, pose in start.usable}
-    told = [
+    doubts = [
         f"pose {pose}: nobody saw enough of the board; record it again, or leave it out"
         for pose in boards
         if pose not in shown or pose not in start.boards
     ]
     if not bars:
-        return tuple(told)
+        return tuple(doubts)
     centres = {pose: middle_centres(seen) for pose, seen in bars.items()}
-    told += [
+    doubts += [
         f"pose {pose}: nobody saw a sphere of the bar; record it again, or leave it out"
         for pose, both in centres.items()
         if not np.isfinite(both).any()
     ]
     if not any(np.isfinite(both).all() for both in centres.values()):
-        told.append(
+        doubts.append(
             "no pose shows both spheres of the bar, so that its length takes no part; record such poses"
         )
-    return (*told, *_flat(np.concatenate(list(centres.values()))))
+    return (*doubts, *_flat(np.concatenate(list(centres.values()))))
 
 
 def _flat(centres: np.ndarray) -> tuple[str, ...]:
     """Say so when all spheres lie on a line or in a plane."""
-    known = centres[np.isfinite(centres).all(axis=1)]
-    if len(known) < 2:
+    finite = centres[np.isfinite(centres).all(axis=1)]
+    if len(finite) < 2:
         return ()
-    _, sizes, axes = np.linalg.svd(known - known.mean(axis=0), full_matrices=True)
-    extent = np.pad(sizes, (0, 3 - len(sizes))) / np.sqrt(len(known))
+    _, sizes, axes = np.linalg.svd(finite - finite.mean(axis=0), full_matrices=True)
+    extent = np.pad(sizes, (0, 3 - len(sizes))) / np.sqrt(len(finite))
     if extent[2] > _FLAT * extent[0]:
         return ()
     line = extent[1] <= _FLAT * extent[0]
     named = ", ".join(f"{x:.2f}" for x in axes[0 if line else 2] + 0.0)
     what = f"one line along ({named})" if line else f"one plane with the normal ({named})"
     off = extent[1 if line else 2]
-    told = (
+    doubt = (
         f"all spheres of the bar lie within {off:.2g} mm rms of {what}: its length tells nothing across it, "
         "nor do poses that are held out; add poses of the bar at other pan and tilt angles"
     )
-    return (told,)
+    return (doubt,)

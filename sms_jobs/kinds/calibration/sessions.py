@@ -69,9 +69,9 @@ class SessionPlan:
 
     def measuring_pairs(self) -> tuple[tuple[str, str], ...]:
         """Return the pairs of sensors that measure points: cameras with projectors, or cameras alone."""
-        told = [view_of(view).sensors for view in self.views]
-        alone = [sensors[0] for sensors in told if len(sensors) == 1]
-        return (*((s[0], s[1]) for s in told if len(s) == 2), *combinations(alone, 2))
+        sensors_by_view = [view_of(view).sensors for view in self.views]
+        alone = [sensors[0] for sensors in sensors_by_view if len(sensors) == 1]
+        return (*((s[0], s[1]) for s in sensors_by_view if len(s) == 2), *combinations(alone, 2))
 
 
 def session_of(campaign: Campaign) -> CalibrationSession:

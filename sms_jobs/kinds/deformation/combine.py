@@ -64,9 +64,9 @@ def _needs(campaign: Campaign, subject: Subject, parameters: CombineParameters) 
 def run(inputs: Inputs, parameters: CombineParameters, progress: Progress) -> Iterator[Output]:
     """Bring the surfaces of the other views into this campaign's frame, and join them with its own."""
     surfaces = [_surface(inputs.read(_MERGED, MESH))]
-    known = _alignments(inputs)
+    alignments = _alignments(inputs)
     for view in parameters.views:
-        lies = _of(known, view, inputs.subject.campaign)
+        lies = _of(alignments, view, inputs.subject.campaign)
         pose = Pose(lies.rotation, lies.translation_mm)
         own_axis, axis = np.array(lies.specimen_axis), np.array(lies.specimen_axis_there)
         there = inputs.read(_MERGED, MESH, replace(inputs.subject, campaign=view))
@@ -100,13 +100,13 @@ def _alignments(inputs: Inputs) -> dict[str, ViewAlignment]:
     return {one.campaign: one for one in found}
 
 
-def _of(known: dict[str, ViewAlignment], view: str, own: str) -> ViewAlignment:
-    if view not in known:
+def _of(alignments: dict[str, ViewAlignment], view: str, own: str) -> ViewAlignment:
+    if view not in alignments:
         raise InvalidInput(
-            f"campaign {view} is not aligned with {own}, only {', '.join(known)}: submit align with all the "
-            "views that are to be combined"
+            f"campaign {view} is not aligned with {own}, only {', '.join(alignments)}: submit align with "
+            "all the views that are to be combined"
         )
-    return known[view]
+    return alignments[view]
 
 
 def _surface(mesh: Mesh) -> StrainedSurface:

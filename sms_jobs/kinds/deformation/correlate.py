@@ -166,11 +166,11 @@ def _followed(matches: ImageMatches, nodes: Nodes) -> Followed:
     warp = np.stack([matches.u, *matches.gradient[:2], matches.v, *matches.gradient[2:]], axis=1)
     sigma = np.stack([matches.sigma_u, matches.sigma_v], axis=1).astype(np.float64)
     steps = (matches.reason == 0).astype(np.int32) if matches.steps is None else matches.steps
-    known = row >= 0
+    matched = row >= 0
     return Followed(
-        np.where(known[:, None], warp[row], np.nan) if len(warp) else np.full((len(row), 6), np.nan),
-        np.where(known[:, None], sigma[row], np.nan) if len(warp) else np.full((len(row), 2), np.nan),
-        np.where(known, steps[row], 0) if len(warp) else np.zeros(len(row), dtype=np.int32),
+        np.where(matched[:, None], warp[row], np.nan) if len(warp) else np.full((len(row), 6), np.nan),
+        np.where(matched[:, None], sigma[row], np.nan) if len(warp) else np.full((len(row), 2), np.nan),
+        np.where(matched, steps[row], 0) if len(warp) else np.zeros(len(row), dtype=np.int32),
     )
 
 

@@ -123,10 +123,10 @@ def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Ite
         )
         progress(number / len(places), f"read {number} of {len(places)} gauges")
     readings = _readings(found, surface, parameters)
-    known = np.isfinite(readings.strain)
-    statistics = {"gauges": float(len(places)), "gauges_read": float(known.sum())}
-    if known.any():
-        statistics["largest_gauge_strain"] = float(readings.strain[known].max())
+    finite = np.isfinite(readings.strain)
+    statistics = {"gauges": float(len(places)), "gauges_read": float(finite.sum())}
+    if finite.any():
+        statistics["largest_gauge_strain"] = float(readings.strain[finite].max())
     yield DatasetOutput(inputs.subject, {GAUGES: readings}, statistics)
 
 

@@ -128,7 +128,7 @@ def run(inputs: Inputs, parameters: SimulateParameters, progress: Progress) -> I
 def _recorded(
     rig: Recorder, task: Recipe, view: str, parameters: SimulateParameters, threads: int
 ) -> Measurement:
-    """Record a view, after a quick look at how bright it is where that is wanted."""
+    """Record a view, for adaptive patterns after a quick look at how bright it is."""
     if parameters.adaptive == "none":
         return rig.record(view, task.sequence)
     projector = task.scene.rig.sensor(view_of(view).projector)

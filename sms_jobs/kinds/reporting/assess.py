@@ -132,11 +132,11 @@ def vector_errors(
     """
     variance = covariance[_DIAGONAL].sum(axis=0, dtype=np.float64)
     length = np.sqrt(np.sum(error**2, axis=0))
-    known = (reason == Reason.VALID) & np.isfinite(length)
-    mean = error[:, known].mean(axis=1) if known.any() else np.full(3, np.nan)
+    used = (reason == Reason.VALID) & np.isfinite(length)
+    mean = error[:, used].mean(axis=1) if used.any() else np.full(3, np.nan)
     return _summed_up(
-        length[known] ** 2, float(np.linalg.norm(mean)), variance[known], reason, known, expected
-    ), np.where(known, length, np.nan).astype(np.float32)
+        length[used] ** 2, float(np.linalg.norm(mean)), variance[used], reason, used, expected
+    ), np.where(used, length, np.nan).astype(np.float32)
 
 
 def strain_errors(
@@ -159,17 +159,17 @@ def strain_errors(
     -------
     The errors, and the error of each component as images.
     """
-    known = (reason == Reason.VALID) & np.isfinite(error).all(axis=0)
-    mean = error[:, known].mean(axis=1) if known.any() else np.full(3, np.nan)
-    variance = sigma[:, known].astype(np.float64) ** 2
+    used = (reason == Reason.VALID) & np.isfinite(error).all(axis=0)
+    mean = error[:, used].mean(axis=1) if used.any() else np.full(3, np.nan)
+    variance = sigma[:, used].astype(np.float64) ** 2
     return _summed_up(
-        error[:, known].ravel() ** 2,
+        error[:, used].ravel() ** 2,
         float(np.sqrt(np.mean(mean**2))),
         variance.ravel(),
         reason,
-        known,
+        used,
         expected,
-    ), np.where(known, error, np.nan).astype(np.float32)
+    ), np.where(used, error, np.nan).astype(np.float32)
 
 
 def _summed_up(
@@ -177,7 +177,7 @@ def _summed_up(
     bias: float,
     variance: Floats,
     reason: NDArray[np.uint32],
-    known: Flags,
+    used: Flags,
     expected: Flags,
 ) -> Errors:
     valid = reason == Reason.VALID
@@ -185,14 +185,14 @@ def _summed_up(
         score = squared / variance
     nothing = float("nan")
     return Errors(
-        count=int(known.sum()),
+        count=int(used.sum()),
         rms=float(np.sqrt(squared.mean())) if squared.size else nothing,
         bias=bias,
         largest=float(np.sqrt(squared.max())) if squared.size else nothing,
         score_rms=float(np.sqrt(score.mean())) if score.size else nothing,
         expected_count=int(expected.sum()),
         valid_fraction=float(valid[expected].mean()) if expected.any() else nothing,
-        false_valid_count=int((valid & ~known).sum()),
+        false_valid_count=int((valid & ~used).sum()),
     )
 
 

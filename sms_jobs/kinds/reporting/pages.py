@@ -293,10 +293,10 @@ def _as_recorded(inputs: Inputs, campaign: Campaign) -> tuple[LoadState, ...]:
 
 
 def _text_file(folder: zipfile.ZipFile, name: str) -> TextIO:
-    """Open a new file in a ZIP file, of which the time is not told: the same pages have the same bytes."""
-    told = zipfile.ZipInfo(name)
-    told.compress_type = zipfile.ZIP_DEFLATED
-    return io.TextIOWrapper(folder.open(told, "w", force_zip64=True), encoding="utf-8", newline="\n")
+    """Open a new file in a ZIP file, without its time: the same pages have the same bytes."""
+    entry = zipfile.ZipInfo(name)
+    entry.compress_type = zipfile.ZIP_DEFLATED
+    return io.TextIOWrapper(folder.open(entry, "w", force_zip64=True), encoding="utf-8", newline="\n")
 
 
 def _without_images(assessment: Assessment) -> Assessment:

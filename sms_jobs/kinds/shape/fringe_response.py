@@ -49,7 +49,7 @@ class SampleParameters(Parameters):
 
 @dataclass(frozen=True)
 class SampledResponse:
-    """The response in each orientation's frames, and the pixels that told it.
+    """The response in each orientation's frames, and the pixels that it was estimated from.
 
     Attributes
     ----------

@@ -126,7 +126,7 @@ def _paired(task: PhaseTask, rows: slice, found: list[Returns]) -> Pairing:
 
 
 def _merged_sigma(task: PhaseTask, found: list[Returns], pairing: Pairing) -> Singles:
-    """Return what a second light too weak to be told apart may have done to the chosen ones, as a sigma."""
+    """Return the standard deviation that a second return too weak to be separated adds to the chosen one."""
     sequence = task.measurement.sequence
     return merged_sigma(
         [task.measurement.noise(f.mean_intensity) for f in found],

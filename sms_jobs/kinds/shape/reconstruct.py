@@ -13,7 +13,7 @@ signs of a good one. On the virtual top hat of 512 px this costs 2-4 % of the pi
 error from 140 mm to 0.6 mm.
 
 With Fourier domain ranging a pixel may have several returns. The pair of them that is light straight from the
-projector is chosen slab by slab; what cannot be told is marked, see `metrology.geometry.ray_pairing`.
+projector is chosen slab by slab; what stays ambiguous is marked, see `metrology.geometry.ray_pairing`.
 """
 
 from __future__ import annotations
