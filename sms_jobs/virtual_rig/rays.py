@@ -98,7 +98,7 @@ def first_hit(
         facing = abs(nx * v0x + ny * v0y + nz * v0z)
         if not near_patch(patch, a, b, 1e-6 + 2.0 * slack / max(facing, 1e-6)):
             continue
-        s, mx, my, mz, met = settled_hit(patch, chain, ox, oy, oz, dx, dy, dz, start + step)
+        s, mx, my, mz, met = refined_hit(patch, chain, ox, oy, oz, dx, dy, dz, start + step)
         if not met or s <= beyond or s >= best:
             continue
         a, b = patch_coordinates(patch, mx, my, mz)
@@ -108,7 +108,7 @@ def first_hit(
 
 
 @kernel
-def settled_hit(
+def refined_hit(
     patch: Floats,
     chain: Floats,
     ox: float,

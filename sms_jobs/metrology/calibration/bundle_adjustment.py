@@ -71,7 +71,7 @@ _ROUGH = 1e-4  # relative cost at which it is worth looking for what to leave ou
 _GOOD_ENOUGH = 1e-7  # when the iterations are used up: of a cost of 10 000, 0.05 standard deviations
 _LEAST_DAMPING = 1e-9
 _MOST_DAMPING = 1e6
-_SETTLED = 1e-3  # relative change of variance factors: a tenth of what 50 000 residuals tell of them
+_SCALE_TOLERANCE = 1e-3  # relative change of variance factors: a tenth of what 50 000 residuals tell of them
 
 
 @dataclass
@@ -162,11 +162,11 @@ def _enough(
 def _start(problem: BundleProblem, packed: Packed, options: BundleOptions) -> _Fit:
     """Return the fit at the problem's start, with every observation that has a residual there."""
     state = starting_state(problem)
-    nobody = Live(
+    nothing_live = Live(
         np.zeros(len(packed.bar_observed), np.bool_), np.zeros(len(packed.board_observed), np.bool_)
     )
     scale = np.ones(4)
-    first = evaluate(problem, packed, state, nobody, scale, options, Observed.empty(packed))
+    first = evaluate(problem, packed, state, nothing_live, scale, options, Observed.empty(packed))
     live = _kept(first.observed, packed, scale, replace(options, reject=np.inf))
     live, seen_board, seen_sphere = _enough(problem, packed, live)
     if not (live.bar.any() or live.board.any()):
@@ -235,10 +235,10 @@ def _descend(
         scale = fit.scale
         if options.estimate_variances:
             scale = estimate_scale(fit.normal.observed, packed, fit.live, scale, absorbed, options.huber)
-        settled = bool(np.all(np.abs(np.log(scale / fit.scale)) < _SETTLED))
+        scale_converged = bool(np.all(np.abs(np.log(scale / fit.scale)) < _SCALE_TOLERANCE))
         fit.scale = scale
         here = _cost(packed, options, fit, fit.normal)
-        if gain <= tolerance * (here + 1.0) and (settled or tolerance >= _ROUGH):
+        if gain <= tolerance * (here + 1.0) and (scale_converged or tolerance >= _ROUGH):
             return
         if fit.iterations >= options.most_iterations and gain <= _GOOD_ENOUGH * (here + 1.0):
             return

@@ -161,13 +161,13 @@ def check_determined(
     worst, pair, diagonal = _worst_point(problem, state, covariance[:count, :count])
     if worst <= _DOUBTED_PART * diagonal:
         return covariance, ()
-    told = (
+    finding = (
         f"a point of the volume would be uncertain by {worst:.3g} mm with {pair}, 1/{diagonal / worst:.0f} "
         f"of the volume's diagonal of {diagonal:.0f} mm"
     )
     if worst > _REFUSED_PART * diagonal:
-        raise CalibrationFailed(f"{told} (limit 1/{1 / _REFUSED_PART:.0f}): {words()}")
-    return covariance, (f"{told} (wanted 1/{1 / _DOUBTED_PART:.0f}): {words()}",)
+        raise CalibrationFailed(f"{finding} (limit 1/{1 / _REFUSED_PART:.0f}): {words()}")
+    return covariance, (f"{finding} (wanted 1/{1 / _DOUBTED_PART:.0f}): {words()}",)
 
 
 def weakest_in_words(problem: BundleProblem, freedom: Freedom, normal: Floats) -> str:
@@ -256,10 +256,10 @@ def prior_warnings(problem: BundleProblem, nuisance: tuple[Nuisance, ...]) -> tu
     found = []
     lengths = [n for n in loud if n.name.startswith("length")]
     pitches = [n for n in loud if n.name.startswith("pitch")]
-    told = set()
+    reported = set()
     for length in lengths:
         for pitch in pitches:
-            told |= {length.name, pitch.name}
+            reported |= {length.name, pitch.name}
             z = max(abs(length.z), abs(pitch.z))
             found.append(
                 f"the length of {length.prior:.6g} mm of {length.name.removeprefix('length of ')} and "
@@ -268,7 +268,7 @@ def prior_warnings(problem: BundleProblem, nuisance: tuple[Nuisance, ...]) -> tu
                 f"pitch {pitch.value:.6g} times what is stated; measure both again"
             )
     for n in loud:
-        if n.name not in told:
+        if n.name not in reported:
             unit = " mm" if n.unit == "mm" else ""
             found.append(
                 f"the {n.name} is stated as {n.prior:.6g}{unit} within {n.prior_sigma:.2g}{unit} and found "

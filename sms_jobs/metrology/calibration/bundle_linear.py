@@ -2,7 +2,7 @@
 
 Libraries spread such small matrices over all cores, where they wait for each other as soon as anybody else
 works. With 210 unknowns on a busy machine of two cores, SciPy's `cho_factor` and `cho_solve` take seven times
-the CPU time of these kernels; told from outside to keep to one thread, 0.8 to 0.9 of it.
+the CPU time of these kernels; kept to one thread from outside, 0.8 to 0.9 of it.
 """
 
 from __future__ import annotations

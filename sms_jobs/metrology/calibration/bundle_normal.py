@@ -322,7 +322,7 @@ def prior_equations(problem: BundleProblem, state: State) -> tuple[Floats, Float
     normal, gradient = np.zeros((layout.size, layout.size)), np.zeros(layout.size)
     cost = 0.0
 
-    def known(at: int, off: float, sigma: float) -> float:
+    def add_prior(at: int, off: float, sigma: float) -> float:
         if not sigma > 0.0:
             return 0.0
         normal[at, at] += sigma**-2
@@ -331,11 +331,11 @@ def prior_equations(problem: BundleProblem, state: State) -> tuple[Floats, Float
 
     for k, bar in enumerate(problem.bars):
         at, radii = layout.bar(k), state.radii(problem, k)
-        cost += known(at, float(state.length[k]) - bar.length_mm, bar.length_sigma_mm)
+        cost += add_prior(at, float(state.length[k]) - bar.length_mm, bar.length_sigma_mm)
         for sphere in (0, 1):
-            cost += known(at + 1 + sphere, float(radii[sphere]) - bar.radius_mm, bar.radius_sigma_mm)
+            cost += add_prior(at + 1 + sphere, float(radii[sphere]) - bar.radius_mm, bar.radius_sigma_mm)
     for k, board in enumerate(problem.boards):
-        cost += known(layout.board(k), state.pitch_scale(problem, k) - 1.0, board.pitch_relative_sigma)
+        cost += add_prior(layout.board(k), state.pitch_scale(problem, k) - 1.0, board.pitch_relative_sigma)
     for pose, held in enumerate(problem.bar_poses):
         way = state.sphere[pose, 1, :3] - state.sphere[pose, 0, :3]
         apart = float(np.linalg.norm(way))

@@ -243,8 +243,8 @@ def _turned_bars(centres: Floats, step: Floats) -> Floats:
     moved = centres + step
     turned = moved[:, 1] - moved[:, 0]
     length = np.linalg.norm(way, axis=1)
-    wanted = length + np.sum(way * (step[:, 1] - step[:, 0]), axis=1) / length
-    half = 0.5 * turned * (wanted / np.linalg.norm(turned, axis=1))[:, None]
+    target_length = length + np.sum(way * (step[:, 1] - step[:, 0]), axis=1) / length
+    half = 0.5 * turned * (target_length / np.linalg.norm(turned, axis=1))[:, None]
     middle = moved.mean(axis=1)
     both = np.stack([middle - half, middle + half], axis=1)
     # A bar of which one sphere was seen just moves.

@@ -239,11 +239,11 @@ class BundleProblem:
                     f"sensor {sensor.name} has no parameter {', '.join(sorted(unknown))}; its parameters are "
                     + ", ".join(SENSOR_PARAMETERS)
                 )
-        wanted = PER_SENSOR * len(self.sensors)
-        if self.prior is not None and self.prior.information.shape != (wanted, wanted):
+        size = PER_SENSOR * len(self.sensors)
+        if self.prior is not None and self.prior.information.shape != (size, size):
             raise InvalidInput(
                 f"the prior's information is {self.prior.information.shape}, but {len(self.sensors)} sensors "
-                f"have {wanted} parameters: give {wanted} x {wanted}"
+                f"have {size} parameters: give {size} x {size}"
             )
 
     @property

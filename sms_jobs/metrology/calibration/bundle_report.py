@@ -101,7 +101,7 @@ def rms_tables(
 
 
 def _keys(problem: BundleProblem, block: Block, bar: bool) -> list[tuple[Of, str]]:
-    """Return what the rms of a block is told under."""
+    """Return the name under which the rms of a block is reported."""
     names = [problem.sensors[s].name for s in block.sensors]
     if not bar:
         pose = problem.board_poses[block.pose].name

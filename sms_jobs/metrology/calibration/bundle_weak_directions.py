@@ -23,7 +23,7 @@ GROUPS: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 """Parameters that mean the same to a person; (tx, ty, tz) is in the sensor's frame, so tz is the distance."""
 
-_TOLD = 4
+_MOST_NAMED = 4
 _SHARE = 0.1
 _REGULAR = 1e-14
 
@@ -70,14 +70,14 @@ def described(direction: Floats, places: Ints, names: tuple[str, ...]) -> str:
             at = [SENSOR_PARAMETERS.index(m) for m in members]
             energy.append((float(np.sum(own[at] ** 2)), group, name))
     energy.sort(key=lambda e: -e[0])
-    told = [e for e in energy[:_TOLD] if e[0] > _SHARE * energy[0][0]]
-    return f"{_sentence(told)}; {_advice({group for _, group, _ in told})}"
+    strongest = [e for e in energy[:_MOST_NAMED] if e[0] > _SHARE * energy[0][0]]
+    return f"{_sentence(strongest)}; {_advice({group for _, group, _ in strongest})}"
 
 
-def _sentence(told: list[tuple[float, str, str]]) -> str:
+def _sentence(strongest: list[tuple[float, str, str]]) -> str:
     """Say "the focal length of P2 and its distance trade against each other"."""
     by_sensor: dict[str, list[str]] = {}
-    for _, group, name in told:
+    for _, group, name in strongest:
         by_sensor.setdefault(name, []).append(group)
     parts = []
     for name, groups in by_sensor.items():

@@ -30,9 +30,9 @@ Relation: TypeAlias = Literal["independent", "updated", "lenses updated"]
 Verdict: TypeAlias = Literal["unchanged", "harmless", "matters", "cannot tell"]
 
 _CERTAIN = 4.0  # times the distance of points that is expected by chance
-_TOLD = 0.01  # of a variance: directions in which an update learnt less are left out of the test
+_LEAST_LEARNT = 0.01  # of a variance: directions in which an update learnt less are left out of the test
 _ROUNDING = 1e-10
-_LEAST: dict[Relation, float] = {"independent": _ROUNDING, "updated": _TOLD, "lenses updated": 1e-6}
+_LEAST: dict[Relation, float] = {"independent": _ROUNDING, "updated": _LEAST_LEARNT, "lenses updated": 1e-6}
 """Of the largest variance of a change: directions with less have none but for rounding."""
 
 
@@ -215,12 +215,12 @@ def _check(
         raise InvalidInput(f"only one of the calibrations has {odd}: compare those of the same sensors")
     if (covariance_before is None) != (covariance_after is None):
         raise InvalidInput("only one of the two calibrations has a covariance: give both or none")
-    wanted = PER_SENSOR * len(before)
+    size = PER_SENSOR * len(before)
     for covariance in (covariance_before, covariance_after):
-        if covariance is not None and covariance.shape != (wanted, wanted):
+        if covariance is not None and covariance.shape != (size, size):
             raise InvalidInput(
-                f"a covariance is {covariance.shape}, but {len(before)} sensors have {wanted} parameters: "
-                f"give {wanted} x {wanted}"
+                f"a covariance is {covariance.shape}, but {len(before)} sensors have {size} parameters: "
+                f"give {size} x {size}"
             )
 
 

@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 Verdict: TypeAlias = Literal["holds", "drifted", "cannot tell"]
 
 _FEWEST_BLOCKS = 12  # five more than the changes that are sought
-_SEEN = 0.3  # of a plausible change: what is told worse than that is left out of the explanation
+_SEEN = 0.3  # of a plausible change: what is determined worse than that is left out of the explanation
 _POWER = 0.95
 
 CHANGES = (
@@ -138,11 +138,11 @@ class DriftCheck:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Estimate (7,) in plausible units, its covariance, and which directions (7, k) the gap tells."""
+    """Estimate (7,) in plausible units, its covariance, and the directions (7, k) that the gap determines."""
 
     estimate: Floats
     covariance: Floats
-    told: Floats
+    directions: Floats
     statistic: float
     rest: float
 
@@ -229,7 +229,7 @@ def check_drift(
     by_change = pair_changes(camera, projector, blocks.point.mean(axis=0))
     base = float(np.linalg.norm(projector[1].centre() - camera[1].centre()))
     unit = chosen.plausible * np.array([1.0, 1.0, 1.0, base, base, 1.0, 1.0])
-    # What has changed since is not in the parameters: the true ones leave no gap, so the gap is -J change.
+    # The true parameters leave no gap and the stated ones lack the change, so the gap is -J change.
     patterns = -derivatives @ by_change * unit
     spread = _covariance(blocks, patterns, baseline_rms_mm)
     if covariance is not None:
@@ -247,16 +247,16 @@ def _covariance(blocks: GapBlocks, patterns: Floats, baseline: float) -> Floats:
 
 
 def _explain(gap: Floats, patterns: Floats, spread: Floats) -> _Fit:
-    """Fit the patterns (b, 7) to the means (b,), in the directions that they tell well enough."""
+    """Fit the patterns (b, 7) to the means (b,), in the directions that they determine well enough."""
     root = np.linalg.cholesky(spread)
     a, m = np.linalg.solve(root, patterns), np.linalg.solve(root, gap)
     values, vectors = np.linalg.eigh(a.T @ a)
     seen = values > 1.0 / _SEEN**2
-    told, information = vectors[:, seen], values[seen]
-    estimate = told @ ((told.T @ (a.T @ m)) / information)
-    statistic = float(np.sum((told.T @ (a.T @ m)) ** 2 / information))
-    covariance = (told / information) @ told.T
-    return _Fit(estimate, covariance, told, statistic, float(m @ m) - statistic)
+    directions, information = vectors[:, seen], values[seen]
+    estimate = directions @ ((directions.T @ (a.T @ m)) / information)
+    statistic = float(np.sum((directions.T @ (a.T @ m)) ** 2 / information))
+    covariance = (directions / information) @ directions.T
+    return _Fit(estimate, covariance, directions, statistic, float(m @ m) - statistic)
 
 
 def _detectable(patterns: Floats, spread: Floats, threshold: float) -> float:
@@ -279,15 +279,15 @@ def _judged(
     volume: tuple[Floats, Floats] | None,
     options: DriftOptions,
 ) -> DriftCheck:
-    count, told = len(blocks.gap), fit.told.shape[1]
+    count, freedom = len(blocks.gap), fit.directions.shape[1]
     each = 1.0 - np.sqrt(1.0 - options.false_alarm)
-    motion = float(chi2.isf(each, told)) if told else float("inf")
-    rest = float(chi2.isf(each, count - told))
+    motion = float(chi2.isf(each, freedom)) if freedom else float("inf")
+    rest = float(chi2.isf(each, count - freedom))
     largest = int(np.argmax(np.abs(blocks.gap)))
-    detectable = _detectable(patterns @ fit.told, spread, motion) if told else float("inf")
+    detectable = _detectable(patterns @ fit.directions, spread, motion) if freedom else float("inf")
     moved_much, strange = fit.statistic > motion, fit.rest > rest
     gap_rms = float(np.sqrt(max(0.0, float(np.mean(blocks.gap**2 - blocks.sigma**2)))))
-    verdict: Verdict = "drifted" if moved_much or strange else "holds" if told else "cannot tell"
+    verdict: Verdict = "drifted" if moved_much or strange else "holds" if freedom else "cannot tell"
     if moved_much:
         reason = (
             f"the rays miss each other by {gap_rms:.3g} mm rms, in a pattern that a change of the pair makes"
@@ -296,7 +296,7 @@ def _judged(
         reason = (
             f"the rays miss each other by {gap_rms:.3g} mm rms, in a pattern that no change of the pair makes"
         )
-    elif told:
+    elif freedom:
         reason = f"no systematic gap was found, and one of {detectable:.3g} mm rms would have been"
     else:
         reason = "the gap tells no change of the pair to a third of what is plausible: measure more pixels"
@@ -311,10 +311,10 @@ def _judged(
         options.false_alarm,
         motion_statistic=fit.statistic,
         motion_threshold=motion,
-        motion_freedom=told,
+        motion_freedom=freedom,
         rest_statistic=fit.rest,
         rest_threshold=rest,
-        rest_freedom=count - told,
+        rest_freedom=count - freedom,
         gap_rms_mm=gap_rms,
         largest_gap_mm=float(blocks.gap[largest]),
         largest_gap_sigma_mm=float(blocks.sigma[largest]),
@@ -328,7 +328,7 @@ def _judged(
 
 def _changes(fit: _Fit, unit: Floats) -> tuple[Change, ...]:
     sigma = np.sqrt(np.diag(fit.covariance))
-    seen = np.sum(fit.told**2, axis=1) > 0.9
+    seen = np.sum(fit.directions**2, axis=1) > 0.9
     return tuple(
         Change(name, u, float(fit.estimate[k] * unit[k]), float(sigma[k] * unit[k]), bool(seen[k]))
         for k, (name, u) in enumerate(zip(CHANGES, UNITS, strict=True))

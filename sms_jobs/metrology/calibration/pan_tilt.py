@@ -223,7 +223,7 @@ def stage_from_special_poses(
     the signs of s and of the bar's direction as measured at home: an axis has the sense in which its angle
     grows, whichever way the stalk points and however the spheres are numbered.
 
-    Raises `InvalidInput` for angles from which no axis can be told and `CalibrationFailed` where the centres
+    Raises `InvalidInput` for angles that determine no axis and `CalibrationFailed` where the centres
     show none.
     """
     for what, angle in (("pan", pan), ("tilt", tilt)):
@@ -328,12 +328,12 @@ def special_poses(angles: Floats, usable: NDArray[np.bool_] | None = None) -> tu
     # Rounded, so that 45 degrees and 315 are equals.
     sine = np.round(np.abs(np.sin(wrapped)), 9)
     chosen = []
-    for name, wanted, score in (
+    for name, matching, score in (
         ("home pose (0, 0)", at_zero.all(axis=1), np.ones(len(listed))),
         ("pan pose (pan, 0) between 10 and 170 degrees", at_zero[:, 1], sine[:, 0]),
         ("tilt pose (0, tilt) between 10 and 170 degrees", at_zero[:, 0], sine[:, 1]),
     ):
-        candidates = np.where(wanted & allowed & (score >= LEAST_SINE), score, 0.0)
+        candidates = np.where(matching & allowed & (score >= LEAST_SINE), score, 0.0)
         if not candidates.any():
             raise InvalidInput(
                 f"there is no {name} with both spheres among {len(listed)} poses; without one the "

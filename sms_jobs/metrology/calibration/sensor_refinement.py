@@ -253,5 +253,5 @@ def _covariance(information: Floats) -> Floats:
         return information
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    known = np.maximum(values, 1e-14)  # below it, rounding
-    return np.asarray((vectors / known) @ vectors.T / np.outer(scale, scale))
+    floored = np.maximum(values, 1e-14)  # below it, rounding
+    return np.asarray((vectors / floored) @ vectors.T / np.outer(scale, scale))

@@ -209,31 +209,31 @@ def start_from_space(
 
     Raises `CalibrationFailed` for points on a plane, or fewer than 6.
     """
-    known = [(view, fit) for view, fit in usable if view.pose in board_poses]
-    if not known:
+    placed = [(view, fit) for view, fit in usable if view.pose in board_poses]
+    if not placed:
         raise CalibrationFailed(f"{name} saw no board whose place in the world is known")
     seen = [
         SeenPoints(
             v.point @ board_poses[v.pose].matrix().T + board_poses[v.pose].translation, v.pixel, v.sigma_px
         )
-        for v, _ in known
+        for v, _ in placed
     ]
     points, pixels, sigma = (
         np.concatenate(parts) for parts in zip(*((s.point, s.pixel, s.sigma_px) for s in seen), strict=True)
     )
-    trusted = np.concatenate([fit.kept for _, fit in known])
+    trusted = np.concatenate([fit.kept for _, fit in placed])
     intrinsics, pose = direct_linear_transform(points[trusted], pixels[trusted], sigma[trusted])
     whole = refine_sensor(
         [SeenPoints(points, pixels, sigma)], intrinsics, [pose], free=_free(2), trusted=[trusted]
     )
-    _check_focal(name, whole, [v.pose for v, _ in known])
+    _check_focal(name, whole, [v.pose for v, _ in placed])
     ends = np.cumsum([len(s.point) for s in seen])[:-1]
     own = [
         Pose.from_arrays(
             whole.poses[0].matrix() @ board_poses[v.pose].matrix(),
             whole.poses[0].matrix() @ board_poses[v.pose].translation + whole.poses[0].translation,
         )
-        for v, _ in known
+        for v, _ in placed
     ]
     split = RefinedSensor(
         whole.intrinsics,
@@ -247,4 +247,4 @@ def start_from_space(
     note = (
         f"{name} was found by a DLT on boards that other sensors placed: its own views are not tilted enough"
     )
-    return _own(split, known, (note,)), whole.poses[0]
+    return _own(split, placed, (note,)), whole.poses[0]

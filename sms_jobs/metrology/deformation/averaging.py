@@ -160,8 +160,8 @@ def average_in_region(
     standard deviations off the first fit do not contribute.
     """
     variance = covariance[0] + covariance[3] + covariance[5]
-    known = usable & np.isfinite(raw).all(axis=0) & np.isfinite(variance)
-    weight = np.where(known, 1.0 / np.maximum(np.where(known, variance, 1.0), 1e-18), 0.0)
+    valid = usable & np.isfinite(raw).all(axis=0) & np.isfinite(variance)
+    weight = np.where(valid, 1.0 / np.maximum(np.where(valid, variance, 1.0), 1e-18), 0.0)
     value = np.empty_like(raw)
     spread = np.empty_like(covariance)
 

@@ -39,8 +39,8 @@ def values_at(points: Floats, values: Floats, at: Floats, within_mm: float) -> F
     A plane through the ten nearest points, weighted by inverse squared distance, in the two directions in
     which they spread most: exact for a field that is linear over the surface, also beyond its last point.
     """
-    known = np.isfinite(values).all(axis=1) & np.isfinite(points).all(axis=1)
-    source, field = points[known], values[known]
+    finite = np.isfinite(values).all(axis=1) & np.isfinite(points).all(axis=1)
+    source, field = points[finite], values[finite]
     found = np.full((len(at), values.shape[1]), np.nan)
     count = min(_NEIGHBOURS, len(source))
     if count < 4:
@@ -89,6 +89,6 @@ def free_of_motion(points: Floats, difference: Floats) -> Floats:
 
     Two tests of one specimen differ by how its grips gave; strain does not know of it.
     """
-    known = np.isfinite(difference).all(axis=1)
-    pose = align_points(points[known], (points + difference)[known])
+    finite = np.isfinite(difference).all(axis=1)
+    pose = align_points(points[finite], (points + difference)[finite])
     return np.asarray(points + difference - transform(pose, points))

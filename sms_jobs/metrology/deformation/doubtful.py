@@ -87,14 +87,14 @@ def check_again(
     every = np.arange(len(nodes.x))
     found.ending[outliers(found, nodes, every, ratio)] = NOT_CONVERGED
     doubtful = np.flatnonzero(found.ending == NOT_CONVERGED)
-    told = []
+    guesses = []
     for start in range(0, len(doubtful), _BLOCK):
         own = doubtful[start : start + _BLOCK]
         there, judged = _expected(found, nodes, own)
-        told.append((own[judged], np.nanmedian(there[judged], axis=1)))
-    if not told:
+        guesses.append((own[judged], np.nanmedian(there[judged], axis=1)))
+    if not guesses:
         return
-    points, guess = (np.concatenate(parts) for parts in zip(*told, strict=True))
+    points, guess = (np.concatenate(parts) for parts in zip(*guesses, strict=True))
     again, sure = refine(points, guess)
     for mine, theirs in zip(vars(found).values(), vars(again).values(), strict=True):
         mine[points[sure]] = theirs[sure]
@@ -105,10 +105,10 @@ def nearest_warps(found: Matches, nodes: Nodes, region: Labels, points: Ints) ->
     """Return what the nearest match of its region says at points (n, numbers), NaN where there is none."""
     warp = np.full((len(points), found.warp.shape[1]), np.nan)
     place = np.stack([nodes.x, nodes.y], axis=1).astype(np.float64)
-    known = found.ending == CONVERGED
+    matched = found.ending == CONVERGED
     for number in np.unique(region[points]):
         here = np.flatnonzero(region[points] == number)
-        witnesses = np.flatnonzero(known & (region == number))
+        witnesses = np.flatnonzero(matched & (region == number))
         if len(witnesses) == 0:
             continue
         own = points[here]
@@ -118,8 +118,8 @@ def nearest_warps(found: Matches, nodes: Nodes, region: Labels, points: Ints) ->
     return warp
 
 
-def tell_who_left(found: Matches, nodes: Nodes, labels: Labels, radius: int) -> None:
-    """Let points that could not be matched say that they left the image, if the nearest match says so.
+def mark_left_image(found: Matches, nodes: Nodes, labels: Labels, radius: int) -> None:
+    """Mark unmatched points as having left the image, if the warp of the nearest match takes them out of it.
 
     A point has left where its end lies beyond the border; if its subset was too small, where its end is
     nearer to the border than a subset's radius and nearer than it was; and if its subset ran out of the

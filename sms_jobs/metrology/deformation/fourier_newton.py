@@ -289,8 +289,8 @@ def match_by_cross_correlation(
     another whole pixel, the deformed sub-image is cut there again. Step (ii): the peak of |C|^2 by Newton's
     method, Eq. (3.14) and (3.15). The deformed sub-image is cut to the region of the reference, moved along
     with it. The standard deviations are those of the least-squares shift, from both images' noise or from
-    what the score leaves over, whichever is more, and the pull towards whole pixels, which is told by how
-    much more C is bent at its peak than the texture's slopes explain.
+    what the score leaves over, whichever is more, and the pull towards whole pixels, which is estimated from
+    how much more C is bent at its peak than the texture's slopes explain.
     """
     result = blank_matches(len(x), 6)
     result.warp[:] = 0.0

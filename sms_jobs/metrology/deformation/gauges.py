@@ -120,8 +120,8 @@ def _grid_axes(points: Floats, angle_rad: float) -> tuple[Floats, Floats]:
     """Return unit vectors along and across a grid in the tangent plane of points (3, n)."""
     _, vectors = np.linalg.eigh(np.cov(points))
     normal = vectors[:, 0]
-    wanted = np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
-    along = wanted - normal * (normal @ wanted)
+    direction = np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
+    along = direction - normal * (normal @ direction)
     along /= np.linalg.norm(along)
     return along, np.cross(normal, along)
 
@@ -180,8 +180,8 @@ def profile_along(
     dx, dy = xyz[0] - start[0], xyz[1] - start[1]
     along = dx * direction[0] + dy * direction[1]
     across = dy * direction[0] - dx * direction[1]
-    known = np.isfinite(xyz).all(axis=0) & np.isfinite(field).all(axis=0)
-    inside = known & (along >= 0.0) & (along <= length) & (np.abs(across) <= 0.5 * width_mm)
+    finite = np.isfinite(xyz).all(axis=0) & np.isfinite(field).all(axis=0)
+    inside = finite & (along >= 0.0) & (along <= length) & (np.abs(across) <= 0.5 * width_mm)
     piece = np.minimum((along[inside] / length * pieces).astype(np.int64), pieces - 1)
     count = np.bincount(piece, minlength=pieces)
     divisor = np.where(count > 0, count, np.nan)

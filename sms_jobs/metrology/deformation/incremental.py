@@ -207,8 +207,8 @@ def match_in_steps(
     steps[left] = followed_steps[left]
     # A reason from the step is better than none: it left the image, or came to no surface.
     nothing = lost[followed_steps[lost] == 0]
-    told = nothing[followed.ending[nothing] != NOT_CONVERGED]
-    found.matches.ending[told] = followed.ending[told]
+    explained = nothing[followed.ending[nothing] != NOT_CONVERGED]
+    found.matches.ending[explained] = followed.ending[explained]
     return found, steps
 
 

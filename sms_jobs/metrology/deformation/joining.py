@@ -57,7 +57,7 @@ def brought(surface: StrainedSurface, pose: Pose, axis: Floats, axis_there: Floa
         R and T.
     axis, axis_there
         (3,), unit vectors in the frame here and there, whose projections onto the surface are the x axis of
-        strain: the one that is wanted, and the one that it was stated along.
+        strain: the requested one, and the one that it was stated along.
     """
     rotation = pose.matrix()
     vertices = transform(pose, surface.vertices)

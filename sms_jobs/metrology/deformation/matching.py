@@ -24,7 +24,7 @@ from sms_jobs.metrology.deformation.correlation import (
     blank_matches,
     match_points,
 )
-from sms_jobs.metrology.deformation.doubtful import check_again, nearest_warps, tell_who_left
+from sms_jobs.metrology.deformation.doubtful import check_again, mark_left_image, nearest_warps
 from sms_jobs.metrology.deformation.fourier_newton import match_by_cross_correlation
 from sms_jobs.metrology.deformation.sampling import NEAREST, Nodes, choose_seeds, sample_nodes
 from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_warps
@@ -173,10 +173,10 @@ def match_nodes(
         result = REFINEMENT[grid.method](images, x[points], y[points], guess, settings, threads)
         return result, is_sure(result, grid)
 
-    # Whom no neighbour has reached may have no texture, or an island's own displacement.
+    # Points that no neighbour has reached may have no texture, or lie on an island with its own displacement.
     unreached = np.flatnonzero(attempts == 0)
     guess = nearest_warps(found, nodes, images.labels[y, x], unreached)
     attempt(unreached, np.where(np.isfinite(guess), guess, 0.0))
     check_again(found, nodes, grid.outlier_ratio, refine)
-    tell_who_left(found, nodes, images.labels, settings.radius)
+    mark_left_image(found, nodes, images.labels, settings.radius)
     return GridMatches(x, y, found)

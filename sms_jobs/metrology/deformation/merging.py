@@ -79,11 +79,11 @@ def correlation_of_pairs(
         for b in range(a + 1, len(values)):
             square = np.sum((values[a] - values[b]) ** 2, axis=0)
             expected = variances[a] + variances[b]
-            told = square <= _OUTLIER**2 * expected  # False where one of them has no value
-            if np.count_nonzero(told) < _LEAST_TOGETHER:
+            inliers = square <= _OUTLIER**2 * expected  # False where one of them has no value
+            if np.count_nonzero(inliers) < _LEAST_TOGETHER:
                 continue
-            shared = float(np.sum(expected[told] - square[told]))
-            most = 2.0 * float(np.sum(np.sqrt(variances[a][told] * variances[b][told])))
+            shared = float(np.sum(expected[inliers] - square[inliers]))
+            most = 2.0 * float(np.sum(np.sqrt(variances[a][inliers] * variances[b][inliers])))
             correlation[a, b] = correlation[b, a] = np.clip(shared / most, 0.0, 1.0)
     return correlation
 

@@ -50,19 +50,19 @@ def split_regions(labels: Labels, end_labels: Labels, x: Ints, y: Ints, warp: Fl
     Notes
     -----
     A piece holds at least a twentieth of the region's matched points, and half of those that end there.
-    Each pixel belongs to the piece in
-    which it ends by the warp of the matched point nearest to it or, where there is none, to that point's.
+    Each pixel belongs to the piece in which it ends by the warp of the matched point nearest to it or, where
+    there is none, to that point's.
     """
     found, pieces = labels.copy(), {}
     region = labels[y, x]
     ends = _label_at(end_labels, x + warp[:, 0], y + warp[:, 3])
     following = int(labels.max()) + 1
-    everybody = np.bincount(ends, minlength=1)
+    totals = np.bincount(ends, minlength=1)
     for number in range(1, following):
         own = np.flatnonzero(region == number)
-        count = np.bincount(ends[own], minlength=len(everybody))
-        # What is mostly another region's end is not this one's, though they touch.
-        count[2 * count < everybody] = 0
+        count = np.bincount(ends[own], minlength=len(totals))
+        # An end that mostly points of other regions reach is not this region's, though they touch.
+        count[2 * count < totals] = 0
         count[0] = 0
         least = max(_LEAST_PART * len(own), _LEAST_POINTS)
         large = [int(k) for k in np.argsort(-count, kind="stable") if count[k] >= least]

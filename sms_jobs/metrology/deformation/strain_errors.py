@@ -46,8 +46,8 @@ def independent_equivalent(
     shape = 2.0 * _harmonic_mean(np.asarray(cloud_covariance, dtype=np.float64), averaging_radius_px)
     averaged = max(5.0 * np.pi / 9.0 * averaging_radius_px**2, 1.0)
     excess = covariance - shape / averaged
-    known = np.isfinite(excess).all(axis=0)
-    match = _positive(np.median(excess[:, known], axis=1)) if known.any() else np.zeros(6)
+    finite = np.isfinite(excess).all(axis=0)
+    match = _positive(np.median(excess[:, finite], axis=1)) if finite.any() else np.zeros(6)
     match *= (2.0 * subset_radius_px + 1.0) ** 2 / 1.39
     q_shape, q_match = averaging_radius_px / disc_radius_px, subset_radius_px / disc_radius_px
     shape_part = shape / (1.0 + 0.40 * q_shape + 0.41 * q_shape**2) ** 2
@@ -59,13 +59,13 @@ def independent_equivalent(
 def _harmonic_mean(covariance: Floats, radius: float) -> Floats:
     """Return covariances scaled to the harmonic mean of their traces over about `radius` pixels."""
     trace = covariance[0] + covariance[3] + covariance[5]
-    known = np.isfinite(trace) & (trace > 0.0)
-    inverse = np.where(known, 1.0 / np.where(known, trace, 1.0), 0.0)
+    valid = np.isfinite(trace) & (trace > 0.0)
+    inverse = np.where(valid, 1.0 / np.where(valid, trace, 1.0), 0.0)
     # A Gaussian of 0.35 radius is as wide as (1 - d^2 / radius^2)^2.
     width = 0.35 * radius
-    share = ndimage.gaussian_filter(known.astype(np.float64), width)
+    share = ndimage.gaussian_filter(valid.astype(np.float64), width)
     mean = ndimage.gaussian_filter(inverse, width) / np.where(share > 0.0, share, 1.0)
-    factor = np.where(known, inverse / np.where(mean > 0.0, mean, 1.0), 1.0)
+    factor = np.where(valid, inverse / np.where(mean > 0.0, mean, 1.0), 1.0)
     return np.asarray(covariance * factor)
 
 

@@ -57,7 +57,7 @@ class Parameter:
     plausible
         Standard deviation of what lenses have, which keeps away what a few poses do not tell.
     fixed
-        Whether an adjustment keeps it unless it is told otherwise.
+        Whether an adjustment keeps it fixed by default.
     """
 
     meaning: str
@@ -117,7 +117,7 @@ COEFFICIENTS = tuple(LENS)[PIN_HOLE:]
 """Names of the coefficients of the distortion."""
 
 KEPT = tuple(name for name, parameter in LENS.items() if parameter.fixed)
-"""Names of those that an adjustment keeps unless it is told otherwise."""
+"""Names of those that an adjustment keeps fixed by default."""
 
 
 def distorted(lens: Floats, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
@@ -200,11 +200,11 @@ def undistort(intrinsics: Intrinsics, points: Floats) -> Floats:
     -------
     (..., 2), normalised; NaN where the iteration does not converge (outside the lens's valid field).
     """
-    wanted = np.asarray(points, dtype=np.float64)
-    found = wanted.copy()
+    target = np.asarray(points, dtype=np.float64)
+    found = target.copy()
     with np.errstate(all="ignore"):
         for _ in range(_NEWTON_STEPS):
-            residual = distort(intrinsics, found) - wanted
+            residual = distort(intrinsics, found) - target
             if np.nanmax(np.abs(residual), initial=0.0) < _NEWTON_TOLERANCE:
                 break
             j = distortion_jacobian(intrinsics, found)
@@ -212,6 +212,6 @@ def undistort(intrinsics: Intrinsics, points: Floats) -> Floats:
             dx = (j[..., 1, 1] * residual[..., 0] - j[..., 0, 1] * residual[..., 1]) / determinant
             dy = (j[..., 0, 0] * residual[..., 1] - j[..., 1, 0] * residual[..., 0]) / determinant
             found -= np.stack([dx, dy], axis=-1)
-        bad = np.max(np.abs(distort(intrinsics, found) - wanted), axis=-1) > 1e-9
+        bad = np.max(np.abs(distort(intrinsics, found) - target), axis=-1) > 1e-9
     found[bad] = np.nan
     return found

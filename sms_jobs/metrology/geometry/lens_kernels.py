@@ -25,11 +25,11 @@ def undistorted(lens: Floats, pixel: Floats, result: Floats) -> bool:
     `lens` is a `vector` of intrinsics. Newton on the distortion, whose Jacobian then gives the derivatives.
     """
     fx, fy = lens[0], lens[1]
-    wanted_x, wanted_y = (pixel[0] - lens[2]) / fx, (pixel[1] - lens[3]) / fy
-    x, y = wanted_x, wanted_y
+    target_x, target_y = (pixel[0] - lens[2]) / fx, (pixel[1] - lens[3]) / fy
+    x, y = target_x, target_y
     for _ in range(_NEWTON_STEPS):
         bent_x, bent_y = distorted(lens, x, y)
-        off_x, off_y = bent_x - wanted_x, bent_y - wanted_y
+        off_x, off_y = bent_x - target_x, bent_y - target_y
         a, b, c, d = by_point(lens, x, y)
         determinant = a * d - b * c
         if abs(off_x) + abs(off_y) < _NEWTON_TOLERANCE:

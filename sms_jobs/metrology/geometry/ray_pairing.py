@@ -403,9 +403,9 @@ def _choose_alone(
     near = np.abs(depth - of_best(depth)) <= _ONE_PLACE * np.sqrt(spread + of_best(spread))
     others = np.where(near | (np.arange(returns)[:, None, None] == best), -np.inf, likelihood)
     second = others.max(axis=0)
-    known = np.isfinite(second)
+    finite = np.isfinite(second)
     margin = np.full((rows, columns), np.inf, np.float32)
-    margin[known] = of_best(likelihood)[known] - second[known]
+    margin[finite] = of_best(likelihood)[finite] - second[finite]
     label = np.where(np.isfinite(omega[0, 0]), best + 1, 0).astype(np.uint16)
     return Pairing(
         of_best(omega[0])[None].astype(np.float64),

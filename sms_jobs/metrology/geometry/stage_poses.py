@@ -95,7 +95,7 @@ def _serpentine(pans: Sequence[float], tilts: Sequence[float]) -> tuple[StagePos
         for k, pan in enumerate(pans)
         for tilt in (tilts if k % 2 == 0 else tuple(reversed(tilts)))
     )
-    # A hair's breadth, so that equal ways are not told apart by rounding.
+    # A hair's breadth, so that rounding does not decide between equal ways.
     return along_tilt if travel(along_tilt) < travel(along_pan) * (1.0 - 1e-9) else along_pan
 
 

@@ -209,9 +209,9 @@ def _radial_fit(
     r2 = np.sum(points**2, axis=-1, keepdims=True)
     scale = float(r2.max())
     terms = np.stack([points * (r2 / scale) ** n * focal for n in (1, 2, 3)], axis=-1)
-    wanted = differences * focal
-    found, *_ = np.linalg.lstsq(terms.reshape(-1, 3), wanted.ravel(), rcond=None)
-    residual = np.linalg.norm(wanted - terms @ found, axis=-1)
+    target = differences * focal
+    found, *_ = np.linalg.lstsq(terms.reshape(-1, 3), target.ravel(), rcond=None)
+    residual = np.linalg.norm(target - terms @ found, axis=-1)
     misfit = Misfit(float(np.sqrt(np.mean(residual**2))), float(residual.max()))
     k1, k2, k3 = (float(k) / scale**n for n, k in enumerate(found, start=1))
     return (k1, k2, k3), misfit

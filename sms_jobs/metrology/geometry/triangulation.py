@@ -298,12 +298,12 @@ def _meet_phase_surface(
     across = np.array(direction(orientation))
     period = span_px(projector.columns, projector.rows, orientation)
     middle = 0.5 * (np.array([projector.columns, projector.rows]) - 1.0)
-    wanted = omega * period / (2.0 * pi) + middle @ across
+    targets = omega * period / (2.0 * pi) + middle @ across
     xyz = np.empty((3, *omega.shape))
     covariance = np.empty((6, *omega.shape), np.float32)
 
     def work(start: int, stop: int) -> None:
-        u, target = rays[start:stop], wanted[start:stop]
+        u, target = rays[start:stop], targets[start:stop]
         lens = np.array([across[0] * inner.fx, across[1] * inner.fy])
         offset = across @ [inner.cx, inner.cy] - target
         normal = np.stack([np.full_like(offset, lens[0]), np.full_like(offset, lens[1]), offset], -1)

@@ -57,17 +57,17 @@ def exposure_set(
     A pixel's own best exposure is HEADROOM full_scale / brightness. Sorted, these are covered by intervals
     [e, ratio e] from the shortest on, which takes the least number.
     """
-    known = brightness[np.isfinite(brightness) & (brightness > 0.0)]
-    if known.size == 0:
+    usable = brightness[np.isfinite(brightness) & (brightness > 0.0)]
+    if usable.size == 0:
         raise InvalidInput(
             "no pixel of the pre-exposure is in range, so no exposure can be chosen: shorten the pre-exposure"
         )
-    wanted = np.sort(HEADROOM * full_scale / known)
-    skipped = int(ignored * wanted.size)
-    wanted = wanted[skipped : wanted.size - skipped]
-    chosen = [min(float(wanted[0]), longest)]
+    best = np.sort(HEADROOM * full_scale / usable)
+    skipped = int(ignored * best.size)
+    best = best[skipped : best.size - skipped]
+    chosen = [min(float(best[0]), longest)]
     while len(chosen) < most and chosen[-1] < longest:
-        left = wanted[wanted > ratio * chosen[-1]]
+        left = best[best > ratio * chosen[-1]]
         if left.size == 0:
             break
         chosen.append(min(float(left[0]), longest))
@@ -164,14 +164,14 @@ def projector_dimming(
     Each projector pixel is allowed HEADROOM full_scale over the brightest camera pixel that it lights. The
     minimum over a window and then the mean over the same window is smooth and nowhere above what is allowed.
     """
-    known = np.isfinite(projector_xy).all(axis=-1)
-    place = np.rint(projector_xy[known]).astype(np.int64)
+    finite = np.isfinite(projector_xy).all(axis=-1)
+    place = np.rint(projector_xy[finite]).astype(np.int64)
     inside = ((place >= 0) & (place < [columns, rows])).all(axis=-1)
-    place, level = place[inside], brightness[known][inside]
+    place, level = place[inside], brightness[finite][inside]
     with np.errstate(divide="ignore"):
-        wanted = np.clip(HEADROOM * full_scale / level, darkest, 1.0)
+        factor = np.clip(HEADROOM * full_scale / level, darkest, 1.0)
     allowed = np.ones((rows, columns))
-    np.minimum.at(allowed, (place[:, 1], place[:, 0]), wanted)
+    np.minimum.at(allowed, (place[:, 1], place[:, 0]), factor)
     window = 2 * reach + 1
     lowest = ndimage.minimum_filter(allowed, window, mode="nearest")
     return np.asarray(ndimage.uniform_filter(lowest, window, mode="nearest"))

@@ -17,7 +17,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.phase.temporal_unwrapping import CoarseGradient
 
 UNREAD = -1
-"""Number of a stripe that cannot be told."""
+"""Number of a stripe that cannot be read."""
 
 LARGEST_BITS = 16
 
@@ -36,11 +36,11 @@ def read_stripes(
     doubt
         Distance from the threshold in grey levels below which a bit may have been misread, a number or an
         array like the threshold. One such bit is on
-        a border of two stripes; with more of them the stripe cannot be told.
+        a border of two stripes; with more of them the stripe cannot be read.
 
     Returns
     -------
-    (rows, columns), `UNREAD` where it cannot be told. Raises `InvalidInput` for more than 16 patterns.
+    (rows, columns), `UNREAD` where it cannot be read. Raises `InvalidInput` for more than 16 patterns.
     """
     bits = len(frames)
     if not 1 <= bits <= LARGEST_BITS:

@@ -31,7 +31,7 @@ def merged_sigma(
     noise
         Of each orientation, (rows, columns): standard deviation of a frame, grey levels.
     chosen
-        (orientations, rows, columns): amplitude of the wanted return, grey levels.
+        (orientations, rows, columns): amplitude of the chosen return, grey levels.
     amplitudes
         Of each orientation, (returns, rows, columns): of all its returns, NaN where there is none.
     threshold
@@ -55,8 +55,8 @@ def merged_sigma(
     totals = np.stack([np.nansum(one, axis=0) for one in amplitudes])
     telling = counts.argmax(axis=0)[None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        wanted = np.take_along_axis(chosen, telling, axis=0)
-        others = np.maximum(np.take_along_axis(totals, telling, axis=0) / wanted - 1.0, 0.0)
+        chosen_amplitude = np.take_along_axis(chosen, telling, axis=0)
+        others = np.maximum(np.take_along_axis(totals, telling, axis=0) / chosen_amplitude - 1.0, 0.0)
         lever = threshold * sqrt(45.0 / 4.0) / densities**2.5
         p = 2.0 * sqrt(2.0 / steps) * np.stack(noise) / chosen * lever
         off = np.sqrt(p * others / 3.0)

@@ -240,7 +240,7 @@ def diagnose_response(
     Raises
     ------
     InvalidInput
-        For one density: its harmonics k q - 1 and k q + 1 cannot be told from its phase.
+        For one density: its harmonics k q - 1 and k q + 1 cannot be separated from its phase.
 
     Notes
     -----

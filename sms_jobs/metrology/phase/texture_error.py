@@ -173,20 +173,20 @@ def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating) -> Blur:
     correction is the part `unexplained` of it; what does not grow is the calibration's. `TYPICAL` enters
     with its own uncertainty and decides where there is little texture or none.
     """
-    known = np.isfinite(gap) & np.isfinite(change) & (gap_sigma > 0.0)
-    g, h, w = gap[known].astype(float), change[known].astype(float), gap_sigma[known].astype(float) ** -2
+    used = np.isfinite(gap) & np.isfinite(change) & (gap_sigma > 0.0)
+    g, h, w = gap[used].astype(float), change[used].astype(float), gap_sigma[used].astype(float) ** -2
     variance, scale, kept = TYPICAL.variance, 1.0, np.ones(g.size, dtype=bool)
     rest = (g + variance * h) * np.sqrt(w)
     for _ in range(_ROUNDS):
         scale = max(1.0, float(np.median(np.abs(rest))) / 0.6745) if rest.size else 1.0
         kept = np.abs(rest) < _TRIM * scale
-        told = float(np.sum((w * h * h)[kept])) / scale**2
+        information = float(np.sum((w * h * h)[kept])) / scale**2
         pull = -float(np.sum((w * g * h)[kept])) / scale**2
-        found = (pull + TYPICAL.variance * _PRECISION) / (told + _PRECISION)
+        found = (pull + TYPICAL.variance * _PRECISION) / (information + _PRECISION)
         variance = float(np.clip(found, 0.0, _LARGEST_BLUR))
         rest = (g + variance * h) * np.sqrt(w)
     part = _unexplained(np.square(g + variance * h)[kept] - 1.0 / w[kept], np.square(variance * h[kept]))
-    share = told / (told + _PRECISION)
+    share = information / (information + _PRECISION)
     return Blur(variance, float(np.sqrt(share * part + (1.0 - share) * TYPICAL.unexplained**2)))
 
 

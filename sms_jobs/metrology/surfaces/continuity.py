@@ -49,8 +49,8 @@ def median_footprint(xyz: Floats, valid: Mask, threads: int = 1) -> float:
     `xyz` is (3, rows, columns) in mm.
     """
     gradient = surface_gradient(xyz, valid, 1, threads)
-    known = np.isfinite(gradient).all(axis=0)
-    return float(np.median(gradient[:, known].min(axis=0))) if known.any() else float("nan")
+    finite = np.isfinite(gradient).all(axis=0)
+    return float(np.median(gradient[:, finite].min(axis=0))) if finite.any() else float("nan")
 
 
 def continuous_labels(

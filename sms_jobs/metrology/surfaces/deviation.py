@@ -169,12 +169,12 @@ def statistics_of(
     deviation: NDArray[np.floating], sigma: NDArray[np.floating], verdict: NDArray[np.uint8]
 ) -> DeviationStatistics:
     """Return deviations in numbers; arrays of one shape, the deviations and sigmas in mm."""
-    known = np.isfinite(deviation)
-    count = int(np.count_nonzero(known))
+    finite = np.isfinite(deviation)
+    count = int(np.count_nonzero(finite))
     if count == 0:
         nan = float("nan")
         return DeviationStatistics(0, nan, nan, nan, nan, nan, (nan,) * len(PERCENTILES), nan, nan, nan, nan)
-    values = np.asarray(deviation[known], np.float64)
+    values = np.asarray(deviation[finite], np.float64)
     shares = [float(np.count_nonzero(verdict == v)) / count for v in (1, 2, 3)]
     return DeviationStatistics(
         count,
@@ -184,6 +184,6 @@ def statistics_of(
         float(values.min()),
         float(values.max()),
         tuple(float(p) for p in np.percentile(values, PERCENTILES)),
-        float(np.median(sigma[known])),
+        float(np.median(sigma[finite])),
         *shares,
     )

@@ -31,12 +31,12 @@ def image_normals(xyz: Floats, labels: NDArray[np.int32], half_width: int = 2) -
     reach over the rim of a region: these normals tell on which side of a part a point is, not its slope.
     """
     width = 2 * half_width + 1
-    known = (labels > 0) & np.isfinite(xyz).all(axis=0)
-    share = uniform_filter(known.astype(np.float64), width)
+    valid = (labels > 0) & np.isfinite(xyz).all(axis=0)
+    share = uniform_filter(valid.astype(np.float64), width)
     smooth = np.full_like(xyz, np.nan)
     for axis in range(3):
-        total = uniform_filter(np.where(known, xyz[axis], 0.0), width)
-        smooth[axis][known] = total[known] / share[known]
+        total = uniform_filter(np.where(valid, xyz[axis], 0.0), width)
+        smooth[axis][valid] = total[valid] / share[valid]
     down = _difference(smooth, labels, half_width, 0)
     right = _difference(smooth, labels, half_width, 1)
     normal = np.cross(down, right, axis=0)

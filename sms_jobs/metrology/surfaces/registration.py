@@ -231,8 +231,8 @@ def _step(
     scaled = gradient * size
     normal = scaled.T @ (weight[:, None] * scaled)
     strength, axes = np.linalg.eigh(normal)
-    told = strength > _WEAK * strength[-1]
-    inverse = (axes[:, told] / strength[told]) @ axes[:, told].T
+    determined = strength > _WEAK * strength[-1]
+    inverse = (axes[:, determined] / strength[determined]) @ axes[:, determined].T
     motion = -size * (inverse @ (scaled.T @ (weight * residual)))
     # Of an M-estimator: mean square of psi over the square of its mean slope.
     slope = float(np.mean((1.0 - u**2) * (1.0 - 5.0 * u**2)))
@@ -249,5 +249,5 @@ def _step(
         scale,
         rms,
         float(np.count_nonzero(weight > 0.0)) / len(points.xyz),
-        int(6 - np.count_nonzero(told)),
+        int(6 - np.count_nonzero(determined)),
     )

@@ -77,7 +77,7 @@ def triangle_surface(vertices: Floats, faces: NDArray[np.integer]) -> TriangleSu
     Notes
     -----
     Triangles without area are left out. Normals of edges and vertices are those of Bærentzen and Aanæs 2005,
-    by which the side of a surface on which a point lies is told even at edges and corners.
+    which give the side of a surface on which a point lies even at edges and corners.
     """
     if not np.isfinite(vertices).all():
         raise InvalidInput("a vertex of the reference surface has no finite position; mend the file")

@@ -100,12 +100,12 @@ def _by_markers(board: DotBoard, place: Ints, flagged: NDArray[np.bool_]) -> tup
 
 def _by_extent(board: DotBoard, place: Ints, centre: Floats) -> Ints | str:
     """Return the places on a board without markers, all of which must be seen."""
-    wanted = (board.columns, board.rows)
+    board_size = (board.columns, board.rows)
     best: tuple[float, Ints] | None = None
     for quarter in range(4):
         turned = _turned(place, quarter)
         size = turned.max(axis=0) - turned.min(axis=0) + 1
-        if tuple(size) != wanted:
+        if tuple(size) != board_size:
             continue
         moved = (turned - turned.min(axis=0)).astype(np.int32)
         # The way of growing columns, in the image.
@@ -117,8 +117,8 @@ def _by_extent(board: DotBoard, place: Ints, centre: Floats) -> Ints | str:
     if best is None:
         size = place.max(axis=0) - place.min(axis=0) + 1
         return (
-            f"a lattice of {size[0]} by {size[1]} dots was seen, not the board's {wanted[0]} by {wanted[1]}; "
-            "without markers all rows and columns must be in view"
+            f"a lattice of {size[0]} by {size[1]} dots was seen, not the board's {board_size[0]} by "
+            f"{board_size[1]}; without markers all rows and columns must be in view"
         )
     return best[1]
 

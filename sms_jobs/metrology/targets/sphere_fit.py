@@ -18,7 +18,7 @@ _TUKEY = 4.685  # 95 % efficiency for Gaussian noise
 _TO_SIGMA = 1.4826  # from the median of magnitudes
 _LEAST_POINTS = 12
 _STEPS = 15
-_SETTLED = 1e-3  # of the radius: far within what the plain fit starts from
+_STEP_TOLERANCE = 1e-3  # of the radius: far within what the plain fit starts from
 _ROBUST_POINTS = 1500
 _RINGS, _SECTORS = 3, 8
 
@@ -167,7 +167,7 @@ def _robustly(
         except np.linalg.LinAlgError:
             return None
         length = float(np.linalg.norm(change))
-        if length < _SETTLED * radius_mm:
+        if length < _STEP_TOLERANCE * radius_mm:
             break
         # A step may not leave the neighbourhood in which the linear model holds.
         offset = offset + change * min(1.0, _NEAR * radius_mm / length)

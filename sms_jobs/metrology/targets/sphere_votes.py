@@ -192,9 +192,9 @@ def sphere_peaks(
     ends = begins + counts
 
     strongest = np.argsort(-counts, kind="stable")[:_STRONGEST_CELLS]
-    wanted = filled[strongest][:, None] + _NEIGHBOURS @ strides
-    at = np.minimum(np.searchsorted(filled, wanted), filled.size - 1)
-    there = filled[at] == wanted
+    neighbour_keys = filled[strongest][:, None] + _NEIGHBOURS @ strides
+    at = np.minimum(np.searchsorted(filled, neighbour_keys), filled.size - 1)
+    there = filled[at] == neighbour_keys
     scores = np.where(there, counts[at], 0).sum(axis=1)
 
     peaks: list[Peak] = []

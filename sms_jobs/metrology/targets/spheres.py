@@ -1,4 +1,4 @@
-"""The spheres of a ball bar in an organised point cloud: looked for, measured, told apart."""
+"""The spheres of a ball bar in an organised point cloud: looked for, measured, numbered."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def find_spheres(
 
     Notes
     -----
-    Raises `InvalidInput` for arrays that do not belong together; what the cloud itself lacks is told in
+    Raises `InvalidInput` for arrays that do not belong together; what the cloud itself lacks is reported in
     `problems`.
     """
     if select < 1 or not 0.0 < incidence_limit < 0.5 * pi:

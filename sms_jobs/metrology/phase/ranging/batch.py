@@ -50,7 +50,7 @@ DEFERRED = -2
 
 _FEW = 6  # pixels that are fitted one by one at less cost than a batch of them together
 _STEPS, _MORE_STEPS = 4, 12  # of the fit of two returns, the latter for deferred pixels
-_NEAREST_BINS = 0.06  # two returns nearer than this are not told apart here
+_NEAREST_BINS = 0.06  # two returns nearer than this are not separated here
 _CENTRED = 1.0  # step of omega, times s, at which one return is near enough to the middle of two
 
 
