@@ -42,7 +42,7 @@ _LEAST_FACING = 0.35
 
 
 @dataclass(frozen=True)
-class Wanted:
+class SessionDesign:
     """What a session is like.
 
     Attributes
@@ -114,9 +114,9 @@ def sphere_centres(pan_deg: float, tilt_deg: float, length_mm: float) -> Floats:
 
 
 def seen_on_sphere(
-    camera: Sensor, projector: Sensor, sphere: Floats, wanted: int, random: np.random.Generator
+    camera: Sensor, projector: Sensor, sphere: Floats, most: int, random: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Return camera pixels (n, 2), of which there are `wanted` at most, and points (n, 3) on a sphere (4,).
+    """Return camera pixels (n, 2), `most` of them at most, and points (n, 3) on a sphere (4,).
 
     Of all the pixels that see it where both sensors face it.
     """
@@ -139,34 +139,34 @@ def seen_on_sphere(
     lit /= np.linalg.norm(lit, axis=1, keepdims=True)
     facing = (-np.sum(normal * rays, axis=1) > _LEAST_FACING) & (np.sum(normal * lit, axis=1) > _LEAST_FACING)
     chosen = np.flatnonzero(facing)
-    if len(chosen) > wanted:
-        chosen = np.sort(random.choice(chosen, wanted, replace=False))
+    if len(chosen) > most:
+        chosen = np.sort(random.choice(chosen, most, replace=False))
     return pixels[chosen], points[chosen]
 
 
-def bar_session(wanted: Wanted, seed: int) -> BarSession:
+def bar_session(design: SessionDesign, seed: int) -> BarSession:
     """Return a session with the rig of `top_hat_bending`, noise and start drawn from a seed."""
     random = np.random.default_rng(seed)
     rig = top_hat_bending("session", "full")[0].rig
-    sensors = tuple(_of_size(s, wanted.camera_pixels) for s in rig.sensors)
-    true_length = wanted.length_mm + wanted.length_sigma_mm * random.standard_normal()
-    radii = wanted.radius_mm + wanted.radius_sigma_mm * random.standard_normal(2)
-    centres = np.array([sphere_centres(*angles, true_length) for angles in wanted.angles]).reshape(-1, 2, 3)
+    sensors = tuple(_of_size(s, design.camera_pixels) for s in rig.sensors)
+    true_length = design.length_mm + design.length_sigma_mm * random.standard_normal()
+    radii = design.radius_mm + design.radius_sigma_mm * random.standard_normal(2)
+    centres = np.array([sphere_centres(*angles, true_length) for angles in design.angles]).reshape(-1, 2, 3)
     spheres = np.concatenate([centres, np.broadcast_to(radii[:, None], (len(centres), 2, 1))], axis=2)
     cameras = [i for i, s in enumerate(sensors) if s.role is Role.CAMERA]
     projectors = [i for i, s in enumerate(sensors) if s.role is Role.PROJECTOR]
     bar_points = [
-        _bar_points(sensors, (pose, c, p), spheres[pose], wanted, random)
+        _bar_points(sensors, (pose, c, p), spheres[pose], design, random)
         for pose in range(len(centres))
         for c in cameras
         for p in projectors
     ]
-    poses, board_points = _boards(sensors, wanted, random)
-    bar = BundleBar("bar", wanted.length_mm, wanted.length_sigma_mm, wanted.radius_mm, wanted.radius_sigma_mm)
-    board = BundleBoard("board", wanted.pitch_relative_sigma, wanted.point_sigma_mm)
-    begun = 2.0 * wanted.start * random.standard_normal(centres.shape)
+    poses, board_points = _boards(sensors, design, random)
+    bar = BundleBar("bar", design.length_mm, design.length_sigma_mm, design.radius_mm, design.radius_sigma_mm)
+    board = BundleBoard("board", design.pitch_relative_sigma, design.point_sigma_mm)
+    begun = 2.0 * design.start * random.standard_normal(centres.shape)
     problem = BundleProblem(
-        sensors=tuple(_started(s, wanted.start, random) for s in sensors),
+        sensors=tuple(_started(s, design.start, random) for s in sensors),
         boards=(board,) if poses else (),
         bars=(bar,) if len(centres) else (),
         board_poses=poses,
@@ -198,41 +198,41 @@ def _bar_points(
     sensors: tuple[Sensor, ...],
     at: tuple[int, int, int],
     spheres: Floats,
-    wanted: Wanted,
+    design: SessionDesign,
     random: np.random.Generator,
 ) -> BarPoints:
     pose, c, p = at
     pixels, projected, labels = [], [], []
     for k in (0, 1):
-        own, points = seen_on_sphere(sensors[c], sensors[p], spheres[k], wanted.points, random)
+        own, points = seen_on_sphere(sensors[c], sensors[p], spheres[k], design.points, random)
         exact = project(sensors[p].intrinsics, sensors[p].pose, points)
         pixels.append(own)
-        projected.append(exact + wanted.phase_sigma_px * random.standard_normal(exact.shape))
+        projected.append(exact + design.phase_sigma_px * random.standard_normal(exact.shape))
         labels.append(np.full(len(own), k + 1, np.int32))
     sphere = np.concatenate(labels)
-    sigma = np.full(len(sphere), wanted.phase_sigma_px)
+    sigma = np.full(len(sphere), design.phase_sigma_px)
     return BarPoints(pose, c, p, sphere, np.concatenate(pixels), np.concatenate(projected), sigma)
 
 
 def _boards(
-    sensors: tuple[Sensor, ...], wanted: Wanted, random: np.random.Generator
+    sensors: tuple[Sensor, ...], design: SessionDesign, random: np.random.Generator
 ) -> tuple[tuple[BoardPose, ...], tuple[BoardPoints, ...]]:
     """Return board poses and what each sensor saw: 15 x 11 dots of 20 mm pitch, each printed a little off."""
     columns, rows = np.meshgrid(np.arange(15), np.arange(11))
     stated = 20.0 * np.stack([columns.ravel() - 7.0, rows.ravel() - 5.0, np.zeros(columns.size)], axis=1)
-    scale = 1.0 + wanted.pitch_relative_sigma * random.standard_normal()
+    scale = 1.0 + design.pitch_relative_sigma * random.standard_normal()
     poses, points = [], []
-    for number, vector in enumerate(wanted.board_tilts):
+    for number, vector in enumerate(design.board_tilts):
         off = random.uniform(-60.0, 60.0, 3) if number else np.zeros(3)
         pose = Pose.from_arrays(Rotation.from_rotvec(vector).as_matrix(), off)
         for i, sensor in enumerate(sensors):
             # The printing errors are drawn for each view: the adjustment takes them as independent.
-            printed = scale * stated + wanted.point_sigma_mm * random.standard_normal(stated.shape)
+            printed = scale * stated + design.point_sigma_mm * random.standard_normal(stated.shape)
             pixel = project(sensor.intrinsics, sensor.pose, transform(pose, printed))
-            pixel += wanted.dot_sigma_px * random.standard_normal(pixel.shape)
-            sigma = np.full(len(stated), wanted.dot_sigma_px)
+            pixel += design.dot_sigma_px * random.standard_normal(pixel.shape)
+            sigma = np.full(len(stated), design.dot_sigma_px)
             points.append(BoardPoints(number, i, sensor.role is Role.PROJECTOR, stated, pixel, sigma))
-        begun = pose if number == 0 else _moved(pose, wanted.start, random)
+        begun = pose if number == 0 else _moved(pose, design.start, random)
         poses.append(BoardPose(f"B{number + 1:02d}", 0, begun))
     return tuple(poses), tuple(points)
 

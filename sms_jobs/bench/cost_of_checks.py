@@ -163,10 +163,10 @@ class _Uncompared:
 @contextmanager
 def _uncompared(path: Path) -> Iterator[_Uncompared]:
     with h5py.File(path, "r") as file:
-        told = hdf5.read_text(file["entry"][hdf5.PROCESS]["provenance"])
+        document = hdf5.read_text(file["entry"][hdf5.PROCESS]["provenance"])
         names = tuple(file["entry"].attrs["records"])
     with ExitStack() as streams:
-        yield _Uncompared(provenance_from_json(told, path.name).subject, path, names, streams)
+        yield _Uncompared(provenance_from_json(document, path.name).subject, path, names, streams)
 
 
 def measured(

@@ -50,7 +50,7 @@ class WriteTimes:
         connection.set_trace_callback(self._traced)
 
     def _traced(self, statement: str) -> None:
-        # It is told when a statement begins: the one after a BEGIN tells that this has succeeded.
+        # It is called when a statement begins: the one after a BEGIN shows that this has succeeded.
         now = time.perf_counter()
         if statement.startswith("BEGIN IMMEDIATE"):
             self._asked_at = self._asked_at or now
@@ -79,13 +79,13 @@ def crowd(words: Sequence[str], count: int, folder: Path) -> list[Visit]:
     alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     with (folder / "crowd.log").open("wb") as log:
         subprocess.run(command, env=alone, stdin=subprocess.DEVNULL, stdout=log, stderr=log, check=False)
-    return [_told(folder / str(number)) for number in range(count)]
+    return [_read_visit(folder / str(number)) for number in range(count)]
 
 
-def _told(file: Path) -> Visit:
-    told, said = file.with_suffix(".json"), file.with_suffix(".txt")
+def _read_visit(file: Path) -> Visit:
+    report, said = file.with_suffix(".json"), file.with_suffix(".txt")
     text = said.read_text(encoding="utf-8") if said.exists() else "it never began"
-    facts = json.loads(told.read_text(encoding="utf-8")) if told.exists() else {}
+    facts = json.loads(report.read_text(encoding="utf-8")) if report.exists() else {}
     return Visit(facts.get("exit_code", -1), text, facts.get("waited_s", 0.0), facts.get("held_s", 0.0))
 
 

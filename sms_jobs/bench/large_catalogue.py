@@ -1,4 +1,4 @@
-"""A catalogue with as many files as are wanted, made by the database itself, and the questions asked of it.
+"""A catalogue with any number of files, made by the database itself, and the questions asked of it.
 
 Tuples of four files each (measurement, reconstruct, correlate, strain) with a job and statistics, 4 views a
 state, 100 states a campaign, 5 campaigns a calibration. At odd states load and temperature were recorded with

@@ -1,4 +1,4 @@
-"""A catalogue with as many jobs as are wanted that have not ended, and a past of their kinds.
+"""A catalogue with any number of jobs that have not ended, and a past of their kinds.
 
 Tuples of four jobs each that need one another, 2 views a state, 500 states a campaign; the first of each is
 queued and the others wait. Ids are random, as those of real jobs are.
@@ -106,10 +106,10 @@ def _jobs(
         rows.append(row)
     session.execute(insert(JobRow), rows)
     session.execute(insert(DependencyRow), edges)
-    told = {"attempt": 0, "message": "submitted"}
+    event = {"attempt": 0, "message": "submitted"}
     session.execute(
         insert(EventRow),
-        [{"job_id": r["id"], "at": r["submitted_at"], "state": r["state"], **told} for r in rows],
+        [{"job_id": r["id"], "at": r["submitted_at"], "state": r["state"], **event} for r in rows],
     )
     queued = [r for r in rows if r["state"] is JobState.QUEUED]
     session.execute(insert(OutboxRow), [{"job_id": r["id"], "queue": r["queue"]} for r in queued])

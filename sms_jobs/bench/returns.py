@@ -63,7 +63,7 @@ class Signals:
         return np.abs(wrapped(self.omega[1] - self.omega[0])) * self.fringes / (2.0 * pi)
 
     def ranged(self, returns: int | None = None, **options: object) -> Returns:
-        """Range the frames, for as many returns as there are if not told otherwise."""
+        """Range the frames, by default for as many returns as there are."""
         return range_returns(
             self.frames,
             ranging(self.fringes),

@@ -104,9 +104,9 @@ def main(folder: Path, mode: str, first: int, last: int) -> None:
         for number in range(first, last):
             random = np.random.default_rng([number, len(mode)])
             signal.setitimer(signal.ITIMER_PROF, _CPU_S[mode])
-            told = work.outcome(random, folder)
+            outcome = work.outcome(random, folder)
             signal.setitimer(signal.ITIMER_PROF, 0.0)
-            sys.stdout.write(f"{told}\n")
+            sys.stdout.write(f"{outcome}\n")
             sys.stdout.flush()
 
 
@@ -221,19 +221,19 @@ def _values(archive: Archive, file: FileRow) -> str:
     if not layout.is_dataset(file.path):
         archive.verify(file.path, file.content_hash)
         return file.content_hash
-    told = hashlib.sha256()
+    digest = hashlib.sha256()
     with archive.open(file) as dataset:
         for name in dataset.names:
-            _add(told, dataset.read(name, dataset.record_class(name)))
-    return told.hexdigest()
+            _add(digest, dataset.read(name, dataset.record_class(name)))
+    return digest.hexdigest()
 
 
-def _add(told: Any, record: Any) -> None:
+def _add(digest: Any, record: Any) -> None:
     for field in fields(record):
         value = getattr(record, field.name)
         if hasattr(value, "rows") and hasattr(value, "frame"):
             value = value.rows(0, value.shape[1])
-        told.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+        digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
 
 
 def runner(folder: Path, catalogue: Catalogue, archive: Archive) -> Runner:

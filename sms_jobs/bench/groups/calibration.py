@@ -9,7 +9,7 @@ from statistics import median
 
 import numpy as np
 
-from sms_jobs.bench.bar_session import TABLE_3, BarSession, Floats, Wanted, bar_session
+from sms_jobs.bench.bar_session import TABLE_3, BarSession, Floats, SessionDesign, bar_session
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.sphere_scene import NOISE_MM, sphere_scenes
 from sms_jobs.metrology.calibration.bundle_adjustment import adjust
@@ -30,10 +30,10 @@ _Z_LIMITS = (0.8, 1.2)
 _REPEATS = 5
 _SEED = 1
 
-THESIS_SESSION = Wanted()
+THESIS_SESSION = SessionDesign()
 """25 poses x 2 spheres x 4 views x 500 points, and one pose of a board, which is the world."""
 
-MANY_SESSIONS = Wanted(
+MANY_SESSIONS = SessionDesign(
     points=60, camera_pixels=512, angles=TABLE_3[::2], board_tilts=((0.0, 0.0, 0.0), (0.3, 0.0, 0.0))
 )
 """What is calibrated again and again for the z-scores."""
@@ -61,8 +61,8 @@ def point_errors(made: BarSession, found: Adjustment, grid: Floats) -> tuple[Flo
 
 
 def _bundle(run: Run) -> Iterator[Found]:
-    wanted = replace(THESIS_SESSION, points=60) if run.quick else THESIS_SESSION
-    made = bar_session(wanted, _SEED)
+    design = replace(THESIS_SESSION, points=60) if run.quick else THESIS_SESSION
+    made = bar_session(design, _SEED)
     run.say("calibration: the bundle adjustment")
     options = BundleOptions(threads=run.threads)
     found, taken, spent = adjust(made.problem, options), [], []
@@ -88,7 +88,7 @@ def _bundle(run: Run) -> Iterator[Found]:
         f"exact geometry and noise, no images: {len(made.problem.bar_poses)} poses of thesis Table 3, 2 "
         "spheres of 30 mm radius 500 mm apart, 4 views of cameras of 1024 px and projectors of 1024 x 768 px "
         f"as in the campaign top-hat-bending, {count} residuals of sphere points with "
-        f"{wanted.phase_sigma_px} px in the projector, {board} of a board with {wanted.dot_sigma_px} px; "
+        f"{design.phase_sigma_px} px in the projector, {board} of a board with {design.dot_sigma_px} px; "
         "start about 1e-3 rad, 2 mm, 0.3 % of the focal length and 3 px off; "
         f"{int(found.free.sum())} unknowns, Huber weights, estimated variances and covariance; median of "
         f"{_REPEATS}, {run.threads} threads, {median(spent):.2f} CPU-s{shortened}",

@@ -66,7 +66,7 @@ def _planned(run: Run) -> Iterator[Found]:
     )
 
 
-def _contended(url: str, wanted: int) -> float:
+def _contended(url: str, count: int) -> float:
     """Return claims a second of several workers on one catalogue."""
     queues = ["cpu", "io", "acquisition"]
     claimed: list[str] = []
@@ -78,7 +78,7 @@ def _contended(url: str, wanted: int) -> float:
             with catalogue.writing() as session:
                 recovery.register_worker(session, name, "here", os.getpid(), queues, 1, now)
             ready.wait()
-            while len(claimed) < wanted:
+            while len(claimed) < count:
                 with catalogue.writing() as session:
                     held = lifecycle.claim(session, queues, name, os.getpid(), now)
                 if held is None:

@@ -27,9 +27,9 @@ def tried(folder: Path, deployment: Deployment, seed: int, batches: range) -> It
         ) as process:
             assert process.stdout is not None
             for line in process.stdout:
-                told = json.loads(line)
+                outcome = json.loads(line)
                 yield Outcome(
-                    **told | {"arguments": tuple(told["arguments"]), "faults": tuple(told["faults"])}
+                    **outcome | {"arguments": tuple(outcome["arguments"]), "faults": tuple(outcome["faults"])}
                 )
         if process.returncode != 0:
             log.seek(0)

@@ -112,14 +112,14 @@ def _batch(store: Store, place: Path, seed: int, batch: int, known: tuple[Leaf, 
 def _forked(
     store: Store, place: Path, batch: int, tries: list[Try], first: int, environment: dict[str, str]
 ) -> Iterator[Outcome]:
-    """Run tries in a child from the first on; a child that falls silent is killed, and its try told."""
+    """Run tries in a child from the first on; a child that falls silent is killed, and its try reported."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(reading)
         try:
             _work(store, place, batch, tries, first, environment, writing)
-        except BaseException as error:  # noqa: BLE001 - whatever it is, the parent is told
+        except BaseException as error:  # noqa: BLE001 - whatever it is, the parent reports it
             with suppress(OSError):
                 os.write(writing, json.dumps({"broke": repr(error)}).encode() + b"\n")
         finally:
@@ -129,13 +129,13 @@ def _forked(
     ended = False
     with os.fdopen(reading, "rb", buffering=0) as stream:
         for line in _lines(stream):
-            told = json.loads(line)
-            if "broke" in told:
-                raise RuntimeError(f"batch {batch}, try {begun}: {told['broke']}")
-            begun, ended = told["number"], "faults" in told
+            message = json.loads(line)
+            if "broke" in message:
+                raise RuntimeError(f"batch {batch}, try {begun}: {message['broke']}")
+            begun, ended = message["number"], "faults" in message
             if ended:
                 yield Outcome(
-                    **told | {"arguments": tuple(told["arguments"]), "faults": tuple(told["faults"])}
+                    **message | {"arguments": tuple(message["arguments"]), "faults": tuple(message["faults"])}
                 )
     with suppress(ProcessLookupError):
         os.kill(child, signal.SIGKILL)
@@ -164,7 +164,7 @@ def _work(
     tries: list[Try],
     first: int,
     environment: dict[str, str],
-    told: int,
+    pipe: int,
 ) -> None:
     os.chdir(place)
     os.environ.update(environment)
@@ -173,7 +173,7 @@ def _work(
     watch = Watch(place, store.open(environment))
     for number in range(first, len(tries)):
         one = tries[number]
-        os.write(told, json.dumps({"number": number}).encode() + b"\n")
+        os.write(pipe, json.dumps({"number": number}).encode() + b"\n")
         code, said = _called(main, one)
         said += native.taken()
         faults = faults_of(one, code, said, watch)
@@ -186,7 +186,7 @@ def _work(
             tuple(faults),
             said[-1500:] if faults else "",
         )
-        os.write(told, json.dumps(asdict(outcome)).encode() + b"\n")
+        os.write(pipe, json.dumps(asdict(outcome)).encode() + b"\n")
 
 
 def _called(main: Any, one: Try) -> tuple[int | None, str]:

@@ -85,8 +85,8 @@ def made(leaf: Leaf, rng: Random, things: Mapping[str, list[str]], homes: list[s
             place = f"homes/{rng.choice(NOWHERE if heavy else homes)}" if astray else home
             words += ["--home", place]
             continue
-        wanted = option.required or chance < 0.35 or (heavy and option.name in ("groups", "size", "threads"))
-        if not wanted:
+        given = option.required or chance < 0.35 or (heavy and option.name in ("groups", "size", "threads"))
+        if not given:
             continue
         flag = _plain(option.type_descriptor.annotation) is bool
         if flag:

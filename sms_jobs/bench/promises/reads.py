@@ -25,19 +25,19 @@ def measure(run: Run) -> Iterator[Found]:
     with_jobs = count // _JOBS_AMONG
     files = Counter(tried(folder, "reads", count - with_jobs))
     jobs = Counter(tried(folder, "jobs", with_jobs))
-    told = files + jobs
-    felt = count - told["same"]
-    yield Figure("tampered_reads_noticed", told["noticed"] / felt, "1", 1.0)
-    yield Figure("tampered_reads_with_other_values", float(told["changed"]), "", 0.0, "at most")
+    counts = files + jobs
+    felt = count - counts["same"]
+    yield Figure("tampered_reads_noticed", counts["noticed"] / felt, "1", 1.0)
+    yield Figure("tampered_reads_with_other_values", float(counts["changed"]), "", 0.0, "at most")
     yield Condition(
         "tampered_reads",
         f"{count} times a file of a small campaign, calibration, recordings, results, documents, has a bit "
         "flipped anywhere (60 %) or in one of its texts (25 %), or another of its sort in its place (15 %); "
         f"{count - with_jobs} are opened and read as a whole, as a job and as an earlier result, and for "
         f"{with_jobs} a job runs whose input or earlier result it is. The share is of those that changed "
-        f"anything that is read: {told['noticed']} were noticed, of {told['same']} bits nothing is read; "
-        f"{told['changed']} gave other values, {told['unclear']} failed without naming the file, "
-        f"{told['ended']} made HDF5 spin",
+        f"anything that is read: {counts['noticed']} were noticed, of {counts['same']} bits nothing is read; "
+        f"{counts['changed']} gave other values, {counts['unclear']} failed without naming the file, "
+        f"{counts['ended']} made HDF5 spin",
     )
     yield from _cost(run)
 

@@ -33,10 +33,10 @@ def status_cpu_s(home: Path, active: int, run: Run) -> float:
         fill_queue(services.catalogue, active, datetime.now(UTC), run.say)
     taken = []
     for _ in range(_REPEATS):
-        told, seconds = _status(home)
+        status, seconds = _status(home)
         states = (JobState.QUEUED, JobState.WAITING)
-        if sum(told["jobs"].get(state.value, 0) for state in states) != active:
-            raise SmsError(f"'sms status' told of {told['jobs']} and not of {active} active jobs; report it")
+        if sum(status["jobs"].get(state.value, 0) for state in states) != active:
+            raise SmsError(f"'sms status' reports {status['jobs']} and not {active} active jobs; report it")
         taken.append(seconds)
     return median(taken)
 
@@ -47,8 +47,8 @@ def _status(home: Path) -> tuple[dict[str, Any], float]:
     done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
     after = os.times()
     seconds = after.children_user + after.children_system - before.children_user - before.children_system
-    told: dict[str, Any] = json.loads(done.stdout)
-    return told, seconds
+    status: dict[str, Any] = json.loads(done.stdout)
+    return status, seconds
 
 
 def measure(run: Run) -> Iterator[Found]:

@@ -31,10 +31,10 @@ def submissions(home: Path, count: int, folder: Path) -> list[Visit]:
 def measure(run: Run) -> Iterator[Found]:
     """Yield how many submissions were done, the longest lock, and how long the last but few waited for it."""
     count = _QUICK if run.quick else _CROWD
-    home, told = run.folder / "submits", run.folder / "submits-told"
-    told.mkdir()
+    home, reports = run.folder / "submits", run.folder / "submits-reports"
+    reports.mkdir()
     run.say(f"promises: {count} submissions at once")
-    visits = submissions(home, count, told)
+    visits = submissions(home, count, reports)
     done = [visit for visit in visits if visit.exit_code == 0]
     waits = sorted(visit.waited_s for visit in visits)
     yield Figure("concurrent_submits_done", None if run.quick else len(done), "", _CROWD)

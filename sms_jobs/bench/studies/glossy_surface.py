@@ -67,8 +67,8 @@ def _campaign(sequence: FringeSequence) -> tuple[Calibration, Campaign]:
 def _recorded(campaign: Campaign, adaptive: Any) -> Measurement:
     state = Subject("glossy", "S00")
     inputs = Inputs(state, simulate.KIND.context(campaign, state), {}, 1)
-    wanted = simulate.SimulateParameters(adaptive=adaptive)
-    (output,) = simulate.KIND.run(inputs, wanted, lambda fraction, message="": None)
+    parameters = simulate.SimulateParameters(adaptive=adaptive)
+    (output,) = simulate.KIND.run(inputs, parameters, lambda fraction, message="": None)
     assert isinstance(output, DatasetOutput)
     measurement: Measurement = output.records["measurement"]
     return measurement
@@ -79,8 +79,8 @@ def judged(method: Any, adaptive: str) -> Judged:
     calibration, campaign = _campaign(SEQUENCES[method])
     measurement = _recorded(campaign, adaptive)
     records = {"measurement": measurement, "calibration": calibration}
-    wanted = reconstruct.ReconstructParameters(method=method)
-    cloud: Surface = run_kind(reconstruct.KIND, _TUPLE, records, 1, wanted).records["surface"]
+    parameters = reconstruct.ReconstructParameters(method=method)
+    cloud: Surface = run_kind(reconstruct.KIND, _TUPLE, records, 1, parameters).records["surface"]
     assert measurement.simulation is not None
     shape = exact_shape(measurement.simulation)
     inside = ndimage.binary_erosion(shape.seen & shape.lit, iterations=4)

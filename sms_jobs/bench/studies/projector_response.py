@@ -46,9 +46,9 @@ def judged(gamma: float, steps: int, method: Any) -> tuple[Cell, ...]:
     inside = ndimage.binary_erosion(shape.seen & shape.lit, iterations=4)
 
     def reconstructed(**parameters: Any) -> tuple[float, float, float]:
-        wanted = reconstruct.ReconstructParameters(method=method, blur_px=0.0, **parameters)
+        settings = reconstruct.ReconstructParameters(method=method, blur_px=0.0, **parameters)
         records = {"measurement": measurement, "calibration": calibration}
-        cloud: Surface = run_kind(reconstruct.KIND, _TUPLE, records, 1, wanted).records["surface"]
+        cloud: Surface = run_kind(reconstruct.KIND, _TUPLE, records, 1, settings).records["surface"]
         valid = inside & (cloud.reason == Reason.VALID)
         error = np.linalg.norm(cloud.position - shape.xyz, axis=0)[valid]
         sigma = np.sqrt(position_covariance(cloud)[[0, 3, 5]].sum(axis=0))[valid]
@@ -85,11 +85,11 @@ def _picture(rows: list[tuple[Cell, ...]]) -> Any:
     figure = new_figure(9.0, 3.8)
     for axes, method in zip(figure.subplots(1, len(DENSITIES), sharey=True), DENSITIES, strict=True):
         for steps in STEPS:
-            told: list[Any] = [row for row in rows if row[0] == method and row[2] == steps]
-            gammas = [row[1] for row in told]
-            (line,) = axes.semilogy(gammas, [row[4] for row in told], "o--")
+            selected: list[Any] = [row for row in rows if row[0] == method and row[2] == steps]
+            gammas = [row[1] for row in selected]
+            (line,) = axes.semilogy(gammas, [row[4] for row in selected], "o--")
             axes.semilogy(
-                gammas, [row[7] for row in told], "o-", color=line.get_color(), label=f"{steps} steps"
+                gammas, [row[7] for row in selected], "o-", color=line.get_color(), label=f"{steps} steps"
             )
         axes.set_title(f"{method}: dashed as it is, full corrected", fontsize="medium")
         axes.set_xlabel("gamma")

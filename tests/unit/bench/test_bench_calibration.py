@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sms_jobs.bench.bar_session import TABLE_3, Wanted, bar_session, seen_on_sphere, sphere_centres
+from sms_jobs.bench.bar_session import TABLE_3, SessionDesign, bar_session, seen_on_sphere, sphere_centres
 from sms_jobs.bench.groups.calibration import point_errors
 from sms_jobs.metrology.calibration.bundle_adjustment import adjust
 from sms_jobs.metrology.geometry.camera import project
 
-SMALL = Wanted(
+SMALL = SessionDesign(
     points=30, camera_pixels=512, angles=TABLE_3[::3], board_tilts=((0.0, 0.0, 0.0), (0.3, 0.2, 0.0))
 )
 
@@ -39,7 +39,7 @@ def test_points_lie_on_the_sphere_and_on_rays_of_whole_pixels(rng: np.random.Gen
 
 
 def test_a_session_has_the_noise_that_it_states() -> None:
-    made = bar_session(Wanted(camera_pixels=512, angles=TABLE_3[:3]), 4)
+    made = bar_session(SessionDesign(camera_pixels=512, angles=TABLE_3[:3]), 4)
     off = []
     for seen in made.problem.bar_points:
         centre = made.centres[seen.pose][seen.sphere - 1]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from sms_jobs.bench.bar_session import TABLE_3, BarSession, Wanted, bar_session
+from sms_jobs.bench.bar_session import TABLE_3, BarSession, SessionDesign, bar_session
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.bundle_adjustment import adjust
 from sms_jobs.metrology.calibration.bundle_covariance import point_covariance, point_standard_deviation
@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 PLAIN = BundleOptions(huber=np.inf, reject=np.inf, estimate_variances=False, least_incidence=0.0)
 TILTS = ((0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, -0.3, 0.2))
-SMALL = Wanted(points=30, camera_pixels=512, angles=TABLE_3[::2], board_tilts=TILTS)
+SMALL = SessionDesign(points=30, camera_pixels=512, angles=TABLE_3[::2], board_tilts=TILTS)
 """13 bar poses, 3 board poses, 3120 points on spheres, 1980 on boards."""
 
 FREE = np.array([name not in KEPT for name in LENS])
@@ -34,8 +34,8 @@ FREE = np.array([name not in KEPT for name in LENS])
 
 
 @cache
-def session(seed: int, wanted: Wanted = SMALL) -> BarSession:
-    return bar_session(wanted, seed)
+def session(seed: int, design: SessionDesign = SMALL) -> BarSession:
+    return bar_session(design, seed)
 
 
 @cache
@@ -116,7 +116,7 @@ class PlainResiduals:
 
 @pytest.mark.long  # the solver takes 20 s
 def test_an_independent_solver_finds_the_same_optimum() -> None:
-    wanted = Wanted(
+    design = SessionDesign(
         points=12,
         camera_pixels=512,
         angles=TABLE_3[::4],
@@ -124,7 +124,7 @@ def test_an_independent_solver_finds_the_same_optimum() -> None:
         point_sigma_mm=0.0,
         start=0.1,
     )
-    problem = session(3, wanted).problem
+    problem = session(3, design).problem
     found = adjust(problem, replace(PLAIN, cost_tolerance=1e-13))
     plain = PlainResiduals(problem)
     units = plain.units()
@@ -167,11 +167,11 @@ def self_ordered(problem: BundleProblem, sigma: Floats) -> Floats:
 def test_the_truth_is_found_within_what_is_stated() -> None:
     made, found = session(1), adjusted(1)
     sigma = np.sqrt(np.diag(found.covariance))
-    wanted = np.concatenate([s.intrinsics.vector()[FREE] for s in made.sensors])
+    true_lenses = np.concatenate([s.intrinsics.vector()[FREE] for s in made.sensors])
     got = np.concatenate([s.intrinsics.vector()[FREE] for s in found.sensors])
     own = sigma[: 4 * PER_SENSOR].reshape(4, PER_SENSOR)[:, 6:][:, FREE].ravel()
     # 32 correlated numbers: none beyond 4.5 sigma.
-    assert np.max(np.abs(got - wanted) / own) < 4.5
+    assert np.max(np.abs(got - true_lenses) / own) < 4.5
     at = [k for k, name in enumerate(found.names) if ".sphere" in name]
     z = (found.centres - made.centres).ravel() / sigma[at]
     assert 0.5 < np.sqrt(np.mean(z**2)) < 1.6  # 78 numbers that share the frame's error
@@ -287,7 +287,7 @@ def test_huber_weights_are_consistent(rng: np.random.Generator) -> None:
 
 
 def test_without_a_board_the_first_sensor_is_the_frame() -> None:
-    made = session(6, Wanted(points=40, camera_pixels=512, board_tilts=()))
+    made = session(6, SessionDesign(points=40, camera_pixels=512, board_tilts=()))
     found = adjust(made.problem)
     assert found.gauge == "pin-hole frame of C1"
     assert not found.free[:6].any()
@@ -317,7 +317,7 @@ def test_a_recalibration_on_site_combines_old_and_new() -> None:
     count = 4 * PER_SENSOR
     free = before.free[:count]
     prior = SensorPrior.from_covariance(before.covariance[:count, :count])
-    boards = session(9, Wanted(angles=(), camera_pixels=512, board_tilts=TILTS)).problem
+    boards = session(9, SessionDesign(angles=(), camera_pixels=512, board_tilts=TILTS)).problem
     sensors = tuple(
         replace(old, intrinsics=new.intrinsics, pose=new.pose)
         for old, new in zip(boards.sensors, before.sensors, strict=True)

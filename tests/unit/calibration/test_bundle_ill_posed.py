@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sms_jobs.bench.bar_session import TABLE_3, BarSession, Wanted, bar_session
+from sms_jobs.bench.bar_session import TABLE_3, BarSession, SessionDesign, bar_session
 from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.metrology.calibration.bundle_adjustment import adjust
 from sms_jobs.metrology.calibration.bundle_problem import BarPoints, BundleProblem
@@ -19,14 +19,14 @@ from sms_jobs.metrology.geometry.camera import PER_SENSOR
 from sms_jobs.metrology.geometry.lens import KEPT
 
 NAMES = ("C1", "C2", "P1", "P2")
-SMALL = Wanted(
+SMALL = SessionDesign(
     points=30, camera_pixels=512, angles=TABLE_3[::3], board_tilts=((0.0, 0.0, 0.0), (0.3, 0.2, 0.0))
 )
 
 
 @cache
-def session(wanted: Wanted = SMALL) -> BarSession:
-    return bar_session(wanted, 11)
+def session(design: SessionDesign = SMALL) -> BarSession:
+    return bar_session(design, 11)
 
 
 def chosen(seen: BarPoints, flags: NDArray[np.bool_]) -> BarPoints:
@@ -61,7 +61,7 @@ def test_a_single_bar_pose_is_refused() -> None:
 
 def test_bar_poses_in_one_plane_are_doubted_and_the_plane_is_named() -> None:
     angles = tuple((pan, 0.0) for pan in (-45.0, -20.0, 0.0, 20.0, 45.0))
-    flat = Wanted(points=30, camera_pixels=512, angles=angles, board_tilts=())
+    flat = SessionDesign(points=30, camera_pixels=512, angles=angles, board_tilts=())
     warnings = adjust(session(flat).problem).warnings
     assert any(re.search(r"of [CP][12].* trade against each other.*of one plane", w) for w in warnings)
 
