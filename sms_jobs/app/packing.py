@@ -15,7 +15,7 @@ from sms_jobs.catalogue import search
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.research_crate import CrateFile, as_text
 from sms_jobs.jobs import lineage_documents, portable, portable_import
-from sms_jobs.jobs.portable import Wanted
+from sms_jobs.jobs.portable import PackOptions
 from sms_jobs.jobs.portable_import import CheckedFile
 from sms_jobs.jobs.reindexing import Reindexed
 from sms_jobs.kinds import kind_named
@@ -60,7 +60,7 @@ def pack(
     link
         Hard links in place of copies.
     tell
-        Told bytes.
+        Called with the bytes that are packed.
 
     Raises
     ------
@@ -74,21 +74,21 @@ def pack(
     for name in kinds:
         if name not in (MEASUREMENT, CALIBRATION):
             kind_named(name)
-    wanted = Wanted(campaign, tuple(sorted(set(kinds))), inputs, without_plugins, link)
+    options = PackOptions(campaign, tuple(sorted(set(kinds))), inputs, without_plugins, link)
     now = datetime.now(UTC)
     with services.catalogue.reading() as session:
-        parts = portable.chosen(session, wanted, now)
+        parts = portable.chosen(session, options, now)
     writing.new_folder(to)
-    done = portable.begin(to, wanted, parts)
+    done = portable.begin(to, options, parts)
     files: list[CrateFile] = []
     total, brought = sum(part.size_bytes for part in parts), 0
     with Checker() as checker:
         for part in parts:
             before = portable.brought_before(part, done)
-            files += before or portable.bring(services.archive, to, wanted, part, checker)
+            files += before or portable.bring(services.archive, to, options, part, checker)
             brought += part.size_bytes
             tell(Step("packing", brought, total))
-    portable.finish(services.catalogue, services.archive, to, wanted, files, now)
+    portable.finish(services.catalogue, services.archive, to, options, files, now)
     return Packed(len(parts), sum(one.size_bytes for one in files), len(done))
 
 

@@ -231,11 +231,11 @@ def restore(folder: Path, home: Path, name: str = "", host: str = "") -> Iterato
 
 def _host(folder: Path, name: str) -> Path | None:
     """Return the folder of one host in a backup; None where no host has any, or none of several is meant."""
-    known = sorted(path.name for path in (folder / HOSTS).glob("*") if path.is_dir())
-    if name and name not in known:
-        raise NotFound(f"{folder} has no folder of a host {name}; it has {', '.join(known) or 'none'}")
-    mine = name or (known[0] if len(known) == 1 else socket.gethostname())
-    return folder / HOSTS / mine if mine in known else None
+    hosts = sorted(path.name for path in (folder / HOSTS).glob("*") if path.is_dir())
+    if name and name not in hosts:
+        raise NotFound(f"{folder} has no folder of a host {name}; it has {', '.join(hosts) or 'none'}")
+    mine = name or (hosts[0] if len(hosts) == 1 else socket.gethostname())
+    return folder / HOSTS / mine if mine in hosts else None
 
 
 def _copy_known(catalogue: Catalogue, source: Archive, target: Archive, share: Share) -> Iterator[Progress]:
@@ -261,8 +261,8 @@ def _copy_known(catalogue: Catalogue, source: Archive, target: Archive, share: S
 
 
 def _is_there(archive: Archive, row: FileRow) -> bool:
-    wanted = [row.path] if layout.is_dataset(row.path) else [row.path, layout.sidecar(row.path)]
-    sizes = [archive.size(path) for path in wanted]
+    paths = [row.path] if layout.is_dataset(row.path) else [row.path, layout.sidecar(row.path)]
+    sizes = [archive.size(path) for path in paths]
     return None not in sizes and sizes[0] == row.size_bytes
 
 
@@ -310,9 +310,9 @@ def _keep_settings(home: Path, copy: Path) -> None:
     file = home / FILE_NAME
     if not file.is_file():
         return
-    told = tomllib.loads(file.read_text(encoding="utf-8"))
+    settings = tomllib.loads(file.read_text(encoding="utf-8"))
     secret = {name for name, field in Settings.model_fields.items() if field.annotation is SecretStr}
-    kept = {name: value for name, value in told.items() if name not in secret and name not in _FOLDERS}
+    kept = {name: value for name, value in settings.items() if name not in secret and name not in _FOLDERS}
     copy.write_text("".join(_settings_lines(kept)), encoding="utf-8")
 
 

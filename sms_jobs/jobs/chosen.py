@@ -1,4 +1,4 @@
-"""Some jobs, told by what they have in common: however many they are, a question about them stays short."""
+"""Some jobs, named by what they have in common: a query for them stays short, however many they are."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sms_jobs.jobs.submission import Submission
 from sms_jobs.records.job import ACTIVE
 
 MOST_NAMED = 1000
-"""Jobs that can be told one by one: a statement may have a limited number of values."""
+"""Jobs that may be named one by one: the number of values of a statement is limited."""
 
 
 @dataclass(frozen=True)

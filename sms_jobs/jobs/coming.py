@@ -42,7 +42,7 @@ class Coming:
     state: JobState
     started_at: datetime | None
     progress: float
-    wanted: bool
+    requested: bool
 
 
 @dataclass(frozen=True)
@@ -71,29 +71,31 @@ class Sample:
     ----------
     jobs
         The sample.
-    total, wanted
-        Number of all jobs, and of those that are wanted, by queue.
+    total, requested
+        Number of all jobs, and of the requested ones, by queue.
     by_frames
         As of a graph.
     """
 
     jobs: tuple[Coming, ...]
     total: Mapping[str, int]
-    wanted: Mapping[str, int]
+    requested: Mapping[str, int]
     by_frames: frozenset[str]
 
 
 def coming(session: Session, chosen: Chosen) -> Graph | Sample:
-    """Return the active jobs that are wanted or come before those; of very many, a sample."""
-    wanted = and_(JobRow.state.in_(ACTIVE), *chosen.where)
-    before = _before(session, wanted) if chosen.where else wanted
+    """Return the active jobs that were asked for and those that come before them; of very many, a sample."""
+    requested = and_(JobRow.state.in_(ACTIVE), *chosen.where)
+    before = _before(session, requested) if chosen.where else requested
     if before is None:
         return Graph((), {}, frozenset())
     if not _are_few(session, before):
         total = _by_queue(session, before)
-        return _sample(session, before, wanted, total, _by_queue(session, wanted) if chosen.where else total)
-    jobs = [_coming(row) for row in session.execute(_query(wanted).where(before))]
-    return _closed(session, jobs, _edges(session, before), wanted)
+        return _sample(
+            session, before, requested, total, _by_queue(session, requested) if chosen.where else total
+        )
+    jobs = [_coming(row) for row in session.execute(_query(requested).where(before))]
+    return _closed(session, jobs, _edges(session, before), requested)
 
 
 def coming_with(session: Session, planned: Draft) -> Graph | Sample:
@@ -102,7 +104,7 @@ def coming_with(session: Session, planned: Draft) -> Graph | Sample:
     if not rows:
         return Graph((), {}, frozenset())
     mine = [
-        Coming(**{name: row[name] for name in _PLANNED}, started_at=None, progress=0.0, wanted=True)
+        Coming(**{name: row[name] for name in _PLANNED}, started_at=None, progress=0.0, requested=True)
         for row in rows
     ]
     nobody = false()
@@ -116,12 +118,12 @@ def coming_with(session: Session, planned: Draft) -> Graph | Sample:
     return _closed(session, [*jobs, *mine], [*_edges(session, before), *edges], nobody)
 
 
-def _before(session: Session, wanted: ColumnElement[bool]) -> ColumnElement[bool] | None:
-    """Tell the active jobs that are wanted, or are claimed before the last of them; None without any."""
-    priority = session.scalar(select(func.min(JobRow.priority)).where(wanted))
+def _before(session: Session, requested: ColumnElement[bool]) -> ColumnElement[bool] | None:
+    """Select the active jobs that were asked for or come before the last of those; None without any."""
+    priority = session.scalar(select(func.min(JobRow.priority)).where(requested))
     if priority is None:
         return None
-    last = select(func.max(JobRow.position)).where(wanted, JobRow.priority == priority)
+    last = select(func.max(JobRow.position)).where(requested, JobRow.priority == priority)
     return _not_after(priority, session.scalars(last).one())
 
 
@@ -137,13 +139,13 @@ def _are_few(session: Session, which: ColumnElement[bool]) -> bool:
     return (session.scalar(select(func.count()).select_from(some)) or 0) <= MOST
 
 
-def _query(wanted: ColumnElement[bool]) -> Select[Any]:
+def _query(requested: ColumnElement[bool]) -> Select[Any]:
     columns = [getattr(JobRow, name) for name in (*_PLANNED, "started_at", "progress")]
-    return select(*columns, wanted.label("wanted"))
+    return select(*columns, requested.label("requested"))
 
 
 def _coming(row: Row[Any]) -> Coming:
-    return Coming(**{**row._mapping, "wanted": bool(row.wanted)})
+    return Coming(**{**row._mapping, "requested": bool(row.requested)})
 
 
 def _edges(session: Session, which: ColumnElement[bool]) -> list[_Edge]:
@@ -156,20 +158,20 @@ def _edges(session: Session, which: ColumnElement[bool]) -> list[_Edge]:
 
 
 def _closed(
-    session: Session, jobs: Sequence[Coming], edges: Sequence[_Edge], wanted: ColumnElement[bool]
+    session: Session, jobs: Sequence[Coming], edges: Sequence[_Edge], requested: ColumnElement[bool]
 ) -> Graph:
     """Put jobs in order, with the active ones that they need and that would be claimed after them."""
     by_id = {job.id: job for job in jobs}
-    known, found = list(edges), set(by_id)
-    while missing := sorted({p for _, p, _ in known if p is not None} - found):
+    all_edges, found = list(edges), set(by_id)
+    while missing := sorted({p for _, p, _ in all_edges if p is not None} - found):
         found.update(missing)
         for names in parts(missing):
             some = and_(JobRow.id.in_(names), JobRow.state.in_(ACTIVE))
-            by_id |= {row.id: _coming(row) for row in session.execute(_query(wanted).where(some))}
-            known += _edges(session, some)
+            by_id |= {row.id: _coming(row) for row in session.execute(_query(requested).where(some))}
+            all_edges += _edges(session, some)
     needs: dict[str, list[str]] = {job_id: [] for job_id in by_id}
     sources: dict[str, set[str]] = defaultdict(set)
-    for job_id, producer, source in known:
+    for job_id, producer, source in all_edges:
         if producer in by_id:
             needs[job_id].append(producer)
         sources[by_id[job_id].kind].add(source)
@@ -189,9 +191,9 @@ def _by_queue(session: Session, which: ColumnElement[bool]) -> dict[str, int]:
 def _sample(
     session: Session,
     which: ColumnElement[bool],
-    wanted: ColumnElement[bool],
+    requested: ColumnElement[bool],
     total: Mapping[str, int],
-    of_wanted: Mapping[str, int],
+    requested_by_queue: Mapping[str, int],
     further: Sequence[Coming] = (),
 ) -> Sample:
     """Take a sample of each queue, since one may hold few jobs that take long."""
@@ -201,11 +203,13 @@ def _sample(
         of_queue = and_(which, JobRow.queue == queue)
         # Ids are random: those below a bound are a random sample, and the index of ids leads to them.
         bound = f"{int(min(1.0, _SAMPLE / count) * (_IDS - 1)):016x}"
-        some = [_coming(row) for row in session.execute(_query(wanted).where(of_queue, JobRow.id <= bound))]
+        some = [
+            _coming(row) for row in session.execute(_query(requested).where(of_queue, JobRow.id <= bound))
+        ]
         edges += _edges(session, and_(of_queue, JobRow.id <= bound)) if some else []
         jobs |= {job.id: job for job in some}
     sources: dict[str, set[str]] = defaultdict(set)
     for job_id, _, source in edges:
         sources[jobs[job_id].kind].add(source)
     every = max(1, len(further) // _SAMPLE)
-    return Sample((*jobs.values(), *further[::every]), total, of_wanted, _by_frames(sources))
+    return Sample((*jobs.values(), *further[::every]), total, requested_by_queue, _by_frames(sources))

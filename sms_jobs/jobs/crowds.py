@@ -27,7 +27,7 @@ _RETRYABLE = UNSUCCESSFUL - {JobState.SKIPPED}
 def cancel(catalogue: Catalogue, some: Chosen, now: datetime) -> int:
     """Cancel jobs that do not run, and ask running ones to stop; return how many there were.
 
-    Those that were told by what they have in common are cancelled one and all. What needs a job that was
+    Those that were named by what they have in common are cancelled one and all. What needs a job that was
     cancelled is skipped.
     """
     # A person who names one that waits for an operator means it; one who means a campaign means what goes on.
@@ -139,8 +139,8 @@ def _retry_round(catalogue: Catalogue, some: Chosen, now: datetime) -> int:
             done: list[str] = []
             for target in (JobState.WAITING, JobState.QUEUED):
                 those = [i for i in ids if (i in waiting) is (target is JobState.WAITING)]
-                told = "retried by an operator"
-                done += lifecycle.change_some(session, those, target, now, told, **afresh)
+                message = "retried by an operator"
+                done += lifecycle.change_some(session, those, target, now, message, **afresh)
             count += len(done) + lifecycle.revive_dependents(session, done, now)
         if not done:
             return count

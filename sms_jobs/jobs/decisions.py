@@ -95,8 +95,8 @@ def _refuse_other_than_rig(session: Session, sensors: Sensors, rig_id: int, what
 
 
 def _refuse_other_than_campaign(session: Session, sensors: Sensors, name: str, what: str) -> None:
-    known = _sensors_of(campaigns.definition(campaigns.campaign_row(session, name)))
-    other = {n: s for n, s in known.items() if any(sensors.get(n, {}).get(k) != v for k, v in s.items())}
+    stated = _sensors_of(campaigns.definition(campaigns.campaign_row(session, name)))
+    other = {n: s for n, s in stated.items() if any(sensors.get(n, {}).get(k) != v for k, v in s.items())}
     if other:
         raise Conflict(
             f"{what} is of {_named(sensors)}, and campaign {name} is measured by {_named(other)}: choose a "
@@ -109,9 +109,11 @@ def _sensors_of(campaign: Campaign) -> Sensors:
     if campaign.scene is not None:
         return valid_calibrations.sensors_of(campaign.scene.rig)
     names = dict.fromkeys(name for view in campaign.views for name in view_of(view).sensors)
-    told = {n: {"role": role_of(n).value} for n in names}
+    sensors = {n: {"role": role_of(n).value} for n in names}
     sizes = () if campaign.session is None else campaign.session.sensors
-    return told | {s.name: {**told.get(s.name, {}), "columns": s.columns, "rows": s.rows} for s in sizes}
+    return sensors | {
+        s.name: {**sensors.get(s.name, {}), "columns": s.columns, "rows": s.rows} for s in sizes
+    }
 
 
 def _named(sensors: Sensors) -> str:

@@ -56,11 +56,11 @@ def dry_run(
     spool_bytes = max((s.raw_bytes + again * s.set_bytes for s in rehearsed.values()), default=0)
     found_room, packed = {"spool": _free(spool), "archive": archive.room().free_bytes}, _packed(session, rig)
     archived = sum(s.raw_bytes for s in rehearsed.values()) * (packed or 1.0)
-    for disk, wanted in (("spool", spool_bytes), ("archive", archived)):
-        if wanted > found_room[disk]:
+    for disk, needed in (("spool", spool_bytes), ("archive", archived)):
+        if needed > found_room[disk]:
             missing.append(
                 f"the disk of the {disk} has room for {found_room[disk] / 1e9:.1f} GB, and "
-                f"{wanted / 1e9:.1f} GB are needed: free some space"
+                f"{needed / 1e9:.1f} GB are needed: free some space"
             )
     return DryRun(
         rehearsed,
@@ -111,9 +111,9 @@ def _remarks(rig: RigFile, campaign: Campaign, states: Sequence[LoadState]) -> t
         f"{camera} looks on without a projector: its images are imported, not recorded"
         for camera in campaign.cameras_alone
     )
-    known = {c.name for c in rig.serial.channels}
-    told = {"load_n" for s in states if s.load_n is not None} | {n for s in states for n in s.channels}
-    unread = sorted(told - known - set(ANGLES))
+    measured = {c.name for c in rig.serial.channels}
+    planned = {"load_n" for s in states if s.load_n is not None} | {n for s in states for n in s.channels}
+    unread = sorted(planned - measured - set(ANGLES))
     if not unread:
         return alone
     words = f"the plan says what {' and '.join(unread)} will be, which no channel of rig {rig.name} reads"

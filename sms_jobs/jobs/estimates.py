@@ -33,7 +33,7 @@ def estimate(session: Session, chosen: Chosen, now: datetime, workers_if_started
 
     What each takes is the median of the jobs that are most like it: of the same parameters, size, host and
     version, in this order, as far as there are such; other sizes are scaled. Jobs that come before these take
-    their share of the workers too. How the parts add up is told by `makespan`. Where these are very many, a
+    their share of the workers too. `makespan` says how the parts add up. Where these are very many, a
     sample tells what each takes, and the work is shared by all who can do it.
 
     Parameters
@@ -65,30 +65,32 @@ def _estimate(
         drafted = set() if planned is None else set(planned.job_ids)
         entered = [job.id for job in work.jobs if job.id not in drafted]
         foreseen = foreseen_reuse(session, entered, planned)
-        told = _of_graph(work, foreseen, history, places, now)
+        totals = _of_graph(work, foreseen, history, places, now)
     else:
-        told = _of_sample(work, history, places, now)
-    seconds: float | None = told.seconds
-    if not isfinite(seconds or 0.0) or (told.unknown and told.unknown.total() + told.reused >= told.jobs):
+        totals = _of_sample(work, history, places, now)
+    seconds: float | None = totals.seconds
+    if not isfinite(seconds or 0.0) or (
+        totals.unknown and totals.unknown.total() + totals.reused >= totals.jobs
+    ):
         seconds = None
     served = frozenset[str]().union(*(p.queues for p in places))
     return Estimate(
-        jobs=told.jobs,
-        reused=told.reused,
+        jobs=totals.jobs,
+        reused=totals.reused,
         seconds=seconds,
         ready_at=None if seconds is None else now + timedelta(seconds=seconds),
         workers=sum(p.count for p in places),
         alive=alive,
-        unknown=dict(sorted(told.unknown.items())),
-        unserved=tuple(sorted(told.queues - served)),
-        paused=tuple(sorted(told.queues & _paused(session))),
-        looked_at=told.looked_at,
+        unknown=dict(sorted(totals.unknown.items())),
+        unserved=tuple(sorted(totals.queues - served)),
+        paused=tuple(sorted(totals.queues & _paused(session))),
+        looked_at=totals.looked_at,
     )
 
 
 @dataclass(frozen=True)
-class _Told:
-    """What jobs tell of themselves, whoever runs them."""
+class _Totals:
+    """What the requested jobs add up to, before it is known who serves their queues."""
 
     jobs: int
     reused: int
@@ -100,22 +102,22 @@ class _Told:
 
 def _of_graph(
     work: Graph, foreseen: Collection[str], history: History, places: Sequence[Places], now: datetime
-) -> _Told:
+) -> _Totals:
     place = {job.id: n for n, job in enumerate(work.jobs)}
     tasks, unknown = [], Counter[str]()
     for job in work.jobs:
         left = 0.0 if job.id in foreseen else _left(job, history.seconds(job), now)
-        if left is None and job.wanted:
+        if left is None and job.requested:
             unknown[job.kind] += 1
         needs = tuple(place[n] for n in work.needs[job.id])
-        tasks.append(Task(left or 0.0, job.queue, needs, wanted=job.wanted))
-    wanted = [job for job in work.jobs if job.wanted]
-    reused = sum(job.id in foreseen for job in wanted)
-    queues = frozenset(job.queue for job in wanted)
-    return _Told(len(wanted), reused, makespan(tasks, places), unknown, queues)
+        tasks.append(Task(left or 0.0, job.queue, needs, requested=job.requested))
+    requested = [job for job in work.jobs if job.requested]
+    reused = sum(job.id in foreseen for job in requested)
+    queues = frozenset(job.queue for job in requested)
+    return _Totals(len(requested), reused, makespan(tasks, places), unknown, queues)
 
 
-def _of_sample(work: Sample, history: History, places: Sequence[Places], now: datetime) -> _Told:
+def _of_sample(work: Sample, history: History, places: Sequence[Places], now: datetime) -> _Totals:
     by_queue: dict[str, list[float]] = defaultdict(list)
     unknown_here: dict[str, Counter[str]] = defaultdict(Counter)
     for job in work.jobs:
@@ -130,10 +132,10 @@ def _of_sample(work: Sample, history: History, places: Sequence[Places], now: da
     unknown = Counter[str]()
     for queue, kinds in unknown_here.items():
         for kind, count in kinds.items():
-            unknown[kind] += round(work.wanted.get(queue, 0) * count / len(by_queue[queue]))
-    queues = frozenset(queue for queue, count in work.wanted.items() if count)
-    return _Told(
-        sum(work.wanted.values()), 0, shared(seconds, queues, places), +unknown, queues, len(work.jobs)
+            unknown[kind] += round(work.requested.get(queue, 0) * count / len(by_queue[queue]))
+    queues = frozenset(queue for queue, count in work.requested.items() if count)
+    return _Totals(
+        sum(work.requested.values()), 0, shared(seconds, queues, places), +unknown, queues, len(work.jobs)
     )
 
 

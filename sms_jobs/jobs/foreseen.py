@@ -1,4 +1,4 @@
-"""Which jobs will be reused, told before they run."""
+"""Predicts which jobs will be answered by earlier results, before they run."""
 
 from __future__ import annotations
 
@@ -197,13 +197,15 @@ def _hashes(inputs: Iterable[_Input], made: Mapping[str, Sequence[_Content]]) ->
     """Return the content hashes of a job's inputs by role; None where one is not known yet."""
     hashes = {}
     for given in inputs:
-        known = given.content_hash
-        if known is None:
+        content_hash = given.content_hash
+        if content_hash is None:
             outputs = made.get(given.producer or "", ())
-            known = next((o.content_hash for o in outputs if o.meets(given.source, given.subject)), None)
-        if known is None:
+            content_hash = next(
+                (o.content_hash for o in outputs if o.meets(given.source, given.subject)), None
+            )
+        if content_hash is None:
             return None
-        hashes[given.role] = known
+        hashes[given.role] = content_hash
     return hashes
 
 

@@ -67,14 +67,14 @@ def archive_works(archive_root: Path) -> str | None:
 
 def files_nobody_knows(session: Session, archive: Archive) -> str | None:
     """Find an archive with files beside a catalogue that knows none, and the other way round."""
-    known = session.scalar(select(FileRow.path).limit(1))
+    registered = session.scalar(select(FileRow.path).limit(1))
     lying = next(archive.files(), None)
-    if known is None and lying is not None:
+    if registered is None and lying is not None:
         return (
             f"the catalogue knows no file, although files lie in the archive {archive.where}; "
             "'sms archive reindex' enters them"
         )
-    if known is not None and lying is None:
+    if registered is not None and lying is None:
         return (
             f"the catalogue knows files, and none lies in the archive {archive.where}; mount its disk or "
             "share, or correct 'archive' in sms.toml"

@@ -54,15 +54,15 @@ class History:
         self._by_frames = by_frames
         self._past: dict[str, list[_Past]] = {}
         self._campaigns: dict[int, _Images | None] = {}
-        self._told: dict[tuple[Any, ...], float | None] = {}
+        self._medians: dict[tuple[Any, ...], float | None] = {}
 
     def seconds(self, job: Coming) -> float | None:
         """Return the median of the jobs that are most like this one; None where its kind has never run."""
         size = self._size(job.kind, job.campaign_id, job.subject)
         key = (job.kind, job.kind_version, str(job.parameters), size)
-        if key not in self._told:
-            self._told[key] = self._median(job, size)
-        return self._told[key]
+        if key not in self._medians:
+            self._medians[key] = self._median(job, size)
+        return self._medians[key]
 
     def _median(self, job: Coming, size: _Size | None) -> float | None:
         by_likeness: dict[tuple[bool, ...], list[float]] = defaultdict(list)

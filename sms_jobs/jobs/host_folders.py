@@ -63,22 +63,24 @@ def copy_folders(
     _write_notes(target, notes)
 
 
-def _bring(path: str, file: Path, copy: Path, known: Note | None, again: bool) -> tuple[Note, Copied]:
-    told, finding = file.stat(), ""
-    unchanged = (told.st_size, told.st_mtime_ns) == ((known.size_bytes, known.changed_ns) if known else None)
-    if known and unchanged and copy.is_file() and copy.stat().st_size == known.size_bytes:
+def _bring(path: str, file: Path, copy: Path, previous: Note | None, again: bool) -> tuple[Note, Copied]:
+    status, finding = file.stat(), ""
+    unchanged = (status.st_size, status.st_mtime_ns) == (
+        (previous.size_bytes, previous.changed_ns) if previous else None
+    )
+    if previous and unchanged and copy.is_file() and copy.stat().st_size == previous.size_bytes:
         if not again:
-            return known, Copied(path, False)
-        whole = sha256_of(copy) == known.sha256
-        if sha256_of(file) != known.sha256:
+            return previous, Copied(path, False)
+        whole = sha256_of(copy) == previous.sha256
+        if sha256_of(file) != previous.sha256:
             kept = "good" if whole else "damaged too"
-            return known, Copied(path, False, f"{file} has changed by itself; its copy {copy} is {kept}")
+            return previous, Copied(path, False, f"{file} has changed by itself; its copy {copy} is {kept}")
         if whole:
-            return known, Copied(path, False)
+            return previous, Copied(path, False)
         finding = f"the copy {copy} had changed by itself and is replaced"
     # Of what is being written just now, the copy has what was there.
     copy_file(file, copy)
-    return Note(copy.stat().st_size, told.st_mtime_ns, sha256_of(copy)), Copied(path, True, finding)
+    return Note(copy.stat().st_size, status.st_mtime_ns, sha256_of(copy)), Copied(path, True, finding)
 
 
 def forget_gone(sources: Mapping[str, Path], target: Path) -> None:
@@ -108,8 +110,8 @@ def restore_folders(source: Path, target: Path) -> Iterator[Copied]:
 
 def _read_notes(folder: Path) -> dict[str, Note]:
     file = folder / NOTES
-    told = json.loads(file.read_bytes()) if file.is_file() else {}
-    return {path: Note(**note) for path, note in told.items()}
+    notes = json.loads(file.read_bytes()) if file.is_file() else {}
+    return {path: Note(**note) for path, note in notes.items()}
 
 
 def _write_notes(folder: Path, notes: Mapping[str, Note]) -> None:

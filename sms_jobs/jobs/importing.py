@@ -1,7 +1,7 @@
 """Enters what was measured elsewhere: the same content once.
 
-Each tuple is one sealed file and one transaction. What a file was made from is told by a hash of its sources
-in its provenance, so that a second import finds what is there and changes nothing.
+Each tuple is one sealed file and one transaction. Its provenance has a hash of the sources of
+the file, so that a second import finds what is there and changes nothing.
 """
 
 from __future__ import annotations
@@ -158,8 +158,8 @@ def import_observations(
 
 def with_states(campaign: Campaign, labels: Iterable[str]) -> Campaign:
     """Return a campaign with states of further labels behind its own."""
-    known = {s.label for s in campaign.states}
-    added = tuple(LoadState(label) for label in labels if label not in known)
+    existing = {s.label for s in campaign.states}
+    added = tuple(LoadState(label) for label in labels if label not in existing)
     return replace(campaign, states=campaign.states + added)
 
 

@@ -1,4 +1,4 @@
-"""Every change of a job's state: guarded by the state it leaves, and told by an event.
+"""Every change of a job's state: guarded by the state it leaves, and recorded as an event.
 
 All functions take a writing session. A change that is not allowed, or that comes from an attempt which
 has been superseded, changes nothing and returns False.
@@ -143,8 +143,8 @@ def change_some(
     for row in changed:
         if (loaded := session.identity_map.get(identity_key(JobRow, row.id))) is not None:
             session.expire(loaded)
-    told = {"at": now, "state": target, "message": message}
-    session.execute(_EVENT, [{"job_id": row.id, "attempt": row.attempts, **told} for row in changed])
+    event = {"at": now, "state": target, "message": message}
+    session.execute(_EVENT, [{"job_id": row.id, "attempt": row.attempts, **event} for row in changed])
     if target is JobState.QUEUED:
         session.execute(_OUTBOX, [{"job_id": row.id, "queue": row.queue} for row in changed])
     return [row.id for row in changed]
@@ -379,8 +379,8 @@ def revive_dependents(session: Session, job_ids: Sequence[str], now: datetime) -
     level = list(job_ids)
     while level:
         skipped = _dependents(session, level, JobState.SKIPPED, ~hopeless)
-        told = "what it needs is tried again"
-        level = change_some(session, skipped, JobState.WAITING, now, told, finished_at=None)
+        message = "what it needs is tried again"
+        level = change_some(session, skipped, JobState.WAITING, now, message, finished_at=None)
         count += len(level)
     return count
 

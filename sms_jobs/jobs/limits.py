@@ -33,8 +33,8 @@ class Limits:
     memory_mb
         Resident memory of its process.
     grace
-        How long it may take to reach a checkpoint once it is asked to stop: after this it is told by a
-        signal, after twice this it is killed.
+        How long it may take to reach a checkpoint once it is asked to stop: after this it is sent
+        a signal, after twice this it is killed.
     """
 
     time: timedelta | None

@@ -29,7 +29,7 @@ _AT_ONCE = 500
 @dataclass
 class _Gathered:
     files: dict[str, DocumentedFile] = field(default_factory=dict)
-    told: dict[str, Provenance] = field(default_factory=dict)
+    provenances: dict[str, Provenance] = field(default_factory=dict)
     hashes: dict[str, str] = field(default_factory=dict)
 
 
@@ -74,7 +74,7 @@ def document_of(catalogue: Catalogue, archive: Archive, paths: Iterable[str]) ->
             gathered.files[path] = _documented(path, gathered.hashes.get(path), row, provenance)
             if provenance is None:
                 continue
-            gathered.told[path] = provenance
+            gathered.provenances[path] = provenance
             for given in provenance.inputs:
                 gathered.hashes.setdefault(given.path, given.content_hash)
                 pending.append(given.path)
@@ -93,28 +93,28 @@ def _rows(session: Session, paths: list[str]) -> dict[str, FileRow]:
 def _documented(
     path: str, content_hash: str | None, row: FileRow | None, provenance: Provenance | None
 ) -> DocumentedFile:
-    told: dict[str, Any] = {"readable": provenance is not None}
+    attributes: dict[str, Any] = {"readable": provenance is not None}
     if provenance is not None:
-        told |= {"kind": provenance.kind, "subject": str(provenance.subject)}
-        told |= {f"statistic.{name}": value for name, value in sorted(provenance.statistics.items())}
+        attributes |= {"kind": provenance.kind, "subject": str(provenance.subject)}
+        attributes |= {f"statistic.{name}": value for name, value in sorted(provenance.statistics.items())}
     if row is not None:
-        told |= {"kind": row.source, "size_bytes": row.size_bytes, "media_type": row.media_type}
-    return DocumentedFile(path, content_hash or "", told)
+        attributes |= {"kind": row.source, "size_bytes": row.size_bytes, "media_type": row.media_type}
+    return DocumentedFile(path, content_hash or "", attributes)
 
 
 def _activities(catalogue: Catalogue, gathered: _Gathered) -> list[DocumentedActivity]:
     """Group files by what made them: a job, or the hand that brought one in."""
     groups: dict[str, list[str]] = {}
-    for path, provenance in gathered.told.items():
+    for path, provenance in gathered.provenances.items():
         name = provenance.job_id or f"{layout.stem(provenance)}-of-{provenance.subject}".replace("/", "-")
         groups.setdefault(name, []).append(path)
     with catalogue.reading() as session:
         times = _times(session, list(groups))
     made = []
     for name, paths in groups.items():
-        latest = max((gathered.told[path] for path in paths), key=lambda one: one.created_at)
+        latest = max((gathered.provenances[path] for path in paths), key=lambda one: one.created_at)
         begun, ended = times.get(name, (None, latest.created_at))
-        used = {given.role: given.path for path in paths for given in gathered.told[path].inputs}
+        used = {given.role: given.path for path in paths for given in gathered.provenances[path].inputs}
         made.append(
             DocumentedActivity(
                 name=name,
@@ -130,7 +130,7 @@ def _activities(catalogue: Catalogue, gathered: _Gathered) -> list[DocumentedAct
                     "parameters": json.dumps(dict(latest.parameters), sort_keys=True, ensure_ascii=False),
                 },
                 used=tuple(DocumentedInput(role, path) for role, path in sorted(used.items())),
-                made=tuple((path, gathered.told[path].created_at.astimezone(UTC)) for path in paths),
+                made=tuple((path, gathered.provenances[path].created_at.astimezone(UTC)) for path in paths),
             )
         )
     return made

@@ -49,11 +49,11 @@ class _Workers:
 
 def workers(session: Session, now: datetime) -> list[str]:
     """Find that nobody is there, who has vanished without another in its place, and who claims nothing."""
-    known = _Workers.lately(session, now)
-    found = [*_nobody(session, known)]
-    for row in known.rows:
-        replaced = any(other.host == row.host and other.started_at > row.started_at for other in known.alive)
-        if row in known.alive or row.draining or replaced:
+    recent = _Workers.lately(session, now)
+    found = [*_nobody(session, recent)]
+    for row in recent.rows:
+        replaced = any(other.host == row.host and other.started_at > row.started_at for other in recent.alive)
+        if row in recent.alive or row.draining or replaced:
             continue
         found.append(
             f"worker {row.id} on {row.host} gave its last sign of life at {row.beat_at:%Y-%m-%d %H:%M} UTC; "
@@ -61,16 +61,16 @@ def workers(session: Session, now: datetime) -> list[str]:
         )
     found += [
         f"worker {row.id} on {row.host} claims no job: {row.held_for}; it goes on by itself"
-        for row in known.serving
+        for row in recent.serving
         if row.held_for is not None
     ]
-    return [*found, *_without_processes(known, now), *_idle_beside_work(session, known, now)]
+    return [*found, *_without_processes(recent, now), *_idle_beside_work(session, recent, now)]
 
 
-def _nobody(session: Session, known: _Workers) -> Iterator[str]:
-    if known.serving:
+def _nobody(session: Session, recent: _Workers) -> Iterator[str]:
+    if recent.serving:
         return
-    if known.alive:
+    if recent.alive:
         yield "every worker that lives is draining and takes no more jobs; start another with 'sms up'"
         return
     left = session.scalar(select(func.count()).select_from(JobRow).where(JobRow.state.in_(ACTIVE))) or 0
@@ -83,8 +83,8 @@ def _nobody(session: Session, known: _Workers) -> Iterator[str]:
     )
 
 
-def _without_processes(known: _Workers, now: datetime) -> Iterator[str]:
-    for row in known.serving:
+def _without_processes(recent: _Workers, now: datetime) -> Iterator[str]:
+    for row in recent.serving:
         if row.processes == 0 and now - row.started_at > ALIVE_WITHIN:
             yield (
                 f"worker {row.id} on {row.host} has none of its {row.concurrency} processes, which end "
@@ -92,9 +92,9 @@ def _without_processes(known: _Workers, now: datetime) -> Iterator[str]:
             )
 
 
-def _idle_beside_work(session: Session, known: _Workers, now: datetime) -> Iterator[str]:
+def _idle_beside_work(session: Session, recent: _Workers, now: datetime) -> Iterator[str]:
     """Find workers that have places, and do not take what they could."""
-    for row in known.serving:
+    for row in recent.serving:
         if row.held_for is not None or row.processes == 0 or now - row.started_at < _STARTS_WITHIN:
             continue
         running, last = session.execute(
@@ -130,8 +130,8 @@ def _queued_since(session: Session, queues: Sequence[str], now: datetime) -> dat
     job_id = session.scalar(first)
     if job_id is None:
         return None
-    told = select(func.max(EventRow.at)).where(EventRow.job_id == job_id, EventRow.state == JobState.QUEUED)
-    return session.scalar(told)
+    query = select(func.max(EventRow.at)).where(EventRow.job_id == job_id, EventRow.state == JobState.QUEUED)
+    return session.scalar(query)
 
 
 def unserved(session: Session, now: datetime) -> list[str]:

@@ -146,8 +146,8 @@ def held(session: Session, now: datetime, names: Collection[str] | None = None) 
 
 def waits_for_device(now: Any) -> ColumnElement[bool]:
     """Return whether a row of `job` needs a device that somebody else holds."""
-    wanted = aliased(JobDeviceRow)
-    return exists().where(wanted.job_id == JobRow.id, LockRow.device == wanted.device, _alive(now))
+    needed = aliased(JobDeviceRow)
+    return exists().where(needed.job_id == JobRow.id, LockRow.device == needed.device, _alive(now))
 
 
 def take_needed(session: Session, job_id: str, fence: int, now: datetime) -> bool:
@@ -172,22 +172,22 @@ def waited_for(session: Session, job_id: str, now: datetime) -> list[HeldDevice]
 
 
 def _take(session: Session, names: Collection[str], now: datetime, **owner: Any) -> None:
-    wanted = sorted(set(names))
-    if not wanted:
+    requested = sorted(set(names))
+    if not requested:
         return
     dialect: Any = postgresql if session.get_bind().dialect.name == "postgresql" else sqlite
     # Makes the rows that are missing, as those of free devices, and locks the others, in this order.
-    rows = dialect.insert(LockRow.__table__).values([{"device": name} for name in wanted])
+    rows = dialect.insert(LockRow.__table__).values([{"device": name} for name in requested])
     session.execute(
         rows.on_conflict_do_update(index_elements=["device"], set_={"device": rows.excluded.device})
     )
     kept = []
-    for lock in held(session, now, wanted):
+    for lock in held(session, now, requested):
         if lock.alive and (lock.job_id, lock.holder) != (owner["job_id"], owner["holder"]):
             raise DevicesBusy(f"a device is in use: {lock}; {_way_out(lock)}")
         if lock.alive:
             kept.append(lock.device)
-    new = [name for name in wanted if name not in kept]
+    new = [name for name in requested if name not in kept]
     for devices, values in ((kept, owner), (new, {**owner, "taken_at": now})):
         if devices:
             session.execute(

@@ -22,14 +22,14 @@ class Task:
         That it comes from.
     needs
         Places of the tasks that have to end before it begins; each comes before it in the sequence.
-    wanted
-        Its end is waited for; others only take workers' time before that.
+    requested
+        Whether its end is waited for; others only take workers' time before that.
     """
 
     seconds: float
     queue: str
     needs: tuple[int, ...] = ()
-    wanted: bool = True
+    requested: bool = True
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Places:
 
 
 def makespan(tasks: Sequence[Task], places: Sequence[Places]) -> float:
-    """Return the seconds until the last wanted task has ended; infinite where nobody serves a queue.
+    """Return the seconds until the last requested task has ended; infinite where nobody serves a queue.
 
     No order of the tasks ends sooner: it is the greatest of the longest chain (critical path) and, for every
     moment, the work that cannot begin before it (or that others wait for after it) shared by all who can do
@@ -49,7 +49,7 @@ def makespan(tasks: Sequence[Task], places: Sequence[Places]) -> float:
     that take the first job that is ready come close to it, and unlike what they do exactly, it never grows
     with more workers nor falls with more tasks.
     """
-    if not any(task.wanted for task in tasks):
+    if not any(task.requested for task in tasks):
         return 0.0
     heads, tails, leads = _around(tasks)
     seconds = np.array([task.seconds for task in tasks])
@@ -58,7 +58,7 @@ def makespan(tasks: Sequence[Task], places: Sequence[Places]) -> float:
     groups = [(np.ones(len(tasks), bool), sum(p.count for p in places))]
     groups += [
         (queues == queue, sum(p.count for p in places if queue in p.queues))
-        for queue in {task.queue for task in tasks if task.wanted}
+        for queue in {task.queue for task in tasks if task.requested}
     ]
     for chosen, count in groups:
         if count == 0:
@@ -69,7 +69,7 @@ def makespan(tasks: Sequence[Task], places: Sequence[Places]) -> float:
     return latest
 
 
-def shared(seconds: Mapping[str, float], wanted: Collection[str], places: Sequence[Places]) -> float:
+def shared(seconds: Mapping[str, float], requested: Collection[str], places: Sequence[Places]) -> float:
     """Return the seconds until the work of some queues is done, shared by all who can do it.
 
     That is `makespan` of very many jobs, among which those that wait for others hold nobody up.
@@ -78,11 +78,13 @@ def shared(seconds: Mapping[str, float], wanted: Collection[str], places: Sequen
     ----------
     seconds
         The work in each queue.
-    wanted
+    requested
         Queues whose end is waited for.
     """
     groups = [(frozenset(seconds), sum(p.count for p in places))]
-    groups += [(frozenset((queue,)), sum(p.count for p in places if queue in p.queues)) for queue in wanted]
+    groups += [
+        (frozenset((queue,)), sum(p.count for p in places if queue in p.queues)) for queue in requested
+    ]
     if any(count == 0 for _, count in groups):
         return inf
     return max(sum(seconds.get(queue, 0.0) for queue in queues) / count for queues, count in groups)
@@ -91,9 +93,9 @@ def shared(seconds: Mapping[str, float], wanted: Collection[str], places: Sequen
 def _around(
     tasks: Sequence[Task],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the longest chains before and behind each task, and whether a wanted one hangs on it."""
+    """Return the longest chains before and behind each task, and whether a requested one depends on it."""
     heads, tails = np.zeros(len(tasks)), np.zeros(len(tasks))
-    leads = np.array([task.wanted for task in tasks])
+    leads = np.array([task.requested for task in tasks])
     for place, task in enumerate(tasks):
         heads[place] = max((heads[n] + tasks[n].seconds for n in task.needs), default=0.0)
     for place in reversed(range(len(tasks))):

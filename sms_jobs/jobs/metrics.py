@@ -1,4 +1,4 @@
-"""What a monitoring system is told: numbers about jobs, queues, workers, archive and schedules, as of now."""
+"""What a monitoring system reads: numbers about jobs, queues, workers, archive and schedules, as of now."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sms_jobs.jobs.fire_times import parse_expression, times_until
 from sms_jobs.records.job import ALIVE_WITHIN, JobState
 
 _REMEMBERED_FOR = timedelta(hours=1)
-"""A worker that vanished is told of for so long; one that ended in order is not."""
+"""For so long a worker that vanished is reported; one that ended in order is not."""
 
 
 @dataclass(frozen=True)

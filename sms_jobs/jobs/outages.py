@@ -1,6 +1,6 @@
 """What a process that holds a job does while the catalogue cannot be written to: it waits.
 
-A job that has been computed is worth more than a process that ends: the end of the job is told as soon as
+A job that has been computed is worth more than a process that ends: the end of the job is recorded as soon as
 somebody hears it, and what was claimed without being heard is given back.
 """
 

@@ -92,7 +92,7 @@ class PastDefinitions:
                 return None
             return self._read(path, found.provenance.created_at)
         except SmsError:
-            # It is judged, and told, in its turn.
+            # It is judged and reported in its turn.
             return None
 
     def _read(self, path: str, since: datetime) -> Definition:
@@ -102,13 +102,13 @@ class PastDefinitions:
     def _entered_of(self, session: Session, name: str) -> list[Definition]:
         """Return what the catalogue knew of a campaign before, and what was found since, by time."""
         if name not in self._entered:
-            known = session.scalars(
+            rows = session.scalars(
                 select(FileRow)
                 .join(CampaignRow, CampaignRow.id == FileRow.campaign_id)
                 .where(CampaignRow.name == name, FileRow.source == CAMPAIGN)
                 .order_by(FileRow.created_at)
             )
-            self._entered[name] = [each for file in known if (each := self._whole(file.path))]
+            self._entered[name] = [each for file in rows if (each := self._whole(file.path))]
         return self._entered[name]
 
 

@@ -1,4 +1,4 @@
-"""Jobs that the catalogue has forgotten, told again from the files that they made."""
+"""Restores jobs that the catalogue has lost from the files that they made."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ def objection(session: Session, provenance: Provenance, newest_attempt: int) -> 
     return None
 
 
-def tell_again(session: Session, campaign: Campaign, provenance: Provenance) -> None:
+def restore(session: Session, campaign: Campaign, provenance: Provenance) -> None:
     """Add the job that made a file, unless the catalogue knows it: succeeded when its last file was made.
 
-    Who asked for it, how long it took, and the jobs that were answered by its result are not told by files.
+    Who asked for it, how long it took, and the jobs that were answered by its result do not stand in files.
     What a person brought in was made by none.
     """
     if not provenance.job_id:
@@ -80,7 +80,7 @@ def tell_again(session: Session, campaign: Campaign, provenance: Provenance) -> 
             attempts=provenance.attempt,
             fence=provenance.attempt,
             progress=1.0,
-            message="told again by its files",
+            message="restored from its files",
         )
     )
     session.flush()
@@ -90,7 +90,7 @@ def tell_again(session: Session, campaign: Campaign, provenance: Provenance) -> 
             at=provenance.created_at,
             state=JobState.SUCCEEDED,
             attempt=provenance.attempt,
-            message="told again by its files",
+            message="restored from its files",
         )
     )
     _add_dependencies(session, campaign, kind, subject, provenance)

@@ -99,30 +99,30 @@ def plan(
     NotFound
         A job would need a result that neither exists nor is part of the plan.
     """
-    wanted = _expand(campaign, requests)
+    requested = _expand(campaign, requests)
     parameters = {
         name: checked_parameters(one.kind, {**campaign.processing.get(name, {}), **one.request.parameters})
-        for name, one in wanted.items()
+        for name, one in requested.items()
     }
     # A kind that has nothing to do in this campaign makes nothing that others could wait for.
-    makers = {one.kind.makes or name: one.kind for name, one in wanted.items() if one.subjects}
+    makers = {one.kind.makes or name: one.kind for name, one in requested.items() if one.subjects}
     jobs: dict[_Key, None] = {}
-    for name, one in wanted.items():
+    for name, one in requested.items():
         for subject in _selected(one):
             jobs[(name, subject)] = None
     # What cannot be asked for twice is made where it was asked for and nowhere else.
-    once = {name for name, one in wanted.items() if not one.kind.repeatable(parameters[name])}
+    once = {name for name, one in requested.items() if not one.kind.repeatable(parameters[name])}
     asked_for = frozenset(key for key in jobs if key[0] in once)
     producers: dict[_Key, dict[_Key, None]] = {}
     inputs: dict[_Key, list[tuple[Need, _Key | None, Existing | None]]] = {}
-    # A wanted kind also makes what the other jobs need of it, e.g. the reference state's shape.
+    # A requested kind also makes what the other jobs need of it, e.g. the reference state's shape.
     pending = deque(jobs)
     while pending:
         key = pending.popleft()
         name, subject = key
         found = inputs.setdefault(key, [])
         producers.setdefault(key, {})
-        for need in wanted[name].kind.checked_needs(campaign, subject, parameters[name]):
+        for need in requested[name].kind.checked_needs(campaign, subject, parameters[name]):
             # What is needed of another campaign must be there: this plan is not about it.
             here = need.subject.campaign == campaign.name
             maker = makers.get(need.source) if here else None
@@ -140,7 +140,7 @@ def plan(
     place = {key: i for i, key in enumerate(order)}
     return tuple(
         PlannedJob(
-            wanted[key[0]].kind,
+            requested[key[0]].kind,
             key[1],
             parameters[key[0]],
             tuple(
@@ -153,7 +153,7 @@ def plan(
 
 
 @dataclass(frozen=True)
-class _Wanted:
+class _Requested:
     """A kind that was asked for, how, and all its subjects in the campaign."""
 
     kind: Kind[Any]
@@ -161,9 +161,9 @@ class _Wanted:
     subjects: tuple[Subject, ...]
 
 
-def _expand(campaign: Campaign, requests: Sequence[Request]) -> dict[str, _Wanted]:
+def _expand(campaign: Campaign, requests: Sequence[Request]) -> dict[str, _Requested]:
     """Return what was asked for by name of kind, the pipeline as those of its kinds that can do something."""
-    wanted: dict[str, _Wanted] = {}
+    requested: dict[str, _Requested] = {}
     pipeline = {name: pipeline_subjects(kind, campaign) for name, kind in all_kinds().items()}
     pipeline = {name: subjects for name, subjects in pipeline.items() if subjects}
     for request in requests:
@@ -174,7 +174,7 @@ def _expand(campaign: Campaign, requests: Sequence[Request]) -> dict[str, _Wante
             # Beside the pipeline, which does what can be done, the same holds for the others.
             if not subjects and all(other.kind != PIPELINE for other in requests):
                 raise InvalidInput(_cannot(kind, campaign, pipeline))
-            wanted[request.kind] = _Wanted(kind, request, subjects)
+            requested[request.kind] = _Requested(kind, request, subjects)
             continue
         kinds = {name: kind_named(name) for name in pipeline}
         by_kind = _by_kind(request.parameters, kinds)
@@ -183,8 +183,8 @@ def _expand(campaign: Campaign, requests: Sequence[Request]) -> dict[str, _Wante
             if kind.scope is Scope.CAMPAIGN and (request.states or request.views):
                 continue
             own = replace(request, kind=name, parameters=by_kind.get(name, {}))
-            wanted[name] = _Wanted(kind, own, pipeline[name])
-    return wanted
+            requested[name] = _Requested(kind, own, pipeline[name])
+    return requested
 
 
 def _check_places(campaign: Campaign, request: Request) -> None:
@@ -222,11 +222,11 @@ def _by_kind(parameters: Mapping[str, Any], kinds: Mapping[str, Kind[Any]]) -> d
     return split
 
 
-def _selected(wanted: _Wanted) -> list[Subject]:
-    states, views = wanted.request.states, wanted.request.views
+def _selected(requested: _Requested) -> list[Subject]:
+    states, views = requested.request.states, requested.request.views
     return [
         subject
-        for subject in wanted.subjects
+        for subject in requested.subjects
         if (not states or subject.state is None or subject.state in states)
         and (not views or subject.view is None or subject.view in views)
     ]
@@ -270,10 +270,10 @@ def checked_parameters(kind: Kind[Any], given: Mapping[str, Any]) -> Parameters:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         name = ".".join(str(part) for part in first["loc"])
-        known = ", ".join(kind.parameters.model_fields) or "none"
+        names = ", ".join(kind.parameters.model_fields) or "none"
         raise InvalidInput(
             f"parameter '{name}' of {kind.name} cannot be {first.get('input')!r}: {first['msg']}; "
-            f"its parameters are {known}"
+            f"its parameters are {names}"
         ) from error
     assert isinstance(checked, Parameters)
     return checked

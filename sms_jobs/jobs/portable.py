@@ -47,7 +47,7 @@ _SPARE_BYTES = 64 << 20
 
 
 @dataclass(frozen=True)
-class Wanted:
+class PackOptions:
     """What is exported, and how.
 
     Attributes
@@ -83,11 +83,11 @@ class Part:
     created_at: datetime
 
 
-def chosen(session: Session, wanted: Wanted, now: datetime) -> list[Part]:
+def chosen(session: Session, options: PackOptions, now: datetime) -> list[Part]:
     """Return the files of an export, in the order in which the catalogue learnt of them.
 
     With the chosen files come the definitions of all campaigns that they belong to, the calibrations that
-    are valid at the campaign's states, and, unless it is not wanted, all that the files were computed from.
+    are valid at the campaign's states, and, with `options.inputs`, all that the files were computed from.
 
     Raises
     ------
@@ -96,16 +96,16 @@ def chosen(session: Session, wanted: Wanted, now: datetime) -> list[Part]:
     InvalidInput
         It has no file of these kinds.
     """
-    campaign = campaigns.campaign_row(session, wanted.campaign)
+    campaign = campaigns.campaign_row(session, options.campaign)
     query = select(FileRow.id).where(FileRow.campaign_id == campaign.id)
-    if wanted.kinds:
-        query = query.where(FileRow.source.in_(wanted.kinds))
+    if options.kinds:
+        query = query.where(FileRow.source.in_(options.kinds))
     numbers = set(session.scalars(query))
     if not numbers:
         raise InvalidInput(
-            f"campaign {wanted.campaign} has no file of kind {', '.join(wanted.kinds)}; see 'sms data find'"
+            f"campaign {options.campaign} has no file of kind {', '.join(options.kinds)}; see 'sms data find'"
         )
-    if wanted.inputs:
+    if options.inputs:
         valid = ValidCalibrations(session, campaign.id, now)
         held = (valid.of(subject) for subject in _tuples(campaign))
         numbers |= {used.file_id for used in held if used is not None}
@@ -121,8 +121,12 @@ def chosen(session: Session, wanted: Wanted, now: datetime) -> list[Part]:
 
 
 def _tuples(campaign: CampaignRow) -> list[Subject]:
-    told = campaigns.definition(campaign)
-    return [Subject(told.name, state.label, view) for state in told.states for view in told.views]
+    definition = campaigns.definition(campaign)
+    return [
+        Subject(definition.name, state.label, view)
+        for state in definition.states
+        for view in definition.views
+    ]
 
 
 def _acceptances(session: Session, calibrations: Sequence[int], owners: Sequence[int]) -> list[FileRow]:
@@ -173,7 +177,7 @@ def _part(row: FileRow) -> Part:
     )
 
 
-def begin(folder: Path, wanted: Wanted, parts: Sequence[Part]) -> dict[str, CrateFile]:
+def begin(folder: Path, options: PackOptions, parts: Sequence[Part]) -> dict[str, CrateFile]:
     """Prepare a folder; return the files that an interrupted export has brought into it, by path.
 
     Raises
@@ -183,11 +187,11 @@ def begin(folder: Path, wanted: Wanted, parts: Sequence[Part]) -> dict[str, Crat
     StorageFull
         Its disk has too little room.
     """
-    told = json.loads(json.dumps(asdict(wanted) | {"program": sms_jobs.__version__}))
+    export = json.loads(json.dumps(asdict(options) | {"program": sms_jobs.__version__}))
     begun = folder / _BEGUN
     done: dict[str, CrateFile] = {}
     if begun.is_file():
-        if json.loads(begun.read_bytes()) != told:
+        if json.loads(begun.read_bytes()) != export:
             raise Conflict(
                 f"{folder} has an unfinished export with other options; repeat it with those, or give "
                 "another folder"
@@ -197,11 +201,11 @@ def begin(folder: Path, wanted: Wanted, parts: Sequence[Part]) -> dict[str, Crat
         raise Conflict(f"{folder} is not an empty folder; give one that is, or a name that does not exist")
     else:
         folder.mkdir(parents=True, exist_ok=True)
-        begun.write_text(json.dumps(told), encoding="utf-8")
+        begun.write_text(json.dumps(export), encoding="utf-8")
     coming = sum(part.size_bytes for part in parts if part.path not in done)
     # Without plugins it may be more; then the disk says so.
     free = shutil.disk_usage(folder).free
-    if not wanted.link and free < coming + _SPARE_BYTES:
+    if not options.link and free < coming + _SPARE_BYTES:
         raise StorageFull(
             f"{folder} has {free / 1e6:.0f} MB free and {coming / 1e6:.0f} MB are to come; free some space, "
             "or choose fewer kinds"
@@ -215,9 +219,9 @@ def _journal(folder: Path) -> dict[str, CrateFile]:
     for line in journal.read_text(encoding="utf-8").splitlines() if journal.is_file() else ():
         # The last line may be torn.
         with suppress(ValueError, KeyError, TypeError):
-            told = json.loads(line)
-            made_at = None if told["made_at"] is None else datetime.fromisoformat(told["made_at"])
-            one = CrateFile(**(told | {"made_at": made_at}))
+            entry = json.loads(line)
+            made_at = None if entry["made_at"] is None else datetime.fromisoformat(entry["made_at"])
+            one = CrateFile(**(entry | {"made_at": made_at}))
             file = folder / crate.PAYLOAD / one.path
             if file.is_file() and file.stat().st_size == one.size_bytes:
                 done[one.path] = one
@@ -232,7 +236,7 @@ def brought_before(part: Part, done: Mapping[str, CrateFile]) -> list[CrateFile]
 
 
 def bring(
-    archive: Archive, folder: Path, wanted: Wanted, part: Part, checker: Checker
+    archive: Archive, folder: Path, options: PackOptions, part: Part, checker: Checker
 ) -> Iterator[CrateFile]:
     """Bring one file, and a document's provenance with it, into the folder; read and compare them there.
 
@@ -255,7 +259,7 @@ def bring(
             make_folders(folder.resolve(), target.parent)
             temporary = target.with_name(f".{target.name}.part")
             temporary.unlink(missing_ok=True)
-            _copy(archive, relative, temporary, wanted)
+            _copy(archive, relative, temporary, options)
             if not document:
                 checker.check(temporary, relative, part.content_hash)
             sha256 = sha256_of(temporary)
@@ -282,15 +286,15 @@ def bring(
         yield one
 
 
-def _copy(archive: Archive, relative: str, target: Path, wanted: Wanted) -> None:
+def _copy(archive: Archive, relative: str, target: Path, options: PackOptions) -> None:
     if not archive.has(relative):
         raise ArchiveCorrupt(f"{relative} is missing from the archive; restore it from a backup")
-    if wanted.without_plugins and layout.is_dataset(relative):
+    if options.without_plugins and layout.is_dataset(relative):
         with archive.local(relative) as source:
             repack(source, target, relative)
     else:
-        archive.copy_out(relative, target, link=wanted.link)
-        if wanted.link:
+        archive.copy_out(relative, target, link=options.link)
+        if options.link:
             return
         sync(target)
     target.chmod(_READ_ONLY)
@@ -300,7 +304,7 @@ def finish(
     catalogue: Catalogue,
     archive: Archive,
     folder: Path,
-    wanted: Wanted,
+    options: PackOptions,
     files: Sequence[CrateFile],
     now: datetime,
 ) -> None:
@@ -308,14 +312,14 @@ def finish(
     payload = folder / crate.PAYLOAD
     results = [one.path for one in files if layout.is_result(one.path)]
     _remove_others(payload, {one.path for one in files})
-    told = crate.as_text(lineage_documents.document_of(catalogue, archive, results))
+    provenance = crate.as_text(lineage_documents.document_of(catalogue, archive, results))
     about = [
         *files,
-        _written(payload, crate.PROVENANCE, told, "where all these files come from, as W3C PROV-JSON"),
+        _written(payload, crate.PROVENANCE, provenance, "where all these files come from, as W3C PROV-JSON"),
     ]
-    name = f"Campaign {wanted.campaign}"
+    name = f"Campaign {options.campaign}"
     description = (
-        f"Sealed files of campaign {wanted.campaign} and what they were computed from, from an archive of "
+        f"Sealed files of campaign {options.campaign} and what they were computed from, from an archive of "
         "sms_jobs; 'sms data unpack' reads this folder"
     )
     described = crate.metadata(name, description, now, sms_jobs.__version__, about)
@@ -339,12 +343,12 @@ def finish(
     sync(folder)
 
 
-def _remove_others(payload: Path, wanted: Collection[str]) -> None:
+def _remove_others(payload: Path, kept: Collection[str]) -> None:
     """Remove what an interrupted export has left half written."""
     for root, _, names in os.walk(payload):
         for name in names:
             path = Path(root) / name
-            if path.relative_to(payload).as_posix() not in wanted:
+            if path.relative_to(payload).as_posix() not in kept:
                 path.unlink()
 
 

@@ -56,13 +56,13 @@ def decisions(
         What of it its manifest lists.
     """
     campaigns = {c.name: c for c in _new_campaigns(catalogue, brought, listed, checker)}
-    told = list(_told(brought, listed, checker))
-    own = [one for one in told if one.acceptance.campaign in campaigns]
+    in_use = list(_decisions_in_use(brought, listed, checker))
+    own = [one for one in in_use if one.acceptance.campaign in campaigns]
     have_own = {one.acceptance.campaign for one in own}
     of_rigs = (
         Decision(replace(one.acceptance, campaign=campaign.name), one.calibration, None)
         for campaign in campaigns.values()
-        for one in told
+        for one in in_use
         if one.acceptance.campaign is None
         and one.acceptance.rig == campaign.rig
         and campaign.name not in have_own
@@ -75,17 +75,17 @@ def _new_campaigns(
 ) -> Iterator[Campaign]:
     """Return the campaigns of a folder that the catalogue does not know."""
     with catalogue.reading() as session:
-        known = set(session.scalars(select(CampaignRow.name)))
+        registered = set(session.scalars(select(CampaignRow.name)))
     for path in _of_kind(brought, listed, CAMPAIGN):
-        if path.split("/", 1)[0] not in known and _is_whole(brought, path, checker):
+        if path.split("/", 1)[0] not in registered and _is_whole(brought, path, checker):
             try:
                 with brought.open_unrecorded(path) as dataset:
                     yield dataset.read("campaign", CampaignDefinition).campaign
             except SmsError:
-                continue  # it is judged, and told, in its turn
+                continue  # it is judged and reported in its turn
 
 
-def _told(brought: Archive, listed: Collection[str], checker: Checker) -> Iterator[Decision]:
+def _decisions_in_use(brought: Archive, listed: Collection[str], checker: Checker) -> Iterator[Decision]:
     for path in _of_kind(brought, listed, ACCEPTANCE):
         found = reindexing.examined(brought, checker, path)
         if isinstance(found, Found) and layout.fits(path, found.provenance) and found.provenance.inputs:
@@ -109,7 +109,7 @@ def _of_kind(brought: Archive, listed: Collection[str], kind: str) -> list[str]:
 def seal_missing(
     catalogue: Catalogue,
     archive: Archive,
-    wanted: Collection[Decision],
+    required: Collection[Decision],
     names: Collection[str],
     now: datetime,
 ) -> set[str]:
@@ -130,9 +130,9 @@ def seal_missing(
         if layout.is_decision(path):
             with suppress(SmsError):
                 left[path] = acceptances.read(archive, path)
-    paths = {path for path, told in left.items() if told.campaign in names}
+    paths = {path for path, acceptance in left.items() if acceptance.campaign in names}
     repository = Repository(catalogue, archive)
-    for one in wanted:
+    for one in required:
         if one.path is None and one.acceptance not in left.values():
             provenance = acceptances.decided(one.acceptance, one.calibration, now)
             paths.add(repository.seal({ACCEPTANCE: one.acceptance}, provenance).sealed.path)

@@ -124,14 +124,14 @@ def enter(
     link
         Let files be the folder's by hard links, on one file system.
     placed
-        Is told the size of each file that has come into the archive.
+        Called with the size of each file that has come into the archive.
     checker
         That reads the files; one of its own if not given.
 
     Raises
     ------
     InvalidInput
-        Hard links are wanted and cannot be had.
+        Hard links are asked for and cannot be made.
     StorageFull
         The disk of the archive is full; repeated, it goes on.
     """

@@ -180,14 +180,14 @@ def state_value(state: LoadState, channel: str) -> float:
 
     Raises `InvalidInput` when the plan does not say it.
     """
-    told = state.planned()
-    if channel not in told:
-        known = ", ".join(told) or "none"
+    planned = state.planned()
+    if channel not in planned:
+        names = ", ".join(planned) or "none"
         raise InvalidInput(
-            f"the plan does not say what {channel} is at state {state.label}; it says {known}: give its "
+            f"the plan does not say what {channel} is at state {state.label}; it says {names}: give its "
             "load_n or channels"
         )
-    return told[channel]
+    return planned[channel]
 
 
 def forget_doubtful(spool: Path) -> list[str]:

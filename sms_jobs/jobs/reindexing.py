@@ -77,12 +77,12 @@ class _Archived:
 def unknown_files(catalogue: Catalogue, archive: Archive) -> list[str]:
     """Return the sealed files that the catalogue does not know, definitions of campaigns first, by age."""
     sealed = sorted(archive.files(), key=_order)
-    known: set[str] = set()
+    registered: set[str] = set()
     with catalogue.reading() as session:
         for start in range(0, len(sealed), _AT_ONCE):
             some = sealed[start : start + _AT_ONCE]
-            known.update(session.scalars(select(FileRow.path).where(FileRow.path.in_(some))))
-    return [path for path in sealed if path not in known]
+            registered.update(session.scalars(select(FileRow.path).where(FileRow.path.in_(some))))
+    return [path for path in sealed if path not in registered]
 
 
 def _order(path: str) -> tuple[bool, str, int, str]:
@@ -299,7 +299,7 @@ def _enter(session: Session, archived: _Archived, one: Found) -> None:
     if provenance.kind not in (CAMPAIGN, CALIBRATION, ACCEPTANCE):
         campaign = archived.definitions.at(session, provenance)
         assert campaign is not None
-        past_jobs.tell_again(session, campaign, provenance)
+        past_jobs.restore(session, campaign, provenance)
 
     def read(name: str, record: type[Any]) -> Any:
         with archived.archive.open(one.sealed) as dataset:

@@ -163,9 +163,9 @@ def apply(
     """
     to_index = [one.path for one in repairs if one.step == "index"]
     undone = [
-        Repair("unknown", told.path, "nothing", told.detail, "run 'sms archive repair' again")
-        for told in reindexing.reindex(catalogue, archive, to_index, checker=checker)
-        if told.outcome not in ("indexed", "incomplete")
+        Repair("unknown", result.path, "nothing", result.detail, "run 'sms archive repair' again")
+        for result in reindexing.reindex(catalogue, archive, to_index, checker=checker)
+        if result.outcome not in ("indexed", "incomplete")
     ]
     for one in repairs:
         if one.step in ("set-aside", "forget"):
@@ -198,7 +198,7 @@ def _seal_again(catalogue: Catalogue, archive: Archive, path: str, now: datetime
 
 
 def _decision(session: Session, path: str) -> AcceptanceRow | None:
-    """Return the decision about a calibration that a file tells; None where a later one counts."""
+    """Return the decision about a calibration that a file holds; None where a later one counts."""
     return session.scalar(
         select(AcceptanceRow).join(FileRow, FileRow.id == AcceptanceRow.file_id).where(FileRow.path == path)
     )
@@ -210,7 +210,7 @@ def _decide_again(catalogue: Catalogue, archive: Archive, path: str, now: dateti
         assert row is not None
         rig, calibration = search.calibration_view(session, row.calibration_id).rig, row.calibration_id
         file = session.get_one(FileRow, session.get_one(CalibrationRow, calibration).file_id)
-    told = Acceptance(rig, file.content_hash, row.campaign or None, row.in_use)
+    acceptance = Acceptance(rig, file.content_hash, row.campaign or None, row.in_use)
     if archive.has(path):
         archive.set_aside(path)
 
@@ -218,5 +218,5 @@ def _decide_again(catalogue: Catalogue, archive: Archive, path: str, now: dateti
         session.execute(delete(AcceptanceRow).where(AcceptanceRow.file_id == row.file_id))
         retention.forget(session, [row.file_id])
 
-    provenance = decided(told, file.path, row.decided_at)
-    Repository(catalogue, archive).put({ACCEPTANCE: told}, provenance, forget)
+    provenance = decided(acceptance, file.path, row.decided_at)
+    Repository(catalogue, archive).put({ACCEPTANCE: acceptance}, provenance, forget)

@@ -115,8 +115,8 @@ def earlier_success(session: Session, key: str) -> Earlier | None:
     files = session.execute(_FILES, {"key": key}).all()
     if not files or len(files) < files[0].seen:
         return None
-    told = (EarlierFile(file.path, file.content_hash, file.size_bytes, file.sha256) for file in files)
-    return Earlier(files[0].job_id, tuple(told))
+    earlier = (EarlierFile(file.path, file.content_hash, file.size_bytes, file.sha256) for file in files)
+    return Earlier(files[0].job_id, tuple(earlier))
 
 
 def damage(archive: Archive, earlier: Earlier) -> str:

@@ -143,8 +143,8 @@ class Runner:
         queues = self.stations.served(self.queues)
         return lifecycle.claim(session, queues, self.worker_id, os.getpid(), self.now())
 
-    def _told(self, held: Claim, step: Callable[[Session], T]) -> T:
-        """Tell the catalogue of a job, however long it is away."""
+    def _commit(self, held: Claim, step: Callable[[Session], T]) -> T:
+        """Commit a step of a job to the catalogue, waiting as long as the catalogue is away."""
         return outages.outlast(self.catalogue, step, partial(self._settle, held))
 
     def _settle(self, held: Claim | None, session: Session) -> None:
@@ -181,7 +181,7 @@ class Runner:
                 return _Begun(task, key, earlier, damage)
             return _Begun(task, key, earlier, "", (self._reuse(session, held, key, earlier, fault),))
 
-        begun = self._told(held, begin)
+        begun = self._commit(held, begin)
         if begun.earlier is not None and begun.damage is None:
             begun = self._read_earlier(held, begun, begun.earlier, fault)
         if begun.reused:
@@ -212,7 +212,7 @@ class Runner:
                 return replace(begun, damage="it was let go meanwhile")
             return replace(begun, reused=(self._reuse(session, held, begun.key, earlier, fault),))
 
-        return self._told(held, end)
+        return self._commit(held, end)
 
     def _succeed(
         self, held: Claim, kind: Kind[Any], sealed: Sequence[Entry], key: str, message: str
@@ -227,11 +227,11 @@ class Runner:
                 for entry in sealed:
                     indexing.index(session, entry, now)
             else:
-                done = lifecycle.has_succeeded(session, held)  # it was told before, and this not heard
+                done = lifecycle.has_succeeded(session, held)  # committed before; the answer was lost
             return done, self._claim(session, fault) if done else None
 
-        # Where the process ends before this is told, the next attempt clears away the files.
-        done, following = self._told(held, end)
+        # Where the process ends before this is committed, the next attempt clears away the files.
+        done, following = self._commit(held, end)
         if not done:
             self._discard(held, kind, sealed)
             raise LeaseLost("a newer attempt has begun; what this one made is discarded")
@@ -353,7 +353,7 @@ class Runner:
                 session, held.job_id, JobState.QUEUED, self.now(), message, fence=held.fence, **columns
             )
 
-        self._told(held, queue_again)
+        self._commit(held, queue_again)
 
     def _hold_back(self, session: Session, fault: SmsError, at: Subject | None) -> None:
         """Begin no job until a supervisor finds the archive in order.
@@ -369,7 +369,7 @@ class Runner:
     def _end(self, held: Claim, state: JobState, message: str, **columns: Any) -> None:
         goes_on = state in (JobState.QUEUED, JobState.NEEDS_OPERATOR)
         ended: dict[str, Any] = {} if goes_on else {"finished_at": self.now()}
-        self._told(
+        self._commit(
             held,
             lambda session: lifecycle.change(
                 session, held.job_id, state, self.now(), message, fence=held.fence, **ended, **columns
@@ -420,7 +420,7 @@ class _ThrottledProgress:
             with self._runner.catalogue.writing() as session:
                 lifecycle.report_progress(session, self._held, min(max(fraction, 0.0), 1.0), message)
         except (ServerUnreachable, StorageFull) as error:
-            # Hours of computing are not given up because nobody could be told how far they have come.
+            # Hours of computing are not given up because nobody could be told of their progress.
             logger.warning("job %s: %s", self._held.job_id, error)
 
 

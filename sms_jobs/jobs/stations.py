@@ -62,9 +62,9 @@ class Stations:
         """
         path = self._path(name)
         if not path.is_file():
-            known = ", ".join(self.names()) or "none"
+            connected = ", ".join(self.names()) or "none"
             raise NotFound(
-                f"no rig '{name}' is connected to this host, there is {known}; `sms rig add` takes one"
+                f"no rig '{name}' is connected to this host, there is {connected}; `sms rig add` takes one"
             )
         return load_rig(path, known_sensors())
 

@@ -164,7 +164,7 @@ def _not_known(
     with catalogue.reading() as session:
         for start in range(0, len(every), _AT_ONCE):
             some = every[start : start + _AT_ONCE]
-            known = set(session.scalars(select(FileRow.path).where(FileRow.path.in_(some))))
+            registered = set(session.scalars(select(FileRow.path).where(FileRow.path.in_(some))))
             for path in some:
-                if path not in known and not any(archive.is_of_job(path, job) for job in active):
+                if path not in registered and not any(archive.is_of_job(path, job) for job in active):
                     yield path

@@ -33,7 +33,7 @@ from sms_jobs.jobs.estimates import estimate
 from sms_jobs.jobs.foreseen import foreseen_reuse
 from sms_jobs.jobs.importing import import_measurement
 from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.portable import Wanted
+from sms_jobs.jobs.portable import PackOptions
 from sms_jobs.jobs.registration import Registered, register_calibration, register_campaign
 from sms_jobs.jobs.submission import submit
 from sms_jobs.jobs.verification import check_known
@@ -140,13 +140,13 @@ def packed(folder: Path, number: int, checker: Checker) -> Path:
     at = MORNING + timedelta(seconds=number)
     register_campaign(catalogue, archive, campaign, None, at)
     register_calibration(catalogue, archive, other(calibration, number), at)
-    wanted = Wanted(campaign.name)
+    options = PackOptions(campaign.name)
     with catalogue.reading() as session:
-        parts = portable.chosen(session, wanted, MORNING)
+        parts = portable.chosen(session, options, MORNING)
     out = folder / "packed"
-    portable.begin(out, wanted, parts)
-    files = [one for part in parts for one in portable.bring(archive, out, wanted, part, checker)]
-    portable.finish(catalogue, archive, out, wanted, files, MORNING)
+    portable.begin(out, options, parts)
+    files = [one for part in parts for one in portable.bring(archive, out, options, part, checker)]
+    portable.finish(catalogue, archive, out, options, files, MORNING)
     catalogue.close()
     return out
 

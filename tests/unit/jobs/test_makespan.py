@@ -19,7 +19,7 @@ ROUNDING = 1e-12
 
 
 @st.composite
-def graphs(draw: st.DrawFn, wanted: bool = False) -> list[Task]:
+def graphs(draw: st.DrawFn, requested: bool = False) -> list[Task]:
     """Graphs of a few tasks, each of which may need any before it."""
     tasks: list[Task] = []
     for place in range(draw(st.integers(1, 12))):
@@ -29,7 +29,7 @@ def graphs(draw: st.DrawFn, wanted: bool = False) -> list[Task]:
                 draw(st.floats(0.0, 1e4)),
                 draw(st.sampled_from(QUEUES)),
                 tuple(sorted(needs)),
-                wanted or draw(st.booleans()),
+                requested or draw(st.booleans()),
             )
         )
     return tasks
@@ -58,7 +58,7 @@ def simulated(tasks: Sequence[Task], count: int) -> float:
     return max(ends.values())
 
 
-@given(graphs(wanted=True), st.integers(1, 4))
+@given(graphs(requested=True), st.integers(1, 4))
 def test_it_lies_between_what_is_possible_and_what_workers_do(tasks: list[Task], count: int) -> None:
     estimate, done = makespan(tasks, [on(count)]), simulated(tasks, count)
     assert not_above(estimate, done)
@@ -113,11 +113,11 @@ def test_what_comes_after_all_else_is_added() -> None:
 
 
 def test_jobs_of_others_take_time_but_are_not_waited_for() -> None:
-    long_chain = [Task(100.0, "cpu", (i - 1,) if i else (), wanted=False) for i in range(5)]
+    long_chain = [Task(100.0, "cpu", (i - 1,) if i else (), requested=False) for i in range(5)]
     assert makespan([*long_chain, Task(1.0, "cpu")], [on(5)]) == pytest.approx(501.0 / 5)
 
 
-def test_a_queue_that_nobody_serves_never_ends_unless_nothing_wanted_is_in_it() -> None:
+def test_a_queue_that_nobody_serves_never_ends_unless_nothing_requested_is_in_it() -> None:
     assert makespan([Task(1.0, "io")], [on(2, ["cpu"])]) == inf
-    assert makespan([Task(1.0, "io", wanted=False), Task(1.0, "cpu")], [on(2, ["cpu"])]) < inf
+    assert makespan([Task(1.0, "io", requested=False), Task(1.0, "cpu")], [on(2, ["cpu"])]) < inf
     assert makespan([], [on(1)]) == 0.0

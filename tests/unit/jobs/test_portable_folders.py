@@ -30,7 +30,7 @@ from sms_jobs.formats import research_crate as crate
 from sms_jobs.formats.research_crate import CrateFile
 from sms_jobs.jobs import portable, portable_import, recovery, reindexing, verification
 from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.portable import Wanted
+from sms_jobs.jobs.portable import PackOptions
 from sms_jobs.jobs.registration import register_calibration
 
 NOW = datetime(2026, 3, 2, tzinfo=UTC)
@@ -80,18 +80,20 @@ def empty(tmp_path: Path, checker: Checker) -> Iterator[Home]:
     made.catalogue.close()
 
 
-def exported(full: Home, folder: Path, wanted: Wanted, stop_after: int | None = None) -> list[CrateFile]:
+def exported(
+    full: Home, folder: Path, options: PackOptions, stop_after: int | None = None
+) -> list[CrateFile]:
     """Export as the command does; stop where it is said, as if the program were killed there."""
     with full.catalogue.reading() as session:
-        parts = portable.chosen(session, wanted, NOW)
-    done = portable.begin(folder, wanted, parts)
+        parts = portable.chosen(session, options, NOW)
+    done = portable.begin(folder, options, parts)
     files: list[CrateFile] = []
     for part in parts:
         before = portable.brought_before(part, done)
-        files += before or portable.bring(full.archive, folder, wanted, part, full.checker)
+        files += before or portable.bring(full.archive, folder, options, part, full.checker)
         if stop_after is not None and len(files) >= stop_after:
             return files
-    portable.finish(full.catalogue, full.archive, folder, wanted, files, NOW)
+    portable.finish(full.catalogue, full.archive, folder, options, files, NOW)
     return files
 
 
@@ -130,7 +132,7 @@ def test_a_campaign_comes_to_another_home_as_it_was(
     how: str, full: Home, empty: Home, tmp_path: Path
 ) -> None:
     folder, repacked = tmp_path / "plate", how == "without plugins"
-    files = exported(full, folder, Wanted("plate", without_plugins=repacked))
+    files = exported(full, folder, PackOptions("plate", without_plugins=repacked))
     assert not any(one.path.startswith(("other/", "calibrations/rig/")) for one in files)
     rehearsed = imported(folder, empty, dry_run=True)
     assert not any(everything(empty.catalogue).values())
@@ -147,7 +149,7 @@ def test_a_campaign_comes_to_another_home_as_it_was(
 
 
 def test_the_folder_is_an_archive_itself(full: Home, tmp_path: Path) -> None:
-    exported(full, tmp_path / "plate", Wanted("plate"))
+    exported(full, tmp_path / "plate", PackOptions("plate"))
     archive = Archive(FolderStore(tmp_path / "plate" / "data"))
     catalogue = Catalogue(f"sqlite:///{tmp_path / 'catalogue.sqlite'}", create=True)
     schema.upgrade(catalogue)
@@ -174,8 +176,8 @@ assert "hdf5plugin" not in sys.modules
 
 
 def test_without_plugins_every_library_reads_the_files(full: Home, tmp_path: Path) -> None:
-    wanted = Wanted("plate", kinds=("measurement", "strain"), without_plugins=True)
-    files = [one for one in exported(full, tmp_path / "plate", wanted) if one.path.endswith(".h5")]
+    options = PackOptions("plate", kinds=("measurement", "strain"), without_plugins=True)
+    files = [one for one in exported(full, tmp_path / "plate", options) if one.path.endswith(".h5")]
     paths = [str(tmp_path / "plate" / "data" / one.path) for one in files]
     subprocess.run([sys.executable, "-c", READ_ALL, *paths], check=True, timeout=120)
     for one, path in zip(files, paths, strict=True):
@@ -200,21 +202,21 @@ def tree(file: Any) -> dict[str, Any]:
 def test_an_interrupted_export_goes_on_and_comes_to_the_same(
     stop_after: int, full: Home, tmp_path: Path
 ) -> None:
-    folder, wanted = tmp_path / "plate", Wanted("plate")
-    first = exported(full, folder, wanted, stop_after)
+    folder, options = tmp_path / "plate", PackOptions("plate")
+    first = exported(full, folder, options, stop_after)
     with pytest.raises(InvalidInput, match="come to its end"):
         portable_import.manifest_of(folder)
     with pytest.raises(Conflict, match="other options"):
-        exported(full, folder, replace(wanted, inputs=False))
+        exported(full, folder, replace(options, inputs=False))
     (folder / "data").mkdir(exist_ok=True)
     (folder / "data" / ".x.h5.part").write_bytes(b"half")
     with (folder / ".journal").open("a") as journal:
         journal.write('{"path": "torn')
     times = {one.path: (folder / "data" / one.path).stat().st_mtime_ns for one in first}
-    exported(full, folder, wanted)
+    exported(full, folder, options)
     assert times == {path: (folder / "data" / path).stat().st_mtime_ns for path in times}
     whole = tmp_path / "whole"
-    exported(full, whole, wanted)
+    exported(full, whole, options)
     assert contents(folder) == contents(whole)
 
 
@@ -228,13 +230,13 @@ def contents(folder: Path) -> dict[str, str]:
 
 def test_what_is_chosen_comes_with_what_it_needs(full: Home, tmp_path: Path) -> None:
     with full.catalogue.reading() as session:
-        every = portable.chosen(session, Wanted("plate"), NOW)
-        strain = portable.chosen(session, Wanted("plate", ("strain",)), NOW)
-        alone = portable.chosen(session, Wanted("plate", ("strain",), inputs=False), NOW)
+        every = portable.chosen(session, PackOptions("plate"), NOW)
+        strain = portable.chosen(session, PackOptions("plate", ("strain",)), NOW)
+        alone = portable.chosen(session, PackOptions("plate", ("strain",), inputs=False), NOW)
         with pytest.raises(InvalidInput, match="no file of kind strain"):
-            portable.chosen(session, Wanted("other", ("strain",)), NOW)
+            portable.chosen(session, PackOptions("other", ("strain",)), NOW)
         with pytest.raises(NotFound):
-            portable.chosen(session, Wanted("nobody"), NOW)
+            portable.chosen(session, PackOptions("nobody"), NOW)
     assert {part.path for part in alone} < {part.path for part in strain} < {part.path for part in every}
     assert sorted(part.description.split()[0] for part in alone) == ["campaign", "strain"]
     assert {part.description.split()[0] for part in strain} == {
@@ -250,7 +252,7 @@ def test_what_is_chosen_comes_with_what_it_needs(full: Home, tmp_path: Path) -> 
     busy.mkdir()
     (busy / "mine.txt").write_text("mine")
     with pytest.raises(Conflict, match="not an empty folder"):
-        exported(full, busy, Wanted("plate"))
+        exported(full, busy, PackOptions("plate"))
 
 
 def test_a_damaged_file_is_not_exported(full: Home, tmp_path: Path) -> None:
@@ -264,12 +266,14 @@ def test_a_damaged_file_is_not_exported(full: Home, tmp_path: Path) -> None:
     file.write_bytes(data)
     for without in (True, False):
         with pytest.raises(ArchiveCorrupt, match="strain"):
-            exported(copy, tmp_path / f"to-{without}", Wanted("plate", ("strain",), without_plugins=without))
+            exported(
+                copy, tmp_path / f"to-{without}", PackOptions("plate", ("strain",), without_plugins=without)
+            )
 
 
 def test_an_import_into_a_home_that_knows_some_of_it(full: Home, empty: Home, tmp_path: Path) -> None:
     folder = tmp_path / "plate"
-    exported(full, folder, Wanted("plate"))
+    exported(full, folder, PackOptions("plate"))
     clock = Clock()
     clock()
     # The same rig was calibrated there too, and the calibration entered from another file.
@@ -290,7 +294,7 @@ def test_an_import_into_a_home_that_knows_some_of_it(full: Home, empty: Home, tm
 
 def test_what_does_not_fit_is_taken_out_again(full: Home, empty: Home, tmp_path: Path) -> None:
     folder = tmp_path / "plate"
-    exported(full, folder, Wanted("plate", ("strain",), inputs=False))
+    exported(full, folder, PackOptions("plate", ("strain",), inputs=False))
     (definition,) = (folder / "data" / "plate").glob("campaign-*.h5")
     definition.unlink()
     manifest = portable_import.manifest_of(folder)
@@ -305,7 +309,7 @@ def test_what_does_not_fit_is_taken_out_again(full: Home, empty: Home, tmp_path:
 
 def test_a_file_cannot_pass_for_the_output_of_another_job(full: Home, empty: Home, tmp_path: Path) -> None:
     folder = tmp_path / "plate"
-    exported(full, folder, Wanted("plate"))
+    exported(full, folder, PackOptions("plate"))
     brought = Archive(FolderStore(folder / "data"))
     (strain,) = (path for path in brought.files() if "/strain-" in path)
     (correlated,) = (path for path in brought.files() if "/correlate-" in path)
@@ -325,7 +329,7 @@ def test_a_file_cannot_pass_for_the_output_of_another_job(full: Home, empty: Hom
 
 def test_every_change_to_a_folder_is_named(full: Home, tmp_path: Path) -> None:
     folder = tmp_path / "plate"
-    exported(full, folder, Wanted("plate", ("strain",)))
+    exported(full, folder, PackOptions("plate", ("strain",)))
     subprocess.run(["sha256sum", "--check", "--quiet", crate.MANIFEST], cwd=folder, check=True)
     manifest = portable_import.manifest_of(folder)
     lost, altered, linked, *_ = (path for path in manifest if path.endswith(".h5"))
@@ -364,7 +368,7 @@ def test_names_of_any_kind_come_back_from_a_manifest() -> None:
 
 def test_the_crate_describes_every_file(full: Home, tmp_path: Path) -> None:
     folder = tmp_path / "plate"
-    exported(full, folder, Wanted("plate"))
+    exported(full, folder, PackOptions("plate"))
     described = json.loads((folder / "data" / crate.METADATA).read_text())
     graph = {one["@id"]: one for one in described["@graph"]}
     assert graph[crate.METADATA]["conformsTo"] == {"@id": "https://w3id.org/ro/crate/1.1"}
