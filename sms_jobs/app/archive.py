@@ -50,22 +50,22 @@ def verify(
     after
         Go on after the file of this number.
     tell
-        Told bytes.
+        Called with the bytes that have been read.
     passed
-        Told the number of each file that has been compared.
+        Called with the number of each file that has been compared.
 
     Raises `NotFound` where there is no such campaign.
     """
     with services.catalogue.reading() as session:
-        wanted = verification.extent(session, after, campaign)
+        extent = verification.extent(session, after, campaign)
     findings = []
-    for done in _checked(services, tell, wanted.size_bytes, after, campaign, quick):
+    for done in _checked(services, tell, extent.size_bytes, after, campaign, quick):
         passed(done.file_id)
         if done.finding is not None:
             findings.append(done.finding)
     if campaign is None:
         findings += verification.check_unknown(services.catalogue, services.archive)
-    return Verified(wanted.files, wanted.size_bytes, tuple(findings))
+    return Verified(extent.files, extent.size_bytes, tuple(findings))
 
 
 def _checked(
@@ -103,7 +103,7 @@ class Reindexing:
 
 
 def reindex(services: Services, *, dry_run: bool = False, tell: Tell = nobody) -> Reindexing:
-    """Enter the files of the archive that the catalogue does not know; `tell` is told files."""
+    """Enter the files of the archive that the catalogue does not know; `tell` counts files."""
     paths = reindexing.unknown_files(services.catalogue, services.archive)
     done = []
     for one in reindexing.reindex(services.catalogue, services.archive, paths, dry_run=dry_run):
@@ -132,12 +132,12 @@ def repair(services: Services, *, dry_run: bool = True, quick: bool = False, tel
     quick
         Look at presence and size alone.
     tell
-        Told bytes.
+        Called with the bytes that have been read.
     """
     catalogue, archive = services.catalogue, services.archive
     with catalogue.reading() as session:
-        wanted = verification.extent(session)
-    checked = _checked(services, tell, wanted.size_bytes, 0, None, quick)
+        extent = verification.extent(session)
+    checked = _checked(services, tell, extent.size_bytes, 0, None, quick)
     findings = [done.finding for done in checked if done.finding is not None]
     findings += verification.check_unknown(catalogue, archive)
     repairs = repairing.planned(catalogue, archive, findings)
@@ -174,13 +174,13 @@ def remove_old(
 
     Raises `NotFound` where there is no such kind.
     """
-    wanted, now = [kind_named(name).name for name in kinds], datetime.now(UTC)
+    names, now = [kind_named(name).name for name in kinds], datetime.now(UTC)
     spool = services.settings.spool_folder
     if dry_run:
         with services.catalogue.reading() as session:
-            gone = retention.removable(session, now, age, wanted)
-            frames = left_frames.removable(session, spool, now, age, wanted)
+            gone = retention.removable(session, now, age, names)
+            frames = left_frames.removable(session, spool, now, age, names)
     else:
-        gone = retention.remove(services.catalogue, services.archive, now, age, wanted)
-        frames = left_frames.remove(services.catalogue, spool, now, age, wanted)
+        gone = retention.remove(services.catalogue, services.archive, now, age, names)
+        frames = left_frames.remove(services.catalogue, spool, now, age, names)
     return Removed(tuple(gone), tuple(frames))

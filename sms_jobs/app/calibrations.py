@@ -239,5 +239,7 @@ def import_files(services: Services, files: Sequence[Path], given: Supplement) -
     from sms_jobs.formats.interchange.calibration_files import read_calibration
 
     found = read_calibration(files, given)
-    known = register_calibration(services.catalogue, services.archive, found.calibration, datetime.now(UTC))
-    return Imported(known, found.calibration, found.remarks)
+    registered = register_calibration(
+        services.catalogue, services.archive, found.calibration, datetime.now(UTC)
+    )
+    return Imported(registered, found.calibration, found.remarks)

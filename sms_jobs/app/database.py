@@ -71,7 +71,7 @@ def copy(services: Services, to_url: str, tell: Tell = nobody) -> Copied:
     to_url
         Of an empty database.
     tell
-        Told rows.
+        Called with the rows that are done.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def back_up(
     shares
         In how many backups all copies are read again; 1 for all of them now.
     tell
-        Told bytes.
+        Called with the bytes that are done.
 
     Raises `InvalidInput` where the folder cannot be made.
     """
@@ -154,7 +154,7 @@ def restore(folder: Path, home: Path, snapshot: str = "", host: str = "", tell: 
     host
         Whose rigs and frames come along; this one's if it is empty.
     tell
-        Told bytes.
+        Called with the bytes that are done.
 
     Raises
     ------

@@ -41,7 +41,7 @@ def run(
     Parameters
     ----------
     say
-        Told in sentences what is being done.
+        Called with sentences that say what is being done.
     tell
         Called again and again while jobs run; may raise to end the waiting.
 

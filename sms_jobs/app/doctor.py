@@ -50,11 +50,11 @@ def diagnosed(home: Path | None) -> Iterator[dict[str, Examined]]:
 
     The home is let go at the end, so that an examination that hangs keeps nobody from reading the others.
     """
-    with ExitStack() as until_told:
-        yield _all_found(home, until_told)
+    with ExitStack() as until_reported:
+        yield _all_found(home, until_reported)
 
 
-def _all_found(home: Path | None, until_told: ExitStack) -> dict[str, Examined]:
+def _all_found(home: Path | None, until_reported: ExitStack) -> dict[str, Examined]:
     """Examine what can be examined: without a catalogue all else, and without settings nothing."""
     try:
         settings = settings_file.load(home)
@@ -63,7 +63,7 @@ def _all_found(home: Path | None, until_told: ExitStack) -> dict[str, Examined]:
     opened: list[Services] = []
 
     def open_all() -> Examined:
-        opened.append(until_told.enter_context(bootstrap.services(home)))
+        opened.append(until_reported.enter_context(bootstrap.services(home)))
         return Examined((), str(settings.home))
 
     found = examine({"home and catalogue": open_all})

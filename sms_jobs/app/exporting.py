@@ -56,7 +56,7 @@ class Chosen:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class ExportOptions:
     """What is to be written, and how.
 
     Attributes
@@ -78,7 +78,7 @@ class Wanted:
     force: bool = False
 
 
-def export(services: Services, chosen: Chosen, out: Path | None, wanted: Wanted) -> list[Path]:
+def export(services: Services, chosen: Chosen, out: Path | None, options: ExportOptions) -> list[Path]:
     """Write results for other programs, or copy sealed files out of the archive; return what was written.
 
     Parameters
@@ -100,7 +100,7 @@ def export(services: Services, chosen: Chosen, out: Path | None, wanted: Wanted)
     views = _views(services, chosen)
     if len(views) > 1 and out is not None and not out.is_dir():
         raise InvalidInput(f"{len(views)} files are to be written and {out} is no folder; make it first")
-    return [path for view in views for path in _export(services, view, out, wanted)]
+    return [path for view in views for path in _export(services, view, out, options)]
 
 
 def _views(services: Services, chosen: Chosen) -> list[FileView]:
@@ -115,7 +115,7 @@ def _views(services: Services, chosen: Chosen) -> list[FileView]:
                 raise InvalidInput("--campaign, --state and --view choose with --kind, not beside a file")
             return [search.file_view(session, file)]
         if campaign is None:
-            raise InvalidInput("--kind needs --campaign: of which campaign is the result wanted?")
+            raise InvalidInput("--kind needs --campaign: add the campaign whose result is to be exported")
         found = search.find_files(
             session, source=kind, campaign=campaign, state=state, view=view, limit=_MOST_FILES
         )
@@ -133,21 +133,21 @@ def _views(services: Services, chosen: Chosen) -> list[FileView]:
     return [view for subject in sorted(newest) for view in sorted(newest[subject], key=lambda v: v.path)]
 
 
-def _export(services: Services, view: FileView, out: Path | None, wanted: Wanted) -> list[Path]:
+def _export(services: Services, view: FileView, out: Path | None, options: ExportOptions) -> list[Path]:
     from sms_jobs.formats.exporters.sources import source_for
 
-    if wanted.form == _PLAIN_HDF5:
-        return [_repacked(services, view, out, wanted)]
-    exporter = _exporter(view, out, wanted)
+    if options.form == _PLAIN_HDF5:
+        return [_repacked(services, view, out, options)]
+    exporter = _exporter(view, out, options)
     if exporter is None:
-        target = _target(out, PurePosixPath(view.path).name, wanted.force)
+        target = _target(out, PurePosixPath(view.path).name, options.force)
         services.archive.verify_bytes(view)
-        with writing.new_file(target, wanted.force) as part:
+        with writing.new_file(target, options.force) as part:
             services.archive.copy_out(view.path, part)
         return [target]
     written = []
     with services.archive.open(view) as dataset:
-        names = [wanted.record] if wanted.record else _records(dataset, exporter)
+        names = [options.record] if options.record else _records(dataset, exporter)
         if len(names) > 1 and out is not None and not out.is_dir():
             raise InvalidInput(
                 f"file {view.id} has the records {', '.join(names)}: choose one with --record, or give a "
@@ -155,45 +155,45 @@ def _export(services: Services, view: FileView, out: Path | None, wanted: Wanted
             )
         for name in names:
             record: Any = dataset.read(name, dataset.record_class(name))
-            source = source_for(exporter, record, wanted.fields, _texture(dataset, record))
+            source = source_for(exporter, record, options.fields, _texture(dataset, record))
             stem = "-".join(
                 [view.subject.replace("/", "-"), view.source, *([name] if len(names) > 1 else ())]
             )
-            target = _target(out, f"{stem}{exporter.suffix}", wanted.force)
-            with writing.new_file(target, wanted.force) as part:
+            target = _target(out, f"{stem}{exporter.suffix}", options.force)
+            with writing.new_file(target, options.force) as part:
                 exporter.write(source, part)
             written.append(target)
     return written
 
 
-def _repacked(services: Services, view: FileView, out: Path | None, wanted: Wanted) -> Path:
+def _repacked(services: Services, view: FileView, out: Path | None, options: ExportOptions) -> Path:
     """Write a dataset as it is, but with the filters that every HDF5 library has."""
-    if wanted.fields or wanted.record:
+    if options.fields or options.record:
         raise InvalidInput("hdf5 takes the whole file; leave out --fields and --record")
     if view.media_type != DATASET_MEDIA_TYPE:
         raise InvalidInput(_NO_DATASET.format(number=view.id, media_type=view.media_type))
-    target = _target(out, f"{view.subject.replace('/', '-')}-{view.source}.h5", wanted.force)
+    target = _target(out, f"{view.subject.replace('/', '-')}-{view.source}.h5", options.force)
     services.archive.verify_bytes(view)
-    with writing.new_file(target, wanted.force) as part, services.archive.local(view.path) as sealed:
+    with writing.new_file(target, options.force) as part, services.archive.local(view.path) as sealed:
         repack(sealed, part, view.path)
     return target
 
 
-def _exporter(view: FileView, out: Path | None, wanted: Wanted) -> Exporter | None:
-    """Return what writes the file; None where the sealed file itself is wanted."""
+def _exporter(view: FileView, out: Path | None, options: ExportOptions) -> Exporter | None:
+    """Return what writes the file; None where the sealed file itself is copied."""
     from sms_jobs.formats.exporters import all_exporters
 
-    form = wanted.form
+    form = options.form
     if form is None and out is not None and not out.is_dir() and view.media_type == DATASET_MEDIA_TYPE:
         fitting = [e for e in all_exporters().values() if out.name.endswith(e.suffix)]
         form = max(fitting, key=lambda e: len(e.suffix)).name if fitting else None
     if form is None:
-        if wanted.fields or wanted.record:
+        if options.fields or options.record:
             raise InvalidInput("--fields and --record need a format: add --as, see 'sms data formats'")
         return None
     if form not in all_exporters():
-        known = ", ".join(sorted([*all_exporters(), _PLAIN_HDF5]))
-        raise InvalidInput(f"there is no export format '{form}'; choose one of {known}")
+        names = ", ".join(sorted([*all_exporters(), _PLAIN_HDF5]))
+        raise InvalidInput(f"there is no export format '{form}'; choose one of {names}")
     exporter = all_exporters()[form]
     if view.media_type != DATASET_MEDIA_TYPE:
         raise InvalidInput(_NO_DATASET.format(number=view.id, media_type=view.media_type))
@@ -202,12 +202,14 @@ def _exporter(view: FileView, out: Path | None, wanted: Wanted) -> Exporter | No
 
 def _records(dataset: ArchivedDataset, exporter: Exporter) -> list[str]:
     """Return which records of a file are written: its mesh, or all that the format can hold."""
-    known = {name: quantities(dataset.record_class(name)) for name in dataset.names}
+    fields_by_record = {name: quantities(dataset.record_class(name)) for name in dataset.names}
     meshes = [name for name in dataset.names if dataset.record_class(name) is Mesh]
     any_record = object in exporter.takes
     if meshes and (any_record or Mesh in exporter.takes):
         return meshes
-    fitting = [name for name, fields in known.items() if (fields if any_record else "position" in fields)]
+    fitting = [
+        name for name, fields in fields_by_record.items() if (fields if any_record else "position" in fields)
+    ]
     # If none fits, the first tells why.
     return fitting or [dataset.names[0]]
 

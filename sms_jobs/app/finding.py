@@ -17,7 +17,7 @@ from sms_jobs.records.shown.files import Page
 from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
 _PAGE = 1000
-"""Files that are fetched at once, however many are wanted."""
+"""Files that are fetched at once, however many are asked for."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +89,11 @@ def find(
     NotFound
         There is no such campaign or calibration.
     """
-    known = vocabulary()
+    names = vocabulary()
     while True:
         with services.catalogue.reading() as session:
             page = finding.find_page(
-                session, asked.query, known, columns=columns, after=after, limit=min(limit, _PAGE)
+                session, asked.query, names, columns=columns, after=after, limit=min(limit, _PAGE)
             )
         yield page
         limit, after = limit - len(page.found), page.next

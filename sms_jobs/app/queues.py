@@ -28,10 +28,10 @@ def pause(services: Services, names: Sequence[str], reason: str) -> list[str]:
     Raises `InvalidInput` for a queue that is not there.
     """
     with services.catalogue.writing() as session:
-        wanted = _checked(session, names)
-        for name in wanted:
+        selected = _checked(session, names)
+        for name in selected:
             held.pause(session, name, reason, datetime.now(UTC))
-    return wanted
+    return selected
 
 
 def resume(services: Services, names: Sequence[str]) -> list[str]:
@@ -40,10 +40,10 @@ def resume(services: Services, names: Sequence[str]) -> list[str]:
     Raises `InvalidInput` for a queue that is not there, and `Conflict` where none of the named was paused.
     """
     with services.catalogue.writing() as session:
-        wanted = _checked(session, names)
-        resumed = [name for name in wanted if held.resume(session, name)]
+        selected = _checked(session, names)
+        resumed = [name for name in selected if held.resume(session, name)]
     if names and not resumed:
-        raise Conflict(f"{', '.join(wanted)} was not paused; nothing was changed")
+        raise Conflict(f"{', '.join(selected)} was not paused; nothing was changed")
     return resumed
 
 
@@ -82,11 +82,11 @@ def set_priority(services: Services, prefixes: Sequence[str], campaign: str | No
 
 
 def _checked(session: Session, names: Sequence[str]) -> list[str]:
-    known = held.known(session)
-    unknown = [name for name in names if name not in known]
+    existing = held.known(session)
+    unknown = [name for name in names if name not in existing]
     if unknown:
-        raise InvalidInput(f"there is no queue '{unknown[0]}'; choose among {', '.join(known)}")
-    return list(names) or known
+        raise InvalidInput(f"there is no queue '{unknown[0]}'; choose among {', '.join(existing)}")
+    return list(names) or existing
 
 
 def _named(services: Services, prefixes: Sequence[str], campaign: str | None) -> Chosen:

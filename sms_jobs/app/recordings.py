@@ -65,7 +65,7 @@ def plan(services: Services, campaign: str, states: Sequence[str] = (), *, missi
     return Plan(found, tuple(chosen))
 
 
-def rehearse(services: Services, wanted: Plan) -> DryRun:
+def rehearse(services: Services, plan: Plan) -> DryRun:
     """Return what recording some states would take, and what is missing for it.
 
     Raises `NotFound` where the rig is not connected to this host.
@@ -73,10 +73,10 @@ def rehearse(services: Services, wanted: Plan) -> DryRun:
     # Which loads all instruments; nothing else here needs them.
     from sms_jobs.jobs import dry_runs
 
-    rig, settings = services.stations.rig(wanted.campaign.rig), services.settings
+    rig, settings = services.stations.rig(plan.campaign.rig), services.settings
     with services.catalogue.reading() as session:
         return dry_runs.dry_run(
-            session, rig, wanted.campaign, wanted.states, settings.spool_folder, services.archive
+            session, rig, plan.campaign, plan.states, settings.spool_folder, services.archive
         )
 
 

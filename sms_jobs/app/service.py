@@ -70,7 +70,7 @@ def status(services: Services) -> Status:
 
 
 def supervisor(services: Services, queues: Sequence[str] | None = None) -> Supervisor:
-    """Return a supervisor of jobs on this host, which serves once it is told to run.
+    """Return a supervisor of jobs on this host, which serves once its `run` is called.
 
     Parameters
     ----------
@@ -83,12 +83,12 @@ def supervisor(services: Services, queues: Sequence[str] | None = None) -> Super
     from sms_jobs.workers.celery_app import ALL_QUEUES
     from sms_jobs.workers.supervisor import Supervisor
 
-    known = (*ALL_QUEUES, *services.stations.queues())
-    wanted = tuple(ALL_QUEUES if queues is None else queues)
-    unknown = [queue for queue in wanted if queue not in known]
+    served = (*ALL_QUEUES, *services.stations.queues())
+    selected = tuple(ALL_QUEUES if queues is None else queues)
+    unknown = [queue for queue in selected if queue not in served]
     if unknown:
-        raise InvalidInput(f"there is no queue '{unknown[0]}' here; choose among {', '.join(known)}")
-    return Supervisor(services, wanted)
+        raise InvalidInput(f"there is no queue '{unknown[0]}' here; choose among {', '.join(served)}")
+    return Supervisor(services, selected)
 
 
 def workers(services: Services) -> list[WorkerView]:
@@ -103,8 +103,8 @@ def drain(services: Services, worker: str) -> str:
     Raises `NotFound` where there is not one such worker.
     """
     with services.catalogue.writing() as session:
-        known = inquiry.workers(session, datetime.now(UTC) - _SHOWN_FOR)
-        matching = [w.id for w in known if worker and w.id.startswith(worker)]
+        recent = inquiry.workers(session, datetime.now(UTC) - _SHOWN_FOR)
+        matching = [w.id for w in recent if worker and w.id.startswith(worker)]
         if len(matching) != 1:
             raise NotFound(f"there is no one worker '{worker}'; 'sms worker list' shows them")
         recovery.drain(session, matching[0])

@@ -212,12 +212,12 @@ def section(
 
     start, end = ends
     if start == end:
-        raise InvalidInput(f"the section begins and ends at {_told(start)}; give two different points")
+        raise InvalidInput(f"the section begins and ends at {_point_text(start)}; give two different points")
     pieces = hypot(end[0] - start[0], end[1] - start[1]) / step
     if not pieces <= _MOST_PIECES:
         raise InvalidInput(
-            f"the section from {_told(start)} to {_told(end)} has {pieces:.3g} pieces of {step:g} mm, and "
-            f"may have {_MOST_PIECES}: make it shorter, or --step larger"
+            f"the section from {_point_text(start)} to {_point_text(end)} has {pieces:.3g} pieces of "
+            f"{step:g} mm, and may have {_MOST_PIECES}: make it shorter, or --step larger"
         )
     with services.catalogue.reading() as session:
         view = search.file_view(session, file)
@@ -247,7 +247,7 @@ def section(
     return Section(view.id, tuple(columns), tuple(map(tuple, rows)), profile, values, "px" if flat else "mm")
 
 
-def _told(place: Place) -> str:
+def _point_text(place: Place) -> str:
     return f"{place[0]:g},{place[1]:g}"
 
 

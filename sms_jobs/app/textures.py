@@ -180,7 +180,7 @@ def _remarks(found: Texture, full_scale: float, noise: float | None) -> list[str
     """Return what is wrong with a texture, in words, and what to do about it."""
     said = []
     if not isfinite(found.speckle_px):
-        said.append("the image has no speckle that could be told from its shading")
+        said.append("the image has no speckle that can be distinguished from its shading")
     elif found.speckle_px < 1.5:
         said.append(
             f"the speckle is {found.speckle_px:.1f} px wide, finer than the 1.5 px that pixels can show "

@@ -9,7 +9,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app import exporting
-from sms_jobs.app.exporting import Chosen, Wanted
+from sms_jobs.app.exporting import Chosen, ExportOptions
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
@@ -82,9 +82,9 @@ def export(
     Example: sms data export --kind merge -c wing --as vtu -o for-paraview/
     """
     chosen = Chosen(file, kind, campaign, state, view)
-    wanted = Wanted(form, record, _split(fields), force)
+    options = ExportOptions(form, record, _split(fields), force)
     with bootstrap.services(home) as services:
-        written = exporting.export(services, chosen, out, wanted)
+        written = exporting.export(services, chosen, out, options)
     if as_json:
         output.print_json({"files": written})
         return

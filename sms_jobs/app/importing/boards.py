@@ -114,24 +114,24 @@ def enter(
     dry_run
         Read and check everything, and change nothing.
     tell
-        Told files, then poses.
+        Counts files that are read, then poses that are entered.
     """
     task, existing, settings = found.task, found.existing, GivenCamera()
     inspected = inspect_images(found.listing, found.arrangement, settings, tell)
     if existing is not None and existing.session is not None:
-        inspected = board_images.of_known_size(inspected, _known(existing))
+        inspected = board_images.of_known_size(inspected, _formats(existing))
     sensors = list(board_images.sizes(inspected).values())
     if sensors and not dry_run:
         poses = board_images.held_at(inspected, recorded_at)
         if existing is None:
             assert found.board is not None
             assert task.rig is not None
-            wanted = board_images.session_of_boards(
+            definition = board_images.session_of_boards(
                 task.session, task.rig, found.board, poses, sensors, task.volume
             )
         else:
-            wanted = board_images.with_poses(existing, poses)
-        make_campaign(services, existing, wanted)
+            definition = board_images.with_poses(existing, poses)
+        make_campaign(services, existing, definition)
     images = EnteredImages(
         services,
         task.session,
@@ -178,14 +178,14 @@ def _check(
         raise InvalidInput(
             f"session {name} has no camera {', '.join(unknown)} by itself; it has {', '.join(existing.views)}"
         )
-    known = {s.label for s in existing.states}
-    added = [label for label in arrangement.states if label not in known]
+    labels = {s.label for s in existing.states}
+    added = [label for label in arrangement.states if label not in labels]
     if added and not add_states:
         raise InvalidInput(
             f"session {name} has no pose {', '.join(added[:5])}: say --add-states to add {len(added)}"
         )
 
 
-def _known(existing: Campaign) -> Mapping[str, SensorFormat]:
+def _formats(existing: Campaign) -> Mapping[str, SensorFormat]:
     assert existing.session is not None
     return {s.name: s for s in existing.session.sensors}

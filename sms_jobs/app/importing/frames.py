@@ -119,7 +119,7 @@ class Arranged:
     layout: FrameLayout
     arrangement: Arrangement
     plan: CampaignPlan | None
-    wanted: Campaign
+    definition: Campaign
 
     @property
     def fringes(self) -> str:
@@ -145,7 +145,7 @@ def arrange_frames(services: Services, guessed: Guessed) -> Arranged:
     layout, plan = layout_of(guessed.guess.table, named), _planned(task)
     arrangement = arrange(listing, layout)
     run = _Import(services, task, listing, layout, guessed.existing, plan)
-    return Arranged(guessed, layout, arrangement, plan, run.wanted(arrangement))
+    return Arranged(guessed, layout, arrangement, plan, run.definition(arrangement))
 
 
 def enter(services: Services, found: Arranged, *, dry_run: bool = False, tell: Tell = nobody) -> Outcome:
@@ -158,11 +158,11 @@ def enter(services: Services, found: Arranged, *, dry_run: bool = False, tell: T
     dry_run
         Read and check everything, and change nothing.
     tell
-        Told files, then tuples.
+        Counts files that are read, then tuples that are entered.
     """
     guessed = found.guessed
     run = _Import(services, guessed.task, guessed.listing, found.layout, guessed.existing, found.plan)
-    return run.enter(found.arrangement, found.wanted, dry_run, tell)
+    return run.enter(found.arrangement, found.definition, dry_run, tell)
 
 
 def _planned(task: Task) -> CampaignPlan | None:
@@ -193,7 +193,7 @@ class _Import:
     existing: Campaign | None
     plan: CampaignPlan | None
 
-    def wanted(self, arrangement: Arrangement) -> Campaign:
+    def definition(self, arrangement: Arrangement) -> Campaign:
         """Return the campaign as it has to be; raise where what there is contradicts the files."""
         task, layout = self.task, self.layout
         if not arrangement.tuples:
@@ -201,8 +201,8 @@ class _Import:
                 f"no file of {task.folder} fits the pattern '{layout.pattern.text}': give another "
                 "--pattern; '--print-layout' shows the guess"
             )
-        known = self._known()
-        if known is None:
+        campaign = self._described()
+        if campaign is None:
             if task.rig is None:
                 raise InvalidInput(
                     f"there is no campaign {task.campaign} yet: name the rig that measured, as --rig desk, "
@@ -217,29 +217,30 @@ class _Import:
                 views=arrangement.views or ("C1P1",),
                 sequence=layout.sequence,
             )
-        unknown = [p for p in arrangement.views if p not in known.views]
+        unknown = [p for p in arrangement.views if p not in campaign.views]
         if unknown:
             raise InvalidInput(
-                f"campaign {known.name} has no view {', '.join(unknown)}; it has {', '.join(known.views)}"
+                f"campaign {campaign.name} has no view {', '.join(unknown)}; it has "
+                f"{', '.join(campaign.views)}"
             )
-        if layout.sequence != known.sequence:
+        if layout.sequence != campaign.sequence:
             raise InvalidInput(
-                f"campaign {known.name} is measured with {_fringes(known.sequence)}, but the layout has "
-                f"{_fringes(layout.sequence)}: import into another campaign"
+                f"campaign {campaign.name} is measured with {_fringes(campaign.sequence)}, but the layout "
+                f"has {_fringes(layout.sequence)}: import into another campaign"
             )
-        added = [label for label in arrangement.labels if label not in {s.label for s in known.states}]
+        added = [label for label in arrangement.labels if label not in {s.label for s in campaign.states}]
         if added and not task.add_states:
             raise InvalidInput(
-                f"campaign {known.name} has no state {', '.join(added[:5])}: say --add-states to add "
+                f"campaign {campaign.name} has no state {', '.join(added[:5])}: say --add-states to add "
                 f"{len(added)}, take others by --only, or map them to its own under [states] of a layout"
             )
-        return with_states(known, added)
+        return with_states(campaign, added)
 
-    def _known(self) -> Campaign | None:
-        """Return what is known of the campaign besides the files."""
+    def _described(self) -> Campaign | None:
+        """Return the campaign as the catalogue or its plan describes it; None for a new one."""
         return self.plan.campaign if self.existing is None and self.plan is not None else self.existing
 
-    def enter(self, arrangement: Arrangement, wanted: Campaign, dry_run: bool, tell: Tell) -> Outcome:
+    def enter(self, arrangement: Arrangement, definition: Campaign, dry_run: bool, tell: Tell) -> Outcome:
         """Read everything, then enter what has no fault, and say what became of each tuple."""
         inspected = _inspect_all(self.listing, self.layout, arrangement, tell)
         good = [one for one in inspected if not one.found.faults]
@@ -247,9 +248,9 @@ class _Import:
         camera = camera_model(self.listing.folder, good, self.layout) if good else None
         if camera is not None:
             remarks += camera.remarks
-        remarks += self._calibrated_otherwise(wanted.rig, good)
+        remarks += self._calibrated_otherwise(definition.rig, good)
         if good and not dry_run:
-            self._prepare(wanted)
+            self._prepare(definition)
         counted, rows = Counted(tell, "importing", len(inspected)), []
         for one in inspected:
             if one.found.faults:
@@ -267,28 +268,28 @@ class _Import:
         if not views:
             return []
         with self.services.archive.open(views[0]) as dataset:
-            known = {s.name: s for s in dataset.read("calibration", Calibration).rig.sensors}
-        told: dict[str, None] = {}
+            sensors = {s.name: s for s in dataset.read("calibration", Calibration).rig.sensors}
+        remarks: dict[str, None] = {}
         for one in good:
             camera = view_of(one.found.view).camera
-            about, sensor = next(iter(one.facts.values())), known.get(camera)
+            about, sensor = next(iter(one.facts.values())), sensors.get(camera)
             if sensor and (about.columns, about.rows) != (sensor.columns, sensor.rows):
                 remark = (
                     f"{camera} of rig {rig} is calibrated for {sensor.columns} x {sensor.rows} px, and these "
                     f"frames have {about.columns} x {about.rows}: shape needs a calibration of that size"
                 )
-                told[remark] = None
-        return list(told)
+                remarks[remark] = None
+        return list(remarks)
 
-    def _prepare(self, wanted: Campaign) -> None:
+    def _prepare(self, definition: Campaign) -> None:
         catalogue, archive, now = self.services.catalogue, self.services.archive, datetime.now(UTC)
         if self.existing is not None:
-            if wanted != self.existing:
-                amend_campaign(catalogue, archive, self.existing, wanted, now)
+            if definition != self.existing:
+                amend_campaign(catalogue, archive, self.existing, definition, now)
         elif self.plan is not None:
-            register_campaign(catalogue, archive, wanted, self.plan.calibration, now, self.plan.text)
+            register_campaign(catalogue, archive, definition, self.plan.calibration, now, self.plan.text)
         else:
-            register_campaign(catalogue, archive, wanted, None, now)
+            register_campaign(catalogue, archive, definition, None, now)
 
     def _enter(self, camera: CameraModel, one: Inspected, dry_run: bool) -> TupleOutcome:
         task, catalogue, archive = self.task, self.services.catalogue, self.services.archive
@@ -332,8 +333,8 @@ def _inspect_all(
 
 
 def _sources(task: Task, listing: Listing, one: Inspected, layout: FrameLayout) -> Mapping[str, Any]:
-    """Return what the provenance tells besides the hash: where from, and which file is what."""
-    told = dict(role_descriptions(layout, one.found))
+    """Return what the provenance holds besides the hash: where from, and which file is what."""
+    roles = dict(role_descriptions(layout, one.found))
     return {
         "folder": str(listing.folder),
         "pattern": layout.pattern.text,
@@ -341,7 +342,7 @@ def _sources(task: Task, listing: Listing, one: Inspected, layout: FrameLayout) 
         "texture_from": "white frame" if one.found.white else "mean of the fringe frames",
         "remarks": list(one.remarks),
         "files": [
-            {"name": name, "sha256": one.facts[name].sha256, "shows": told.get(name, "black")}
+            {"name": name, "sha256": one.facts[name].sha256, "shows": roles.get(name, "black")}
             for name in dict.fromkeys(one.found.files)
         ],
     }

@@ -63,7 +63,7 @@ def arranged(
 def inspect_images(
     listing: Listing, arrangement: Arrangement, camera: GivenCamera, tell: Tell
 ) -> list[Inspected]:
-    """Read every file once, before anything is written; `tell` is told files."""
+    """Read every file once, before anything is written; `tell` counts files."""
     counted = Counted(tell, "reading", len(arrangement.tuples))
     return of_one_size(
         [
@@ -85,18 +85,18 @@ class Counted:
         self._tell(Step(self._doing, self._done, self._total))
 
 
-def make_campaign(services: Services, existing: Campaign | None, wanted: Campaign) -> None:
+def make_campaign(services: Services, existing: Campaign | None, definition: Campaign) -> None:
     """Register a campaign that is not there yet, or give it what it does not have."""
     now = datetime.now(UTC)
     if existing is None:
-        register_campaign(services.catalogue, services.archive, wanted, None, now)
-    elif wanted != existing:
-        amend_campaign(services.catalogue, services.archive, existing, wanted, now)
+        register_campaign(services.catalogue, services.archive, definition, None, now)
+    elif definition != existing:
+        amend_campaign(services.catalogue, services.archive, existing, definition, now)
 
 
 @dataclass(frozen=True)
 class EnteredImages:
-    """Enters images one after the other; what is assumed of their noise is told where it counts."""
+    """Enters images one after the other; where their noise matters, what is assumed of it is reported."""
 
     services: Services
     campaign: str

@@ -96,7 +96,7 @@ class Arranged:
     pattern: str
     arrangement: Arrangement
     existing: Campaign | None
-    wanted: Campaign
+    definition: Campaign
 
 
 def arrange_images(services: Services, task: Task) -> Arranged:
@@ -110,8 +110,8 @@ def arrange_images(services: Services, task: Task) -> Arranged:
     settings = GivenCamera(raw, camera.full_scale, camera.gain, camera.read_noise)
     text, arrangement = arranged(listing, task.pattern, task.camera, task.reference, named)
     existing = existing_campaign(services, task.campaign)
-    wanted = _wanted(existing, task.campaign, task.rig, task.specimen, arrangement, task.add_states)
-    return Arranged(task.campaign, listing, settings, text, arrangement, existing, wanted)
+    definition = _definition(existing, task.campaign, task.rig, task.specimen, arrangement, task.add_states)
+    return Arranged(task.campaign, listing, settings, text, arrangement, existing, definition)
 
 
 def enter(
@@ -134,19 +134,19 @@ def enter(
     dry_run
         Read and check everything, and change nothing.
     tell
-        Told files, then states.
+        Counts files that are read, then states that are entered.
     """
     inspected = inspect_images(found.listing, found.arrangement, found.settings, tell)
     good = [one for one in inspected if not one.found.faults]
     if good and not dry_run:
-        make_campaign(services, found.existing, found.wanted)
+        make_campaign(services, found.existing, found.definition)
     images = EnteredImages(
         services, found.campaign, found.listing, found.settings, recorded_at, newer, dry_run, tell
     )
     return replace(images.all_of(inspected), left_out=found.arrangement.left_out)
 
 
-def _wanted(
+def _definition(
     existing: Campaign | None,
     name: str,
     rig: str,
@@ -169,10 +169,10 @@ def _wanted(
             f"campaign {name} has no camera {', '.join(unknown)} by itself; it has "
             f"{', '.join(existing.views)}"
         )
-    wanted = with_states(existing, arrangement.labels)
-    added = [s.label for s in wanted.states[len(existing.states) :]]
+    definition = with_states(existing, arrangement.labels)
+    added = [s.label for s in definition.states[len(existing.states) :]]
     if added and not add_states:
         raise InvalidInput(
             f"campaign {name} has no state {', '.join(added[:5])}: say --add-states to add {len(added)}"
         )
-    return wanted
+    return definition

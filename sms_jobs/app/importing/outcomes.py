@@ -62,7 +62,7 @@ def existing_campaign(services: Services, name: str) -> Campaign | None:
 
 
 def outcome_of(one: Inspected, outcome: str, detail: str) -> TupleOutcome:
-    """Return what is told of a tuple."""
+    """Return what is reported of a tuple."""
     facts = next(iter(one.facts.values()), None)
     return TupleOutcome(
         one.found.state,

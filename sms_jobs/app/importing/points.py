@@ -82,13 +82,13 @@ def import_points(services: Services, task: Task, *, dry_run: bool = False) -> I
         raise Conflict(f"there is a campaign {task.session} already: give another name to -c")
     if not dry_run:
         register_campaign(services.catalogue, services.archive, made, None, now)
-        told = {"file": str(task.file), "source_sha256": table.sha256, "sigma_px": task.sigma_px}
-        import_observations(services.catalogue, services.archive, made, table.observations, told, now)
+        parameters = {"file": str(task.file), "source_sha256": table.sha256, "sigma_px": task.sigma_px}
+        import_observations(services.catalogue, services.archive, made, table.observations, parameters, now)
     return ImportedPoints(table.board, {pose: len(s.point) for pose, s in table.observations.items()})
 
 
 def _sensors(view: str, sizes: Mapping[str, tuple[int, int]]) -> tuple[SensorFormat, ...]:
-    wanted = view_of(view).sensors
-    if set(sizes) != set(wanted):
-        raise InvalidInput(f"give --size of {' and '.join(wanted)}, not of {', '.join(sizes) or 'none'}")
-    return tuple(SensorFormat(name, *sizes[name]) for name in wanted)
+    sensors = view_of(view).sensors
+    if set(sizes) != set(sensors):
+        raise InvalidInput(f"give --size of {' and '.join(sensors)}, not of {', '.join(sizes) or 'none'}")
+    return tuple(SensorFormat(name, *sizes[name]) for name in sensors)
