@@ -238,7 +238,7 @@ def _follow(services: Services, begun: Begun, as_json: bool) -> None:
 
 
 class _Followed:
-    """Recordings that are waited for, turn by turn; people are told of each turn, programs of all."""
+    """Recordings that are waited for, turn by turn; people see each turn, programs all at the end."""
 
     def __init__(self, as_json: bool) -> None:
         self._as_json = as_json

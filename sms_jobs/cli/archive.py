@@ -85,9 +85,9 @@ def reindex(
     A catalogue that is empty or gone is made anew; one on SQLite that is damaged is set aside before.
 
     Campaigns, states, rigs, calibrations, measurements, results with their statistics and provenance, and the
-    jobs that made them are told by the files; queues, schedules, pins and failed jobs are not. Every file is
-    read as a whole. Those that could not be entered are listed with the reason; the exit code is then 6. It
-    may be interrupted and run again, and goes on.
+    jobs that made them are restored from the files; queues, schedules, pins and failed jobs are not. Every
+    file is read as a whole. Those that could not be entered are listed with the reason; the exit code is then
+    6. It may be interrupted and run again, and goes on.
 
     Example: sms init --home new; sms archive reindex --home new --dry-run
     """

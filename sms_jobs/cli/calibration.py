@@ -201,10 +201,10 @@ def compare(
         ],
         empty="",
     )
-    told = sorted((c for c in found.changes if np.isfinite(c.z)), key=lambda c: abs(c.z), reverse=True)
+    changes = sorted((c for c in found.changes if np.isfinite(c.z)), key=lambda c: abs(c.z), reverse=True)
     output.print_table(
         ["sensor", "parameter", "change", "in standard deviations"],
-        [(c.sensor, c.parameter, f"{c.change:.3g}", f"{c.z:.1f}") for c in told[:10]],
+        [(c.sensor, c.parameter, f"{c.change:.3g}", f"{c.z:.1f}") for c in changes[:10]],
         empty="no parameter's standard deviation is known",
     )
 

@@ -126,13 +126,13 @@ def import_(
     )
     with bootstrap.services(home) as services:
         found = calibrations.import_files(services, files, supplement)
-    known, calibration = found.registered, found.calibration
+    registered, calibration = found.registered, found.calibration
     if as_json:
         output.print_json(
             {
-                "calibration": known.number,
-                "new": known.new,
-                "in_use": known.in_use,
+                "calibration": registered.number,
+                "new": registered.new,
+                "in_use": registered.in_use,
                 "rig": calibration.rig.name,
                 "sensors": [s.name for s in calibration.rig.sensors],
                 "valid_from": calibration.valid_from,
@@ -143,17 +143,19 @@ def import_(
     for remark in found.remarks:
         output.say(remark)
     names = " ".join(s.name for s in calibration.rig.sensors)
-    said = "is entered" if known.new else "is known already"
-    output.say(f"calibration {known.number} of rig {calibration.rig.name} ({names}) {said}; {_next(found)}")
+    said = "is entered" if registered.new else "is known already"
+    output.say(
+        f"calibration {registered.number} of rig {calibration.rig.name} ({names}) {said}; {_next(found)}"
+    )
 
 
 def _next(found: Imported) -> str:
-    known = found.registered
-    if known.in_use:
-        return f"next: sms calibration show {known.number}"
+    registered = found.registered
+    if registered.in_use:
+        return f"next: sms calibration show {registered.number}"
     return (
         "it is inactive, since the rig has another in use: "
-        f"'sms calibration accept {known.number}' takes it into use"
+        f"'sms calibration accept {registered.number}' takes it into use"
     )
 
 

@@ -23,7 +23,7 @@ from sms_jobs.cli import (
     saved_queries,
     surface_places,
 )
-from sms_jobs.cli.found_files import After, As, Columns, Force, Format, Limit, Out, Wanted
+from sms_jobs.cli.found_files import After, As, Columns, FindOptions, Force, Format, Limit, Out
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.shown.files import Ancestor
 from sms_jobs.records.sizes import size
@@ -56,7 +56,7 @@ _SHOWN_ALIKE = 8
 def find(
     query: Annotated[
         str | None,
-        typer.Argument(help="What is wanted, in quotation marks: 'strain where load_kN > 1400'."),
+        typer.Argument(help="What to find, in quotation marks: 'strain where load_kN > 1400'."),
     ] = None,
     kind: Annotated[
         str | None, typer.Option(help="measurement, calibration, or the kind of a result.")
@@ -83,7 +83,7 @@ def find(
     Example: sms data find 'strain where load_kN > 1400 and max_principal > 1e-3' -c wing-fatigue
     """
     asked = finding.question(query or "", kind=kind, campaign=campaign, state=state, view=view)
-    found_files.tell(home, lambda _: asked, Wanted(limit, after, columns, form, out, force, as_json))
+    found_files.tell(home, lambda _: asked, FindOptions(limit, after, columns, form, out, force, as_json))
 
 
 @app.command()
@@ -185,7 +185,7 @@ def plot(
 
 
 def _grow(node: Tree, inputs: tuple[Ancestor, ...], whole: bool) -> None:
-    """Add inputs to a tree; of many from one source only the first, unless the whole is wanted."""
+    """Add inputs to a tree; of many from one source only the first, unless the whole tree is asked for."""
     by_source: dict[str, list[Ancestor]] = {}
     for ancestor in inputs:
         by_source.setdefault(ancestor.file.source, []).append(ancestor)

@@ -56,7 +56,7 @@ def demo(
 
 
 def _unsaid(text: str) -> None:
-    """Say nothing: programs are told the summary alone."""
+    """Say nothing: programs get the summary alone."""
 
 
 @contextmanager

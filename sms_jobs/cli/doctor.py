@@ -17,13 +17,13 @@ def doctor(home: Home = None, as_json: Json = False) -> None:
     Example: sms doctor
     """
     with diagnosed(home) as found:
-        told = [one for name, examined in found.items() for one in _rows(name, examined)]
-    bad = any(finding for _, finding, _ in told)
+        checks = [one for name, examined in found.items() for one in _rows(name, examined)]
+    bad = any(finding for _, finding, _ in checks)
     if as_json:
-        shown = [{"check": name, "finding": finding or "ok", "found": what} for name, finding, what in told]
+        shown = [{"check": name, "finding": finding or "ok", "found": what} for name, finding, what in checks]
         output.print_json({"healthy": not bad, "checks": shown})
     else:
-        rows = [(name, finding or f"ok{what and ': '}{what}") for name, finding, what in told]
+        rows = [(name, finding or f"ok{what and ': '}{what}") for name, finding, what in checks]
         output.print_table(["check", "finding"], rows, empty="")
     if bad:
         raise typer.Exit(_FINDINGS)

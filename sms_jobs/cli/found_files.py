@@ -23,7 +23,7 @@ from sms_jobs.records.sizes import size
 
 
 class Format(StrEnum):
-    """How found files are told."""
+    """How found files are shown."""
 
     TABLE = "table"
     JSON = "json"
@@ -67,8 +67,8 @@ _WRITTEN = ("file", "kind", "subject", "path", "size_bytes", "content_hash", "cr
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """Which of the files that meet a query are wanted, and how they are to be told."""
+class FindOptions:
+    """Which of the files that meet a query are shown, and how."""
 
     limit: int
     after: int | None
@@ -79,19 +79,19 @@ class Wanted:
     as_json: bool
 
 
-def tell(home: Path | None, ask: Callable[[bootstrap.Services], Question], wanted: Wanted) -> None:
+def tell(home: Path | None, ask: Callable[[bootstrap.Services], Question], options: FindOptions) -> None:
     """Find files and print or write them."""
-    _refuse(wanted)
-    names = None if wanted.columns is None else _split(wanted.columns)
+    _refuse(options)
+    names = None if options.columns is None else _split(options.columns)
     extra = None if names is None else [name for name in names if name not in _OF_FILE]
     with bootstrap.services(home) as services:
-        pages = finding.find(services, ask(services), columns=extra, after=wanted.after, limit=wanted.limit)
+        pages = finding.find(services, ask(services), columns=extra, after=options.after, limit=options.limit)
         first = next(pages)
         found = chain([first], pages)
-        _tell(first, found, names, wanted)
+        _tell(first, found, names, options)
 
 
-def _tell(first: Page, pages: Iterator[Page], names: list[str] | None, wanted: Wanted) -> None:
+def _tell(first: Page, pages: Iterator[Page], names: list[str] | None, options: FindOptions) -> None:
     last = first.next
 
     def files() -> Iterator[Found]:
@@ -100,53 +100,53 @@ def _tell(first: Page, pages: Iterator[Page], names: list[str] | None, wanted: W
             last = page.next
             yield from page.found
 
-    if wanted.as_json:
+    if options.as_json:
         output.print_json_list(_object(one, names) for one in files())
-    elif wanted.form is Format.JSON:
-        told = [_object(one, names) for one in files()]
-        output.print_json({"files": told, "next": last})
+    elif options.form is Format.JSON:
+        objects = [_object(one, names) for one in files()]
+        output.print_json({"files": objects, "next": last})
         return
-    elif wanted.form is Format.LINES:
+    elif options.form is Format.LINES:
         for one in files():
             output.print_line(_object(one, names))
         output.print_json({"next": last})
         return
-    elif wanted.form is Format.TABLE:
+    elif options.form is Format.TABLE:
         columns = names or [*_SHOWN, *(c for c in first.columns if c not in _SHOWN)]
         output.print_table(columns, (_row(one, columns) for one in files()), empty="there is no such file")
     else:
-        _write(wanted, names or [*_WRITTEN, *(c for c in first.columns if c not in _WRITTEN)], files())
+        _write(options, names or [*_WRITTEN, *(c for c in first.columns if c not in _WRITTEN)], files())
     if last is not None:
         output.say(f"there are more; go on with --after {last}")
 
 
-def _write(wanted: Wanted, columns: list[str], files: Iterator[Found]) -> None:
+def _write(options: FindOptions, columns: list[str], files: Iterator[Found]) -> None:
     rows = (_row(one, columns) for one in files)
-    if wanted.out is None:
+    if options.out is None:
         text = io.StringIO(newline="")
         write_csv(text, columns, rows)
         output.print_text(text.getvalue())
         return
-    with writing.new_file(wanted.out, wanted.force) as part:
-        if wanted.form is Format.PARQUET:
+    with writing.new_file(options.out, options.force) as part:
+        if options.form is Format.PARQUET:
             count = write_parquet(part, columns, rows)
         else:
             with part.open("w", encoding="utf-8", newline="") as stream:
                 count = write_csv(stream, columns, rows)
-    output.say(f"wrote {count} files into {wanted.out}")
+    output.say(f"wrote {count} files into {options.out}")
 
 
-def _refuse(wanted: Wanted) -> None:
+def _refuse(options: FindOptions) -> None:
     """Refuse what does not go together, before anything is looked for."""
-    if wanted.as_json and wanted.form is not Format.TABLE:
-        raise InvalidInput(f"--json and --format {wanted.form.value} cannot both be had; give one of them")
-    if wanted.out is None:
-        if wanted.form is Format.PARQUET:
+    if options.as_json and options.form is not Format.TABLE:
+        raise InvalidInput(f"--json and --format {options.form.value} cannot both be had; give one of them")
+    if options.out is None:
+        if options.form is Format.PARQUET:
             raise InvalidInput("a Parquet file cannot be shown on a screen; say where to write it with --out")
         return
-    if wanted.as_json or wanted.form not in (Format.CSV, Format.PARQUET):
+    if options.as_json or options.form not in (Format.CSV, Format.PARQUET):
         raise InvalidInput("--out writes --format csv or --format parquet; the rest goes to the screen")
-    writing.check_new_file(wanted.out, wanted.force)
+    writing.check_new_file(options.out, options.force)
 
 
 def _split(columns: str) -> list[str]:

@@ -14,7 +14,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.records.times import parsed_time
 
 _FINDINGS = 6
-TOLD = 20
+MOST_SHOWN = 20
 """Lines of a list that are shown; --json has all."""
 
 
@@ -61,10 +61,10 @@ def tell_outcome(outcome: Outcome, *, as_json: bool, dry_run: bool, campaign: st
                 output.say(f"refused: {one.state}/{one.view}: {one.detail}")
         for remark in outcome.remarks:
             output.say(f"note: {remark}")
-        for file in left_out[:TOLD]:
+        for file in left_out[:MOST_SHOWN]:
             output.say(f"left out: {file['file']} {file['why']}")
-        if len(left_out) > TOLD:
-            output.say(f"left out: {len(left_out) - TOLD} more files; --json lists all")
+        if len(left_out) > MOST_SHOWN:
+            output.say(f"left out: {len(left_out) - MOST_SHOWN} more files; --json lists all")
         output.say(
             ", ".join(f"{n} {what}" for what, n in counts.items())
             + ("; nothing was changed" if dry_run else "")

@@ -20,7 +20,7 @@ from sms_jobs.cli.import_options import (
     RecordedAt,
     Yes,
 )
-from sms_jobs.cli.import_outcomes import TOLD, confirm, tell_outcome, time_given
+from sms_jobs.cli.import_outcomes import MOST_SHOWN, confirm, tell_outcome, time_given
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.sensors import Box
@@ -110,7 +110,7 @@ def _box(volume: _Six) -> Box:
 def _preview(found: Arranged) -> None:
     arrangement = found.arrangement
     output.say(f"pattern   {found.pattern}")
-    for one in arrangement.tuples[:TOLD]:
+    for one in arrangement.tuples[:MOST_SHOWN]:
         output.say(f"  {one.white}  pose {one.state}, camera {one.view}")
-    if len(arrangement.tuples) > TOLD:
-        output.say(f"  and {len(arrangement.tuples) - TOLD} more")
+    if len(arrangement.tuples) > MOST_SHOWN:
+        output.say(f"  and {len(arrangement.tuples) - MOST_SHOWN} more")

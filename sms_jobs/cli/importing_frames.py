@@ -24,7 +24,7 @@ from sms_jobs.cli.import_options import (
     SpecimenName,
     Yes,
 )
-from sms_jobs.cli.import_outcomes import TOLD, confirm, tell_outcome, time_given
+from sms_jobs.cli.import_outcomes import MOST_SHOWN, confirm, tell_outcome, time_given
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 
@@ -164,6 +164,8 @@ def _preview(found: Arranged) -> None:
     example = found.example
     if example is not None:
         output.say(f"frames of {example.state}/{example.view}:")
-        told = example.frames
-        for name, what in told if len(told) <= 2 * TOLD else [*told[:TOLD], ("...", ""), *told[-3:]]:
+        frames = example.frames
+        for name, what in (
+            frames if len(frames) <= 2 * MOST_SHOWN else [*frames[:MOST_SHOWN], ("...", ""), *frames[-3:]]
+        ):
             output.say(f"  {name}  {what}")

@@ -25,7 +25,7 @@ from sms_jobs.cli.import_options import (
     SpecimenName,
     Yes,
 )
-from sms_jobs.cli.import_outcomes import TOLD, confirm, tell_outcome, time_given
+from sms_jobs.cli.import_outcomes import MOST_SHOWN, confirm, tell_outcome, time_given
 from sms_jobs.cli.output import Home, Json
 
 
@@ -91,7 +91,7 @@ def _preview(found: Arranged) -> None:
     arrangement = found.arrangement
     output.say(f"pattern   {found.pattern}")
     output.say(f"reference {arrangement.states[0]}")
-    for one in arrangement.tuples[:TOLD]:
+    for one in arrangement.tuples[:MOST_SHOWN]:
         output.say(f"  {one.white}  state {one.state}, camera {one.view}")
-    if len(arrangement.tuples) > TOLD:
-        output.say(f"  and {len(arrangement.tuples) - TOLD} more")
+    if len(arrangement.tuples) > MOST_SHOWN:
+        output.say(f"  and {len(arrangement.tuples) - MOST_SHOWN} more")

@@ -17,7 +17,7 @@ from sms_jobs.cli.import_outcomes import confirm
 from sms_jobs.cli.output import Home, Json
 
 _FINDINGS = 6
-_TOLD = 20
+_MOST_SHOWN = 20
 
 File = Annotated[Path, typer.Argument(help="CSV file with a header.")]
 Maps = Annotated[
@@ -126,10 +126,10 @@ def _tell(entered: Arranged, campaign: str, dry_run: bool, as_json: bool) -> Non
     else:
         for remark in remarks:
             output.say(remark)
-        for text in entered.left_out[:_TOLD]:
+        for text in entered.left_out[:_MOST_SHOWN]:
             output.say(f"left out: {text}")
-        if len(entered.left_out) > _TOLD:
-            output.say(f"left out: {len(entered.left_out) - _TOLD} more; --json lists all")
+        if len(entered.left_out) > _MOST_SHOWN:
+            output.say(f"left out: {len(entered.left_out) - _MOST_SHOWN} more; --json lists all")
         for change in entered.changes:
             output.print_sentence(change)
         end = f"campaign {campaign} is brought up to date"

@@ -16,7 +16,7 @@ from sms_jobs.cli import completion, output
 from sms_jobs.cli.kind_options import CONTEXT, KindCommand, split_words
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import as_json as outlook_as_json
-from sms_jobs.cli.waiting import followed, told, told_outlook
+from sms_jobs.cli.waiting import estimate_text, followed, outlook_text
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.sizes import size
@@ -106,7 +106,7 @@ def submit(
             would = "would submit" if dry_run else "submitted"
             output.say(f"{would} {len(done.job_ids)} jobs: {what}" if what else "there is nothing to do")
             if what:
-                output.say(told(done.estimate))
+                output.say(estimate_text(done.estimate))
         if wait:
             with followed() as tell:
                 waited = wait_for(services, done.jobs, tell=tell)
@@ -180,7 +180,7 @@ def list_(
         empty="there is no such job",
     )
     if left is not None and left.outlook is not None:
-        output.say(f"{left.active} jobs of {campaign} have not ended: {told_outlook(left.outlook)}")
+        output.say(f"{left.active} jobs of {campaign} have not ended: {outlook_text(left.outlook)}")
 
 
 @app.command()
@@ -249,16 +249,16 @@ def watch(
     """
     with bootstrap.services(home) as services:
         some = jobs_.choose(services, jobs or [], campaign)
-        told_before: dict[str, int] = {}
+        counted_before: dict[str, int] = {}
         with followed() as show_on_bar:
 
             def tell(now: Waiting) -> None:
-                nonlocal told_before
+                nonlocal counted_before
                 show_on_bar(now)
-                if as_json and now.counted != told_before:
+                if as_json and now.counted != counted_before:
                     ahead = {} if now.outlook is None else outlook_as_json(now.outlook)
                     output.print_json({"jobs": now.counted} | ahead)
-                told_before = now.counted
+                counted_before = now.counted
 
             counted = wait_for(services, some, tell=tell).counted
     if not as_json:

@@ -196,7 +196,7 @@ def progress_bar() -> Progress:
 
 
 def job_bar() -> Progress:
-    """Return a progress bar on stderr whose rate and time left are told by its task's field `pace`."""
+    """Return a progress bar on stderr whose task's field `pace` says rate and time left."""
     return Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),

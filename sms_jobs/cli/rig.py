@@ -101,8 +101,8 @@ def check(rig: Rig, home: Home = None, as_json: Json = False) -> None:
     if as_json:
         pan, tilt = check.stage_rad or (None, None)
         stage = None if check.homed is None else {"pan_rad": pan, "tilt_rad": tilt, "homed": check.homed}
-        told = {"sensors": sensors, "views": check.views, "channels": check.channels, "stage": stage}
-        output.print_json({"rig": rig, **told})
+        facts = {"sensors": sensors, "views": check.views, "channels": check.channels, "stage": stage}
+        output.print_json({"rig": rig, **facts})
         return
     rows = list(sensors.items())
     for name, levels in check.views.items():

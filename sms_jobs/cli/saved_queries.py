@@ -9,7 +9,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app import finding
 from sms_jobs.cli import found_files, output
-from sms_jobs.cli.found_files import After, As, Columns, Force, Format, Limit, Out, Wanted
+from sms_jobs.cli.found_files import After, As, Columns, FindOptions, Force, Format, Limit, Out
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import SmsError
 
@@ -89,7 +89,7 @@ def run(
     found_files.tell(
         home,
         lambda services: finding.saved_question(services, name),
-        Wanted(limit, after, columns, form, out, force, as_json),
+        FindOptions(limit, after, columns, form, out, force, as_json),
     )
 
 

@@ -12,7 +12,7 @@ from sms_jobs.app import service
 from sms_jobs.app.service import Status
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.cli.waiting import told_outlook
+from sms_jobs.cli.waiting import outlook_text
 from sms_jobs.records.sizes import size
 
 
@@ -76,7 +76,7 @@ def status(home: Home = None, as_json: Json = False) -> None:
             or "none; start one with 'sms up'",
             "archive_free": size(found.archive_free_bytes),
         }
-        | ({} if found.outlook is None else {"ahead": told_outlook(found.outlook)})
+        | ({} if found.outlook is None else {"ahead": outlook_text(found.outlook)})
     )
 
 

@@ -24,7 +24,7 @@ def followed() -> Iterator[Callable[[Waiting], None]]:
                 total=now.total,
                 completed=now.total - now.active,
                 description=now.running or "jobs",
-                pace="" if now.outlook is None else told_outlook(now.outlook),
+                pace="" if now.outlook is None else outlook_text(now.outlook),
             )
 
         yield tell
@@ -35,13 +35,13 @@ def as_json(outlook: Outlook) -> dict[str, Any]:
     return {"jobs_per_minute": outlook.per_minute, "estimate": outlook.estimate}
 
 
-def told_outlook(outlook: Outlook) -> str:
+def outlook_text(outlook: Outlook) -> str:
     """Say how fast jobs come along, and when the rest will have ended."""
     rate = "" if outlook.per_minute is None else f"{outlook.per_minute:.3g} jobs/min, "
-    return rate + told(outlook.estimate)
+    return rate + estimate_text(outlook.estimate)
 
 
-def told(estimate: Estimate) -> str:
+def estimate_text(estimate: Estimate) -> str:
     """Say when jobs will have ended, and what that depends on."""
     one = "worker" if estimate.workers == 1 else "workers"
     where = f"on {estimate.workers} {one}" + ("" if estimate.alive else " once 'sms up' runs")
@@ -62,7 +62,7 @@ def told(estimate: Estimate) -> str:
     if estimate.reused:
         say += f"; {estimate.reused} of {estimate.jobs} are reused"
     if estimate.looked_at is not None:
-        say += f"; roughly, told by {estimate.looked_at} of the jobs, whatever may be reused"
+        say += f"; roughly, from a sample of {estimate.looked_at} of the jobs, as if none could be reused"
     if estimate.paused:
         say += f"; paused: {', '.join(estimate.paused)}"
     return say

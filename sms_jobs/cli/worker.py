@@ -30,9 +30,9 @@ def start(
     Example: sms worker start --queues cpu,io,rigs
     """
     output.log_to_stderr()
-    wanted = None if queues is None else [queue.strip() for queue in queues.split(",")]
+    selected = None if queues is None else [queue.strip() for queue in queues.split(",")]
     with bootstrap.services(home) as services:
-        service.supervisor(services, wanted).run()
+        service.supervisor(services, selected).run()
 
 
 @app.command("list")

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from sms_jobs.cli.output import clock, duration
-from sms_jobs.cli.waiting import told
+from sms_jobs.cli.waiting import estimate_text
 from sms_jobs.records.shown.estimates import Estimate
 
 NOW = datetime.now(UTC)
@@ -37,13 +37,13 @@ def test_a_time_of_another_day_says_which() -> None:
 
 def test_an_estimate_says_what_it_rests_on() -> None:
     ready = clock(KNOWN.ready_at or NOW, NOW)
-    assert told(KNOWN) == f"about 3 h 10 min on 2 workers; ready {ready}"
-    assert told(replace(KNOWN, reused=12)).endswith("; 12 of 40 are reused")
-    assert "once 'sms up' runs" in told(replace(KNOWN, alive=False, workers=1))
-    assert told(replace(KNOWN, unknown={"merge": 3})) == (
+    assert estimate_text(KNOWN) == f"about 3 h 10 min on 2 workers; ready {ready}"
+    assert estimate_text(replace(KNOWN, reused=12)).endswith("; 12 of 40 are reused")
+    assert "once 'sms up' runs" in estimate_text(replace(KNOWN, alive=False, workers=1))
+    assert estimate_text(replace(KNOWN, unknown={"merge": 3})) == (
         f"at least 3 h 10 min on 2 workers, not before {ready}; there is no history yet of merge (3)"
     )
     nothing = replace(KNOWN, seconds=None, ready_at=None, unknown={"merge": 40})
-    assert told(nothing) == "no estimate: there is no history yet of merge (40)"
-    assert "no worker serves the queue io" in told(replace(nothing, unserved=("io",)))
-    assert told(replace(KNOWN, reused=40)) == "nothing has to be computed: 40 of 40 are reused"
+    assert estimate_text(nothing) == "no estimate: there is no history yet of merge (40)"
+    assert "no worker serves the queue io" in estimate_text(replace(nothing, unserved=("io",)))
+    assert estimate_text(replace(KNOWN, reused=40)) == "nothing has to be computed: 40 of 40 are reused"
