@@ -197,7 +197,8 @@ class Archive:
             with self.store.open(name) as stream:
                 about = json.loads(stream.read())
             version = int(about["format_version"])
-            told = about["provenance"], str(about["content_hash"]), str(about["media_type"])
+            provenance, content_hash = about["provenance"], str(about["content_hash"])
+            media_type = str(about["media_type"])
             # Files of older programs have none.
             whole = about.pop("sha256", None) in (None, digest_of(about))
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
@@ -205,14 +206,14 @@ class Archive:
         if not whole:
             raise ArchiveCorrupt(f"the provenance of {path} was altered; restore {beside}")
         hdf5.require_version(path, version)
-        return provenance_from_json(json.dumps(told[0]), path), *told[1:]
+        return provenance_from_json(json.dumps(provenance), path), content_hash, media_type
 
     def verify_provenance(self, path: str, content_hash: str) -> None:
         """Raise `ArchiveCorrupt` unless what lies beside a document is whole and of those contents."""
-        told = self._beside(path)[1]
-        if told != content_hash:
+        recorded = self._beside(path)[1]
+        if recorded != content_hash:
             raise ArchiveCorrupt(
-                f"what lies beside {path} is of contents that hash to {told[:12]}..., but "
+                f"what lies beside {path} is of contents that hash to {recorded[:12]}..., but "
                 f"{content_hash[:12]}... is on record; restore it from a backup"
             )
 
@@ -396,15 +397,15 @@ class Archive:
 
         Either may be missing. Nothing is deleted: a person may look at it, and put it back.
         """
-        wanted, number = f"{layout.SET_ASIDE}/{path}", 1
+        target, number = f"{layout.SET_ASIDE}/{path}", 1
         # Nothing that was set aside before is overwritten, by the provenance that comes along either.
-        while self.store.exists(wanted) or self.store.exists(layout.sidecar(wanted)):
+        while self.store.exists(target) or self.store.exists(layout.sidecar(target)):
             number += 1
-            wanted = f"{layout.SET_ASIDE}-{number}/{path}"
-        for name, to in ((layout.sidecar(path), layout.sidecar(wanted)), (path, wanted)):
+            target = f"{layout.SET_ASIDE}-{number}/{path}"
+        for name, to in ((layout.sidecar(path), layout.sidecar(target)), (path, target)):
             if self.store.exists(name):
                 self.store.move(name, to)
-        return wanted
+        return target
 
     def _job_of(self, relative: str) -> str | None:
         """Return the id of the job that sealed a file; None when the file does not tell."""
@@ -424,6 +425,6 @@ def _compare_bytes(lying: LocalFile, file: Recorded) -> None:
             checker.check(lying, file.path, file.content_hash)
         return
     found = sha256_of(lying)
-    wanted = file.sha256 or file.content_hash
-    if found != wanted:
-        raise altered(file.path, "its bytes hash to", f"{found[:12]}...", f"{wanted[:12]}...")
+    recorded = file.sha256 or file.content_hash
+    if found != recorded:
+        raise altered(file.path, "its bytes hash to", f"{found[:12]}...", f"{recorded[:12]}...")

@@ -41,10 +41,10 @@ def readable(where: str) -> Iterator[None]:
         raise ArchiveCorrupt(f"{where} cannot be read ({reason}); restore it from a backup") from error
 
 
-def altered(where: str, what: str, found: str, wanted: str) -> ArchiveCorrupt:
+def altered(where: str, what: str, found: str, recorded: str) -> ArchiveCorrupt:
     """Say that something of a file is not what was sealed, and what to do about it."""
     return ArchiveCorrupt(
-        f"{where} is not what was sealed: {what} {found}, but {wanted} is on record; 'sms archive repair' "
+        f"{where} is not what was sealed: {what} {found}, but {recorded} is on record; 'sms archive repair' "
         "says whether a job makes it again, otherwise restore it from a backup"
     )
 
@@ -100,8 +100,8 @@ class StoredFrames:
         with readable(self._where):
             slab: NDArray[Any] = self._dataset[first:last, top:bottom]
         depth, height = self._block
-        wanted = self._checks[first // depth : -(-last // depth), top // height : -(-bottom // height)]
-        differ = np.argwhere(block_checks(slab, self._block) != wanted)
+        checks = self._checks[first // depth : -(-last // depth), top // height : -(-bottom // height)]
+        differ = np.argwhere(block_checks(slab, self._block) != checks)
         if differ.size:
             group, band = differ[0]
             frame, row = first + group * depth, top + band * height
@@ -120,9 +120,9 @@ def _opened(file: Path, where: str) -> Iterator[h5py.File]:
         opened = h5py.File(file, "r")
     with opened:
         with readable(where):
-            known = opened.attrs.get("format") == hdf5.FORMAT
+            ours = opened.attrs.get("format") == hdf5.FORMAT
             version = int(opened.attrs.get("format_version", 0))
-        if not known:
+        if not ours:
             raise ArchiveCorrupt(f"{where} is an HDF5 file, but not one of this archive")
         hdf5.require_version(where, version)
         yield opened
@@ -186,7 +186,7 @@ class ArchivedDataset:
         about: dict[str, dict[str, dict[str, Any]]] = {}
         for name in self.names:
             arrays = layout_of(self.record_class(name)).arrays
-            units = {told["name"]: told["unit"] for told in self._manifest[name]["arrays"]}
+            units = {array["name"]: array["unit"] for array in self._manifest[name]["arrays"]}
             with ExitStack() as briefly, readable(self.path):
                 group = self._group(name, briefly)
                 about[name] = {
@@ -219,48 +219,48 @@ class ArchivedDataset:
         hashes: dict[str, SlabHash] = {}
         with ExitStack() as briefly, readable(where):
             group = self._group(name, self._streams if streamed else briefly)
-            told = self._manifest[name]
-            if told["record"] != record.__name__:
-                raise InvalidInput(f"{where} is a {told['record']}, not a {record.__name__}")
-            present = {one["name"]: one for one in told["arrays"]}
+            entry = self._manifest[name]
+            if entry["record"] != record.__name__:
+                raise InvalidInput(f"{where} is a {entry['record']}, not a {record.__name__}")
+            present = {one["name"]: one for one in entry["arrays"]}
             for field_name, field in declared.items():
                 if field_name not in present and field.optional:
                     continue
                 if field_name not in present:
                     raise ArchiveCorrupt(f"{where} has no {field_name}; was it written by another version?")
-                dataset, known = group[field_name], present[field_name]
+                dataset, stated = group[field_name], present[field_name]
                 if field.dtype is not None and dataset.dtype != field.dtype:
                     raise ArchiveCorrupt(f"{where}.{field_name} is {dataset.dtype}, not {field.dtype}")
                 form = [dataset.dtype.str, *dataset.shape]
-                if form != [known["dtype"], *known["shape"]]:
-                    raise _differs(f"{where}.{field_name}", form, [known["dtype"], *known["shape"]])
+                if form != [stated["dtype"], *stated["shape"]]:
+                    raise _differs(f"{where}.{field_name}", form, [stated["dtype"], *stated["shape"]])
                 if field.streamed:
-                    arrays[field_name] = _frames(dataset, known, where)
+                    arrays[field_name] = _frames(dataset, stated, where)
                 else:
                     arrays[field_name] = dataset[...]
                     # Taken while the next array is read.
                     hashes[field_name] = SlabHash()
                     hashes[field_name].update(arrays[field_name])
         for field_name, hashed in hashes.items():
-            found, wanted = hashed.hexdigest(), present[field_name]["sha256"]
-            if found != wanted:
+            found, recorded = hashed.hexdigest(), present[field_name]["sha256"]
+            if found != recorded:
                 raise altered(
-                    f"{where}.{field_name}", "its values hash to", f"{found[:12]}...", f"{wanted[:12]}..."
+                    f"{where}.{field_name}", "its values hash to", f"{found[:12]}...", f"{recorded[:12]}..."
                 )
-        return record_from_parts(record, told["fields"], arrays, where)
+        return record_from_parts(record, entry["fields"], arrays, where)
 
 
-def _differs(where: str, found: object, wanted: object) -> ArchiveCorrupt:
-    first, second = (digest(str(one))[:12] for one in (found, wanted))
+def _differs(where: str, found: object, recorded: object) -> ArchiveCorrupt:
+    first, second = (digest(str(one))[:12] for one in (found, recorded))
     return altered(where, "what it says of itself hashes to", f"{first}...", f"{second}...")
 
 
-def _frames(dataset: Any, known: ArrayDigest, where: str) -> StoredFrames:
+def _frames(dataset: Any, stated: ArrayDigest, where: str) -> StoredFrames:
     block = hdf5.frames_in_blocks(dataset)
     if block is None:
         raise ArchiveCorrupt(f"the frames of {where} have no checks; was it written by another version?")
     checks = dataset.attrs[hdf5.BLOCK_CHECKS]
-    if hdf5.table_digest(block, checks) != known.get("blocks"):
+    if hdf5.table_digest(block, checks) != stated.get("blocks"):
         raise _differs(where, checks, "the checks of its frames")
     return StoredFrames(dataset, where, block, checks)
 
@@ -300,10 +300,10 @@ def open_dataset(
     _compare(where, found, recorded, content_hash)
     if not whole:
         raise ArchiveCorrupt(f"the provenance in {where} was altered; restore the file from a backup")
-    told = {one["name"]: one for one in manifest_from(manifest)}
+    entries = {one["name"]: one for one in manifest_from(manifest)}
     with ExitStack() as streams:
         yield ArchivedDataset(
-            where, provenance_from_json(text, where), recorded, tuple(told), file, told, streams
+            where, provenance_from_json(text, where), recorded, tuple(entries), file, entries, streams
         )
 
 
@@ -345,7 +345,7 @@ def check_dataset(file: Path, where: str, content_hash: str) -> None:
         raise ArchiveCorrupt(f"the provenance in {where} was altered; restore the file from a backup")
 
 
-def _compare(where: str, found: str, recorded: str, wanted: str) -> None:
-    """Raise `ArchiveCorrupt` unless a hash is what the file says, and what is wanted, if anything is."""
-    if wanted not in (found, "") or recorded != found:
-        raise altered(where, "its contents hash to", f"{found[:12]}...", f"{(wanted or recorded)[:12]}...")
+def _compare(where: str, found: str, recorded: str, expected: str) -> None:
+    """Raise `ArchiveCorrupt` unless a hash is the one in the file, and the expected one if there is one."""
+    if expected not in (found, "") or recorded != found:
+        raise altered(where, "its contents hash to", f"{found[:12]}...", f"{(expected or recorded)[:12]}...")

@@ -114,8 +114,8 @@ class FolderStore(Store):
     def probe(self, folder: str = "") -> None:
         probe(self.root)
         if folder:
-            wanted = self.root / folder
-            probe(next(f for f in (wanted, *wanted.parents) if f == self.root or os.path.lexists(f)))
+            path = self.root / folder
+            probe(next(f for f in (path, *path.parents) if f == self.root or os.path.lexists(f)))
 
     @override
     def require_usable(self, least_mb: float) -> None:

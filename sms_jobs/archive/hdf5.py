@@ -46,10 +46,10 @@ def require_version(where: str, version: int) -> None:
     """Raise `OtherFormat` for a file that another version of the program has written in another format."""
     if version == FORMAT_VERSION:
         return
-    told = f"{where} has format version {version}, this program reads version {FORMAT_VERSION}"
+    mismatch = f"{where} has format version {version}, this program reads version {FORMAT_VERSION}"
     if version > FORMAT_VERSION:
-        raise OtherFormat(f"{told}; install a newer sms_jobs")
-    raise OtherFormat(f"{told}: it is from before the first release; import or compute it again")
+        raise OtherFormat(f"{mismatch}; install a newer sms_jobs")
+    raise OtherFormat(f"{mismatch}: it is from before the first release; import or compute it again")
 
 
 def chunk_shape(shape: tuple[int, ...], itemsize: int, streamed: bool) -> tuple[int, ...]:
@@ -165,33 +165,33 @@ def _write_record(entry: h5py.Group, name: str, record: Any) -> RecordDigest:
         raise InvalidInput(f"'{name}' cannot be the name of a record in a file")
     group = entry.create_group(name)
     arrays: list[ArrayDigest] = []
-    known = quantities_of(record)
+    quantities = quantities_of(record)
     for field_name, field in layout.arrays.items():
         value = getattr(record, field_name)
         if value is None and field.optional:
             continue
         array = checked_array(f"{name}.{field_name}", field, value)
         dataset = _create(group, field_name, array.shape, array.dtype, field.streamed)
-        _describe(dataset, known[field_name])
-        told: ArrayDigest = {
+        _describe(dataset, quantities[field_name])
+        described: ArrayDigest = {
             "name": field_name,
             "dtype": dataset.dtype.str,
             "shape": list(dataset.shape),
-            "unit": known[field_name].unit,
+            "unit": quantities[field_name].unit,
             "sha256": "",
         }
         if field.streamed:
-            told["sha256"], told["blocks"] = _write_stack(dataset, array)
+            described["sha256"], described["blocks"] = _write_stack(dataset, array)
         else:
             hashed = SlabHash()
             hashed.update(array)
             dataset[...] = array
-            told["sha256"] = hashed.hexdigest()
-        dataset.attrs["sha256"] = told["sha256"]
-        arrays.append(told)
+            described["sha256"] = hashed.hexdigest()
+        dataset.attrs["sha256"] = described["sha256"]
+        arrays.append(described)
     plain = plain_to_json(record)
     group.attrs["record"] = type(record).__name__
-    _name(group, "arrays", [told["name"] for told in arrays])
+    _name(group, "arrays", [described["name"] for described in arrays])
     _text(group, FIELDS, plain)
     _plot_as_nxdata(group, layout.arrays)
     return {"name": name, "record": type(record).__name__, "fields": plain, "arrays": arrays}

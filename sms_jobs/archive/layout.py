@@ -146,9 +146,9 @@ def attempt_of(relative: str, job_id: str) -> int:
 
 
 def fits(relative: str, provenance: Provenance) -> bool:
-    """Say whether a sealed file lies where its provenance wants it, under the name that follows from it."""
-    wanted = f"{folder(provenance.subject)}/{stem(provenance)}"
-    return relative == f"{wanted}.h5" if is_dataset(relative) else relative.startswith(f"{wanted}-")
+    """Say whether a sealed file has the folder and the name that follow from its provenance."""
+    expected = f"{folder(provenance.subject)}/{stem(provenance)}"
+    return relative == f"{expected}.h5" if is_dataset(relative) else relative.startswith(f"{expected}-")
 
 
 def _last(relative: str) -> str:

@@ -134,18 +134,18 @@ def provenance_to_json(provenance: Provenance) -> str:
 def provenance_from_json(text: str | bytes, path: str) -> Provenance:
     """Read a provenance from JSON; raise `ArchiveCorrupt`, naming the file at `path`, if it is none."""
     try:
-        told = _JSON.validate_json(text, strict=True)
+        provenance = _JSON.validate_json(text, strict=True)
     except ValidationError as error:
         raise ArchiveCorrupt(
             f"{path} has no readable provenance ({error.error_count()} errors); restore it from a backup"
         ) from error
-    infinite = [name for name, value in told.statistics.items() if not isfinite(value)]
+    infinite = [name for name, value in provenance.statistics.items() if not isfinite(value)]
     if infinite:
         raise ArchiveCorrupt(
             f"the statistic {infinite[0]} of {path} is not finite, so that it cannot be searched by; restore "
             "the file from a backup"
         )
-    return told
+    return provenance
 
 
 def digest(text: str | bytes) -> str:
