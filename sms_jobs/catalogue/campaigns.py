@@ -101,14 +101,14 @@ def bring_up_to_date(session: Session, row: CampaignRow, after: Campaign) -> Non
         rows[state.label] = state_row
     session.flush()
     of_campaign = select(ChannelRow).join(LoadStateRow, LoadStateRow.id == ChannelRow.state_id)
-    known = {
+    channels = {
         (channel.state_id, channel.name): channel
         for channel in session.scalars(of_campaign.where(LoadStateRow.campaign_id == row.id))
     }
     for state in after.states:
         for name, value in state.channels.items():
             number = rows[state.label].id
-            if (channel := known.get((number, name))) is None:
+            if (channel := channels.get((number, name))) is None:
                 session.add(ChannelRow(state_id=number, name=name, value=value))
             else:
                 channel.value = value
@@ -131,10 +131,10 @@ def campaign_id(session: Session, name: str) -> int:
     """Return the number of a campaign; raise `NotFound` with the names that there are."""
     number = session.scalar(select(CampaignRow.id).where(CampaignRow.name == name))
     if number is None:
-        known = session.scalars(select(CampaignRow.name).order_by(CampaignRow.id.desc()).limit(5)).all()
+        latest = session.scalars(select(CampaignRow.name).order_by(CampaignRow.id.desc()).limit(5)).all()
         hint = (
-            f"the latest are {', '.join(known)}"
-            if known
+            f"the latest are {', '.join(latest)}"
+            if latest
             else "there is none yet; see 'sms campaign create --help'"
         )
         raise NotFound(f"there is no campaign '{name}'; {hint}")
@@ -165,16 +165,16 @@ class Definitions:
     """
 
     def __init__(self) -> None:
-        self._known: dict[str, Campaign] = {}
+        self._definitions: dict[str, Campaign] = {}
 
     def get(self, session: Session, campaign_id: int, known_by: str) -> Campaign:
         """Return the definition of a campaign that has that hash; where it has another one by now, that."""
-        if known_by in self._known:
-            return self._known[known_by]
+        if known_by in self._definitions:
+            return self._definitions[known_by]
         row = session.get_one(CampaignRow, campaign_id)
-        campaign = self._known[row.definition_hash] = definition(row)
-        if len(self._known) > KEPT_DEFINITIONS:
-            del self._known[next(iter(self._known))]
+        campaign = self._definitions[row.definition_hash] = definition(row)
+        if len(self._definitions) > KEPT_DEFINITIONS:
+            del self._definitions[next(iter(self._definitions))]
         return campaign
 
 

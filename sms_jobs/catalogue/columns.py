@@ -61,8 +61,8 @@ class Text(TypeDecorator[str]):
         return Sought()
 
 
-class Told(TypeDecorator[str]):
-    """What the program says of itself; words of libraries and strangers in it are made fit, never refused."""
+class MessageText(TypeDecorator[str]):
+    """A message of the program: what cannot be stored, say from a library, is replaced, never refused."""
 
     impl = sqlalchemy.Text
     cache_ok = True

@@ -69,7 +69,7 @@ def find_page(
     asked = _asked(fields, query, columns)
     ids = session.scalars(statement(session, query, fields, after=after, limit=limit + 1)).all()
     following = ids[limit - 1] if len(ids) > limit else None
-    return Page(tuple(asked), tuple(_told(session, ids[:limit], asked)), following)
+    return Page(tuple(asked), tuple(_found_files(session, ids[:limit], asked)), following)
 
 
 def restricted(
@@ -110,7 +110,7 @@ def statement(
     if query.kind is not None:
         fields.refuse_unknown_kind(query.kind, query.text)
     conditions = Conditions(session, query, fields)
-    wanted = conjuncts(query.condition)
+    parts = conjuncts(query.condition)
     found = select(FileRow.id)
     if query.kind is not None:
         found = found.where(FileRow.source == query.kind.text)
@@ -125,11 +125,11 @@ def statement(
     elif of_calibration is not None:
         # The index of its files is walked, in place of that of all files.
         part, calibration = of_calibration
-        wanted = tuple(other for other in wanted if other is not part)
+        parts = tuple(other for other in parts if other is not part)
         used = aliased(CalibrationUseRow)
         found = found.join(used, used.file_id == FileRow.id).where(used.calibration_id == calibration)
         number = used.file_id.expression
-    found = found.where(conditions.all_of(wanted))
+    found = found.where(conditions.all_of(parts))
     if after is not None:
         found = found.where(number < after)
     return found.order_by(number.desc()).limit(limit)
@@ -159,16 +159,16 @@ def _few(session: Session, sources: Sequence[Select[int]]) -> tuple[Select[int],
 
 
 def _asked(fields: Fields, query: Query, columns: Sequence[str] | None) -> dict[str, Field]:
-    """Return what to tell of each file: the columns that are wanted, or what the query compares."""
+    """Return what to show of each file: the columns that were asked for, or what the query compares."""
     if columns is not None:
         return {c: fields.field(Name(c, 0), c) for c in columns}
     tests = [test for test in comparisons(query.condition) if test.name.at != UNWRITTEN]
     named = {test.name.text: fields.field(test.name, query.text) for test in tests}
-    # Which calibration is wanted, a query says itself.
+    # A calibration that a query compares stands in the query itself.
     return {name: field for name, field in named.items() if field.type != "calibration"}
 
 
-def _told(session: Session, ids: Sequence[int], asked: dict[str, Field]) -> Iterator[Found]:
+def _found_files(session: Session, ids: Sequence[int], asked: dict[str, Field]) -> Iterator[Found]:
     extra = [field.column.label(f"value_{place}") for place, field in enumerate(asked.values())]
     by_id = {
         file.id: Found(file, {n: _value(f, v) for (n, f), v in zip(asked.items(), values, strict=True)})

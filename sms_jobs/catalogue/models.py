@@ -18,7 +18,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, validates
 
-from sms_jobs.catalogue.columns import String, Text, Told, UtcDateTime
+from sms_jobs.catalogue.columns import MessageText, String, Text, UtcDateTime
 from sms_jobs.records.job import JobState
 from sms_jobs.records.views import view_of
 
@@ -316,10 +316,10 @@ class JobRow(Table):
     stop_asked_at: Mapped[datetime | None]
     """Since when it is to stop; `stop_as` says how it then ends, `stop_reason` why."""
     stop_as: Mapped[JobState | None]
-    stop_reason: Mapped[str | None] = mapped_column(Told)
+    stop_reason: Mapped[str | None] = mapped_column(MessageText)
     progress: Mapped[float] = mapped_column(default=0.0)
-    message: Mapped[str] = mapped_column(Told, default="")
-    error: Mapped[str | None] = mapped_column(Told)
+    message: Mapped[str] = mapped_column(MessageText, default="")
+    error: Mapped[str | None] = mapped_column(MessageText)
     reuse_key: Mapped[str | None] = mapped_column(String(64))
     reused_from: Mapped[str | None] = mapped_column(ForeignKey("job.id"))
 
@@ -346,7 +346,7 @@ class EventRow(Table):
     at: Mapped[datetime]
     state: Mapped[JobState]
     attempt: Mapped[int]
-    message: Mapped[str] = mapped_column(Told, default="")
+    message: Mapped[str] = mapped_column(MessageText, default="")
 
 
 class OutboxRow(Table):
@@ -390,7 +390,7 @@ class ScheduleFireRow(Table):
     __tablename__ = "schedule_fire"
     schedule_id: Mapped[int] = mapped_column(ForeignKey("schedule.id"), primary_key=True)
     fire_time: Mapped[datetime] = mapped_column(primary_key=True)
-    outcome: Mapped[str] = mapped_column(Told)
+    outcome: Mapped[str] = mapped_column(MessageText)
 
 
 class SavedQueryRow(Table):
@@ -414,7 +414,7 @@ class JobDeviceRow(Table):
 class LockRow(Table):
     """A device that is held: by an attempt of a job for as long as that runs, or by a person for a while.
 
-    The row of a device outlives its holder; whether it is held is told by `jobs.locks` alone.
+    The row of a device outlives its holder; only `jobs.locks` can say whether it is held.
     """
 
     __tablename__ = "lock"

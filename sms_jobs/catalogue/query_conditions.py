@@ -76,7 +76,7 @@ class Conditions:
         return and_(True, *(self._expression(part) for part in parts))
 
     def sources(self) -> list[Select[int]]:
-        """Return selections of file numbers by an index; every file that is wanted is in each of them."""
+        """Return selections of file numbers by an index; each has every file that meets the query."""
         return list(self._sources(self._query.condition))
 
     def of_one_calibration(self) -> tuple[Condition, int] | None:
@@ -111,9 +111,9 @@ class Conditions:
 
     def _union(self, part: AnyOf) -> Iterator[Select[int]]:
         branches = [next(self._sources(one), None) for one in part.conditions]
-        known = [branch for branch in branches if branch is not None]
-        if len(known) == len(branches):
-            yield _together(known)
+        complete = [branch for branch in branches if branch is not None]
+        if len(complete) == len(branches):
+            yield _together(complete)
 
     def _calibrated(self, part: Test) -> Iterator[Select[int]]:
         if isinstance(part, Comparison) and part.operator is Operator.EQUAL:
@@ -217,8 +217,8 @@ class Conditions:
         """Compare the campaign's number, on which the indexes of `file` begin."""
         if isinstance(part, Comparison) and part.operator not in (Operator.EQUAL, Operator.UNEQUAL):
             field = self._field(part)
-            wanted = self._test(part, Field("campaign", "text", field.column), CampaignRow.name.expression)
-            alike = select(CampaignRow.id).where(wanted)
+            condition = self._test(part, Field("campaign", "text", field.column), CampaignRow.name.expression)
+            alike = select(CampaignRow.id).where(condition)
             numbers = self._session.scalars(alike.limit(AT_ONCE + 1)).all()
             if len(numbers) > AT_ONCE:
                 return FileRow.campaign_id.in_(alike)
@@ -262,8 +262,8 @@ class Conditions:
 
 def _together(selections: Sequence[Select[int]]) -> Select[int]:
     """Select what any of some selections selects; what several do comes several times."""
-    known = [one.subquery() for one in selections]
-    return select(union_all(*(select(k.c[0]) for k in known)).subquery().c[0])
+    subqueries = [one.subquery() for one in selections]
+    return select(union_all(*(select(k.c[0]) for k in subqueries)).subquery().c[0])
 
 
 def _uses_index(part: Test) -> bool:

@@ -103,8 +103,8 @@ class Field:
     parameter: str = ""
 
 
-def _of(key: ColumnElement[bool], wanted: InstrumentedAttribute[Any]) -> ColumnElement[Any]:
-    return select(wanted).where(key).correlate(FileRow).scalar_subquery()
+def _of(key: ColumnElement[bool], column: InstrumentedAttribute[Any]) -> ColumnElement[Any]:
+    return select(column).where(key).correlate(FileRow).scalar_subquery()
 
 
 def _of_state(column: InstrumentedAttribute[Any]) -> ColumnElement[Any]:
@@ -191,7 +191,7 @@ def _built_in(dialect: str) -> dict[str, Field]:
         Field("path", "text", FileRow.path.expression),
         Field("size_bytes", "number", FileRow.size_bytes.expression),
     )
-    return {known.name: known for known in fields}
+    return {field.name: field for field in fields}
 
 
 _LONG = {"max": "maximum", "min": "minimum", "med": "median", "avg": "mean"}
@@ -237,11 +237,11 @@ class Fields:
     def _refuse(self, name: Name, text: str, found: list[str], space: str) -> NoReturn:
         if found:
             refuse(text, name.at, f"'{name.text}' may mean {_listed(found)}; write which")
-        known = self.known(space)
-        near = get_close_matches(name.text.lower(), [k.lower() for k in known], n=1, cutoff=0.5)
-        hint = next((f"; did you mean '{k}'" for k in known if [k.lower()] == near), "")
-        more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
-        listed = f"there are {_listed(known[:_LISTED])}{more}" if known else "there are none of that sort yet"
+        names = self.names(space)
+        near = get_close_matches(name.text.lower(), [k.lower() for k in names], n=1, cutoff=0.5)
+        hint = next((f"; did you mean '{k}'" for k in names if [k.lower()] == near), "")
+        more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+        listed = f"there are {_listed(names[:_LISTED])}{more}" if names else "there are none of that sort yet"
         refuse(text, name.at, f"nothing is called '{name.text}'{hint}; {listed}")
 
     def refuse_unknown_kind(self, kind: Name, text: str) -> None:
@@ -249,12 +249,12 @@ class Fields:
         there = set(self._distinct(FileRow.source))
         if kind.text in there or kind.text in self._vocabulary.kinds:
             return
-        known = sorted(self._vocabulary.kinds | there)
-        near = get_close_matches(kind.text, known, n=1, cutoff=0.5)
+        kinds = sorted(self._vocabulary.kinds | there)
+        near = get_close_matches(kind.text, kinds, n=1, cutoff=0.5)
         hint = f"; did you mean '{near[0]}'" if near else ""
-        refuse(text, kind.at, f"there is no kind '{kind.text}'{hint}; there are {_listed(known)}")
+        refuse(text, kind.at, f"there is no kind '{kind.text}'{hint}; there are {_listed(kinds)}")
 
-    def known(self, space: str = "") -> list[str]:
+    def names(self, space: str = "") -> list[str]:
         """Return all names, or those behind `statistic.`, `channel.` or `param.`."""
         names = [] if space else list(self._built_in)
         if space in ("", "statistic"):
@@ -266,12 +266,12 @@ class Fields:
         return names
 
     def _plain(self, name: str) -> Field | list[str]:
-        known = {n: f for n, f in self._built_in.items() if f.type == "number"}
+        numbers = {n: f for n, f in self._built_in.items() if f.type == "number"}
         if name.lower() in self._built_in:
             return self._built_in[name.lower()]
         for other, factor in in_other_units(name.lower()):
-            if other in known:
-                return replace(known[other], name=name, factor=factor)
+            if other in numbers:
+                return replace(numbers[other], name=name, factor=factor)
         # A name in full comes before the beginning of another: temp_c is not temp_c_before.
         for whole in (True, False):
             found = self._statistic(name, name, whole) or self._channel(name, name, whole)

@@ -1,4 +1,4 @@
-"""The language of `sms data find`: text in, a tree of conditions out; what the names mean is told elsewhere.
+"""The language of `sms data find`: text in, a tree of conditions out; what the names mean stands elsewhere.
 
 `docs/query.md` describes it for people. The grammar, with words in any case:
 

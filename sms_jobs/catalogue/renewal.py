@@ -36,7 +36,7 @@ def damage(file: Path, limit_s: float | None = None) -> str | None:
     Parameters
     ----------
     limit_s
-        How long it is looked at; what was not found by then is not told.
+        How long it is examined at most; what was not found by then is not reported.
     """
     if not file.is_file() or file.stat().st_size == 0:
         return None

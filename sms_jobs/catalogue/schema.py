@@ -41,10 +41,10 @@ def revisions() -> tuple[str, ...]:
 
 def newest_revision() -> str:
     """Return the revision that this version of the program works with."""
-    known = revisions()
-    if not known:
+    versions = revisions()
+    if not versions:
         raise ConfigurationError("the installation has no migrations; install sms-jobs again")
-    return known[-1]
+    return versions[-1]
 
 
 def current_revision(catalogue: Catalogue) -> str | None:
@@ -116,13 +116,13 @@ def _is_compared(dialect: str, thing: SchemaItem, *_: object) -> bool:
 
 
 def _refuse_newer(catalogue: Catalogue, found: str | None) -> None:
-    known = revisions()
-    if found is not None and found < known[0]:
+    versions = revisions()
+    if found is not None and found < versions[0]:
         raise OtherFormat(
             f"the catalogue {catalogue.describe()} has revision {found}, from before the first release; this "
-            f"version reads {known[0]} and later: begin anew with 'sms init' in another home"
+            f"version reads {versions[0]} and later: begin anew with 'sms init' in another home"
         )
-    if found is not None and found not in known:
+    if found is not None and found not in versions:
         raise OtherFormat(
             f"the catalogue {catalogue.describe()} has revision {found}, newer than {newest_revision()}, the "
             "newest that this version knows; install a newer sms-jobs"
