@@ -52,8 +52,8 @@ class Channel(filesystem.Channel):
     def get_table(self, exchange: str) -> list[Any]:
         """Return who listens to an exchange; nobody, where that cannot be read: they say it again."""
         try:
-            known = loads(self._exchange_file(exchange).read_text(encoding="utf-8"))
-            return [filesystem.exchange_queue_t(*one) for one in known]
+            bindings = loads(self._exchange_file(exchange).read_text(encoding="utf-8"))
+            return [filesystem.exchange_queue_t(*one) for one in bindings]
         except FileNotFoundError:
             return []
         except (ValueError, TypeError):
@@ -66,9 +66,9 @@ class Channel(filesystem.Channel):
         self.control_folder.mkdir(exist_ok=True)
         with (self.control_folder / "lock").open("ab") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            known = self.get_table(exchange)
-            if listener not in known:
-                _write_whole(table, [listener, *known])
+            bound = self.get_table(exchange)
+            if listener not in bound:
+                _write_whole(table, [listener, *bound])
 
 
 def _write_whole(path: Path, content: Any) -> None:

@@ -38,11 +38,11 @@ def main() -> None:
     wishes = sys.stdin.fileno()
     while board.beat(NURSERY):
         asked, _, _ = select.select([wishes], [], [], _BEAT_EVERY_S)
-        wanted = os.read(wishes, 256) if asked else b""
-        if asked and not wanted:
+        requested = os.read(wishes, 256) if asked else b""
+        if asked and not requested:
             return
         _bury(children)
-        for line in {place_line(number) for number in wanted} - set(children.values()):
+        for line in {place_line(number) for number in requested} - set(children.values()):
             children[_fork(board, line, lifeline, wishes)] = line
 
 

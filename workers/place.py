@@ -55,7 +55,7 @@ def serve(board: Board, line: int, lifeline: int) -> NoReturn:
             without_heartbeat=True,
         )
         worker.start()
-    except _ToldToEnd:
+    except _EndRequested:
         status = 0
     except BaseException:
         logger.exception("process %d ends", os.getpid())
@@ -64,7 +64,7 @@ def serve(board: Board, line: int, lifeline: int) -> NoReturn:
         os._exit(status)
 
 
-class _ToldToEnd(BaseException):
+class _EndRequested(BaseException):
     """A place ends between two messages, with nothing to tidy up. Celery would outlive an `Exception`."""
 
 
@@ -105,7 +105,7 @@ class _Listener(Consumer):  # type: ignore[misc]
 
     def _beat(self) -> None:
         if not self.board.beat(self.line) or self.board.draining:
-            raise _ToldToEnd
+            raise _EndRequested
 
     @staticmethod
     def _say(error: Exception, interval: float) -> None:

@@ -137,14 +137,14 @@ class Places:
         """Take hold of who is in which place, and let go of who is gone."""
         for line in self._lines:
             pid, _ = self._board.read(line)
-            known = self._processes.get(line)
-            if known is not None and known.pid == pid and _lives(known):
+            process = self._processes.get(line)
+            if process is not None and process.pid == pid and _lives(process):
                 continue
-            if known is not None:
+            if process is not None:
                 del self._processes[line]
                 if not self._draining:
-                    logger.warning("process %d is gone", known.pid)
-            if known is not None and known.pid == pid:
+                    logger.warning("process %d is gone", process.pid)
+            if process is not None and process.pid == pid:
                 self._board.clear(line)
             elif pid:
                 with suppress(psutil.NoSuchProcess):

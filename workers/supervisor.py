@@ -45,7 +45,7 @@ _PATIENCE_WITH_BROKER_S = 5.0
 _QUEUE_READY_EVERY_S = 30.0
 _REGISTER_AGAIN_S = 1.0
 _PATIENCE_WITH_JOBS_S = 600.0
-"""How long jobs that run may take to end when the service is told to."""
+"""How long jobs that run may take to end when the service is asked to stop."""
 
 
 class Supervisor:
@@ -75,7 +75,7 @@ class Supervisor:
             self._environment(),
             self._settings.log_folder / f"worker-{self.worker_id}.log",
         )
-        self._processes_told = 0
+        self._processes_reported = 0
         self._stop_asked = 0
         self._idle = False
 
@@ -141,7 +141,7 @@ class Supervisor:
                     self._fire_schedules,
                     self._enforce,
                     self._recover,
-                    self._tell_of_processes,
+                    self._report_processes,
                     self._look_whether_idle,
                 )
                 if sum(map(self._done, duties)) == len(duties):
@@ -177,10 +177,10 @@ class Supervisor:
         with self._services.catalogue.writing() as session:
             processes = len(self._places.living())
             recovery.beat(session, self.worker_id, datetime.now(UTC), processes)
-        self._processes_told = processes
+        self._processes_reported = processes
 
-    def _tell_of_processes(self) -> None:
-        if len(self._places.living()) != self._processes_told:
+    def _report_processes(self) -> None:
+        if len(self._places.living()) != self._processes_reported:
             self._beat()
 
     def _recover(self) -> None:

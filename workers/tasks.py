@@ -53,7 +53,7 @@ def run(job_id: str) -> None:
     try:
         _runner().run_queued()
     except BaseException:
-        # The catalogue could not be told how a job ended, or whether it began. A process that lives on would
+        # The beginning or end of a job could not be recorded in the catalogue. A process that lives on would
         # keep the job for ever; one that is gone tells the supervisor to run the job again.
         logging.getLogger(__name__).exception("process %d ends: its job may not have", os.getpid())
         os._exit(1)
