@@ -209,11 +209,11 @@ class Archive:
         return provenance_from_json(json.dumps(provenance), path), content_hash, media_type
 
     def verify_provenance(self, path: str, content_hash: str) -> None:
-        """Raise `ArchiveCorrupt` unless what lies beside a document is whole and of those contents."""
+        """Raise `ArchiveCorrupt` unless the provenance beside a document is whole and of those contents."""
         recorded = self._beside(path)[1]
         if recorded != content_hash:
             raise ArchiveCorrupt(
-                f"what lies beside {path} is of contents that hash to {recorded[:12]}..., but "
+                f"the provenance of {path} is of contents with the hash {recorded[:12]}..., but "
                 f"{content_hash[:12]}... is on record; restore it from a backup"
             )
 

@@ -143,7 +143,7 @@ def import_(
     for remark in found.remarks:
         output.say(remark)
     names = " ".join(s.name for s in calibration.rig.sensors)
-    said = "is entered" if registered.new else "is known already"
+    said = "is entered" if registered.new else "is in the catalogue already"
     output.say(
         f"calibration {registered.number} of rig {calibration.rig.name} ({names}) {said}; {_next(found)}"
     )

@@ -139,7 +139,7 @@ def _write(options: FindOptions, columns: list[str], files: Iterator[Found]) -> 
 def _refuse(options: FindOptions) -> None:
     """Refuse what does not go together, before anything is looked for."""
     if options.as_json and options.form is not Format.TABLE:
-        raise InvalidInput(f"--json and --format {options.form.value} cannot both be had; give one of them")
+        raise InvalidInput(f"--json and --format {options.form.value} exclude each other; give one of them")
     if options.out is None:
         if options.form is Format.PARQUET:
             raise InvalidInput("a Parquet file cannot be shown on a screen; say where to write it with --out")

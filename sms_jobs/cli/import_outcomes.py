@@ -71,7 +71,7 @@ def tell_outcome(outcome: Outcome, *, as_json: bool, dry_run: bool, campaign: st
         )
         if outcome.bad and not dry_run:
             output.say(
-                "what was refused is not in the archive: mend it and import again, or leave it out by --only"
+                "what was refused is not in the archive: correct it and import again, or omit it by --only"
             )
         if counts["imported"]:
             output.say(f"next: sms job submit {then} --campaign {campaign}")

@@ -77,7 +77,8 @@ def _refuse_other_rig(session: Session, rig: str, campaign: str, number: int) ->
     theirs = campaigns.definition(campaigns.campaign_row(session, campaign)).rig
     if theirs != rig:
         raise InvalidInput(
-            f"calibration {number} is of rig {rig}, and campaign {campaign} is measured by rig {theirs}"
+            f"calibration {number} is of rig {rig}, and campaign {campaign} is measured by rig {theirs}; "
+            f"'sms calibration list' shows those of {theirs}"
         )
 
 

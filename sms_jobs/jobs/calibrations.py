@@ -277,8 +277,8 @@ def check(
         orientations = campaigns.definition(row).sequence
         if len(orientations.orientations_rad) < 2:
             raise InvalidInput(
-                f"{subject} has fringes of one orientation, with which rays meet whatever the calibration: "
-                "check a measurement with two"
+                f"{subject} has fringes of one orientation, with which no error of the calibration shows: "
+                "check a measurement with two orientations"
             )
         shape = campaigns.newest_file(session, "reconstruct", subject, DATASET_MEDIA_TYPE)
         used = calibration_choice.chosen(session, subject, now)

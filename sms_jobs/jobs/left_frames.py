@@ -45,7 +45,7 @@ class LeftFrames:
 def removable(
     session: Session, spool: Path, now: datetime, older_than: timedelta, kinds: Collection[str] = ()
 ) -> list[LeftFrames]:
-    """Return what a policy lets go: frames of recordings that succeeded or were cancelled so long ago.
+    """Return what a policy removes: frames of recordings that succeeded or were cancelled so long ago.
 
     Those of one that has failed or waits for an operator are needed when it goes on, and of a job that the
     catalogue does not know nobody can tell.
@@ -75,7 +75,7 @@ def removable(
 def remove(
     catalogue: Catalogue, spool: Path, now: datetime, older_than: timedelta, kinds: Collection[str] = ()
 ) -> list[LeftFrames]:
-    """Remove what a policy lets go, and return it."""
+    """Remove what a policy does not keep, and return it."""
     with catalogue.writing() as session:
         gone = removable(session, spool, now, older_than, kinds)
         for one in gone:

@@ -35,7 +35,7 @@ _AT_ONCE = 500
 
 @dataclass(frozen=True)
 class Removable:
-    """A result that a policy lets go."""
+    """A result that a retention policy removes."""
 
     file_id: int
     path: str
@@ -119,7 +119,7 @@ def superseded(session: Session, kinds: Collection[str] = ()) -> list[Removable]
 def removable(
     session: Session, now: datetime, older_than: timedelta, kinds: Collection[str] = ()
 ) -> list[Removable]:
-    """Return the results that a policy lets go: superseded, old, and nothing that stays was made from them.
+    """Return the results that a policy removes: superseded, old, and nothing that stays was made from them.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def remove(
     older_than: timedelta,
     kinds: Collection[str] = (),
 ) -> list[Removable]:
-    """Remove the results that a policy lets go, and return them.
+    """Remove the results that a policy does not keep, and return them.
 
     They are locked before they are looked at for the last time: whoever begins to need one meanwhile is
     either seen, or finds it gone. One that somebody else has locked stays.

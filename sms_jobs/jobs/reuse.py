@@ -110,7 +110,7 @@ class Earlier:
 
 def earlier_success(session: Session, key: str) -> Earlier | None:
     """Return the newest job that computed the same, and its files, if there is one."""
-    # Locked, so that no policy lets them go before this is committed. Those that one lets go just now are
+    # Locked, so that no policy removes them before this is committed. Those that one removes just now are
     # waited for, and counted, but do not come any more.
     files = session.execute(_FILES, {"key": key}).all()
     if not files or len(files) < files[0].seen:

@@ -209,7 +209,7 @@ class Runner:
 
         def end(session: Session) -> _Begun:
             if reuse.earlier_success(session, begun.key) != earlier:
-                return replace(begun, damage="it was let go meanwhile")
+                return replace(begun, damage="its files were removed meanwhile")
             return replace(begun, reused=(self._reuse(session, held, begun.key, earlier, fault),))
 
         return self._commit(held, end)
