@@ -37,7 +37,7 @@ class Command:
 
     def load(self, name: str) -> Any:
         """Return the command itself."""
-        # What is imported stays: to look for garbage among it again and again takes a sixth of a short command.
+        # What is imported stays: to look for garbage in it again and again takes a sixth of a short command.
         gc.disable()
         try:
             module = import_module(f"sms_jobs.{self.module}")
