@@ -33,7 +33,7 @@ class Work:
     kinds
         Names of kinds, or `kinds.EVERYTHING`.
     parameters
-        By name of a single kind, by `kind.name` of one of several or of everything.
+        By `kind.name`; the name is enough where there is a single kind.
     states, views
         Empty for all.
     priority
@@ -55,7 +55,8 @@ class Work:
         """Each kind with its parameters; raises `InvalidInput` for a parameter of no kind."""
         kinds, parameters = self.kinds, self.parameters
         if len(kinds) == 1:
-            return [Request(kinds[0], parameters, self.states, self.views)]
+            own = {name.removeprefix(f"{kinds[0]}."): value for name, value in parameters.items()}
+            return [Request(kinds[0], own, self.states, self.views)]
         stray = [name for name in parameters if name.partition(".")[0] not in kinds]
         if stray and PIPELINE not in kinds:
             raise InvalidInput(

@@ -227,11 +227,11 @@ def section(
         read: Any = dataset.read(name, dataset.record_class(name))
         values = named_field(read, field)
         own = dataset.read("surface", Surface).position if "surface" in dataset.names else values.position
-    flat = view.in_plane
-    if flat:
-        own = _pixels(values.values.shape[-2:])
-    elif own is None:
+    if own is None and not view.in_plane:
         own = _shape_of(services, parents, file)
+    flat = own is None or len(own) == 2
+    if own is None or flat:
+        own = _pixels(values.values.shape[-2:])
     profile = profile_along(own, values.values, *ends, step_mm=step, width_mm=width)
     columns = ["distance_mm", "X_mm", "Y_mm", "Z_mm", *values.columns, "pixels"]
     rows = [
