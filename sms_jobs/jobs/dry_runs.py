@@ -48,7 +48,7 @@ def dry_run(
     rehearsed: dict[str, StateRehearsal] = {}
     if not missing:
         poses = [_pose(s) for s in states]
-        found = rehearse(rig, campaign.shape_views, campaign.sequence, poses, parameters.texture_exposure)
+        found = rehearse(rig, campaign.fringe_views, campaign.sequence, poses, parameters.texture_exposure)
         rehearsed = {s.label: r for s, r in zip(states, found, strict=True)}
         missing += [f"{label}: {r.problem}" for label, r in rehearsed.items() if r.problem]
     # A set that is recorded again lies beside the one that it replaces.
@@ -82,9 +82,9 @@ def _missing_sensors(rig: RigFile, campaign: Campaign) -> Iterator[str]:
     """Tell which sensors the rig lacks, or has with another size."""
     sizes = {c.name: (c.columns, c.rows) for c in rig.cameras}
     sizes |= {p.name: (p.columns, p.rows) for p in rig.projectors}
-    if not campaign.shape_views:
+    if not campaign.fringe_views:
         yield f"campaign {campaign.name} has no projector, and cameras alone are not recorded"
-    names = dict.fromkeys(name for view in campaign.shape_views for name in view_of(view).sensors)
+    names = dict.fromkeys(name for view in campaign.fringe_views for name in view_of(view).sensors)
     for name in names:
         if name not in sizes:
             yield f"the file of rig {rig.name} has no {name}; it has {', '.join(sizes) or 'none'}"

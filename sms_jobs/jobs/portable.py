@@ -125,7 +125,7 @@ def _tuples(campaign: CampaignRow) -> list[Subject]:
     return [
         Subject(definition.name, state.label, view)
         for state in definition.states
-        for view in definition.views
+        for view in dict.fromkeys((*definition.views, *definition.recordings))
     ]
 
 

@@ -354,6 +354,16 @@ def tuples(campaign: Campaign) -> tuple[Subject, ...]:
     return _tuples(campaign, campaign.shape_views)
 
 
+def fringe_tuples(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return those of a camera and a projector."""
+    return _tuples(campaign, campaign.fringe_views)
+
+
+def camera_tuples(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return those of several cameras."""
+    return tuple(one for one in tuples(campaign) if one.view not in campaign.fringe_views)
+
+
 def deformed_tuples(campaign: Campaign) -> tuple[Subject, ...]:
     """Return every tuple by which displacement is measured: all states but the reference."""
     return _deformed(campaign, _tuples(campaign, campaign.measured_views))
@@ -367,7 +377,7 @@ def deformed_views(campaign: Campaign) -> tuple[Subject, ...]:
 def planes(campaign: Campaign) -> tuple[Subject, ...]:
     """Return the tuples of cameras without a projector at the reference state, whose image is a plane."""
     states = tested_states(campaign)[:1]
-    alone = [view for view in campaign.views if not view_of(view).measures_shape]
+    alone = [view for view in campaign.views if view not in campaign.shape_views]
     return tuple(Subject(campaign.name, state.label, view) for state in states for view in alone)
 
 

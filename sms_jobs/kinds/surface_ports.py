@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.kinds.kind import MEASUREMENT, Need, Port
+from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Need, Port
 from sms_jobs.kinds.products import MEASURED, PHASE, SURFACE, Product
 from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import Surface
+from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.views import View, view_of
 
 
@@ -40,7 +41,8 @@ class Maker:
 
 
 MAKERS = (
-    Maker("reconstruct", (SURFACE, PHASE), lambda view: view.measures_shape),
+    Maker("reconstruct", (SURFACE, PHASE), lambda view: bool(view.projectors)),
+    Maker("stereo", (SURFACE,), lambda view: bool(view.other_cameras)),
     Maker("plane", (SURFACE,), lambda view: not view.measures_shape, once=True),
 )
 
@@ -96,7 +98,16 @@ class StatePorts:
         """Yield the needs of a state; of what is made once, the reference alone has the surface."""
         if not maker_of(subject.view).once or subject.state == campaign.reference.label:
             yield self.surface.of(campaign, subject)
-        yield self.frames.of(subject)
+        yield self.frames.of(textured_by(subject))
+
+    def recorded(self, inputs: Inputs, about: Subject | None = None) -> Measurement:
+        """Return what shows the texture of the job's tuple, or of another where the ports have several."""
+        return inputs.read(self.frames, MEASURED, about and textured_by(about))
+
+
+def textured_by(subject: Subject) -> Subject:
+    """Return the recording that shows what the reference camera of a tuple sees."""
+    return subject.recordings[0]
 
 
 def state_ports(surface: str, frames: str, *, several: bool = False) -> StatePorts:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Literal, TypeAlias
 
@@ -54,6 +54,11 @@ class Subject:
             raise InvalidInput(f"'{text}' is not campaign/state/view")
         names = [checked_name(p, w) for p, w in zip(parts, ("campaign", "state", "view"), strict=False)]
         return cls(*names)
+
+    @property
+    def recordings(self) -> tuple[Subject, ...]:
+        """The tuples that are recorded for a tuple: see `View.recordings`."""
+        return tuple(replace(self, view=str(view)) for view in view_of(self.view).recordings)
 
 
 @dataclass(frozen=True)
@@ -169,7 +174,7 @@ class Campaign:
     states
         In order of the test; the first is the reference.
     views
-        Camera-projector views that measure every state, and cameras that look on alone, such as C1.
+        What measures every state: cameras with a projector, several cameras, and cameras that look on alone.
     sequence
         Fringe patterns of every measurement.
     processing
@@ -216,14 +221,24 @@ class Campaign:
         return self.states[0]
 
     @property
+    def recordings(self) -> tuple[str, ...]:
+        """What is recorded at every state: the views of fringes, and the cameras of the others, once each."""
+        return tuple(dict.fromkeys(str(one) for view in self.views for one in view_of(view).recordings))
+
+    @property
     def shape_views(self) -> tuple[str, ...]:
-        """The views of a camera and a projector, which measure shape."""
+        """The views that measure shape: a camera and a projector, or several cameras."""
         return tuple(view for view in self.views if view_of(view).measures_shape)
 
     @property
+    def fringe_views(self) -> tuple[str, ...]:
+        """The views of a camera and a projector."""
+        return tuple(view for view in self.views if view_of(view).projectors)
+
+    @property
     def cameras_alone(self) -> tuple[str, ...]:
-        """The cameras that have no projector here: what they measure is in the plane of their image."""
-        with_shape = {view_of(view).camera for view in self.shape_views}
+        """The cameras that have no partner here: what they measure is in the plane of their image."""
+        with_shape = {name for view in self.shape_views for name in view_of(view).sensors}
         return tuple(view for view in self.views if view_of(view).camera not in with_shape)
 
     @property

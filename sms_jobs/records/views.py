@@ -1,7 +1,8 @@
 """How a measurement is seen: one reference camera and its partners; no other module knows how it is written.
 
 A view is written as the names of its sensors, the reference camera first: C1 for a camera alone, C1P2 for a
-camera that looks at the fringes of a projector. A sensor's name is a letter for its role and a number.
+camera that looks at the fringes of a projector, C1C2 for cameras that look at one texture together. A
+sensor's name is a letter for its role and a number.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ CAMERA_PATTERN, PROJECTOR_PATTERN = (f"{_LETTERS[role]}{_NUMBER}" for role in Ro
 """Regular expressions of names in the names of files and folders."""
 SENSOR_PATTERN = f"(?:{CAMERA_PATTERN}|{PROJECTOR_PATTERN})"
 FRINGES_PATTERN = CAMERA_PATTERN + PROJECTOR_PATTERN
+MOST_CAMERAS = 4
+"""Of one view; a rig may have more, in several views."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +42,13 @@ class View:
     ----------
     camera
         The sensor whose pixels the results are over.
-    projectors
-        Whose fringes it sees; none for a camera alone, which measures in the plane of its image.
+    partners
+        A projector whose fringes it sees, or further cameras; none for a camera alone, which measures in the
+        plane of its image.
     """
 
     camera: str
-    projectors: tuple[str, ...] = ()
+    partners: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return "".join(self.sensors)
@@ -52,12 +56,27 @@ class View:
     @property
     def sensors(self) -> tuple[str, ...]:
         """Names of all sensors, the reference camera first."""
-        return (self.camera, *self.projectors)
+        return (self.camera, *self.partners)
+
+    @property
+    def projectors(self) -> tuple[str, ...]:
+        """The projectors among its partners."""
+        return tuple(name for name in self.partners if role_of(name) is Role.PROJECTOR)
+
+    @property
+    def other_cameras(self) -> tuple[str, ...]:
+        """The cameras among its partners."""
+        return tuple(name for name in self.partners if role_of(name) is Role.CAMERA)
 
     @property
     def measures_shape(self) -> bool:
         """Whether there is anything but the camera to measure shape with."""
-        return bool(self.projectors)
+        return bool(self.partners)
+
+    @property
+    def recordings(self) -> tuple[View, ...]:
+        """What is recorded for it: itself, of several cameras the image of each, the reference's first."""
+        return (self,) if self.projectors else tuple(View(name) for name in self.sensors)
 
     @property
     def projector(self) -> str:
@@ -70,12 +89,14 @@ class View:
 def view_of(text: str | None) -> View:
     """Read a view; raise `InvalidInput` for what is none."""
     found = [] if text is None or not _VIEW.fullmatch(text) else [*_SENSOR.finditer(text)]
-    roles = [_ROLES[one[1]] for one in found]
-    if roles not in ([Role.CAMERA], [Role.CAMERA, Role.PROJECTOR]):
+    names, roles = [one[0] for one in found], [_ROLES[one[1]] for one in found]
+    cameras = [Role.CAMERA] * min(len(roles), MOST_CAMERAS)
+    if roles not in (cameras or [Role.CAMERA], [Role.CAMERA, Role.PROJECTOR]) or len({*names}) < len(names):
         raise InvalidInput(
-            f"'{text or ''}' is not a view; write a camera and a projector like C1P2, a camera alone like C1"
+            f"'{text or ''}' is not a view; write a camera and a projector like C1P2, two to {MOST_CAMERAS} "
+            "cameras like C1C2, a camera alone like C1"
         )
-    return View(found[0][0], tuple(one[0] for one in found[1:]))
+    return View(names[0], tuple(names[1:]))
 
 
 def is_view(text: str) -> bool:

@@ -8,15 +8,45 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.records.views import Role, View, is_view, place_of, role_of, sensor_name, view_of
 
 
-@pytest.mark.parametrize("view", [View("C1"), View("C12", ("P3",)), View("C999", ("P999",))])
+@pytest.mark.parametrize(
+    "view",
+    [
+        View("C1"),
+        View("C12", ("P3",)),
+        View("C999", ("P999",)),
+        View("C2", ("C1",)),
+        View("C1", ("C2", "C3")),
+    ],
+)
 def test_a_view_is_read_as_it_was_written(view: View) -> None:
     assert view_of(str(view)) == view
-    assert view.sensors == (view.camera, *view.projectors)
-    assert view.measures_shape is bool(view.projectors)
+    assert view.sensors == (view.camera, *view.projectors, *view.other_cameras)
+    assert view.measures_shape is bool(view.projectors or view.other_cameras)
+
+
+def test_fringes_are_recorded_as_they_are_seen_and_several_cameras_by_themselves() -> None:
+    recorded = {text: [*map(str, view_of(text).recordings)] for text in ("C1", "C1P2", "C2C1C3")}
+    assert recorded == {"C1": ["C1"], "C1P2": ["C1P2"], "C2C1C3": ["C2", "C1", "C3"]}
 
 
 @pytest.mark.parametrize(
-    "text", [None, "", "P1", "C0", "C1P", "C01", "C1P1P2", "P1C1", "C1C2", "C1P1 ", "c1", "C1000"]
+    "text",
+    [
+        None,
+        "",
+        "P1",
+        "C0",
+        "C1P",
+        "C01",
+        "C1P1P2",
+        "P1C1",
+        "C1C1",
+        "C1C2P1",
+        "C1C2C3C4C5",
+        "C1P1 ",
+        "c1",
+        "C1000",
+    ],
 )
 def test_what_is_no_view_is_refused(text: str | None) -> None:
     with pytest.raises(InvalidInput, match="is not a view; write a camera and a projector like C1P2"):

@@ -22,6 +22,7 @@ from sms_jobs.kinds.kind import (
     Port,
     Progress,
     Scope,
+    fringe_tuples,
 )
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, RESPONSE
 from sms_jobs.kinds.shape.foreign_patterns import refuse_foreign_patterns
@@ -143,5 +144,6 @@ KIND = Kind(
     outputs=(RESPONSE,),
     needs=_needs,
     run=run,
+    subjects=fringe_tuples,
     in_pipeline=False,
 )

@@ -29,7 +29,7 @@ from sms_jobs.kinds.kind import (
     Progress,
     Scope,
 )
-from sms_jobs.kinds.products import ALIGNMENT, MEASURED, SURFACE, Product
+from sms_jobs.kinds.products import ALIGNMENT, SURFACE, Product
 from sms_jobs.kinds.shape.camera_views import cameras
 from sms_jobs.kinds.surface_ports import position_covariance, state_ports
 from sms_jobs.metrology.deformation.alignment import (
@@ -192,7 +192,7 @@ def _start(here: list[View], there: list[View], range_rotation: float, threads: 
 
 def _axis_of(inputs: Inputs, about: Subject) -> Vector:
     """Return the specimen's x axis in the frame of another campaign, as its strain was stated."""
-    simulation = inputs.read(_AT_REST.frames, MEASURED, about).simulation
+    simulation = _AT_REST.recorded(inputs, about).simulation
     if simulation is None:
         return (1.0, 0.0, 0.0)
     x, y, z = simulation.scene.placement.matrix()[:, 0]

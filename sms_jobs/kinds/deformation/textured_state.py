@@ -11,7 +11,7 @@ from scipy import ndimage
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.kind import CALIBRATION, Inputs, Port
-from sms_jobs.kinds.products import CALIBRATED, MEASURED, PHASE, SURFACE
+from sms_jobs.kinds.products import CALIBRATED, PHASE, SURFACE
 from sms_jobs.kinds.shape.textures import filtered, white_texture
 from sms_jobs.kinds.surface_ports import StatePorts, position_covariance
 from sms_jobs.metrology.deformation.correlation import Noise
@@ -86,7 +86,7 @@ def read_later(
     if before.surface.has_depth:
         surface = inputs.read(ports.surface.port, SURFACE)
         return _state(inputs, ports, surface, parameters, np.ones(surface.reason.shape, dtype=bool))
-    measurement = inputs.read(ports.frames, MEASURED)
+    measurement = ports.recorded(inputs)
     shape, found = before.surface.reason.shape, measurement.texture.shape
     if found != shape:
         raise InvalidInput(
@@ -151,7 +151,7 @@ def read_texture(
     `measured` and `of_interest`, (rows, columns), are the pixels with a shape and those whose noise it is;
     `about` says of what, where the ports have several.
     """
-    measurement = inputs.read(ports.frames, MEASURED, about)
+    measurement = ports.recorded(inputs, about)
     surface = ports.surface.port
     if parameters.texture == "white" or not inputs.has(surface, PHASE, about):
         return white_texture(measurement, parameters.smoothing_px, of_interest)

@@ -149,12 +149,12 @@ def order(campaign: Campaign, subject: Subject) -> Order:
         setting = Setting(scene, state.label, state.deformation, state.planned())
     shown = None if campaign.session is None else campaign.session.artefacts.get(state.artefact or "")
     fills = _SPHERES_FILL if isinstance(shown, BallBar) else 1.0
-    return Order(campaign.shape_views, campaign.sequence, stage_angles(state), setting, fills)
+    return Order(campaign.fringe_views, campaign.sequence, stage_angles(state), setting, fills)
 
 
 def all_states(campaign: Campaign) -> tuple[Subject, ...]:
     """Return every state, of specimens and artefacts alike, where a projector lights them."""
-    if not campaign.shape_views:
+    if not campaign.fringe_views:
         return ()
     return tuple(Subject(campaign.name, s.label) for s in campaign.states)
 

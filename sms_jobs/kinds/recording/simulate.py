@@ -93,7 +93,7 @@ def recipe(campaign: Campaign, subject: Subject) -> Recipe:
         scene_at(campaign.scene, campaign, state),
         state.label,
         state.deformation,
-        campaign.views,
+        campaign.recordings,
         campaign.sequence,
         state.time or UNTIMED,
     )

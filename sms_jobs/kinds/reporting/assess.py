@@ -25,7 +25,7 @@ from sms_jobs.kinds.kind import (
     tuples,
 )
 from sms_jobs.kinds.products import ASSESSMENT, DISPLACEMENT, MEASURED, STRAIN, SURFACE
-from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.kinds.surface_ports import position_covariance, surface_port, textured_by
 from sms_jobs.records.assessment import Assessment, Errors
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.quantity import SYMMETRIC
@@ -49,7 +49,7 @@ def simulated_tuples(campaign: Campaign) -> tuple[Subject, ...]:
 
 
 _FRAMES = Port("measurement", MEASUREMENT, (MEASURED,))
-_SHAPE = Port("shape", "reconstruct", (SURFACE,))
+_SHAPE = surface_port("shape")
 _REFERENCE = Port("reference", MEASUREMENT, (MEASURED,))
 _MOVED = Port("displacement", "correlate", (DISPLACEMENT,))
 _STRAINED = Port("strain", "strain", (STRAIN,))
@@ -57,10 +57,10 @@ _STRAINED = Port("strain", "strain", (STRAIN,))
 
 def needs(campaign: Campaign, subject: Subject, parameters: AssessParameters) -> Iterable[Need]:
     """Return the results that are compared, and the measurements that say what was simulated."""
-    yield _FRAMES.of(subject)
-    yield _SHAPE.of(subject)
+    yield _FRAMES.of(textured_by(subject))
+    yield _SHAPE.of(campaign, subject)
     if subject.state != campaign.reference.label:
-        yield _REFERENCE.of(replace(subject, state=campaign.reference.label))
+        yield _REFERENCE.of(textured_by(replace(subject, state=campaign.reference.label)))
         yield _MOVED.of(subject)
         yield _STRAINED.of(subject)
 
@@ -68,7 +68,7 @@ def needs(campaign: Campaign, subject: Subject, parameters: AssessParameters) ->
 def run(inputs: Inputs, parameters: AssessParameters, progress: Progress) -> Iterator[Output]:
     """Compare the shape, and for a deformed state displacement and strain, with the truth."""
     state = _simulation(inputs, _FRAMES)
-    surface = inputs.read(_SHAPE, SURFACE)
+    surface = inputs.read(_SHAPE.port, SURFACE)
     exact = exact_shape(state, threads=inputs.threads)
     progress(0.3, "comparing the shape")
     shape, shape_error = vector_errors(
@@ -224,7 +224,7 @@ KIND = Kind(
     version=1,
     scope=Scope.TUPLE,
     parameters=AssessParameters,
-    inputs=(_FRAMES, _SHAPE, _REFERENCE, _MOVED, _STRAINED),
+    inputs=(_FRAMES, *_SHAPE.all, _REFERENCE, _MOVED, _STRAINED),
     outputs=(ASSESSMENT,),
     needs=needs,
     run=run,

@@ -28,8 +28,10 @@ from sms_jobs.kinds.kind import (
     every_deformed_state,
 )
 from sms_jobs.kinds.products import MEASURED, MERGED, MESH
+from sms_jobs.kinds.surface_ports import textured_by
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.fields import Mesh
+from sms_jobs.records.views import view_of
 
 USUAL = ("csv", "obj", "ply", "stl", "tecplot", "vtu")
 USUAL_FLAT = ("csv", "npz", "tecplot", "vtu")
@@ -74,12 +76,12 @@ def needs(campaign: Campaign, subject: Subject, parameters: ExportParameters) ->
     yield _MERGED.of(subject)
     at_rest = replace(subject, state=campaign.reference.label)
     for views in campaign.views_by_camera().values():
-        yield _FRAMES.of(replace(at_rest, view=views[0]))
+        yield _FRAMES.of(textured_by(replace(at_rest, view=views[0])))
 
 
 def _first_views(campaign: Campaign, subject: Subject) -> dict[str, str]:
-    """Return the view whose texture is shown, by camera."""
-    return {camera: views[0] for camera, views in campaign.views_by_camera().items()}
+    """Return the view whose recording shows the texture, by camera."""
+    return {c: str(view_of(views[0]).recordings[0]) for c, views in campaign.views_by_camera().items()}
 
 
 def run(inputs: Inputs, parameters: ExportParameters, progress: Progress) -> Iterator[Output]:

@@ -223,7 +223,7 @@ class ReportPages:
     def _recorded_at(self) -> Mapping[str, datetime]:
         """Return when the reference state was recorded; the others say so themselves."""
         label = self._campaign.reference.label
-        for view in self._campaign.views:
+        for view in self._campaign.recordings:
             own = Subject(self._campaign.name, label, view)
             if self._inputs.has(RECORDINGS, about=own):
                 return {label: self._inputs.read(RECORDINGS, MEASURED, own).recorded_at}

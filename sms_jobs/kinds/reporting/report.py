@@ -89,7 +89,7 @@ def _needs(campaign: Campaign, parameters: PageParameters) -> Iterable[Need]:
     if campaign.shape_views:
         yield CALIBRATION_SHOWN.of(Subject(campaign.name))
     for state in tested_states(campaign):
-        for view in campaign.views:
+        for view in campaign.recordings:
             yield RECORDINGS.of(Subject(campaign.name, state.label, view))
     for chapter in present(campaign):
         yield from chapter.needs(campaign)

@@ -21,6 +21,7 @@ from sms_jobs.kinds.reporting.chapter import (
     Chapter,
     Sampling,
 )
+from sms_jobs.kinds.surface_ports import textured_by
 from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.fields import StrainField
 from sms_jobs.records.reasons import Reason
@@ -31,7 +32,7 @@ def _needs(campaign: Campaign) -> Iterable[Need]:
     measured = campaign.measured_views if tested_states(campaign) else ()
     for view in measured if deformed else [v for v in measured if v in campaign.shape_views]:
         at_rest = Subject(campaign.name, campaign.reference.label, view)
-        yield RECORDINGS.of(at_rest)
+        yield RECORDINGS.of(textured_by(at_rest))
         yield SURFACES.of(campaign, at_rest)
     for each in deformed:
         yield STRAINS.of(each)
@@ -66,7 +67,7 @@ def _reference(inputs: Inputs, campaign: Campaign, sampling: Sampling) -> Iterat
         regions = None
         if len(campaign.states) > 1:
             regions = inputs.read(DISPLACEMENTS, REGIONS, replace(at_rest, state=campaign.states[1].label))
-        measurement = inputs.read(RECORDINGS, MEASURED, at_rest)
+        measurement = inputs.read(RECORDINGS, MEASURED, textured_by(at_rest))
         surface = inputs.read(SURFACES.port, SURFACE, at_rest)
         yield reference_view(view, measurement, surface, regions, sampling.of(surface.reason.shape))
 

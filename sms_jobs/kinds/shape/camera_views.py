@@ -1,4 +1,4 @@
-"""The shape that a camera sees at a state, all its projectors taken together."""
+"""The shape that a camera sees at a state, all its partners taken together."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.kinds.kind import Inputs, Need, Port
+from sms_jobs.kinds.kind import Inputs, Need
 from sms_jobs.kinds.products import SURFACE
-from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.metrology.deformation.merging import merge_by_variance
 from sms_jobs.metrology.surfaces.continuity import continuous_labels
 from sms_jobs.records.campaign import Campaign, Subject
@@ -53,19 +53,19 @@ def cameras(campaign: Campaign, subject: Subject) -> dict[str, tuple[str, ...]]:
     return {camera: views for camera, views in campaign.views_by_camera().items() if camera not in alone}
 
 
-SHAPES = Port("shape", "reconstruct", (SURFACE,), several=True)
+SHAPES = surface_port("shape", several=True)
 
 
 def cloud_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     """Return the points of every view at a state."""
     for view in campaign.shape_views:
-        yield SHAPES.of(replace(subject, view=view))
+        yield SHAPES.of(campaign, replace(subject, view=view))
 
 
 def camera_views(inputs: Inputs) -> Iterator[CameraView]:
     """Yield the view of each camera; the context of the kind is `cameras`."""
     for camera, views in inputs.context.items():
-        clouds = [inputs.read(SHAPES, SURFACE, replace(inputs.subject, view=view)) for view in views]
+        clouds = [inputs.read(SHAPES.port, SURFACE, replace(inputs.subject, view=view)) for view in views]
         merged = merge_by_variance([c.position for c in clouds], [position_covariance(c) for c in clouds])
         missing = merged.contributors == 0
         reason = np.zeros(missing.shape, np.uint32)

@@ -23,6 +23,7 @@ from sms_jobs.kinds.kind import (
 )
 from sms_jobs.kinds.products import MEASURED, MESH
 from sms_jobs.kinds.shape.camera_views import SHAPES, CameraView, camera_views, cameras, cloud_needs
+from sms_jobs.kinds.surface_ports import textured_by
 from sms_jobs.metrology.deformation.merging import join_meshes
 from sms_jobs.metrology.surfaces.continuity import fill_small_holes
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
@@ -50,7 +51,7 @@ def needs(campaign: Campaign, subject: Subject, parameters: MeshParameters) -> I
     """Return the points of every view, and a measurement of each camera for its texture."""
     yield from cloud_needs(campaign, subject)
     for views in cameras(campaign, subject).values():
-        yield _FRAMES.of(replace(subject, view=views[0]))
+        yield _FRAMES.of(textured_by(replace(subject, view=views[0])))
 
 
 def run(inputs: Inputs, parameters: MeshParameters, progress: Progress) -> Iterator[Output]:
@@ -76,7 +77,7 @@ def run(inputs: Inputs, parameters: MeshParameters, progress: Progress) -> Itera
 
 def _values(inputs: Inputs, view: CameraView, filled: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return the values of `_VALUES` at every pixel of a camera; a filled one has no standard deviation."""
-    measurement = inputs.read(_FRAMES, MEASURED, replace(inputs.subject, view=view.views[0]))
+    measurement = inputs.read(_FRAMES, MEASURED, textured_by(replace(inputs.subject, view=view.views[0])))
     sigma = np.where(filled, np.nan, view.sigma())
     return np.stack([sigma, measurement.texture / measurement.full_scale, filled.astype(np.float64)])
 
@@ -87,7 +88,7 @@ KIND = Kind(
     version=1,
     scope=Scope.STATE,
     parameters=MeshParameters,
-    inputs=(SHAPES, _FRAMES),
+    inputs=(*SHAPES.all, _FRAMES),
     outputs=(MESH,),
     needs=needs,
     run=run,

@@ -37,6 +37,7 @@ from sms_jobs.kinds.kind import (
     Port,
     Progress,
     Scope,
+    fringe_tuples,
 )
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, PHASE, RETURNS, SURFACE, Product
 from sms_jobs.kinds.shape.fringe_response import SampledResponse
@@ -218,4 +219,5 @@ KIND = Kind(
     outputs=(SURFACE, PHASE, RETURNS),
     needs=_needs,
     run=run,
+    subjects=fringe_tuples,
 )
