@@ -123,3 +123,9 @@ def position_covariance(surface: Surface) -> NDArray[np.floating]:
     if surface.covariance is None:
         return np.zeros((6, *surface.reason.shape))
     return covariance_in_space(surface.covariance)
+
+
+def independent_covariance(surface: Surface) -> NDArray[np.floating]:
+    """Return what of `position_covariance` is independent from pixel to pixel; of subsets nothing is."""
+    covariance = position_covariance(surface)
+    return covariance if surface.subset_radius_px == 0 else 0.0 * covariance

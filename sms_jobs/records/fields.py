@@ -91,6 +91,9 @@ class Surface:
     ----------
     mm_per_px
         Size of a pixel in the plane; None in the world, and where it is not known.
+    subset_radius_px
+        Distance over which errors of positions go together, where they come from matches between cameras;
+        0 where they are independent from pixel to pixel.
     """
 
     view: str
@@ -98,12 +101,17 @@ class Surface:
     position: Double = array(UNIT, "position", VECTOR_IMAGE, XYZ)
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
     covariance: Single | None = array(
-        f"{UNIT}^2", "covariance of the position, from phase noise", VECTOR_IMAGE, SYMMETRIC, default=None
+        f"{UNIT}^2",
+        "covariance of the position, from the images' noise",
+        VECTOR_IMAGE,
+        SYMMETRIC,
+        default=None,
     )
     ray_gap: Single | None = array(
-        "mm", "distance between camera and projector ray at closest approach", default=None
+        "mm", "distance between the camera's and its partner's ray at closest approach", default=None
     )
     mm_per_px: float | None = None
+    subset_radius_px: int = 0
 
     @property
     def camera(self) -> str:

@@ -8,15 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
-from sms_jobs.kinds.deformation.dense_fields import field_in_plane, field_in_space
-from sms_jobs.kinds.deformation.point_matches import (
+from sms_jobs.kinds.deformation.correlate_parameters import (
+    CorrelateParameters,
     match_settings,
-    match_statistics,
-    matches_record,
     search_settings,
-    summary,
 )
+from sms_jobs.kinds.deformation.dense_fields import field_in_plane, field_in_space
 from sms_jobs.kinds.deformation.textured_state import (
     CALIBRATION_OF_SHAPE,
     TexturedState,
@@ -36,6 +33,7 @@ from sms_jobs.kinds.kind import (
     deformed_views,
     tested_states,
 )
+from sms_jobs.kinds.point_matches import match_statistics, matches_record, summary
 from sms_jobs.kinds.products import DISPLACEMENT, MATCHES, REGIONS
 from sms_jobs.kinds.surface_ports import state_ports
 from sms_jobs.kinds.valid_parts import fractions
@@ -204,7 +202,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both surfaces",
-    version=8,
+    version=9,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(CALIBRATION_OF_SHAPE, *_REFERENCE.all, *_DEFORMED.all, *_BEFORE.all, _MATCHED_BEFORE),

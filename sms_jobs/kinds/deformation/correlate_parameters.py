@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Literal, Self, cast
 
 from pydantic import Field, field_validator, model_validator
 
 from sms_jobs.kinds.kind import Parameters
+from sms_jobs.metrology.deformation.correlation import MatchSettings
 from sms_jobs.metrology.deformation.matching import Method
+from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
 from sms_jobs.metrology.images.region_of_interest import parse_outlines
 from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX
 from sms_jobs.metrology.images.spline import Interpolant
@@ -136,3 +139,22 @@ class CorrelateParameters(Parameters):
                 "be at least a quarter of it"
             )
         return self
+
+
+def match_settings(parameters: CorrelateParameters, minimum_part: float = 0.2) -> MatchSettings:
+    """Return how subsets are matched; `minimum_part` of one has to lie on its point's region."""
+    return MatchSettings(
+        parameters.subset_radius_px,
+        minimum_part,
+        tolerance=parameters.convergence_px,
+        shape_order=cast(ShapeOrder, parameters.shape_order),
+    )
+
+
+def search_settings(parameters: CorrelateParameters) -> SearchSettings:
+    """Return how far seeds look."""
+    return SearchSettings(
+        parameters.search_range_x_px,
+        parameters.search_range_y_px,
+        range_rotation=parameters.search_range_rotation_rad,
+    )

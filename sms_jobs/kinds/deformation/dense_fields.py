@@ -8,11 +8,11 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
-from sms_jobs.kinds.deformation.point_matches import trusted_points
 from sms_jobs.kinds.deformation.textured_state import TexturedState
+from sms_jobs.kinds.point_matches import trusted_points
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.deformation import displacement
-from sms_jobs.metrology.deformation.displacement import BLEND_RADII, blend_matches, displacement_field
+from sms_jobs.metrology.deformation.displacement import blend_matches, displacement_field
 from sms_jobs.metrology.deformation.matching import GridMatches
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.records.fields import DisplacementField, ImageMatches
@@ -35,13 +35,16 @@ def field_in_space(
     threads: int,
 ) -> DisplacementField:
     """Look the displacement of every pixel up in the measured shapes of both states."""
+    # Positions that come from subsets are averages already.
+    subsets = before.surface.subset_radius_px
+    averaging = 0.0 if subsets else parameters.averaging_radius_px
     found = displacement_field(
         trusted_points(grid, before.regions.labels),
         _shape(before),
         _shape(after),
         before.interior,
         subset_radius=parameters.subset_radius_px,
-        averaging_radius=parameters.averaging_radius_px,
+        averaging_radius=averaging,
         threads=threads,
     )
     reason = before.surface.reason.copy()
@@ -55,8 +58,8 @@ def field_in_space(
         found.covariance.astype(np.float32),
         found.image_displacement,
         reason,
-        parameters.averaging_radius_px,
-        parameters.subset_radius_px,
+        averaging,
+        max(parameters.subset_radius_px, subsets),
     )
 
 
@@ -79,7 +82,7 @@ def field_in_plane(
         trusted_points(grid, labels),
         in_space(pixels_as_plane(labels.shape)),
         labels,
-        BLEND_RADII * parameters.subset_radius_px,
+        parameters.subset_radius_px,
         threads,
     )
     near = _near_a_match(matches, labels.shape, parameters.spacing_px)

@@ -24,7 +24,7 @@ from sms_jobs.kinds.kind import (
     deformed_views,
 )
 from sms_jobs.kinds.products import DISPLACEMENT, GAUGES, REGIONS, SURFACE
-from sms_jobs.kinds.surface_ports import position_covariance, surface_port
+from sms_jobs.kinds.surface_ports import independent_covariance, surface_port
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.gauges import GaugePlace, GaugeValue, read_gauge
 from sms_jobs.metrology.deformation.strain_errors import independent_equivalent
@@ -101,7 +101,7 @@ def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Ite
     turn = frame.matrix().T
     position = np.einsum("ij,jrc->irc", turn, position - np.array(frame.translation)[:, None, None])
     displacement = np.einsum("ij,jrc->irc", turn, in_space(moved.displacement))
-    own, at_rest = covariance_in_space(moved.covariance), position_covariance(surface)
+    own, at_rest = covariance_in_space(moved.covariance), independent_covariance(surface)
     found = []
     for number, place in enumerate(places, start=1):
         covariance = independent_equivalent(

@@ -23,7 +23,7 @@ from sms_jobs.kinds.kind import (
     deformed_views,
 )
 from sms_jobs.kinds.products import DISPLACEMENT, REGIONS, STRAIN, SURFACE
-from sms_jobs.kinds.surface_ports import position_covariance, surface_port
+from sms_jobs.kinds.surface_ports import independent_covariance, surface_port
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.strain import surface_strain
@@ -119,7 +119,7 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
         in_space(moved.displacement),
         independent_equivalent(
             covariance_in_space(moved.covariance),
-            position_covariance(surface),
+            independent_covariance(surface),
             averaging_radius_px=moved.averaging_radius_px,
             subset_radius_px=moved.subset_radius_px,
             disc_radius_px=0.5 * gauge_length / pitch,

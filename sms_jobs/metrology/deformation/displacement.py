@@ -15,6 +15,7 @@ from scipy import ndimage
 
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.deformation.averaging import OUTLIER, average_in_region
+from sms_jobs.metrology.deformation.shape_functions import WARP
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -24,9 +25,9 @@ Ints: TypeAlias = NDArray[np.int64]
 OUTSIDE_REGION, NO_MATCH_NEAR, LEFT_IMAGE, NO_SHAPE_AT_END = range(1, 5)
 """Why a pixel has no displacement; 0 where it has one."""
 
-BLEND_RADII = 1.633
-"""Blending distance, in subset radii, at which curvature leaves no bias: see `blend_matches`."""
-_BLEND_NOISE = 1.39  # variance of blended matches over that of one: their gradients' noise (by quadrature)
+_BLEND = {6: (1.633, 1.39), WARP: (1.48, 0.81)}
+"""By the numbers of a warp: the distance over which matches are blended, in subset radii, and the variance of
+blended matches over that of one (by quadrature): see `blend_matches`."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class ImagePoints:
     Attributes
     ----------
     warp
-        (n, 6): u, du/dx, du/dy, v, dv/dx, dv/dy, in px.
+        (n, 6): u, du/dx, du/dy, v, dv/dx, dv/dy, in px; or (n, 12), with the second derivatives.
     sigma
         (n, 2), standard deviations of u and v, in px.
     """
@@ -86,6 +87,7 @@ def _blend_rows(
     warp: Floats,
     sigma: Floats,
     reach: float,
+    noise: float,
     value: Floats,
     variance: Floats,
 ) -> None:
@@ -94,6 +96,7 @@ def _blend_rows(
     Matches are sorted into square cells of `side`: those of cell (j, i) are `order[first[j, i]: ...]`.
     """
     cells = int(np.ceil(reach / side))
+    bent = warp.shape[1] > 6
     for r in range(start, stop):
         for c in range(labels.shape[1]):
             total = 0.0
@@ -119,11 +122,15 @@ def _blend_rows(
                         total += w
                         sums[0] += w * (warp[m, 0] + warp[m, 1] * dx + warp[m, 2] * dy)
                         sums[1] += w * (warp[m, 3] + warp[m, 4] * dx + warp[m, 5] * dy)
+                        if bent:
+                            xx, xy, yy = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
+                            sums[0] += w * (warp[m, 6] * xx + warp[m, 7] * xy + warp[m, 8] * yy)
+                            sums[1] += w * (warp[m, 9] * xx + warp[m, 10] * xy + warp[m, 11] * yy)
                         sums[2] += w * sigma[m, 0] ** 2
                         sums[3] += w * sigma[m, 1] ** 2
             for a in range(2):
                 value[a, r, c] = sums[a] / total if total > 0.0 else np.nan
-                variance[a, r, c] = _BLEND_NOISE * sums[2 + a] / total if total > 0.0 else np.nan
+                variance[a, r, c] = noise * sums[2 + a] / total if total > 0.0 else np.nan
 
 
 def pixel_pitch(xyz: Floats, labels: NDArray[np.int32], quantile: float) -> float:
@@ -139,7 +146,7 @@ def pixel_pitch(xyz: Floats, labels: NDArray[np.int32], quantile: float) -> floa
 
 
 def blend_matches(
-    points: ImagePoints, xyz: Floats, labels: NDArray[np.int32], reach: float, threads: int = 1
+    points: ImagePoints, xyz: Floats, labels: NDArray[np.int32], subset_radius: int, threads: int = 1
 ) -> tuple[Floats, Floats]:
     """Spread the image displacement from matched points to every pixel of their regions.
 
@@ -151,8 +158,8 @@ def blend_matches(
         (3, rows, columns) in mm, positions at the reference state.
     labels
         (rows, columns), regions of the reference state.
-    reach
-        Distance within which a match counts, in px.
+    subset_radius
+        Of the matches, in px.
     threads
         How many threads to use.
 
@@ -170,12 +177,15 @@ def blend_matches(
 
     A first-order subset of radius r overestimates a displacement of curvature k by k r^2 / 6; carrying it
     by its gradient over a distance d underestimates by k d^2 / 2. With the weight (1 - d^2 / reach^2)^2
-    the mean of d^2 along an axis is reach^2 / 8, so that both cancel at reach = r sqrt(8 / 3).
+    the mean of d^2 along an axis is reach^2 / 8, so that both cancel at reach = r sqrt(8 / 3). Those of
+    second order know the curvature; of them the same holds for the fourth derivatives at 1.48 r.
 
     Neighbouring subsets share most of their pixels, so blending does not average their noise; with that of
-    the gradients it comes to 1.39 times the mean variance.
+    the gradients it comes to 1.39 times the mean variance, to 0.81 times that of subsets of second order.
     """
     rows, columns = labels.shape
+    radii, noise = _BLEND[points.warp.shape[1]]
+    reach = radii * subset_radius
     side = max(1, int(reach / 4))
     shape = (-(-rows // side), -(-columns // side))
     cell = (points.y // side) * (shape[1] + 1) + points.x // side
@@ -190,7 +200,7 @@ def blend_matches(
     def work(start: int, stop: int) -> None:
         _blend_rows(
             start, stop, xyz, labels, footprint, side, first, order,
-            points.x, points.y, points.region, points.warp, sigma, reach, value, variance,
+            points.x, points.y, points.region, points.warp, sigma, reach, noise, value, variance,
         )  # fmt: skip
 
     in_row_blocks(work, rows, threads)
@@ -227,7 +237,8 @@ def displacement_field(
     subset_radius
         Of the matches, in px.
     averaging_radius
-        Within which the displacement is averaged, in px: see `average_in_region`.
+        Within which the displacement is averaged, in px: see `average_in_region`. 0 where the errors of the
+        positions go together over more than that, and an average would gain nothing.
     threads
         How many threads to use; the result does not depend on it.
 
@@ -241,7 +252,7 @@ def displacement_field(
     xyz, covariance, labels = reference
     end_xyz, end_covariance, end_labels = deformed
     rows, columns = labels.shape
-    image, variance = blend_matches(points, xyz, labels, BLEND_RADII * subset_radius, threads)
+    image, variance = blend_matches(points, xyz, labels, subset_radius, threads)
     y, x = np.mgrid[0:rows, 0:columns]
     end_x, end_y = x + image[0], y + image[1]
     end, _, slope = interpolate_in_region(end_xyz, end_covariance[:0], end_labels, end_x, end_y, threads)
@@ -254,9 +265,12 @@ def displacement_field(
     # Interpolated noise is smaller but shared by neighbours: in an average it counts as the cloud's own.
     row, column = (np.where(inside, np.rint(np.where(inside, e, 0.0)), 0).astype(int) for e in (end_y, end_x))
     total = covariance + end_covariance[:, row, column]
-    moved, spread = average_in_region(
-        end - xyz, total, labels, interior & (status == 0), averaging_radius, threads
-    )
+    moved, spread = end - xyz, total
+    status[(status == 0) & (np.isnan(total[0]) & (averaging_radius == 0.0))] = NO_SHAPE_AT_END
+    if averaging_radius > 0.0:
+        moved, spread = average_in_region(
+            moved, total, labels, interior & (status == 0), averaging_radius, threads
+        )
     apart = np.sum((end - xyz - moved) ** 2, axis=0)
     # Its own end point lies on another surface, or where two mix.
     stray = apart > OUTLIER**2 * (total[0] + total[3] + total[5])

@@ -55,6 +55,19 @@ class GridMatches:
 
 
 @dataclass(frozen=True)
+class Seeds:
+    """Points that matching begins at: their indices (n,), and guesses of their warps, (n, 6)."""
+
+    points: Ints
+    guess: Floats
+
+    @classmethod
+    def none(cls) -> Seeds:
+        """Return no seed."""
+        return cls(np.zeros(0, dtype=np.int64), np.zeros((0, 6)))
+
+
+@dataclass(frozen=True)
 class GridSettings:
     """How a grid of points is matched.
 
@@ -124,6 +137,31 @@ def match_nodes(
     threads: int = 1,
 ) -> GridMatches:
     """Match points whose neighbours are known; parameters as of `match_grid`."""
+    if len(nodes.x) == 0:
+        return spread_matches(images, nodes, Seeds.none(), settings, grid, threads)
+    first = choose_seeds(images.labels, nodes.x, nodes.y, search)
+    guess, score = seed_warps(
+        images.reference, deformed, images.labels, nodes.x[first], nodes.y[first], search, threads
+    )
+    likely = score >= _SEED_SCORE
+    seeds = Seeds(first[likely], guess[likely])
+    return spread_matches(images, nodes, seeds, settings, grid, threads, may_rest=True)
+
+
+def spread_matches(
+    images: PreparedImages,
+    nodes: Nodes,
+    seeds: Seeds,
+    settings: MatchSettings,
+    grid: GridSettings,
+    threads: int = 1,
+    *,
+    may_rest: bool = False,
+) -> GridMatches:
+    """Match points whose neighbours are known, from seeds on; parameters as of `match_grid`.
+
+    With `may_rest` a point of a region that no match leads to is tried where it was.
+    """
     x, y, around = nodes.x, nodes.y, nodes.around
     with_bends = settings.shape_order == 2 and grid.method == "gauss-newton"
     found = blank_matches(len(x), WARP if with_bends else 6)
@@ -145,11 +183,8 @@ def match_nodes(
         lost = (result.ending != CONVERGED) & (result.ending != NOT_CONVERGED) & (result.ending != LEFT_IMAGE)
         attempts[points[lost]] = _ATTEMPTS + 1
 
-    seeds = choose_seeds(images.labels, x, y, search)
-    guess, score = seed_warps(images.reference, deformed, images.labels, x[seeds], y[seeds], search, threads)
-    likely = score >= _SEED_SCORE
-    fresh = seeds[likely]
-    attempt(fresh, guess[likely])
+    fresh = seeds.points
+    attempt(fresh, seeds.guess)
     while True:
         # Only a point beside one that has just been matched can have a better start than before.
         beside = np.zeros(len(x) + 1, dtype=bool)  # the last is that of no neighbour, -1
@@ -176,7 +211,8 @@ def match_nodes(
     # Points that no neighbour has reached may have no texture, or lie on an island with its own displacement.
     unreached = np.flatnonzero(attempts == 0)
     guess = nearest_warps(found, nodes, images.labels[y, x], unreached)
-    attempt(unreached, np.where(np.isfinite(guess), guess, 0.0))
+    led = np.isfinite(guess[:, 0]) | may_rest
+    attempt(unreached[led], np.where(np.isfinite(guess), guess, 0.0)[led])
     check_again(found, nodes, grid.outlier_ratio, refine)
     mark_left_image(found, nodes, images.labels, settings.radius)
     return GridMatches(x, y, found)

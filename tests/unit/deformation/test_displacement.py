@@ -49,7 +49,7 @@ AFFINE = np.array([[1.2, 0.01, -0.02, 0.3, 0.004, 0.01], [-0.7, 0.0, 0.03, 0.9, 
 
 def test_affine_displacement_is_exact_to_the_last_pixel() -> None:
     labels = two_regions()
-    value, _ = blend_matches(points_on(labels, AFFINE), surface(), labels, 12.0)
+    value, _ = blend_matches(points_on(labels, AFFINE), surface(), labels, 7)
     y, x = np.mgrid[0:ROWS, 0:COLUMNS]
     for label, w in enumerate(AFFINE, start=1):
         on = labels == label
@@ -76,7 +76,7 @@ def test_curvature_leaves_no_bias(speckle) -> None:
     found = match_points(images, x, y, guess, MatchSettings(radius=radius))
     points = ImagePoints(x, y, np.ones(len(x), np.int32), found.warp, found.sigma)
     plane = np.stack([*np.mgrid[0:size, 0:size][::-1].astype(np.float64), np.zeros((size, size))])
-    value, _ = blend_matches(points, plane, labels, 1.633 * radius)
+    value, _ = blend_matches(points, plane, labels, radius)
     column = np.arange(size)
     error = (value[0] - 0.5 * bend * (column - 64.0) ** 2)[32:96, 32:96]
     single = found.warp[:, 0] - guess[:, 0]

@@ -1,19 +1,13 @@
-"""What kinds that match textures have in common: their settings, and what became of each point."""
+"""What kinds that match textures have in common: what became of each point, and what is kept of it."""
 
 from __future__ import annotations
-
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.metrology.deformation import correlation
-from sms_jobs.metrology.deformation.correlation import MatchSettings
 from sms_jobs.metrology.deformation.displacement import ImagePoints
 from sms_jobs.metrology.deformation.matching import GridMatches
-from sms_jobs.metrology.deformation.seeding import SearchSettings
-from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
 from sms_jobs.metrology.deformation.splitting import Split
 from sms_jobs.records.fields import ImageMatches
 from sms_jobs.records.reasons import Reason
@@ -31,25 +25,6 @@ _IN_WORDS = {
     correlation.NOT_CONVERGED: "without a counterpart",
     correlation.TOO_FEW_PIXELS: "with too little of a region about them",
 }
-
-
-def match_settings(parameters: CorrelateParameters, minimum_part: float = 0.2) -> MatchSettings:
-    """Return how subsets are matched; `minimum_part` of one has to lie on its point's region."""
-    return MatchSettings(
-        parameters.subset_radius_px,
-        minimum_part,
-        tolerance=parameters.convergence_px,
-        shape_order=cast(ShapeOrder, parameters.shape_order),
-    )
-
-
-def search_settings(parameters: CorrelateParameters) -> SearchSettings:
-    """Return how far seeds look."""
-    return SearchSettings(
-        parameters.search_range_x_px,
-        parameters.search_range_y_px,
-        range_rotation=parameters.search_range_rotation_rad,
-    )
 
 
 def summary(ending: NDArray[np.int32], apart: Split | None = None) -> str:
@@ -73,7 +48,7 @@ def trusted_points(grid: GridMatches, labels: NDArray[np.int32]) -> ImagePoints:
         grid.x[matched],
         grid.y[matched],
         labels[grid.y[matched], grid.x[matched]],
-        np.ascontiguousarray(grid.matches.warp[matched, :6]),
+        np.ascontiguousarray(grid.matches.warp[matched]),
         grid.matches.sigma[matched],
     )
 

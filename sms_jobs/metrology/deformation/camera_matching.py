@@ -1,0 +1,215 @@
+"""Matching of one camera's texture with another's at one time: points of a grid, each verified both ways."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.deformation.correlation import (
+    CONVERGED,
+    NOT_CONVERGED,
+    Matches,
+    MatchSettings,
+    Noise,
+    match_points,
+    prepare_images,
+)
+from sms_jobs.metrology.deformation.epipolar_search import FoundSeeds, search_along_rays
+from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, Seeds, spread_matches
+from sms_jobs.metrology.deformation.sampling import Nodes, choose_seeds
+from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
+from sms_jobs.metrology.deformation.shape_functions import carried
+from sms_jobs.metrology.geometry.camera import project
+from sms_jobs.metrology.geometry.several_cameras import Camera, depths_in_box
+
+Floats: TypeAlias = NDArray[np.float64]
+Labels: TypeAlias = NDArray[np.int32]
+Corner: TypeAlias = tuple[float, float, float]
+
+_SEED_SCORE = 0.4  # of a place to a pixel: a poor start, but the refinement judges it
+_RETURN_SIGMAS = 4.0  # by which a point may come back beside where it set out
+_RETURN_PX = 0.05  # and at least: what two subsets of different shapes may differ by
+
+
+@dataclass(frozen=True)
+class TexturedCamera:
+    """A camera, what it saw, (rows, columns) in grey levels, and the noise of that."""
+
+    camera: Camera
+    texture: NDArray[np.floating]
+    noise: Noise
+
+
+@dataclass(frozen=True)
+class RaySearch:
+    """Where first matches are looked for.
+
+    Attributes
+    ----------
+    volume
+        Two corners of the box in mm that the points lie in.
+    width_px
+        How far off the images of the rays: what the calibration may be wrong by.
+    template_radius
+        Half the side of the squares that are compared, in px.
+    spacing
+        Between them, in px.
+    """
+
+    volume: tuple[Corner, Corner]
+    width_px: float
+    template_radius: int = 20
+    spacing: int = 96
+
+
+@dataclass(frozen=True)
+class CameraMatches:
+    """Matches at the nodes of a grid, what their first ones were, and how well the way back leads home.
+
+    Attributes
+    ----------
+    grid
+        The matches.
+    seeds
+        How many squares were searched, and how many were found.
+    way_back_px
+        (n,), distance between a node and where the partner's own subset leads back to.
+    """
+
+    grid: GridMatches
+    seeds: tuple[int, int]
+    way_back_px: Floats
+
+
+def match_cameras(
+    reference: TexturedCamera,
+    partner: TexturedCamera,
+    labels: Labels,
+    nodes: Nodes,
+    settings: MatchSettings,
+    grid: GridSettings,
+    search: RaySearch,
+    threads: int = 1,
+) -> CameraMatches:
+    """Find the points of a grid of the reference camera in the image of a partner of the same size.
+
+    Parameters
+    ----------
+    reference, partner
+        What both saw at one time.
+    labels
+        (rows, columns), where the reference image shows the specimen.
+    nodes
+        The points.
+    settings, grid, search
+        Of the subsets, of what is accepted, and of the first matches.
+    threads
+        How many threads to use; the result does not depend on it.
+    """
+    noise = (reference.noise, partner.noise)
+    images = prepare_images(reference.texture, partner.texture, labels, noise)
+    if len(nodes.x) == 0:
+        nothing = spread_matches(images, nodes, Seeds.none(), settings, grid, threads)
+        return CameraMatches(nothing, (0, 0), np.zeros(0))
+    first, found = _first_matches(reference, partner, labels, nodes, search, threads)
+    likely = (found.score >= _SEED_SCORE) & found.unique
+    seeds = Seeds(first[likely], found.warp[likely])
+    result = spread_matches(images, nodes, seeds, settings, grid, threads)
+    there_and_back = _way_back(reference, partner, result, settings, threads)
+    sigma = np.hypot(*result.matches.sigma.T)
+    with np.errstate(invalid="ignore"):
+        lost = ~(there_and_back <= np.maximum(_RETURN_PX, _RETURN_SIGMAS * sigma))
+    result.matches.ending[lost & (result.matches.ending == CONVERGED)] = NOT_CONVERGED
+    return CameraMatches(result, (len(first), int(np.count_nonzero(likely))), there_and_back)
+
+
+def _first_matches(
+    reference: TexturedCamera,
+    partner: TexturedCamera,
+    labels: Labels,
+    nodes: Nodes,
+    search: RaySearch,
+    threads: int,
+) -> tuple[NDArray[np.int64], FoundSeeds]:
+    """Return the indices of some nodes and what was found for them along their rays."""
+    where = SearchSettings(template_radius=search.template_radius, spacing=search.spacing)
+    first = choose_seeds(labels, nodes.x, nodes.y, where)
+    pixels = np.stack([nodes.x[first], nodes.y[first]], axis=1).astype(np.float64)
+    return first, search_along_rays(
+        reference.camera,
+        partner.camera,
+        (reference.texture, partner.texture),
+        pixels,
+        search.volume,
+        radius=search.template_radius,
+        width_px=search.width_px,
+        threads=threads,
+    )
+
+
+def _way_back(
+    reference: TexturedCamera,
+    partner: TexturedCamera,
+    found: GridMatches,
+    settings: MatchSettings,
+    threads: int,
+) -> Floats:
+    """Match the partner's subsets with the reference image; return by how many px they miss the nodes."""
+    matched = found.matches.ending == CONVERGED
+    missed = np.full(len(found.x), np.nan)
+    if not matched.any():
+        return missed
+    warp = found.matches.warp[matched]
+    start = np.stack([found.x[matched], found.y[matched]], axis=1).astype(np.float64)
+    place = start + warp[:, [0, 3]]
+    rows, columns = partner.texture.shape
+    pixel = np.clip(np.rint(place), 0, [columns - 1, rows - 1]).astype(np.int64)
+    slope = np.stack([1.0 + warp[:, 1], warp[:, 2], warp[:, 4], 1.0 + warp[:, 5]], axis=1).reshape(-1, 2, 2)
+    back = np.linalg.inv(slope)
+    off = (pixel - place)[..., None]
+    home = start + (back @ off)[..., 0] - pixel
+    guess = np.stack(
+        [home[:, 0], back[:, 0, 0] - 1.0, back[:, 0, 1], home[:, 1], back[:, 1, 0], back[:, 1, 1] - 1.0],
+        axis=1,
+    )
+    everywhere = np.ones(partner.texture.shape, dtype=np.int32)
+    images = prepare_images(partner.texture, reference.texture, everywhere, (partner.noise, reference.noise))
+    again: Matches = match_points(images, pixel[:, 0].copy(), pixel[:, 1].copy(), guess, settings, threads)
+    there = carried(again.warp, *(place - pixel).T)
+    distance = np.hypot(*(place + there[:, [0, 3]] - start).T)
+    missed[matched] = np.where(again.ending == CONVERGED, distance, np.inf)
+    return missed
+
+
+def distance_from_rays(
+    reference: TexturedCamera,
+    partner: TexturedCamera,
+    labels: Labels,
+    nodes: Nodes,
+    volume: tuple[Corner, Corner],
+    count: int = 12,
+    threads: int = 1,
+) -> float:
+    """Return how far off the images of their rays, in px, textures are found that are looked for everywhere.
+
+    The median of up to `count` points; NaN where no texture of the reference image is in the partner's. It
+    tells why nothing was found: images that have nothing in common, or a calibration that is not theirs.
+    """
+    rows, columns = reference.texture.shape
+    where = SearchSettings(columns, rows, template_radius=24, spacing=max(rows, columns) // 4)
+    first = choose_seeds(labels, nodes.x, nodes.y, where)[:count]
+    x, y = nodes.x[first], nodes.y[first]
+    u, v, score = seed_displacements(reference.texture, partner.texture, labels, x, y, where, threads)
+    pixels = np.stack([x, y], axis=1).astype(np.float64)
+    rays, near, far = depths_in_box(reference.camera, pixels, *volume)
+    share = np.linspace(0.0, 1.0, 1000)
+    along = 1.0 / ((1.0 - share) / far[:, None] + share / np.maximum(near, 1e-3 * far)[:, None])
+    points = reference.camera.pose.centre() + along[..., None] * rays[:, None]
+    line = project(partner.camera.intrinsics, partner.camera.pose, points)
+    found = pixels + np.stack([u, v], axis=1)
+    off = np.linalg.norm(line - found[:, None], axis=-1)
+    usable = (score >= 0.6) & np.isfinite(off).any(axis=1)
+    return float(np.median(np.nanmin(off[usable], axis=1))) if usable.any() else float("nan")

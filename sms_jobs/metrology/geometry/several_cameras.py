@@ -1,0 +1,304 @@
+"""Points that several cameras see: on the ray of a reference camera, where all see them best.
+
+The reference camera's pixel names the point, so the point lies on its ray and its depth alone is unknown; but
+the match is between two noisy images, and what the reference camera's noise does to it is shared by all
+partners.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.deformation.normal_matrix import invert
+from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
+from sms_jobs.metrology.geometry.lens import Intrinsics
+from sms_jobs.metrology.geometry.lens_kernels import by_point, distorted, undistorted
+from sms_jobs.metrology.geometry.triangulation import closest, turned
+
+Floats: TypeAlias = NDArray[np.float64]
+
+_STEPS = 4
+"""Of Gauss-Newton from the closest approach of two rays: noise of some px is left with 1e-9 px."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera: its model, and the size of its image in pixels."""
+
+    intrinsics: Intrinsics
+    pose: Pose
+    columns: int
+    rows: int
+
+
+@dataclass(frozen=True)
+class SeenPoints:
+    """Points of n pixels of a reference camera; NaN where no partner sees them, or behind a camera.
+
+    Attributes
+    ----------
+    xyz
+        (3, n) in mm, in the world's frame, on the reference camera's rays.
+    covariance
+        (6, n) in mm^2, packed XX, XY, XZ, YY, YZ, ZZ; of the matches alone.
+    ray_gap
+        (n,) in mm: distance of the reference camera's ray from that of the first partner that sees the point.
+    chi_square
+        (n,), what the rays miss each other by, squared in units of the matches' noise; for good matches and a
+        perfect calibration it follows a chi-square law of 2 partners - 1 degrees of freedom.
+    freedom
+        (n,), those degrees of freedom.
+    """
+
+    xyz: Floats
+    covariance: Floats
+    ray_gap: Floats
+    chi_square: Floats
+    freedom: NDArray[np.int32]
+
+
+@kernel
+def _seen_from(turn: Floats, shift: Floats, lens: Floats, x: float, y: float, z: float, out: Floats) -> bool:
+    """Fill out (2 + 6) with the pixel of a point of the world and its derivatives; say if it is in front."""
+    a = turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + shift[0]
+    b = turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z + shift[1]
+    depth = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z + shift[2]
+    if not depth > 0.0:
+        return False
+    p, q = a / depth, b / depth
+    bent_p, bent_q = distorted(lens, p, q)
+    out[0], out[1] = lens[0] * bent_p + lens[2], lens[1] * bent_q + lens[3]
+    pp, pq, qp, qq = by_point(lens, p, q)
+    for i in range(3):
+        dp = (turn[0, i] - p * turn[2, i]) / depth
+        dq = (turn[1, i] - q * turn[2, i]) / depth
+        out[2 + i] = lens[0] * (pp * dp + pq * dq)
+        out[5 + i] = lens[1] * (qp * dp + qq * dq)
+    return True
+
+
+@kernel
+def _first_depth(
+    direction: tuple[float, float, float],
+    centre: Floats,
+    turn: Floats,
+    pin_hole: Floats,
+    lens: Floats,
+    place: Floats,
+    inner: Floats,
+) -> tuple[float, float]:
+    """Return where a partner's ray is nearest to the reference's, in units of its direction, and the gap."""
+    if not undistorted(lens, place, inner):
+        return np.nan, np.nan
+    other = turned(turn, inner[0], inner[1], 1.0)
+    base = (pin_hole[0] - centre[0], pin_hole[1] - centre[1], pin_hole[2] - centre[2])
+    point, gap = closest(direction, other, base, 0.0)
+    square = direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2
+    along = (point[0] * direction[0] + point[1] * direction[1] + point[2] * direction[2]) / square
+    return along, gap
+
+
+@kernel
+def _meet_block(
+    start: int, stop: int, reference: tuple[Floats, Floats, Floats],
+    turns: Floats, shifts: Floats, pin_holes: Floats, lenses: Floats,
+    pixels: Floats, places: Floats, sigma: Floats,
+    xyz: Floats, covariance: Floats, gap: Floats, chi_square: Floats, freedom: NDArray[np.int32],
+) -> None:  # fmt: skip
+    """Do the work of `meet_rays` for points start .. stop.
+
+    Unknown are the depth and by how much, (a, b) in px, the reference camera's noise has moved the matches of
+    all partners; each image has half of a match's variance.
+    """
+    turn, centre, lens = reference
+    inner, seen = np.empty(6), np.empty(8)
+    normal, inverse, right, step = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
+    row = np.empty(3)
+    for i in range(start, stop):
+        count, own = 0, 0.0
+        depth = np.nan
+        for k in range(len(lenses)):
+            if np.isfinite(places[k, 0, i]) and sigma[k, 0, i] > 0.0 and sigma[k, 1, i] > 0.0:
+                own += 0.25 * (sigma[k, 0, i] ** 2 + sigma[k, 1, i] ** 2)
+                count += 1
+        if count == 0 or not undistorted(lens, pixels[:, i], inner):
+            continue
+        own /= count
+        d = turned(turn, inner[0], inner[1], 1.0)
+        across = turned(turn, inner[2], inner[4], 0.0)
+        down = turned(turn, inner[3], inner[5], 0.0)
+        for k in range(len(lenses)):
+            if np.isnan(depth) and np.isfinite(places[k, 0, i]):
+                depth, gap[i] = _first_depth(
+                    d, centre, turns[k], pin_holes[k], lenses[k], places[k, :, i].copy(), inner
+                )
+        a, b, chi = 0.0, 0.0, np.nan
+        for _ in range(_STEPS):
+            normal[:] = 0.0
+            right[:] = 0.0
+            normal[1, 1] = normal[2, 2] = 1.0 / own
+            right[1], right[2] = -a / own, -b / own
+            chi = (a * a + b * b) / own
+            for k in range(len(lenses)):
+                if not (np.isfinite(places[k, 0, i]) and sigma[k, 0, i] > 0.0 and sigma[k, 1, i] > 0.0):
+                    continue
+                ray0, ray1, ray2 = (
+                    d[0] + a * across[0] + b * down[0],
+                    d[1] + a * across[1] + b * down[1],
+                    d[2] + a * across[2] + b * down[2],
+                )
+                if not _seen_from(
+                    turns[k], shifts[k], lenses[k],
+                    centre[0] + depth * ray0, centre[1] + depth * ray1, centre[2] + depth * ray2, seen,
+                ):  # fmt: skip
+                    chi = np.nan
+                    break
+                for axis in range(2):
+                    j = 2 + 3 * axis
+                    row[0] = seen[j] * ray0 + seen[j + 1] * ray1 + seen[j + 2] * ray2
+                    row[1] = depth * (seen[j] * across[0] + seen[j + 1] * across[1] + seen[j + 2] * across[2])
+                    row[2] = depth * (seen[j] * down[0] + seen[j + 1] * down[1] + seen[j + 2] * down[2])
+                    weight = 2.0 / sigma[k, axis, i] ** 2
+                    off = places[k, axis, i] - seen[axis]
+                    chi += weight * off * off
+                    for m in range(3):
+                        right[m] += weight * off * row[m]
+                        for n in range(3):
+                            normal[m, n] += weight * row[m] * row[n]
+            if not np.isfinite(chi) or not invert(normal, inverse):
+                chi = np.nan
+                break
+            for m in range(3):
+                step[m] = inverse[m, 0] * right[0] + inverse[m, 1] * right[1] + inverse[m, 2] * right[2]
+            depth += step[0]
+            a += step[1]
+            b += step[2]
+        if not (np.isfinite(chi) and depth > 0.0):
+            gap[i] = np.nan
+            continue
+        chi_square[i], freedom[i] = chi, 2 * count - 1
+        at = 0
+        for m in range(3):
+            xyz[m, i] = centre[m] + depth * d[m]
+            for n in range(m, 3):
+                covariance[at, i] = inverse[0, 0] * d[m] * d[n]
+                at += 1
+
+
+def meet_rays(
+    reference: Camera,
+    partners: Sequence[Camera],
+    pixels: Floats,
+    places: Floats,
+    sigma: Floats,
+    threads: int = 1,
+) -> SeenPoints:
+    """Find the points of pixels of a reference camera from where partners see them.
+
+    Parameters
+    ----------
+    reference, partners
+        The cameras.
+    pixels
+        (2, n), x and y in the reference camera's image, in px.
+    places, sigma
+        (partners, 2, n), where each partner sees them and the standard deviations of the matches, in px;
+        NaN where it does not.
+    threads
+        How many threads to use; the result does not depend on it.
+
+    Notes
+    -----
+    Least squares in the images, with distortion where it is: no image is resampled. A match's variance is
+    half of the reference image and half of the partner's. The former moves the matches of all partners alike,
+    and is estimated with the depth, so that the covariance of a depth from three cameras is not that of
+    independent pairs. The point is taken on the pixel's own ray, which is free of noise, being named by its
+    pixel.
+    """
+    count = pixels.shape[1]
+    result = SeenPoints(
+        np.full((3, count), np.nan),
+        np.full((6, count), np.nan),
+        np.full(count, np.nan),
+        np.full(count, np.nan),
+        np.zeros(count, dtype=np.int32),
+    )
+    own = (reference.pose.matrix(), reference.pose.centre(), reference.intrinsics.vector())
+    turns = np.stack([camera.pose.matrix() for camera in partners])
+    shifts = np.array([camera.pose.translation for camera in partners])
+    pin_holes = np.stack([camera.pose.centre() for camera in partners])
+    lenses = np.stack([camera.intrinsics.vector() for camera in partners])
+    at, seen, spread = (np.ascontiguousarray(a, dtype=np.float64) for a in (pixels, places, sigma))
+
+    def work(start: int, stop: int) -> None:
+        _meet_block(
+            start, stop, own, turns, shifts, pin_holes, lenses, at, seen, spread,
+            result.xyz, result.covariance, result.ray_gap, result.chi_square, result.freedom,
+        )  # fmt: skip
+
+    in_row_blocks(work, count, threads, block=4096)
+    return result
+
+
+def depths_in_box(
+    camera: Camera, pixels: Floats, low: tuple[float, float, float], high: tuple[float, float, float]
+) -> tuple[Floats, Floats, Floats]:
+    """Return the directions (n, 3) of rays and the distances, in mm, where they enter and leave a box.
+
+    `pixels` is (n, 2); NaN where a ray misses the box.
+    """
+    centre = camera.pose.centre()
+    rays = ray_directions(camera.intrinsics, camera.pose, pixels)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, second = ((np.asarray(corner) - centre) / rays for corner in (low, high))
+    near = np.maximum(np.nanmax(np.minimum(first, second), axis=1), 0.0)
+    far = np.nanmin(np.maximum(first, second), axis=1)
+    missed = ~(far > near)
+    near[missed] = far[missed] = np.nan
+    return rays, near, far
+
+
+def plane_warps(
+    reference: Camera, partner: Camera, pixels: Floats, points: Floats, normals: Floats, lever: float
+) -> tuple[Floats, Floats]:
+    """Return where a partner sees points of planes, and the slopes of the map between the images there.
+
+    Parameters
+    ----------
+    pixels
+        (n, 2), of the reference camera.
+    points, normals
+        (n, m, 3): on each pixel's ray m points in mm, each on a plane with this normal.
+    lever
+        Half the distance in px over which slopes are taken: a subset's radius.
+
+    Returns
+    -------
+    places
+        (n, m, 2), px; NaN behind the partner.
+    slopes
+        (n, m, 2, 2): dx'/dx, dx'/dy in the first row, dy'/dx, dy'/dy in the second, without distortion being
+        neglected: it is the map of a plane between two distorted images (a homography without distortion).
+    """
+    centre = reference.pose.centre()
+    places = project(partner.intrinsics, partner.pose, points)
+    slopes = np.empty((*places.shape, 2))
+    offset = np.sum((points - centre) * normals, axis=-1)
+    for axis in range(2):
+        ends = []
+        for side in (-lever, lever):
+            beside = pixels.copy()
+            beside[:, axis] += side
+            rays = ray_directions(reference.intrinsics, reference.pose, beside)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                along = offset / np.einsum("ni,nmi->nm", rays, normals)
+            met = centre + np.where(along > 0.0, along, np.nan)[..., None] * rays[:, None]
+            ends.append(project(partner.intrinsics, partner.pose, met))
+        slopes[..., axis] = (ends[1] - ends[0]) / (2.0 * lever)
+    return places, slopes

@@ -1,0 +1,125 @@
+"""Points from the images of several cameras."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.two_cameras import VOLUME, Floats, cameras
+
+from sms_jobs.metrology.geometry.camera import project, ray_directions
+from sms_jobs.metrology.geometry.several_cameras import depths_in_box, meet_rays, plane_warps
+
+SIGMA = 0.02
+
+
+def points(count: int, seed: int = 3) -> Floats:
+    random = np.random.default_rng(seed)
+    return random.uniform((-40.0, -30.0, -30.0), (40.0, 30.0, 30.0), (count, 3))
+
+
+def in_images(world: Floats, count: int) -> tuple[tuple, Floats, Floats]:
+    """Return the cameras, and where the first and the others see points, (2, n) and (partners, 2, n)."""
+    rig = cameras(count=count)
+    seen = np.stack([project(camera.intrinsics, camera.pose, world).T for camera in rig])
+    return rig, seen[0], seen[1:]
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_exact_images_meet_in_the_exact_point(count: int) -> None:
+    world = points(200)
+    (reference, *partners), pixels, places = in_images(world, count)
+    met = meet_rays(reference, partners, pixels, places, np.full_like(places, SIGMA))
+    # Of 600 mm in doubles, through Newton's inverse of the distortion that ends at 1e-12 focal lengths.
+    np.testing.assert_allclose(met.xyz.T, world, atol=1e-8)
+    assert np.abs(met.ray_gap).max() < 1e-8
+    assert met.chi_square.max() < 1e-8
+    assert set(met.freedom) == {2 * (count - 1) - 1}
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_points_scatter_as_their_covariance_says(count: int) -> None:
+    """Half of a match's variance is the reference image's, which moves the matches of all partners alike."""
+    world = np.repeat(points(1), 4000, axis=0)
+    (reference, *partners), pixels, _ = in_images(world, count)
+    random = np.random.default_rng(11)
+    own = random.normal(0.0, SIGMA / np.sqrt(2.0), pixels.shape)
+    rays = ray_directions(reference.intrinsics, reference.pose, (pixels + own).T)
+    depth = np.linalg.norm(world - reference.pose.centre(), axis=1)
+    moved = reference.pose.centre() + depth[:, None] * rays
+    noisy = np.stack([project(one.intrinsics, one.pose, moved).T for one in partners])
+    noisy += random.normal(0.0, SIGMA / np.sqrt(2.0), noisy.shape)
+    met = meet_rays(reference, partners, pixels, noisy, np.full_like(noisy, SIGMA))
+    variance = met.covariance[[0, 3, 5]].sum(axis=0)
+    score = np.sum((met.xyz.T - world) ** 2, axis=1) / variance
+    # A chi-square law of one degree of freedom, four thousand times: its mean scatters by sqrt(2 / 4000).
+    assert np.mean(score) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 4000.0))
+    freedom = 2 * (count - 1) - 1
+    assert np.mean(met.chi_square) == pytest.approx(freedom, abs=4.0 * np.sqrt(2.0 * freedom / 4000.0))
+
+
+def test_a_third_camera_halves_nothing_that_it_shares() -> None:
+    """The third camera sees the depth by twice the angle; what the reference image is wrong by stays."""
+    world = points(50)
+    (reference, *partners), pixels, places = in_images(world, 3)
+    sigma = np.full_like(places, SIGMA)
+    both = meet_rays(reference, partners, pixels, places, sigma).covariance[5]
+    alone = [meet_rays(reference, [p], pixels, places[k, None], sigma[k, None]).covariance[5]
+             for k, p in enumerate(partners)]  # fmt: skip
+    independent = 1.0 / (1.0 / alone[0] + 1.0 / alone[1])
+    assert (both < np.minimum(*alone)).all()
+    assert (both > independent).all()
+
+
+def test_what_a_partner_does_not_see_does_not_count() -> None:
+    world = points(10)
+    (reference, *partners), pixels, places = in_images(world, 3)
+    sigma = np.full_like(places, SIGMA)
+    places[0, :, :4] = np.nan
+    places[:, :, 9] = np.nan
+    met = meet_rays(reference, partners, pixels, places, sigma)
+    assert list(met.freedom) == [1] * 4 + [3] * 5 + [0]
+    np.testing.assert_allclose(met.xyz.T[:9], world[:9], atol=1e-8)
+    assert np.isnan(met.xyz[:, 9]).all()
+
+
+def test_no_result_depends_on_the_threads() -> None:
+    world = points(9000)
+    (reference, *partners), pixels, places = in_images(world, 2)
+    noisy = places + np.random.default_rng(1).normal(0.0, SIGMA, places.shape)
+    one, two = (meet_rays(reference, partners, pixels, noisy, 0.0 * noisy + SIGMA, threads=t) for t in (1, 2))
+    np.testing.assert_array_equal(one.xyz, two.xyz)
+    np.testing.assert_array_equal(one.chi_square, two.chi_square)
+
+
+def test_a_plane_looks_as_its_points_do() -> None:
+    reference, partner = cameras()
+    pixels = np.array([[120.0, 80.0], [300.0, 220.0]])
+    rays = ray_directions(reference.intrinsics, reference.pose, pixels)
+    met = reference.pose.centre() + 610.0 * rays
+    normal = np.array([0.3, -0.2, 1.0])
+    lever = 8.0
+    places, slopes = plane_warps(
+        reference, partner, pixels, met[:, None], np.broadcast_to(normal, (2, 1, 3)), lever
+    )
+    for k in range(2):
+        beside = pixels[k] + [3.0, -5.0]
+        ray = ray_directions(reference.intrinsics, reference.pose, beside)
+        on_plane = reference.pose.centre() + ray * (
+            normal @ (met[k] - reference.pose.centre()) / (normal @ ray)
+        )
+        exact = project(partner.intrinsics, partner.pose, on_plane)
+        # What is left is the homography's curvature, a square of 6 px over a focal length of 2400 px.
+        np.testing.assert_allclose(places[k, 0] + slopes[k, 0] @ [3.0, -5.0], exact, atol=2.0 * 34.0 / 2400.0)
+
+
+def test_rays_know_where_they_pass_a_box() -> None:
+    camera = cameras()[0]
+    pixels = np.array([[200.0, 149.0], [-9000.0, 150.0]])
+    rays, near, far = depths_in_box(camera, pixels, *VOLUME)
+    for depth in (near[0], far[0]):
+        place = camera.pose.centre() + depth * rays[0]
+        outside = np.maximum(np.subtract(VOLUME[0], place), np.subtract(place, VOLUME[1])).max()
+        assert outside == pytest.approx(0.0, abs=1e-9)
+    assert near[0] < far[0]
+    assert np.isnan(near[1])
+    assert np.isnan(far[1])

@@ -1,0 +1,193 @@
+"""Shape, displacement and strain of a bent cylinder from the images of two cameras and of three."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from support.two_cameras import VOLUME, Floats, Height, Motion, at_rest, cameras, curved, flat, seen_by
+
+from sms_jobs.bench.in_memory import InMemory, unheard
+from sms_jobs.errors import InvalidInput, MeasurementFailed
+from sms_jobs.kinds.deformation import correlate, strain
+from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
+from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.kinds.shape import stereo
+from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.views import Role
+
+AT = datetime(2026, 5, 4, tzinfo=UTC)
+NOISE = 20.0
+
+
+def bent(x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    return 0.3 + 2e-3 * x, -0.1 - 5e-4 * y, 0.5 + 1.5 * np.cos(x / 60.0)
+
+
+@cache
+def exposed(number: int, count: int, height: Height, motion: Motion, seed: int) -> tuple[Measurement, Floats]:
+    """Return what a camera of a rig records, with noise, and the points of its pixels."""
+    seen = seen_by(cameras(count=count)[number], height, motion)
+    random = np.random.default_rng((seed, number, motion is bent))
+    noisy = seen.levels + random.normal(0.0, NOISE, seen.levels.shape)
+    levels = np.clip(np.rint(noisy), 0, 4095).astype(np.uint16)
+    return recorded(levels), seen.points
+
+
+def recorded(levels: Any) -> Measurement:
+    return Measurement(AT, FringeSequence(), 4095, 0.0, NOISE, levels, ArrayStack(levels[None]))
+
+
+def calibration(count: int = 2, order: tuple[int, ...] = (0, 1, 2)) -> Calibration:
+    rig = cameras(count=count)
+    sensors = tuple(
+        Sensor(f"C{k + 1}", Role.CAMERA, rig[n].columns, rig[n].rows, rig[n].intrinsics, rig[n].pose)
+        for k, n in enumerate(order[:count])
+    )
+    return Calibration(Rig("two", sensors), Box(*VOLUME), AT, "exact")
+
+
+def surface_of(
+    subject: Subject, images: list[Measurement], calibrated: Calibration, **parameters: Any
+) -> DatasetOutput:
+    datasets = {
+        f"measurement {own}": InMemory(own, {"measurement": image})
+        for own, image in zip(subject.recordings, images, strict=True)
+    } | {"calibration": InMemory(subject, {"calibration": calibrated})}
+    (output,) = stereo.run(Inputs(subject, None, datasets), stereo.StereoParameters(**parameters), unheard)
+    assert isinstance(output, DatasetOutput)
+    return output
+
+
+@cache
+def measured(
+    motion: Motion, view: str = "C1C2", height: Height = curved, seed: int = 0
+) -> tuple[DatasetOutput, Floats]:
+    """Return the surface of a view of two or three cameras at a state, and the exact points."""
+    subject = Subject("test", "S01" if motion is bent else "S00", view)
+    count = len(subject.recordings)
+    images = [exposed(k, count, height, motion, seed) for k in range(count)]
+    return surface_of(subject, [m for m, _ in images], calibration(count)), images[0][1]
+
+
+def scores(error: Floats, covariance: Any, reason: Any) -> Floats:
+    """Return squared errors over their predicted variance, of the valid pixels."""
+    valid = reason == Reason.VALID
+    squared = np.sum(error[:, valid] ** 2, axis=0)
+    return np.asarray(squared / covariance[[0, 3, 5]][:, valid].sum(axis=0, dtype=np.float64))
+
+
+@pytest.mark.parametrize("view", ["C1C2", "C1C2C3"])
+def test_points_lie_where_they_are_and_scatter_as_they_say(view: str) -> None:
+    output, exact = measured(at_rest, view)
+    surface = output.records["surface"]
+    found = scores(surface.position - exact, position_covariance(surface), surface.reason)
+    # A fifth is what is promised; some 300 subsets side by side, each with one error, scatter by 4 %.
+    assert np.sqrt(found.mean()) == pytest.approx(1.0, abs=0.2)
+    assert found.max() < 36.0
+    assert output.statistics["valid_fraction"] > 0.8
+    assert surface.subset_radius_px == 12
+    assert all(
+        np.isnan(one[..., surface.reason != 0]).all() for one in (surface.position, surface.covariance)
+    )
+
+
+def test_a_third_camera_makes_points_better() -> None:
+    two, three = (measured(at_rest, view)[0].statistics["median_sigma_mm"] for view in ("C1C2", "C1C2C3"))
+    # Its base is twice as long.
+    assert three < 0.7 * two
+
+
+def test_displacement_and_strain_of_a_curved_surface() -> None:
+    before, after = (measured(motion)[0] for motion in (at_rest, bent))
+    subject = Subject("test", "S01", "C1C2")
+    datasets = {
+        "calibration": InMemory(subject, {"calibration": calibration()}),
+        "reference": InMemory(subject, before.records),
+        "deformed": InMemory(subject, after.records),
+        "reference_measurement": InMemory(subject, {"measurement": exposed(0, 2, curved, at_rest, 0)[0]}),
+        "measurement": InMemory(subject, {"measurement": exposed(0, 2, curved, bent, 0)[0]}),
+    }
+    (moved,) = correlate.run(Inputs(subject, "S00", datasets), CorrelateParameters(), unheard)
+    assert isinstance(moved, DatasetOutput)
+    field = moved.records["displacement"]
+    exact = np.stack(bent(*seen_by(cameras()[0], curved).material))
+    found = scores(field.displacement - exact, field.covariance, field.reason)
+    assert 0.8 < np.sqrt(found.mean()) < 1.2
+    assert found.max() < 36.0
+    datasets = {
+        "displacement": InMemory(subject, moved.records),
+        "reference": InMemory(subject, before.records),
+    }
+    (strained,) = strain.run(Inputs(subject, (1.0, 0.0, 0.0), datasets), strain.StrainParameters(), unheard)
+    assert isinstance(strained, DatasetOutput)
+    shape = strained.records["strain"]
+    valid = shape.reason == Reason.VALID
+    # Along y the cylinder's axis the surface is stretched by -5e-4, and bent along its waves not at all.
+    _, y = seen_by(cameras()[0], curved).material
+    slope = -2.0 / 15.0 * np.sin(y / 15.0)
+    along = (0.5 * (1.0 - 5e-4) ** 2 - 0.5) / (1.0 + slope**2)
+    score = np.sqrt(np.mean(((shape.strain[1] - along) / shape.sigma[1])[valid] ** 2))
+    assert 0.6 < score < 1.2
+
+
+def test_exchanged_cameras_are_refused() -> None:
+    subject = Subject("test", "S00", "C1C2")
+    images = [exposed(k, 2, curved, at_rest, 0)[0] for k in range(2)]
+    with pytest.raises(MeasurementFailed, match=r"beside the images of their rays.*exchanged") as caught:
+        surface_of(subject, images, calibration(order=(1, 0)), epipolar_width_px=20.0)
+    assert "in the other order" in str(caught.value)
+
+
+def test_cameras_that_moved_are_refused() -> None:
+    """The second camera is said to look 5 px higher than it does."""
+    subject = Subject("test", "S00", "C1C2")
+    images = [exposed(k, 2, curved, at_rest, 0)[0] for k in range(2)]
+    shifted = recorded(np.roll(images[1].texture, 5, axis=0))
+    with pytest.raises(MeasurementFailed, match=r"[45](\.\d)? px \(median\) beside the images of their rays"):
+        surface_of(subject, [images[0], shifted], calibration(), epipolar_width_px=10.0)
+    with pytest.raises(MeasurementFailed, match=r"[45](\.\d)? px \(median\) beside the images of their rays"):
+        surface_of(subject, [images[0], shifted], calibration())
+
+
+def test_images_with_nothing_in_common_are_refused() -> None:
+    subject = Subject("test", "S00", "C1C2")
+    first = exposed(0, 2, curved, at_rest, 0)[0]
+    other = np.random.default_rng(9).integers(1000, 3000, first.texture.shape).astype(np.uint16)
+    with pytest.raises(MeasurementFailed, match="C1 and C2 see nothing together"):
+        surface_of(subject, [first, recorded(other)], calibration())
+
+
+def test_a_blank_image_and_an_image_of_another_size_are_refused() -> None:
+    subject = Subject("test", "S00", "C1C2")
+    first = exposed(0, 2, curved, at_rest, 0)[0]
+    with pytest.raises(InvalidInput, match="the image of test/S00/C2 is blank: every pixel is 7"):
+        surface_of(subject, [first, recorded(np.full_like(first.texture, 7))], calibration())
+    with pytest.raises(InvalidInput, match="has 400 x 200 px but C2 is calibrated for 400 x 300 px"):
+        surface_of(subject, [first, recorded(first.texture[:200])], calibration())
+
+
+def test_a_plain_image_has_no_point_and_says_so() -> None:
+    subject = Subject("test", "S00", "C1C2")
+    random = np.random.default_rng(2)
+    plain = [
+        recorded(np.rint(2000 + random.normal(0.0, NOISE, (300, 400))).astype(np.uint16)) for _ in range(2)
+    ]
+    with pytest.raises(MeasurementFailed, match="the image of test/S00/C1 shows no texture"):
+        surface_of(subject, plain, calibration())
+
+
+def test_a_flat_plate_is_flat() -> None:
+    output, exact = measured(at_rest, height=flat)
+    surface = output.records["surface"]
+    valid = surface.reason == Reason.VALID
+    depth = (surface.position - exact)[2, valid]
+    # Its mean is that of some 300 independent subsets of 8 um.
+    assert abs(depth.mean()) < 4.0 * depth.std() / np.sqrt(300.0)
