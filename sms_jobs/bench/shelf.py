@@ -12,9 +12,11 @@ from sms_jobs.bench.in_memory import InMemory
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Parameters
 from sms_jobs.kinds.recording import simulate
 from sms_jobs.kinds.shape import reconstruct
+from sms_jobs.kinds.surface_ports import textured_by
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.truth import Truth, exact_truth
 
 
@@ -41,8 +43,10 @@ class Shelf:
     def truth(self, subject: Subject) -> Truth:
         """Return what is exactly true between the reference state and a recorded one."""
         at_rest = replace(subject, state=self.campaign.reference.label)
-        simulations = [self.records[MEASUREMENT, s]["measurement"].simulation for s in (at_rest, subject)]
-        return exact_truth(simulations[0], simulations[1], threads=self.threads)
+        first, last = (
+            self.records[MEASUREMENT, textured_by(s)]["measurement"].simulation for s in (at_rest, subject)
+        )
+        return exact_truth(first, last, view_of(subject.view).partners, threads=self.threads)
 
 
 def reconstructed(

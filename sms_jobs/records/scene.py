@@ -13,6 +13,7 @@ from typing import Literal, TypeAlias
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
 from sms_jobs.records.sensors import Rig
+from sms_jobs.records.views import View
 
 Vector: TypeAlias = tuple[float, float, float]
 
@@ -226,7 +227,8 @@ class Gloss:
     Attributes
     ----------
     strength
-        Of the highlight's middle, in units of a perfectly diffuse white surface that faces the projector.
+        Of the highlight's middle, in units of a perfectly diffuse white surface that faces the projector, or
+        the lamp where there is none.
     exponent
         The higher, the smaller the highlight.
     """
@@ -245,7 +247,7 @@ class CameraResponse:
         8, 12 or 16.
     exposure
         Grey level, as a fraction of full scale, of a perfectly diffuse white surface that faces a
-        projector at full brightness.
+        projector at full brightness, or the lamp, where the specimen stands.
     full_well
         Electrons at full scale: sets the shot noise.
     read_noise
@@ -253,7 +255,7 @@ class CameraResponse:
     blur_px
         Standard deviation of the lens's Gaussian blur.
     ambient
-        Light that does not come from the projector, as a fraction of `exposure`.
+        Light that comes neither from the projector nor from the lamp, as a fraction of `exposure`.
     """
 
     bits: Literal[8, 12, 16] = 12
@@ -302,6 +304,9 @@ class Scene:
         Responses, the same for every camera and every projector.
     seed
         Of the noise.
+    lamp_mm
+        Where in the world the lamp stands that lights what a camera sees without a projector, mm; None for
+        the middle of all cameras, from where no shadow falls on what they see together.
     """
 
     rig: Rig
@@ -312,6 +317,7 @@ class Scene:
     projector: ProjectorResponse = ProjectorResponse()
     seed: int = 0
     gloss: Gloss | None = None
+    lamp_mm: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -323,7 +329,7 @@ class Simulation:
     scene
         The virtual rig and its specimen.
     camera, projector
-        Names of the sensors that measured.
+        Names of the sensors that measured; without a projector, None, a lamp is on.
     deformation
         What had been done to the specimen, in order.
     state
@@ -333,6 +339,13 @@ class Simulation:
 
     scene: Scene
     camera: str
-    projector: str
+    projector: str | None
     deformation: tuple[Deformation, ...]
     state: str = ""
+
+    @classmethod
+    def of(
+        cls, scene: Scene, view: View, deformation: tuple[Deformation, ...], state: str = ""
+    ) -> Simulation:
+        """Return what the reference camera of a view records."""
+        return cls(scene, view.camera, view.projector if view.projectors else None, deformation, state)

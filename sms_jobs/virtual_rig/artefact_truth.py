@@ -38,9 +38,10 @@ class TrueBoard:
     world
         (n, 3), where it is in the world, mm.
     camera_px, projector_px
-        (n, 2), its image in either sensor: of a dot's centre, not the centre of its image.
+        (n, 2), its image in either sensor: of a dot's centre, not the centre of its image; NaN where there is
+        no projector.
     seen
-        (n,), whether it lies within both images and shows both sensors its front.
+        (n,), whether it lies within the images of the sensors and shows them its front.
     """
 
     place: NDArray[np.int32]
@@ -60,9 +61,9 @@ class TrueBar:
     centre
         (2, 3), centres of spheres 1 and 2 in the world, mm.
     camera_px, projector_px
-        (2, 2), the images of the centres.
+        (2, 2), the images of the centres; NaN where there is no projector.
     seen_px
-        (2,), how many pixels of the camera see the sphere lit by the projector.
+        (2,), how many pixels of the camera see the sphere, lit by the projector if there is one.
     """
 
     centre: Floats
@@ -90,13 +91,15 @@ def true_board(simulation: Simulation) -> TrueBoard:
     place, point = board_points(board)
     world = placed_points(simulation.scene, simulation.deformation, point)
     ahead = placed_points(simulation.scene, simulation.deformation, point + board_normal(board))
-    images, seen = [], np.ones(len(place), np.bool_)
-    for name in (simulation.camera, simulation.projector):
-        sensor = sensor_named(simulation, name)
-        images.append(project(sensor.intrinsics, sensor.pose, world))
+    images = {}
+    seen = np.ones(len(place), np.bool_)
+    for sensor in _sensors_of(simulation):
+        images[sensor.name] = project(sensor.intrinsics, sensor.pose, world)
         faces = np.sum((ahead - world) * (sensor.pose.centre() - world), axis=1) > 0.0
-        seen &= faces & _in_image(sensor, images[-1])
-    return TrueBoard(place, point, world, images[0], images[1], seen)
+        seen &= faces & _in_image(sensor, images[sensor.name])
+    nowhere = np.full((len(place), 2), np.nan)
+    projector_px = images.get(simulation.projector or "", nowhere)
+    return TrueBoard(place, point, world, images[simulation.camera], projector_px, seen)
 
 
 def true_bar(simulation: Simulation, *, threads: int = 1) -> TrueBar:
@@ -113,13 +116,17 @@ def true_bar(simulation: Simulation, *, threads: int = 1) -> TrueBar:
             f"state {simulation.state} shows no ball bar but a {bar.shape}; name one that does"
         )
     centres = placed_points(simulation.scene, simulation.deformation, bar_centres(bar))
-    images = [
-        project(sensor.intrinsics, sensor.pose, centres)
-        for sensor in (sensor_named(simulation, n) for n in (simulation.camera, simulation.projector))
-    ]
+    images = {s.name: project(s.intrinsics, s.pose, centres) for s in _sensors_of(simulation)}
+    projector_px = images.get(simulation.projector or "", np.full((2, 2), np.nan))
     shape = exact_shape(simulation, threads=threads)
     seen = np.bincount(shape.region[shape.lit], minlength=3)[1:3]
-    return TrueBar(centres, images[0], images[1], seen)
+    return TrueBar(centres, images[simulation.camera], projector_px, seen)
+
+
+def _sensors_of(simulation: Simulation) -> list[Sensor]:
+    """Return the camera and, if there is one, the projector."""
+    names = (simulation.camera, simulation.projector)
+    return [sensor_named(simulation, name) for name in names if name is not None]
 
 
 def _in_image(sensor: Sensor, pixels: Floats) -> Flags:

@@ -45,7 +45,7 @@ def exact_mesh(campaign: Campaign, label: str, step_px: int, threads: int = 1) -
     Raises
     ------
     InvalidInput
-        The campaign is not on the virtual rig, has no projector, or has no such state.
+        The campaign is not on the virtual rig, has a camera alone, or has no such state.
     """
     scene, views = campaign.scene, campaign.shape_views
     if scene is None or not views:
@@ -57,11 +57,8 @@ def exact_mesh(campaign: Campaign, label: str, step_px: int, threads: int = 1) -
     surfaces, moved = [], []
     first_of_each = {view.camera: view for view in map(view_of, reversed(views))}
     for view in first_of_each.values():
-        rest, end = (
-            Simulation(scene, view.camera, view.projector, s.deformation, s.label)
-            for s in (campaign.reference, state)
-        )
-        truth = exact_truth(rest, end, threads=threads)
+        rest, end = (Simulation.of(scene, view, s.deformation, s.label) for s in (campaign.reference, state))
+        truth = exact_truth(rest, end, view.partners, threads=threads)
         labels = np.where(truth.shape.seen, truth.shape.region, 0).astype(np.int32)
         pixels, faces = triangulate_image(labels, step_px)
         row, column = pixels.T

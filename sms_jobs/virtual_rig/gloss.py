@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.records.scene import Gloss, Simulation
-from sms_jobs.virtual_rig.light import SUBSAMPLES, Light, sensor_named, trace
+from sms_jobs.virtual_rig.light import SUBSAMPLES, Light, sensor_named, source_centre, source_of, trace
 from sms_jobs.virtual_rig.truth import exact_shape
 
 Floats = NDArray[np.float64]
@@ -22,23 +22,23 @@ def shining(simulation: Simulation, threads: int = 1) -> Light:
 
 
 def glossy(light: Light, simulation: Simulation, gloss: Gloss, *, threads: int = 1) -> Light:
-    """Return light with a highlight where the surface mirrors the projector towards the camera.
+    """Return light with a highlight where the surface mirrors the projector, or the lamp, towards the camera.
 
-    strength (n . h)^exponent, h half way between the directions to the camera and to the projector (Blinn
+    strength (n . h)^exponent, h half way between the directions to the camera and to the light (Blinn
     1977), times the inverse square of the distance as in `direct_light`. Computed for pixel centres: good as
     long as a highlight is wider than a pixel.
     """
     shape = exact_shape(simulation, threads=threads)
     points = np.moveaxis(shape.xyz, 0, -1)
     camera = sensor_named(simulation, simulation.camera).pose.centre()
-    projector = sensor_named(simulation, simulation.projector).pose.centre()
-    to_camera, to_projector = camera - points, projector - points
-    length = np.linalg.norm(to_projector, axis=-1)
-    half = to_camera / np.linalg.norm(to_camera, axis=-1, keepdims=True) + to_projector / length[..., None]
+    source = source_centre(source_of(simulation))
+    to_camera, to_source = camera - points, source - points
+    length = np.linalg.norm(to_source, axis=-1)
+    half = to_camera / np.linalg.norm(to_camera, axis=-1, keepdims=True) + to_source / length[..., None]
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
     cosine = np.clip(np.sum(np.moveaxis(shape.normal, 0, -1) * half, axis=-1), 0.0, 1.0)
     placed = np.array(simulation.scene.placement.translation)
-    distance = float(np.linalg.norm(projector - placed))
+    distance = float(np.linalg.norm(source - placed))
     lobe = gloss.strength * cosine**gloss.exponent * np.square(distance / length)
     lobe = np.where(shape.lit, lobe, 0.0)
     fine = np.repeat(np.repeat(lobe, SUBSAMPLES, axis=0), SUBSAMPLES, axis=1)

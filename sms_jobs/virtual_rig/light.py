@@ -2,7 +2,7 @@
 
 Each pixel is divided into sub-samples and a ray sent through the middle of each, so that a pixel on an
 edge mixes what lies on both sides of it. A sub-sample holds up to two returns: light straight from the
-projector, and light by way of a mirror.
+projector, and light by way of a mirror. Where nothing projects there is one return, of a lamp.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.records.scene import PlateAndMirror, Simulation
 from sms_jobs.records.sensors import Sensor
+from sms_jobs.records.views import Role
 from sms_jobs.virtual_rig.deformations import carried, followed_back
 from sms_jobs.virtual_rig.ink import PLAIN, SPECIMEN, packed_ink, printed_reflectance
 from sms_jobs.virtual_rig.optics import image_point, in_image, packed_sensor, pixel_ray
@@ -38,6 +39,8 @@ Singles: TypeAlias = NDArray[np.float32]
 
 SUBSAMPLES = 2
 """Sub-samples along each side of a pixel."""
+LAMP = 3
+"""Numbers that describe a lamp, its place; those of a projector are many more."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +52,8 @@ class Light:
     x, y
         (returns, n rows, n columns): projector pixel that the light came from; 0 where there is none.
     strength
-        (returns, n rows, n columns): what a projector at full brightness gives, 1 for a perfectly diffuse
-        white surface that faces it where the specimen stands.
+        (returns, n rows, n columns): what a projector at full brightness, or the lamp, gives, 1 for a
+        perfectly diffuse white surface that faces it where the specimen stands.
     ambient
         (n rows, n columns): diffuse reflectance, by which ambient light is multiplied.
     """
@@ -77,28 +80,43 @@ def sensor_named(simulation: Simulation, name: str) -> Sensor:
     raise InvalidInput(f"the virtual rig has no sensor {name}; it has {known}")
 
 
-def trace(simulation: Simulation, threads: int = 1) -> Light:
-    """Follow the rays of every sub-sample of a camera to the specimen and on to the projector."""
+def source_of(simulation: Simulation) -> Floats:
+    """Return what lights a simulated measurement: a projector by `packed_sensor`, or a lamp's place, (3,)."""
     scene = simulation.scene
-    camera = packed_sensor(sensor_named(simulation, simulation.camera))
-    projector = packed_sensor(sensor_named(simulation, simulation.projector))
+    if simulation.projector is not None:
+        return packed_sensor(sensor_named(simulation, simulation.projector))
+    if scene.lamp_mm is not None:
+        return np.array(scene.lamp_mm, dtype=np.float64)
+    cameras = [s.pose.centre() for s in scene.rig.sensors if s.role is Role.CAMERA]
+    return np.asarray(np.mean(cameras, axis=0))
+
+
+def source_centre(source: Floats) -> Floats:
+    """Return where the light of a `source_of` comes from, (3,), mm."""
+    return source if len(source) == LAMP else source[16:19]
+
+
+def trace(simulation: Simulation, threads: int = 1) -> Light:
+    """Follow the rays of every sub-sample of a camera to the specimen and on to the projector or the lamp."""
+    scene = simulation.scene
+    camera, source = packed_sensor(sensor_named(simulation, simulation.camera)), source_of(simulation)
     specimen = specimen_in(scene, simulation.deformation)
     prints = Prints(packed_speckle(scene.speckle), packed_ink(scene.surface))
     windows = SUBSAMPLES * image_windows(scene, simulation.deformation, simulation.camera)
     rows, columns = SUBSAMPLES * int(camera[20]), SUBSAMPLES * int(camera[19])
-    returns = 2 if isinstance(scene.surface, PlateAndMirror) else 1
+    returns = 2 if isinstance(scene.surface, PlateAndMirror) and simulation.projector is not None else 1
     shape = (returns, rows, columns)
     light = Light(
         np.zeros(shape), np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape[1:], np.float32)
     )
     # The distance at which a facing white surface has the strength 1.
-    distance = float(np.linalg.norm(projector[16:19] - np.array(scene.placement.translation)))
+    distance = float(np.linalg.norm(source_centre(source) - np.array(scene.placement.translation)))
 
     def work(start: int, stop: int) -> None:
         for top, bottom, left, right in windows:
             _trace_window(
                 camera,
-                projector,
+                source,
                 specimen,
                 prints,
                 distance,
@@ -116,7 +134,7 @@ def trace(simulation: Simulation, threads: int = 1) -> Light:
 @kernel
 def _trace_window(
     camera: Floats,
-    projector: Floats,
+    source: Floats,
     specimen: Specimen,
     prints: Prints,
     distance: float,
@@ -165,10 +183,13 @@ def _trace_window(
             if towards < 0.0:  # the side that is seen is the side that is lit
                 nx, ny, nz = -nx, -ny, -nz
             ambient[i, j] = white
-            xp, yp, lit = direct_light(projector, specimen, distance, wx, wy, wz, nx, ny, nz)
+            if source.shape[0] == LAMP:
+                strength[0, i, j] = white * lamp_light(source, distance, wx, wy, wz, nx, ny, nz)
+                continue
+            xp, yp, lit = direct_light(source, specimen, distance, wx, wy, wz, nx, ny, nz)
             x[0, i, j], y[0, i, j], strength[0, i, j] = xp, yp, white * lit
             if returns == 2:
-                xp, yp, lit = mirrored_light(projector, specimen, distance, wx, wy, wz, nx, ny, nz)
+                xp, yp, lit = mirrored_light(source, specimen, distance, wx, wy, wz, nx, ny, nz)
                 x[1, i, j], y[1, i, j], strength[1, i, j] = xp, yp, white * lit
 
 
@@ -239,6 +260,23 @@ def direct_light(
     if not in_image(projector, px, py) or not unobstructed(specimen, ox, oy, oz, x, y, z):
         return 0.0, 0.0, 0.0
     return px, py, cosine * distance * distance / (length * length)
+
+
+@kernel
+def lamp_light(
+    lamp: Floats,
+    distance: float,
+    x: float,
+    y: float,
+    z: float,
+    nx: float,
+    ny: float,
+    nz: float,
+) -> float:
+    """Return how strongly a lamp lights a point, as `direct_light` does; it casts no shadows."""
+    dx, dy, dz, length = unit_to(x, y, z, lamp[0], lamp[1], lamp[2])
+    cosine = nx * dx + ny * dy + nz * dz
+    return float(max(cosine, 0.0) * distance * distance / (length * length))
 
 
 @kernel

@@ -18,6 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.phase.patterns import direction, fringe_harmonics, span_px
 from sms_jobs.records.measurement import FringeSequence
@@ -36,7 +37,7 @@ class Rendering:
     """What one view records of a simulated state; the fields are those of `Measurement`."""
 
     texture: Image
-    frames: SimulatedFrames
+    frames: SimulatedImage
     full_scale: int
     gain: float
     read_noise: float
@@ -68,7 +69,7 @@ def render(
     simulation
         Scene, view and deformation.
     sequence
-        The patterns that are projected.
+        The patterns that are projected; without a projector nothing asks for them.
     threads
         Number of threads; the images do not depend on it.
     dimming
@@ -77,41 +78,51 @@ def render(
     Returns
     -------
     The texture, and the frames, which are rendered when they are asked for. `read_noise` includes the
-    rounding to whole grey levels, 1/12 of a grey level squared.
+    rounding to whole grey levels, 1/12 of a grey level squared. Of a camera alone the texture is the only
+    frame.
+
+    Raises
+    ------
+    InvalidInput
+        When a projector is to be dimmed and there is none.
     """
     light = shining(simulation, threads)
     if dimming is not None:
+        if simulation.projector is None:
+            raise InvalidInput(
+                f"camera {simulation.camera} of state {simulation.state} is recorded without a projector, so "
+                "nothing can be dimmed: leave dimming out"
+            )
         light = dimmed(light, dimming.astype(np.float64))
-    frames = SimulatedFrames(simulation, sequence, light, threads)
+    frames = (
+        SimulatedImage(simulation, light, threads)
+        if simulation.projector is None
+        else SimulatedFrames(simulation, sequence, light, threads)
+    )
     noise = Noise.of(simulation.scene.camera)
     read_noise = sqrt(noise.read_noise**2 + 1.0 / 12.0)
     return Rendering(frames.texture(), frames, noise.full_scale, noise.gain, read_noise)
 
 
-class SimulatedFrames:
-    """The frames of a simulated measurement; every frame is the same however often it is rendered."""
+class SimulatedImage:
+    """The one frame of a camera alone, white; it is the same however often it is rendered."""
 
-    def __init__(self, simulation: Simulation, sequence: FringeSequence, light: Light, threads: int) -> None:
+    def __init__(self, simulation: Simulation, light: Light, threads: int, count: int = 1) -> None:
+        self._count = count
         self._light = light
-        self._sequence = sequence
-        self._patterns = list(sequence.patterns())
         self._threads = threads
-        self._projector: Sensor = sensor_named(simulation, simulation.projector)
-        self._response = simulation.scene.projector
         self._noise = Noise.of(simulation.scene.camera)
         self._white_level = simulation.scene.camera.exposure * self._noise.full_scale
         self._ambient = simulation.scene.camera.ambient
         self._spread = _pixel_weights(simulation.scene.camera.blur_px)
         self._seed = _noise_seed(simulation)
-        self._lock = Lock()
-        self._fringes: tuple[tuple[float, int], Singles] | None = None
         self._steady = self._whole(self._steady_rows)
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """(frames, rows, columns)."""
         _, rows, columns = self._light.x.shape
-        return self._sequence.frames, rows // SUBSAMPLES, columns // SUBSAMPLES
+        return self._count, rows // SUBSAMPLES, columns // SUBSAMPLES
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -120,8 +131,87 @@ class SimulatedFrames:
 
     def texture(self, exposure: float = 1.0) -> Image:
         """Return the white frame, (rows, columns), of an exposure in units of the camera's own."""
-        levels = self._steady[0] + self._steady[1]
-        return self._recorded(np.float32(exposure) * levels, self._sequence.frames, 0)
+        return self._recorded(np.float32(exposure) * self._white(), self._count, 0)
+
+    def frame(self, index: int) -> Image:
+        """Return one frame, (rows, columns); raise `IndexError` for a frame that there is not."""
+        _ = range(self._count)[index]
+        return self.texture()
+
+    def rows(self, start: int, stop: int) -> Image:
+        """Return a slab of every frame, (frames, stop - start, columns)."""
+        return self._recorded(self._white()[start:stop], self._count, start)[None]
+
+    def expected(self, index: int) -> Singles:
+        """Return the grey levels of a frame before noise and rounding, (rows, columns)."""
+        _ = range(self._count)[index]
+        return self._white()
+
+    def _white(self) -> Singles:
+        """Return the grey levels of the white frame before noise and rounding, (rows, columns)."""
+        return np.asarray(self._steady[0] + self._steady[1])
+
+    def _whole(self, rows_of: Callable[[int, int], Singles]) -> Singles:
+        """Return the images that `rows_of(start, stop)` gives, made in row blocks."""
+        rows = self.shape[1]
+        blocks: dict[int, Singles] = {}
+
+        def work(start: int, stop: int) -> None:
+            blocks[start] = rows_of(start, stop)
+
+        in_row_blocks(work, rows, self._threads)
+        return np.asarray(np.concatenate([blocks[start] for start in sorted(blocks)], axis=1))
+
+    def _steady_rows(self, start: int, stop: int) -> Singles:
+        """Return rows of the images of full projector brightness and of ambient light."""
+        first, last = self._subsample_rows(start, stop)
+        white = self._light.strength[:, first:last].sum(axis=0)
+        ambient = np.float32(self._ambient) * self._light.ambient[first:last]
+        return self._imaged(np.stack([white, ambient]), start, stop)
+
+    def _subsample_rows(self, start: int, stop: int) -> tuple[int, int]:
+        """Return the rows of sub-samples that rows of pixels draw on."""
+        reach = (len(self._spread) - SUBSAMPLES) // 2
+        return max(start * SUBSAMPLES - reach, 0), min(stop * SUBSAMPLES + reach, self._light.x.shape[1])
+
+    def _imaged(self, images: Singles, start: int, stop: int) -> Singles:
+        """Blur sub-sampled images, average them over pixels and bring them to grey levels."""
+        first, _ = self._subsample_rows(start, stop)
+        out = np.empty((len(images), stop - start, images.shape[2] // SUBSAMPLES), np.float32)
+        _average_over_pixels(images, self._spread, self._white_level, start * SUBSAMPLES - first, out)
+        return out
+
+    def _recorded(self, levels: Singles, index: int, start: int) -> Image:
+        """Return what the camera makes of rows `start` and on of frame `index`."""
+        rows, columns = levels.shape
+        out = np.empty((rows, columns), np.uint16)
+
+        def work(first: int, last: int) -> None:
+            for block in range((start + first) // _NOISE_ROWS, -(-(start + last) // _NOISE_ROWS)):
+                stream = np.random.SeedSequence((self._seed, index, block))
+                random = np.random.Generator(np.random.SFC64(stream))
+                normal = random.standard_normal((_NOISE_ROWS, columns), dtype=np.float32)
+                top = block * _NOISE_ROWS - start
+                low, high = max(top, first), min(top + _NOISE_ROWS, last)
+                noise = self._noise
+                drawn, here = normal[low - top : high - top], out[low:high]
+                _expose(levels[low:high], drawn, noise.read_noise**2, noise.gain, noise.full_scale, here)
+
+        in_row_blocks(work, rows, self._threads)
+        return out
+
+
+class SimulatedFrames(SimulatedImage):
+    """The frames of a simulated measurement; every frame is the same however often it is rendered."""
+
+    def __init__(self, simulation: Simulation, sequence: FringeSequence, light: Light, threads: int) -> None:
+        super().__init__(simulation, light, threads, sequence.frames)
+        self._sequence = sequence
+        self._patterns = list(sequence.patterns())
+        self._projector: Sensor = sensor_named(simulation, simulation.projector or "")
+        self._response = simulation.scene.projector
+        self._lock = Lock()
+        self._fringes: tuple[tuple[float, int], Singles] | None = None
 
     def frame(self, index: int) -> Image:
         """Return one frame, (rows, columns); raise `IndexError` for a frame that there is not."""
@@ -165,24 +255,6 @@ class SimulatedFrames:
             levels -= np.float32(np.sin(angle)) * fringes[2 * n]
         return levels
 
-    def _whole(self, rows_of: Callable[[int, int], Singles]) -> Singles:
-        """Return the images that `rows_of(start, stop)` gives, made in row blocks."""
-        rows = self.shape[1]
-        blocks: dict[int, Singles] = {}
-
-        def work(start: int, stop: int) -> None:
-            blocks[start] = rows_of(start, stop)
-
-        in_row_blocks(work, rows, self._threads)
-        return np.asarray(np.concatenate([blocks[start] for start in sorted(blocks)], axis=1))
-
-    def _steady_rows(self, start: int, stop: int) -> Singles:
-        """Return rows of the images of full projector brightness and of ambient light."""
-        first, last = self._subsample_rows(start, stop)
-        white = self._light.strength[:, first:last].sum(axis=0)
-        ambient = np.float32(self._ambient) * self._light.ambient[first:last]
-        return self._imaged(np.stack([white, ambient]), start, stop)
-
     def _fringe_rows(self, orientation: float, density: int, start: int, stop: int) -> Singles:
         """Return rows of the images that every step of one density is made of, see `_levels`."""
         columns, rows = self._projector.columns, self._projector.rows
@@ -205,41 +277,10 @@ class SimulatedFrames:
         _fringe_light(x, y, light.strength[:, first:last], phase, harmonics, images)
         return self._imaged(images, start, stop)
 
-    def _subsample_rows(self, start: int, stop: int) -> tuple[int, int]:
-        """Return the rows of sub-samples that rows of pixels draw on."""
-        reach = (len(self._spread) - SUBSAMPLES) // 2
-        return max(start * SUBSAMPLES - reach, 0), min(stop * SUBSAMPLES + reach, self._light.x.shape[1])
-
-    def _imaged(self, images: Singles, start: int, stop: int) -> Singles:
-        """Blur sub-sampled images, average them over pixels and bring them to grey levels."""
-        first, _ = self._subsample_rows(start, stop)
-        out = np.empty((len(images), stop - start, images.shape[2] // SUBSAMPLES), np.float32)
-        _average_over_pixels(images, self._spread, self._white_level, start * SUBSAMPLES - first, out)
-        return out
-
-    def _recorded(self, levels: Singles, index: int, start: int) -> Image:
-        """Return what the camera makes of rows `start` and on of frame `index`."""
-        rows, columns = levels.shape
-        out = np.empty((rows, columns), np.uint16)
-
-        def work(first: int, last: int) -> None:
-            for block in range((start + first) // _NOISE_ROWS, -(-(start + last) // _NOISE_ROWS)):
-                stream = np.random.SeedSequence((self._seed, index, block))
-                random = np.random.Generator(np.random.SFC64(stream))
-                normal = random.standard_normal((_NOISE_ROWS, columns), dtype=np.float32)
-                top = block * _NOISE_ROWS - start
-                low, high = max(top, first), min(top + _NOISE_ROWS, last)
-                noise = self._noise
-                drawn, here = normal[low - top : high - top], out[low:high]
-                _expose(levels[low:high], drawn, noise.read_noise**2, noise.gain, noise.full_scale, here)
-
-        in_row_blocks(work, rows, self._threads)
-        return out
-
 
 def _noise_seed(simulation: Simulation) -> int:
     """Return a number that names a measurement: the same in every process and on every machine."""
-    name = f"{simulation.scene.seed}/{simulation.state}/{simulation.camera}{simulation.projector}"
+    name = f"{simulation.scene.seed}/{simulation.state}/{simulation.camera}{simulation.projector or ''}"
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8])
 
 

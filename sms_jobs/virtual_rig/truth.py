@@ -41,7 +41,8 @@ class Shape:
     seen
         (rows, columns), whether that patch scatters light: a mirror has no shape that could be measured.
     lit
-        (rows, columns), whether the light that it scatters comes straight from the projector.
+        (rows, columns), whether it can be measured there: whether the light that it scatters comes straight
+        from the projector, or further cameras see it too.
     """
 
     xyz: Floats
@@ -67,7 +68,7 @@ class Truth:
         NaN where the specimen's x axis is normal to the surface.
     lit_and_seen_at_end
         (rows, columns), whether the material point is still in the camera's image, in its free sight,
-        and lit by the projector.
+        and lit by the projector, or seen by further cameras.
     """
 
     shape: Shape
@@ -81,24 +82,41 @@ class Truth:
         return self.green_lagrange if measure == "green-lagrange" else self.small
 
 
-def exact_shape(simulation: Simulation, *, threads: int = 1) -> Shape:
-    """Return the exact shape behind a simulated measurement."""
+def exact_shape(
+    simulation: Simulation, partners: tuple[str, ...] | None = None, *, threads: int = 1
+) -> Shape:
+    """Return the exact shape behind a simulated measurement.
+
+    Parameters
+    ----------
+    simulation
+        What the reference camera recorded.
+    partners
+        Names of the sensors that it measures together with, which are those of its view: a projector,
+        further cameras, or none; by default the projector of the simulation, if it has one.
+    threads
+        How many threads to use; the result does not depend on it.
+    """
     camera = packed_sensor(sensor_named(simulation, simulation.camera))
-    projector = packed_sensor(sensor_named(simulation, simulation.projector))
+    sights = _packed_partners(simulation, partners)
     specimen = specimen_in(simulation.scene, simulation.deformation)
     rows, columns = int(camera[20]), int(camera[19])
     points, region = np.full((9, rows, columns), np.nan), np.zeros((rows, columns), np.int32)
     lit = np.zeros((rows, columns), np.bool_)
 
     def work(start: int, stop: int) -> None:
-        _see_rows(camera, projector, specimen, start, stop, points, region, lit)
+        _see_rows(camera, sights, specimen, start, stop, points, region, lit)
 
     in_row_blocks(work, rows, threads)
     return Shape(points[:3], points[3:6], points[6:], region, np.isfinite(points[0]), lit)
 
 
-def exact_truth(reference: Simulation, state: Simulation, *, threads: int = 1) -> Truth:
+def exact_truth(
+    reference: Simulation, state: Simulation, partners: tuple[str, ...] | None = None, *, threads: int = 1
+) -> Truth:
     """Return what truly happens, between two simulated measurements, to what the first one sees.
+
+    `partners` are those of `exact_shape`.
 
     Raises
     ------
@@ -110,7 +128,7 @@ def exact_truth(reference: Simulation, state: Simulation, *, threads: int = 1) -
             f"states {reference.state} seen by {reference.camera} and {state.state} seen by {state.camera} "
             "have no common truth; choose two states of one campaign and one camera"
         )
-    shape = exact_shape(reference, threads=threads)
+    shape = exact_shape(reference, partners, threads=threads)
     seen = shape.seen
     material = np.ascontiguousarray(shape.material[:, seen].T)
     before = specimen_in(reference.scene, reference.deformation)
@@ -126,8 +144,19 @@ def exact_truth(reference: Simulation, state: Simulation, *, threads: int = 1) -
     small[:, seen] = _small(relative, frame).T
     stays = np.zeros_like(seen)
     normals = np.einsum("nji,nj->ni", np.linalg.inv(relative), shape.normal[:, seen].T)
-    stays[seen] = _stay(state, after, ends, normals)
+    stays[seen] = _stay(state, _packed_partners(state, partners), after, ends, normals)
     return Truth(shape, displacement, green, small, stays)
+
+
+def _packed_partners(simulation: Simulation, partners: tuple[str, ...] | None) -> Floats:
+    """Return what a camera measures together with, by `packed_sensor`, (n, 26).
+
+    What a camera sees is what it would light if it were a projector, so that one test serves both.
+    """
+    if partners is None:
+        partners = () if simulation.projector is None else (simulation.projector,)
+    packed = [packed_sensor(sensor_named(simulation, name)) for name in partners]
+    return np.array(packed).reshape(len(packed), -1) if packed else np.empty((0, 26))
 
 
 def tangent_frame(normals: Floats, axis: Floats) -> Floats:
@@ -160,20 +189,31 @@ def _small(gradient: Floats, frame: Floats) -> Floats:
     return np.stack([e[:, 0, 0], e[:, 1, 1], 0.5 * (e[:, 0, 1] + e[:, 1, 0])], axis=-1)
 
 
-def _stay(state: Simulation, specimen: Specimen, ends: Floats, normals: Floats) -> Flags:
-    """Tell which points show the camera the side that they showed it before, and are lit on it."""
+def _stay(state: Simulation, sights: Floats, specimen: Specimen, ends: Floats, normals: Floats) -> Flags:
+    """Tell which points show the camera the side that they showed it before, and its partners too."""
     camera = packed_sensor(sensor_named(state, state.camera))
-    projector = packed_sensor(sensor_named(state, state.projector))
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     out = np.zeros(len(ends), np.bool_)
-    _still_seen(camera, projector, specimen, ends, normals, out)
+    _still_seen(camera, sights, specimen, ends, normals, out)
     return out
+
+
+@kernel
+def _before_all(
+    sights: Floats, specimen: Specimen, x: float, y: float, z: float, nx: float, ny: float, nz: float
+) -> bool:
+    """Tell whether a point faces every partner, in its image and its free sight."""
+    for k in range(sights.shape[0]):
+        _, _, light = direct_light(sights[k], specimen, 1.0, x, y, z, nx, ny, nz)
+        if not light > 0.0:
+            return False
+    return True
 
 
 @kernel
 def _see_rows(
     camera: Floats,
-    projector: Floats,
+    sights: Floats,
     specimen: Specimen,
     start: int,
     stop: int,
@@ -199,14 +239,13 @@ def _see_rows(
             points[0, i, j], points[1, i, j], points[2, i, j] = x, y, z
             points[3, i, j], points[4, i, j], points[5, i, j] = nx, ny, nz
             points[6, i, j], points[7, i, j], points[8, i, j] = mx, my, mz
-            _, _, light = direct_light(projector, specimen, 1.0, x, y, z, nx, ny, nz)
-            lit[i, j] = light > 0.0
+            lit[i, j] = _before_all(sights, specimen, x, y, z, nx, ny, nz)
 
 
 @kernel
 def _still_seen(
     camera: Floats,
-    projector: Floats,
+    sights: Floats,
     specimen: Specimen,
     ends: Floats,
     normals: Floats,
@@ -220,5 +259,4 @@ def _still_seen(
         if not in_image(camera, px, py) or nx * (ox - x) + ny * (oy - y) + nz * (oz - z) <= 0.0:
             continue
         if unobstructed(specimen, ox, oy, oz, x, y, z):
-            _, _, light = direct_light(projector, specimen, 1.0, x, y, z, nx, ny, nz)
-            out[i] = light > 0.0
+            out[i] = _before_all(sights, specimen, x, y, z, nx, ny, nz)

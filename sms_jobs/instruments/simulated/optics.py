@@ -91,10 +91,8 @@ class VirtualRoom:
 
     def simulation(self, view: str) -> Simulation:
         """Return what a view truly sees now."""
-        seen, setting = view_of(view), self.setting
-        return Simulation(
-            setting.scene, seen.camera, seen.projector, self.present_deformation(), setting.state
-        )
+        setting = self.setting
+        return Simulation.of(setting.scene, view_of(view), self.present_deformation(), setting.state)
 
     def _size(self, camera: str) -> tuple[int, int]:
         sensor = self.setting.scene.rig.sensor(camera)

@@ -39,13 +39,15 @@ class SimulatedRig:
     def record(
         self, view: str, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None
     ) -> Measurement:
-        """Render a measurement; its frames are made while they are asked for."""
-        seen = view_of(view)
-        simulation = Simulation(self.scene, seen.camera, seen.projector, self.deformation, self.state)
+        """Render a measurement; its frames are made while they are asked for.
+
+        Of a camera alone, for which nothing is projected, the white frame is the only one.
+        """
+        simulation = Simulation.of(self.scene, view_of(view), self.deformation, self.state)
         rendering = render(simulation, sequence, threads=self.threads, dimming=dimming)
         return Measurement(
             self.recorded_at,
-            sequence,
+            FringeSequence() if simulation.projector is None else sequence,
             rendering.full_scale,
             rendering.gain,
             rendering.read_noise,

@@ -116,6 +116,12 @@ def simulated_states(campaign: Campaign) -> tuple[Subject, ...]:
 def run(inputs: Inputs, parameters: SimulateParameters, progress: Progress) -> Iterator[Output]:
     """Record every view of a state, one after the other; frames are made while they are stored."""
     task: Recipe = inputs.context
+    if parameters.adaptive != "none" and not any(view_of(view).projectors for view in task.views):
+        raise InvalidInput(
+            f"adaptive={parameters.adaptive} needs fringes, and nothing is projected in campaign "
+            f"{inputs.subject.campaign}, whose views are recorded by {', '.join(task.views)}: set "
+            "adaptive=none, and the exposure under [scene.camera] of its plan"
+        )
     rig: Recorder = SimulatedRig(task.scene, task.state, task.deformation, task.recorded_at, inputs.threads)
     for number, view in enumerate(task.views):
         progress(number / len(task.views), f"recording {view}")
@@ -131,7 +137,10 @@ def _recorded(
     """Record a view, for adaptive patterns after a quick look at how bright it is."""
     if parameters.adaptive == "none":
         return rig.record(view, task.sequence)
-    projector = task.scene.rig.sensor(view_of(view).projector)
+    seen_by = view_of(view)
+    if not seen_by.projectors:
+        return rig.record(view, task.sequence)  # a lamp stays as it is
+    projector = task.scene.rig.sensor(seen_by.projector)
     seen = outlook(rig.record(view, QUICK), projector, threads)
     if parameters.adaptive == "exposures":
         chosen = seen.exposures(parameters.longest_exposure)

@@ -69,7 +69,7 @@ def run(inputs: Inputs, parameters: AssessParameters, progress: Progress) -> Ite
     """Compare the shape, and for a deformed state displacement and strain, with the truth."""
     state = _simulation(inputs, _FRAMES)
     surface = inputs.read(_SHAPE.port, SURFACE)
-    exact = exact_shape(state, threads=inputs.threads)
+    exact = exact_shape(state, inputs.view.partners, threads=inputs.threads)
     progress(0.3, "comparing the shape")
     shape, shape_error = vector_errors(
         surface.position - exact.xyz, position_covariance(surface), surface.reason, exact.seen & exact.lit
@@ -77,7 +77,8 @@ def run(inputs: Inputs, parameters: AssessParameters, progress: Progress) -> Ite
     if not inputs.has(_REFERENCE):
         yield _output(inputs.subject, Assessment(shape, None, None, shape_error))
         return
-    truth = exact_truth(_simulation(inputs, _REFERENCE), state, threads=inputs.threads)
+    reference = _simulation(inputs, _REFERENCE)
+    truth = exact_truth(reference, state, inputs.view.partners, threads=inputs.threads)
     expected = truth.shape.seen & truth.shape.lit & truth.lit_and_seen_at_end
     progress(0.6, "comparing displacement and strain")
     moved, moved_error = _displacement_errors(inputs, truth, expected)
