@@ -169,7 +169,7 @@ def deviation_from(rig: Rig, calibration: Calibration) -> dict[str, float]:
     found = compare_calibrations(
         {s.name: (s.intrinsics, s.pose) for s in rig.sensors},
         {s.name: (s.intrinsics, s.pose) for s in calibration.rig.sensors},
-        _of_fringes(rig),
+        _measuring(rig),
         _corners(calibration.volume),
         tolerance_mm=calibration.volume.diagonal_mm,
     )
@@ -195,9 +195,9 @@ def compare(
     return compared(old, new, tolerance_mm)
 
 
-def _of_fringes(rig: Rig) -> list[tuple[str, str]]:
-    """Return every camera with every projector."""
-    return [(view.camera, view.projector) for view in map(view_of, rig.views())]
+def _measuring(rig: Rig) -> list[tuple[str, str]]:
+    """Return the sensors of every view: every camera with every projector, else with every other camera."""
+    return [(view.camera, view.partners[0]) for view in map(view_of, rig.views())]
 
 
 def measuring_pairs(rig: Rig) -> list[tuple[str, str]]:
@@ -205,7 +205,7 @@ def measuring_pairs(rig: Rig) -> list[tuple[str, str]]:
 
     Raises `InvalidInput` for a rig of one sensor.
     """
-    pairs = _of_fringes(rig) or [*combinations((s.name for s in rig.sensors), 2)]
+    pairs = _measuring(rig) or [*combinations((s.name for s in rig.sensors), 2)]
     if not pairs:
         raise InvalidInput(
             f"rig {rig.name} has one sensor, which measures no points by itself: see its parameters in 'sms "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import combinations, product
 
 import numpy as np
 
@@ -99,10 +100,11 @@ class Rig:
         raise InvalidInput(f"rig {self.name} has no sensor {name}; it has {known}")
 
     def views(self) -> tuple[str, ...]:
-        """Return every view of a camera and a projector, C1P1, C1P2, ..."""
+        """Return every view of a camera and a projector, C1P1, C1P2, ..., or without one of two cameras."""
         cameras = [s.name for s in self.sensors if s.role is Role.CAMERA]
         projectors = [s.name for s in self.sensors if s.role is Role.PROJECTOR]
-        return tuple(str(View(c, (p,))) for c in cameras for p in projectors)
+        pairs = product(cameras, projectors) if projectors else combinations(cameras, 2)
+        return tuple(str(View(camera, (partner,))) for camera, partner in pairs)
 
 
 @dataclass(frozen=True)
