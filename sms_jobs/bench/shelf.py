@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from sms_jobs.bench.in_memory import InMemory
+from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Parameters
 from sms_jobs.kinds.recording import simulate
-from sms_jobs.kinds.shape import reconstruct
-from sms_jobs.kinds.surface_ports import textured_by
+from sms_jobs.kinds.surface_ports import maker_of, textured_by
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.sensors import Calibration
@@ -56,19 +56,21 @@ def reconstructed(
     threads: int,
     states: Sequence[str] = (),
 ) -> tuple[Shelf, Subject]:
-    """Record and reconstruct a campaign's first view at rest and at some states; return the last tuple.
+    """Record and measure a campaign's first view at rest and at some states; return the last tuple.
 
     The campaign's last state alone if none is given.
     """
     shelf = Shelf(campaign, threads)
+    kind = all_kinds()[maker_of(campaign.views[0]).kind]
     deformed = tuple(states) or (campaign.states[-1].label,)
     for label in (campaign.reference.label, *deformed):
         subject = Subject(campaign.name, label, campaign.views[0])
-        say(f"recording and reconstructing {subject}")
+        say(f"recording and measuring {subject}")
         shelf.records[CALIBRATION, subject] = {"calibration": calibration}
         shelf.run(simulate.KIND, Subject(campaign.name, label), simulate.KIND.parameters())
-        recorded: Measurement = shelf.records[MEASUREMENT, subject]["measurement"]
-        frames = np.stack([recorded.frames.frame(i) for i in range(recorded.frames.shape[0])])
-        shelf.records[MEASUREMENT, subject] = {"measurement": replace(recorded, frames=ArrayStack(frames))}
-        shelf.run(reconstruct.KIND, subject, reconstruct.KIND.parameters())
+        for own in subject.recordings:
+            recorded: Measurement = shelf.records[MEASUREMENT, own]["measurement"]
+            frames = np.stack([recorded.frames.frame(i) for i in range(recorded.frames.shape[0])])
+            shelf.records[MEASUREMENT, own] = {"measurement": replace(recorded, frames=ArrayStack(frames))}
+        shelf.run(kind, subject, kind.parameters())
     return shelf, Subject(campaign.name, deformed[-1], campaign.views[0])

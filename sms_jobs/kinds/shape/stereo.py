@@ -114,6 +114,13 @@ class StereoParameters(Parameters):
         description="largest median distance of the matches from the images of their rays; beyond, the "
         "calibration is not that of these images",
     )
+    edge_margin_px: int = Field(
+        5,
+        ge=1,
+        le=50,
+        description="rim of the specimen that no subset looks at: it mixes with what lies behind, which moves "
+        "otherwise from camera to camera",
+    )
     outline: bool = Field(
         True,
         description="whether the specimen ends where its texture ends, so that no subset looks at what is "
@@ -191,7 +198,8 @@ def _specimen(reference: TexturedCamera, parameters: StereoParameters) -> NDArra
     if not parameters.outline:
         return np.ones(reference.texture.shape, dtype=np.int32)
     level = reference.noise.floor + reference.noise.slope * reference.texture
-    return np.asarray(textured_pixels(reference.texture, level, parameters.subset_radius_px), dtype=np.int32)
+    coarsest, margin = parameters.subset_radius_px, parameters.edge_margin_px
+    return np.asarray(textured_pixels(reference.texture, level, coarsest, margin), dtype=np.int32)
 
 
 def _matched(
