@@ -128,14 +128,16 @@ def show(
             }
         )
         return
+    sequence = campaign.sequence
+    words = f"{sequence.densities} x {sequence.steps} steps, {sequence.frames} frames"
+    fringes = {"fringes": words} if campaign.fringe_views else {}
     output.print_facts(
         {
             "campaign": campaign.name,
             "specimen": campaign.specimen.name,
             "rig": campaign.rig + ("" if campaign.scene is None else " (virtual)"),
             "views": ", ".join(campaign.views),
-            "fringes": f"{campaign.sequence.densities} x {campaign.sequence.steps} steps, "
-            f"{campaign.sequence.frames} frames",
+            **fringes,
             "created": found.created_at,
             "jobs": ", ".join(f"{n} {s}" for s, n in found.jobs.items()),
         }

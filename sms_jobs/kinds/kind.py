@@ -361,7 +361,7 @@ def fringe_tuples(campaign: Campaign) -> tuple[Subject, ...]:
 
 def camera_tuples(campaign: Campaign) -> tuple[Subject, ...]:
     """Return those of several cameras."""
-    return tuple(one for one in tuples(campaign) if one.view not in campaign.fringe_views)
+    return _tuples(campaign, campaign.camera_views)
 
 
 def deformed_tuples(campaign: Campaign) -> tuple[Subject, ...]:

@@ -236,6 +236,11 @@ class Campaign:
         return tuple(view for view in self.views if view_of(view).projectors)
 
     @property
+    def camera_views(self) -> tuple[str, ...]:
+        """The views of several cameras."""
+        return tuple(view for view in self.views if view_of(view).other_cameras)
+
+    @property
     def cameras_alone(self) -> tuple[str, ...]:
         """The cameras that have no partner here: what they measure is in the plane of their image."""
         with_shape = {name for view in self.shape_views for name in view_of(view).sensors}

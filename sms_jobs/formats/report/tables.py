@@ -32,9 +32,10 @@ def campaign_facts(campaign: Campaign) -> Markup:
             ("material", campaign.specimen.material),
             ("description", campaign.specimen.description),
             ("rig", campaign.rig + (" (virtual)" if campaign.scene is not None else "")),
-            ("views of camera and projector", ", ".join(campaign.shape_views)),
+            ("views of camera and projector", ", ".join(campaign.fringe_views)),
+            ("views of several cameras", ", ".join(campaign.camera_views)),
             ("cameras alone", ", ".join(campaign.cameras_alone)),
-            *(fringes if campaign.shape_views else ()),
+            *(fringes if campaign.fringe_views else ()),
             ("states", str(len(campaign.states))),
         ]
     )
