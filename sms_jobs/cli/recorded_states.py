@@ -61,9 +61,9 @@ def _table(rows: Iterable[tuple[object, ...]]) -> Table:
 
 
 def _row(state: StateProgress) -> tuple[object, ...]:
-    verdict = f"{state.views} good" if state.views else ""
+    verdict = f"{state.judged} good" if state.judged else ""
     if state.doubtful:
-        verdict = f"{state.doubtful} of {state.views} doubtful"
+        verdict = f"{state.doubtful} of {state.judged} doubtful"
     processing = [f"{state.processing} to do"] if state.processing else []
     processing += [f"{state.failed} failed"] if state.failed else []
     return (

@@ -59,7 +59,8 @@ def _newest_files(session: Session, campaign_id: int) -> defaultdict[str, dict[t
             StatisticRow.value,
         )
         .join(LoadStateRow, LoadStateRow.id == FileRow.state_id)
-        .join(StatisticRow, StatisticRow.file_id == FileRow.id)
+        # What was imported has no statistics.
+        .outerjoin(StatisticRow, StatisticRow.file_id == FileRow.id)
         .where(
             FileRow.campaign_id == campaign_id,
             FileRow.source.in_((MEASUREMENT, *_LARGEST)),
@@ -74,7 +75,8 @@ def _newest_files(session: Session, campaign_id: int) -> defaultdict[str, dict[t
         if newest.get((label, source, view)) != file_id:
             newest[label, source, view] = file_id
             found[label][source, view] = _Found(created_at)
-        found[label][source, view].statistics[name] = value
+        if name is not None:
+            found[label][source, view].statistics[name] = value
     return found
 
 
@@ -115,6 +117,7 @@ def _progress(state: LoadState, files: Mapping[tuple[str, str], _Found], jobs: _
         recording,
         max((f.created_at for f in recorded), default=None),
         len(recorded),
+        sum("doubts" in f.statistics for f in recorded),
         sum(f.statistics.get("doubts", 0.0) > 0.0 for f in recorded),
         channels,
         sum(count for job, count in jobs.processing.items() if job in ACTIVE),

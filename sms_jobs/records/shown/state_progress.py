@@ -20,8 +20,9 @@ class StateProgress:
         State of the job that records it; empty before there is one, "recorded" once it lies in the archive.
     recorded_at
         When its last view was archived.
-    views, doubtful
-        How many are recorded, and how many of these are doubted.
+    views, judged, doubtful
+        How many are recorded, of several cameras each, how many of these were judged when they were, and how
+        many are doubted.
     channels
         What was read before its sets, by name: of the last view.
     processing, failed
@@ -35,6 +36,7 @@ class StateProgress:
     recording: str
     recorded_at: datetime | None
     views: int
+    judged: int
     doubtful: int
     channels: dict[str, float]
     processing: int

@@ -94,3 +94,12 @@ def test_the_last_job_of_its_kind_counts(services: Services) -> None:
     with services.catalogue.writing() as session:
         submit(session, "plate", [Request("reconstruct", {}, ("S00",))], NOW)
     assert (progress(services)[0].processing, progress(services)[0].failed) == (2, 0)
+
+
+def test_what_was_imported_is_recorded_and_judged_by_nobody(services: Services) -> None:
+    with services.catalogue.writing() as session:
+        add(session, "measurement", "S00", "C1", 1)
+        add(session, "measurement", "S00", "C2", 2)
+    found = progress(services)[0]
+    assert (found.recording, found.views, found.judged, found.doubtful) == ("recorded", 2, 0, 0)
+    assert found.recorded_at == NOW + timedelta(minutes=2)
