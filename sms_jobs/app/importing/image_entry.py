@@ -13,10 +13,10 @@ from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.importers.folders import Listing, NamePattern
 from sms_jobs.formats.importers.frames import Arrangement, is_image
 from sms_jobs.formats.importers.image_files import RawFormat
+from sms_jobs.formats.importers.image_names import guess_image_pattern
 from sms_jobs.formats.importers.image_sets import (
     ImageCamera,
     arrange_images,
-    guess_image_pattern,
     image_hash,
     image_measurement,
     of_one_size,
@@ -53,7 +53,7 @@ def arranged(
         raise InvalidInput(
             f"{listing.folder} has no image among {len(listing.files)} files: give the folder of the images"
         )
-    text = pattern or guess_image_pattern(names)
+    text = pattern or guess_image_pattern(names, named)
     found = arrange_images(listing, NamePattern.parse(text, named), camera, reference, named)
     if not found.tuples:
         raise InvalidInput(f"no file of {listing.folder} fits the pattern '{text}': give another --pattern")

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 
@@ -35,37 +35,18 @@ class ImageCamera:
     read_noise: float
 
 
-def guess_image_pattern(images: list[str]) -> str:
-    """Return the pattern of the names that most images have: what varies last is the state.
-
-    Raises `InvalidInput` where nothing of the names varies.
-    """
-    shapes = Counter(_shape(name) for name in images)
-    shape = shapes.most_common(1)[0][0]
-    alike = [PurePosixPath(name) for name in images if _shape(name) == shape]
-    parts = [re.split(r"(\d+)", str(p.with_suffix(""))) for p in alike]
-    varying = [i for i in range(len(parts[0])) if len({p[i] for p in parts}) > 1]
-    if not varying:
-        raise InvalidInput(
-            f"no part of the name {alike[0]} varies: say what is the state, as in --pattern '{{state}}.png'"
-        )
-    tokens = ["{state}" if i == varying[-1] else "*" if i in varying else t for i, t in enumerate(parts[0])]
-    return "".join(tokens) + alike[0].suffix
-
-
-def _shape(name: str) -> str:
-    return re.sub(r"\d+", "0", name)
-
-
 def named_cameras(text: str | None) -> dict[str, str]:
     """Return cameras by what file names call them, from `left=C1 right=C2`; `InvalidInput` for others."""
     named: dict[str, str] = {}
     for part in (text or "").split():
         found = _NAMED.fullmatch(part)
-        if found is None or found["called"] in named or found["name"] in named.values():
+        if found is None:
             raise InvalidInput(
-                f"--cameras should say each camera once, as in 'left=C1 right=C2', not '{text}'"
+                f"--cameras should say which camera is which, as in 'left=C1 right=C2', not '{part}'"
             )
+        twice = found["called"] if found["called"] in named else found["name"]
+        if twice in (*named, *named.values()):
+            raise InvalidInput(f"--cameras names {twice} twice in '{text}': say each camera once")
         named[found["called"]] = found["name"]
     return named
 
@@ -100,6 +81,11 @@ def arrange_images(
             f"the pattern '{pattern.text}' of images has to have {{state}} and may have {{camera}} and *, "
             "nothing else"
         )
+    if cameras and "camera" not in pattern.names:
+        raise InvalidInput(
+            f"the pattern '{pattern.text}' does not say where names have the cameras {', '.join(cameras)}: "
+            "write {camera} there, or leave --cameras out"
+        )
     if camera is not None and not _CAMERA.fullmatch(camera):
         raise InvalidInput(f"'{camera}' is no camera: write it like C1")
     left_out = list(listing.left_out)
@@ -129,7 +115,10 @@ def _found(state: str, camera: str, files: list[str]) -> FoundTuple:
     except InvalidInput as error:
         faults.append(str(error))
     if len(files) > 1:
-        faults.append(f"{' and '.join(files[:3])} are of one state: take all but one out of the folder")
+        faults.append(
+            f"{' and '.join(files[:3])} are of one state and camera: take all but one out of the folder, or "
+            "say where names have the camera, as in --cameras 'left=C1 right=C2'"
+        )
     return FoundTuple(state, camera, white=files[0], faults=tuple(faults))
 
 

@@ -14,7 +14,7 @@ from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns
 from sms_jobs.cli.importing import app
 from sms_jobs.errors import InvalidInput, SmsError
-from sms_jobs.formats.importers.image_sets import guess_image_pattern
+from sms_jobs.formats.importers.image_names import guess_image_pattern
 from sms_jobs.records.measurement import Measurement
 from tests.support.foreign_frames import save
 
