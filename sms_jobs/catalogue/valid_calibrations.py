@@ -19,6 +19,7 @@ from sms_jobs.catalogue.models import (
     LoadStateRow,
     MeasurementRow,
     ProvenanceRow,
+    RigRow,
 )
 from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import Subject
@@ -78,6 +79,12 @@ def decide(session: Session, number: int, acceptance: Acceptance, at: datetime, 
 def used_for_rig(session: Session, rig_id: int) -> tuple[UsedCalibration, ...]:
     """Return the calibrations that are used for a rig, the one that becomes valid first before the others."""
     return tuple(used for _, used in _used(session, AcceptanceRow.campaign == _OF_THE_RIG, rig_id))
+
+
+def used_for_rig_named(session: Session, name: str) -> tuple[UsedCalibration, ...]:
+    """Return the calibrations that are used for a rig; none where nothing has named it yet."""
+    rig_id = session.scalar(select(RigRow.id).where(RigRow.name == name))
+    return () if rig_id is None else used_for_rig(session, rig_id)
 
 
 def used_for_campaign(session: Session, campaign_id: int) -> tuple[UsedCalibration, ...]:
@@ -142,7 +149,9 @@ class ValidCalibrations:
         Where nothing is measured yet, it is the time that the plan says, or now.
         """
         if subject.state is not None and subject.view is not None:
-            measured = self._measured.get((subject.state, subject.view))
+            # Of several cameras: they record at one time, and the reference's image stands for all.
+            recorded = subject.recordings[0].view or subject.view
+            measured = self._measured.get((subject.state, recorded))
             return measured or self._planned.get(subject.state) or self._now
         times = [t for (label, _), t in self._measured.items() if subject.state in (None, label)]
         planned = [t for label, t in self._planned.items() if subject.state in (None, label)]

@@ -1,7 +1,8 @@
-"""`sms import images`: images of a camera without a projector become the states of a campaign."""
+"""`sms import images`: images of one camera, or of several, become the states of a campaign."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -37,6 +38,12 @@ def images(
     ] = None,
     cameras: Cameras = None,
     camera: Annotated[str | None, typer.Option(help="Camera, where the names do not say it: C1.")] = None,
+    views: Annotated[
+        str | None, typer.Option(help="Which cameras measure together, as 'C1C2 C2C3'; all if not given.")
+    ] = None,
+    alone: Annotated[
+        bool, typer.Option("--alone", help="Each camera measures alone, in the plane of its image.")
+    ] = False,
     reference: Annotated[
         str | None, typer.Option(help="State that displacements start from; the first if not given.")
     ] = None,
@@ -55,13 +62,17 @@ def images(
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Import images of a camera alone, one a state: TIFF, PNG, BMP, JPEG, PNM or raw.
+    """Import images, one a state and camera: TIFF, PNG, BMP, JPEG, PNM or raw.
 
-    They are what displacement and strain in the image are found from. Each state is taken as a whole or not
-    at all; what is in the archive already is not entered again.
+    From those of one camera displacement and strain in the image are found. Several cameras measure together,
+    in the world: C1C2 is the view of C1 and C2, with results over the pixels of C1. The first that --cameras
+    names is the reference camera. A state that lacks an image of one of them is not taken; what is in the
+    archive already is not entered again.
 
     Example: sms import images coupon -c coupon --pattern 'oht_cfrp_{state}.tiff'; sms job submit
     pipeline -c coupon
+
+    Example: sms import images panel -c panel --cameras 'left=C1 right=C2' --rig stereo
     """
     at = time_given(recorded_at)
     task = Task(
@@ -71,6 +82,8 @@ def images(
         pattern=pattern,
         cameras=cameras,
         camera=camera,
+        views=views,
+        alone=alone,
         reference=reference,
         rig=rig,
         specimen=specimen,
@@ -84,12 +97,17 @@ def images(
             confirm("Is this right?")
         with output.followed(output.progress_bar()) as tell:
             outcome = enter(services, found, recorded_at=at, newer=newer, dry_run=dry_run, tell=tell)
+    if as_json:
+        outcome = replace(outcome, remarks=(*found.remarks, *outcome.remarks))
     tell_outcome(outcome, as_json=as_json, dry_run=dry_run, campaign=campaign, then="pipeline")
 
 
 def _preview(found: Arranged) -> None:
     arrangement = found.arrangement
     output.say(f"pattern   {found.pattern}")
+    output.say(f"views     {', '.join(found.definition.views)}")
+    for remark in found.remarks:
+        output.say(f"note: {remark}")
     output.say(f"reference {arrangement.states[0]}")
     for one in arrangement.tuples[:MOST_SHOWN]:
         output.say(f"  {one.white}  state {one.state}, camera {one.view}")

@@ -81,6 +81,17 @@ def _measurements(session: Session, subject: Subject) -> list[str]:
     return list(session.scalars(query))
 
 
+def measured_tuples(session: Session, campaign: Campaign) -> set[tuple[str, str]]:
+    """Return the states and views of a campaign of which the archive has a measurement."""
+    query = (
+        select(LoadStateRow.label, MeasurementRow.view)
+        .join(MeasurementRow, MeasurementRow.state_id == LoadStateRow.id)
+        .join(CampaignRow, CampaignRow.id == LoadStateRow.campaign_id)
+        .where(CampaignRow.name == campaign.name)
+    )
+    return {(label, view) for label, view in session.execute(query)}
+
+
 def import_measurement(
     catalogue: Catalogue,
     archive: Archive,
