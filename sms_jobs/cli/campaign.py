@@ -54,6 +54,8 @@ def create(
         return
     if campaign.scene is not None:
         following = f"sms job submit simulate --campaign {campaign.name}"
+    elif not campaign.fringe_views:
+        following = f"sms import images FOLDER --campaign {campaign.name}"
     else:
         following = f"sms acquire run {campaign.name} --dry-run"
     output.say(

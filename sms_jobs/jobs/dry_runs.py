@@ -83,7 +83,7 @@ def _missing_sensors(rig: RigFile, campaign: Campaign) -> Iterator[str]:
     sizes = {c.name: (c.columns, c.rows) for c in rig.cameras}
     sizes |= {p.name: (p.columns, p.rows) for p in rig.projectors}
     if not campaign.fringe_views:
-        yield f"campaign {campaign.name} has no projector, and cameras alone are not recorded"
+        yield f"campaign {campaign.name} has no projector, and images without fringes are imported"
     names = dict.fromkeys(name for view in campaign.fringe_views for name in view_of(view).sensors)
     for name in names:
         if name not in sizes:
@@ -109,7 +109,8 @@ def _remarks(rig: RigFile, campaign: Campaign, states: Sequence[LoadState]) -> t
     """Tell which cameras are not recorded, and which values of the plan no channel will confirm."""
     alone = tuple(
         f"{camera} looks on without a projector: its images are imported, not recorded"
-        for camera in campaign.cameras_alone
+        for camera in campaign.recordings
+        if camera not in campaign.fringe_views
     )
     measured = {c.name for c in rig.serial.channels}
     planned = {"load_n" for s in states if s.load_n is not None} | {n for s in states for n in s.channels}

@@ -154,14 +154,19 @@ def turns(states: Sequence[LoadState]) -> list[Turn]:
 
 
 def unrecorded(session: Session, name: str) -> tuple[LoadState, ...]:
-    """Return the states of a campaign that are neither recorded nor about to be."""
+    """Return the states of a campaign whose fringes are neither recorded nor about to be."""
     campaign = definition(campaign_row(session, name))
     recorded = set(
         session.scalars(
             select(LoadStateRow.label)
             .join(CampaignRow, CampaignRow.id == LoadStateRow.campaign_id)
             .join(FileRow, FileRow.state_id == LoadStateRow.id)
-            .where(CampaignRow.name == name, FileRow.source == MEASUREMENT)
+            # Images of cameras without a projector are imported, before the fringes or after.
+            .where(
+                CampaignRow.name == name,
+                FileRow.source == MEASUREMENT,
+                FileRow.view.in_(campaign.fringe_views),
+            )
         )
     )
     coming = {

@@ -13,6 +13,17 @@ from support.command import answer, sms
 STATES = ("00", "01", "02")
 RECORDED = {f"panel/{state}/{camera}" for state in STATES for camera in ("C1", "C2")}
 USAGE = 2
+PLAN = """
+name = "planned"
+rig = "pair"
+views = ["C1C2"]
+
+[specimen]
+name = "panel"
+
+[[states]]
+label = "00"
+"""
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +69,14 @@ def test_what_needs_a_projector_says_so(home: Path) -> None:
     refused = sms("job", "submit", "reconstruct", "-c", "panel", "--home", str(home))
     assert refused.returncode == USAGE
     assert "3 states measured by C1C2 without a projector" in " ".join(refused.stderr.split())
+
+
+def test_a_plan_of_cameras_alone_goes_on_with_an_import(home: Path, tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(PLAN)
+    made = sms("campaign", "create", str(plan), "--home", str(home))
+    assert made.returncode == 0, made.stderr
+    assert "next: sms import images FOLDER --campaign planned" in " ".join(made.stderr.split())
 
 
 def test_it_travels_whole(home: Path, tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from sms_jobs.catalogue.campaigns import campaign_row, state_ids
 from sms_jobs.catalogue.models import FileRow, JobRow, StatisticRow
 from sms_jobs.jobs.campaign_progress import progress_of
 from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.recordings import next_state
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.jobs.submission import submit
 from sms_jobs.records.job import JobState
@@ -103,3 +104,11 @@ def test_what_was_imported_is_recorded_and_judged_by_nobody(services: Services) 
     found = progress(services)[0]
     assert (found.recording, found.views, found.judged, found.doubtful) == ("recorded", 2, 0, 0)
     assert found.recorded_at == NOW + timedelta(minutes=2)
+
+
+def test_an_imported_image_does_not_stand_for_the_fringes_of_its_state(services: Services) -> None:
+    with services.catalogue.writing() as session:
+        add(session, "measurement", "S00", "C3", 1)
+        assert next_state(session, "plate").label == "S00"
+        add(session, "measurement", "S00", "C1P1", 2)
+        assert next_state(session, "plate").label == "S01"

@@ -94,8 +94,13 @@ def test_a_camera_that_looks_on_alone_is_not_recorded(services: Services) -> Non
     assert done.frames == 2 * len(plate.states) * (plate.sequence.frames + 1)
     assert done.remarks[0] == "C2 looks on without a projector: its images are imported, not recorded"
     assert order(plate, Subject("plate", "S00")).views == ("C1P1", "C1P2")
+    together = replace(plate, views=("C1P1", "C2C3"))
+    assert tried(services, together).remarks[:2] == tuple(
+        f"{camera} looks on without a projector: its images are imported, not recorded"
+        for camera in ("C2", "C3")
+    )
     alone = replace(plate, views=("C2",))
-    assert "cameras alone are not recorded" in tried(services, alone).missing[0]
+    assert "images without fringes are imported" in tried(services, alone).missing[0]
     assert all_states(alone) == ()
 
 
