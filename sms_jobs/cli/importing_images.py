@@ -64,13 +64,11 @@ def images(
 ) -> None:
     """Import images, one a state and camera: TIFF, PNG, BMP, JPEG, PNM or raw.
 
-    From those of one camera displacement and strain in the image are found. Several cameras measure together,
-    in the world: C1C2 is the view of C1 and C2, with results over the pixels of C1. The first that --cameras
-    names is the reference camera. A state that lacks an image of one of them is not taken; what is in the
-    archive already is not entered again.
+    From those of one camera displacement and strain in the image are found. Several measure together, in the
+    world: C1C2 has results over the pixels of C1, the first that --cameras names. A state that lacks an image
+    of one of them is not taken; what is in the archive already is not entered again.
 
-    Example: sms import images coupon -c coupon --pattern 'oht_cfrp_{state}.tiff'; sms job submit
-    pipeline -c coupon
+    Example: sms import images coupon -c coupon --pattern 'oht_cfrp_{state}.tiff'
 
     Example: sms import images panel -c panel --cameras 'left=C1 right=C2' --rig stereo
     """
