@@ -118,13 +118,12 @@ class StereoParameters(Parameters):
         5,
         ge=1,
         le=50,
-        description="rim of the specimen that no subset looks at: it mixes with what lies behind, which moves "
-        "otherwise from camera to camera",
+        description="rim of the specimen that no subset looks at: it mixes with what lies behind, which "
+        "moves otherwise from camera to camera",
     )
     outline: bool = Field(
         True,
-        description="whether the specimen ends where its texture ends, so that no subset looks at what is "
-        "behind",
+        description="whether the specimen ends where its texture ends: no subset then looks behind it",
     )
 
 
