@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, valid_calibrations
@@ -17,9 +17,13 @@ from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.campaign import Campaign
 
 
-def example(*, session: bool = False) -> str:
-    """Return a test plan to start from, or, with `session`, that of a calibration session."""
-    return configuration.example_session() if session else configuration.example_campaign()
+def example(of: Literal["fringes", "stereo", "session"] = "fringes") -> str:
+    """Return a plan to start from: of a test with fringes or by two cameras, or of a calibration session."""
+    return {
+        "fringes": configuration.example_campaign,
+        "stereo": configuration.example_stereo,
+        "session": configuration.example_session,
+    }[of]()
 
 
 def create(services: Services, plan: Path) -> Campaign:

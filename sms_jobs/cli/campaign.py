@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -27,6 +27,10 @@ def create(
     example: Annotated[
         bool, typer.Option("--example", help="Print a plan to start from, and do nothing.")
     ] = False,
+    example_stereo: Annotated[
+        bool,
+        typer.Option("--example-stereo", help="Print the plan of a test by two cameras, and do nothing."),
+    ] = False,
     example_session: Annotated[
         bool,
         typer.Option("--example-session", help="Print the plan of a calibration session, and do nothing."),
@@ -38,8 +42,9 @@ def create(
 
     Example: sms campaign create --example > plan.toml; sms campaign create plan.toml
     """
-    if example or example_session:
-        sys.stdout.write(campaigns.example(session=example_session))
+    if example or example_stereo or example_session:
+        asked: Literal["fringes", "stereo", "session"] = "stereo" if example_stereo else "fringes"
+        sys.stdout.write(campaigns.example("session" if example_session else asked))
         return
     if plan is None:
         raise InvalidInput(

@@ -169,6 +169,7 @@ class _Scene(Table):
     projector: Annotated[ProjectorResponse, flat(ProjectorResponse)] = ProjectorResponse()
     seed: Annotated[int, Field(ge=0)] = 0
     gloss: Annotated[Gloss, flat(Gloss)] | None = None
+    lamp_mm: Vector | None = None
     calibration_valid_from: AwareDatetime = ALWAYS
 
     def record(self, rig: str, surface: scenes.Surface) -> Scene:
@@ -185,6 +186,7 @@ class _Scene(Table):
             projector=self.projector,
             seed=self.seed,
             gloss=self.gloss,
+            lamp_mm=self.lamp_mm,
         )
 
 
@@ -337,21 +339,33 @@ class CampaignTable(Table):
             origin="exact parameters of the virtual rig",
         )
 
+    def _usual_views(self, rig: Rig) -> tuple[str, ...]:
+        """Return the views of a virtual rig; in a session, without a projector, each camera by itself."""
+        if self.session is None:
+            return rig.views()
+        return tuple(dict.fromkeys(str(one) for v in rig.views() for one in view_of(v).recordings))
+
     def _checked_views(self, rig: Rig | None) -> tuple[str, ...]:
         """Return the views that measure, each once and of sensors that exist."""
-        if rig is not None and not rig.views():
+        usual = () if rig is None else self._usual_views(rig)
+        if rig is not None and not usual and not (self.views and rig.sensors):
             raise InvalidInput(
-                "the scene needs at least one camera and one projector under [[scene.sensors]]"
+                "the scene needs at least one camera and one projector, or two cameras, under "
+                "[[scene.sensors]]; for a camera alone also views = ['C1']"
             )
-        if rig is not None and self.views is None:
-            return rig.views()
+        if self.views is None and usual:
+            return usual
         if not self.views:
             raise InvalidInput("views is missing or empty: name those that measure, such as ['C1P1', 'C1P2']")
         for view in map(view_of, self.views):
             if rig is not None:
-                # What no scene describes may be a camera alone; a virtual rig projects.
-                rig.sensor(view.camera)
-                rig.sensor(view.projector)
+                for name in view.sensors:
+                    rig.sensor(name)
+            if self.session is not None and view.other_cameras:
+                raise InvalidInput(
+                    f"the view {view} has no place in a calibration session, where each camera finds boards "
+                    f"by itself: name the cameras one by one, as in views = {[*view.sensors]}"
+                )
         if len(set(self.views)) < len(self.views):
             raise InvalidInput(f"views names one view twice: {', '.join(self.views)}")
         return self.views

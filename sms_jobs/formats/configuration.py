@@ -61,4 +61,16 @@ def example_session() -> str:
     return files("sms_jobs.formats").joinpath("example_session.toml").read_text("utf-8")
 
 
-__all__ = ["CampaignPlan", "example_campaign", "example_session", "load_campaign", "parse_campaign"]
+def example_stereo() -> str:
+    """Return the text of a commented, valid file: a test of a curved panel before two cameras."""
+    return files("sms_jobs.formats").joinpath("example_stereo.toml").read_text("utf-8")
+
+
+__all__ = [
+    "CampaignPlan",
+    "example_campaign",
+    "example_session",
+    "example_stereo",
+    "load_campaign",
+    "parse_campaign",
+]

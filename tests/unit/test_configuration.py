@@ -16,6 +16,7 @@ from sms_jobs.errors import ConfigurationError, NotFound
 from sms_jobs.formats.configuration import (
     CampaignPlan,
     example_campaign,
+    example_stereo,
     load_campaign,
     parse_campaign,
 )
@@ -28,11 +29,13 @@ from sms_jobs.records.scene import (
     Plane,
     ProjectorResponse,
     Rigid,
+    Simulation,
     Speckle,
     Surface,
     UniaxialStrain,
 )
-from sms_jobs.records.views import Role
+from sms_jobs.records.views import Role, view_of
+from sms_jobs.virtual_rig.truth import exact_shape
 
 REAL = """
 name = "wing"
@@ -272,3 +275,59 @@ def test_a_mistake_is_refused_by_its_line() -> None:
     lines[second] = 'load_n = "much"'
     with pytest.raises(ConfigurationError, match=rf"^plate\.toml, line {second + 1}: states\["):
         parse_campaign("\n".join(lines), "plate.toml")
+
+
+def stereo(old: str, new: str) -> CampaignPlan:
+    text = example_stereo()
+    assert old in text
+    return parse_campaign(text.replace(old, new), "panel.toml")
+
+
+THIRD = example_stereo().rpartition("[[scene.sensors]]")[2].replace('"C2"', '"C3"')
+
+
+def test_the_stereo_example_is_measured_in_the_volume_by_two_cameras_and_no_projector() -> None:
+    plan = parse_campaign(example_stereo(), "panel.toml")
+    scene, calibration = plan.campaign.scene, plan.calibration
+    assert scene is not None
+    assert calibration is not None
+    assert calibration.rig == scene.rig
+    assert plan.campaign.views == scene.rig.views() == ("C1C2",)
+    assert plan.campaign.recordings == ("C1", "C2")
+    centres = np.array([s.pose.centre() for s in scene.rig.sensors])
+    distance = np.linalg.norm(centres, axis=1)
+    # Written to a tenth of a millimetre.
+    np.testing.assert_allclose(distance, 500.0, atol=0.2)
+    assert np.degrees(np.arccos(centres[0] @ centres[1] / distance.prod())) == pytest.approx(20.1, abs=0.1)
+    low, high = (np.array(corner)[:, None] for corner in (calibration.volume.low, calibration.volume.high))
+    for state in plan.campaign.states:
+        shape = exact_shape(Simulation.of(scene, view_of("C1"), state.deformation, state.label), ("C2",))
+        points = shape.xyz[:, shape.lit]
+        assert ((points > low) & (points < high)).all()
+        assert shape.lit.mean() > 0.35
+        assert not shape.seen[[0, -1]].any()
+        assert not shape.seen[:, [0, -1]].any()
+
+
+def test_cameras_without_a_projector_measure_by_pairs_unless_some_are_named() -> None:
+    three = example_stereo() + "\n[[scene.sensors]]" + THIRD
+    named = parse_campaign(three, "panel.toml")
+    assert named.campaign.views == ("C1C2",)
+    every = parse_campaign(three.replace('views = ["C1C2"]', ""), "panel.toml")
+    assert every.campaign.views == ("C1C2", "C1C3", "C2C3")
+    assert stereo('["C1C2"]', '["C2C1", "C1"]').campaign.views == ("C2C1", "C1")
+    with pytest.raises(ConfigurationError, match="rig virtual-stereo has no sensor C3; it has C1, C2"):
+        stereo('["C1C2"]', '["C1C3"]')
+    with pytest.raises(ConfigurationError, match="rig virtual-stereo has no sensor P1"):
+        stereo('["C1C2"]', '["C1P1"]')
+    lone = example_stereo().rpartition("[[scene.sensors]]")[0]
+    assert parse_campaign(lone.replace('["C1C2"]', '["C1"]'), "panel.toml").campaign.views == ("C1",)
+    with pytest.raises(ConfigurationError, match="or two cameras"):
+        parse_campaign(lone.replace('views = ["C1C2"]', ""), "panel.toml")
+
+
+def test_a_lamp_stands_in_the_middle_unless_it_is_placed() -> None:
+    assert stereo("seed = 5", "seed = 6").campaign.scene.lamp_mm is None  # type: ignore[union-attr]
+    placed = stereo("seed = 5", "lamp_mm = [0, 300, 400]").campaign.scene
+    assert placed is not None
+    assert placed.lamp_mm == (0.0, 300.0, 400.0)

@@ -255,3 +255,24 @@ def test_a_test_keeps_what_it_needs() -> None:
         parse_campaign(text + "\n[session]\n", "plate.toml")
     with pytest.raises(ConfigurationError, match=r"session\.artefacts is empty"):
         parse_campaign(text + "\n[session]\nartefacts = {}\n", "plate.toml")
+
+
+def test_cameras_without_a_projector_look_at_boards_one_by_one() -> None:
+    text = example_session().replace('"P1"', '"C2"').replace('"P2"', '"C3"')
+    campaign = parse_campaign(text, "session.toml").campaign
+    assert campaign.views == campaign.recordings == ("C1", "C2", "C3")
+    assert campaign.session is not None
+    assert [s.name for s in campaign.session.sensors] == ["C1", "C2", "C3"]
+    task = recipe(campaign, Subject(campaign.name, "B02"))
+    truth = true_board(Simulation.of(task.scene, view_of("C2"), task.deformation, "B02"))
+    assert truth.seen.all()
+    assert np.isfinite(truth.camera_px).all()
+    assert np.isnan(truth.projector_px).all()
+    bar = recipe(campaign, Subject(campaign.name, "S01"))
+    spheres = true_bar(Simulation.of(bar.scene, view_of("C2"), bar.deformation, "S01"))
+    assert spheres.seen_px.min() > 100
+    assert np.isnan(spheres.projector_px).all()
+    with pytest.raises(
+        ConfigurationError, match=r"C1C2 has no place in a calibration session.*\['C1', 'C2'\]"
+    ):
+        parse_campaign('views = ["C1C2"]\n' + text, "session.toml")
