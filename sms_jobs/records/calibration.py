@@ -56,16 +56,21 @@ class CalibrationUncertainty:
     def of(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return the covariance of sensors in this order, each with `SENSOR_PARAMETERS`.
 
-        Raises `InvalidInput` where it is that of sensors with other parameters.
+        A parameter that sensors did not have yet when it was written was held fixed. Raises `InvalidInput`
+        where sensors do not have one any more.
         """
-        if self.parameters != SENSOR_PARAMETERS:
+        if not set(self.parameters) <= set(SENSOR_PARAMETERS):
             raise InvalidInput(
                 f"the uncertainty of this calibration is that of {', '.join(self.parameters)}, but sensors "
                 f"have {', '.join(SENSOR_PARAMETERS)} here: calibrate again"
             )
-        places = [PER_SENSOR * self.sensors.index(name) + np.arange(PER_SENSOR) for name in names]
-        order = np.concatenate(places)
-        return np.ascontiguousarray(self.covariance[np.ix_(order, order)])
+        own = len(self.parameters)
+        places = np.array([SENSOR_PARAMETERS.index(name) for name in self.parameters])
+        given = np.concatenate([own * self.sensors.index(name) + np.arange(own) for name in names])
+        taken = np.concatenate([PER_SENSOR * k + places for k in range(len(names))])
+        full = np.zeros((PER_SENSOR * len(names), PER_SENSOR * len(names)))
+        full[np.ix_(taken, taken)] = self.covariance[np.ix_(given, given)]
+        return full
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ It is written out here a second time: what the virtual rig renders is a witness 
 as the two share no equation.
 
 A sensor travels as one array: fx, fy, cx, cy (0 - 3), rotation by rows (4 - 12), translation (13 - 15),
-pin-hole (16 - 18), columns (19), rows (20), and the distortion's k1, k2, p1, p2, k3 (21 - 25).
+pin-hole (16 - 18), columns (19), rows (20), the distortion's k1, k2, p1, p2, k3 (21 - 25), and the skew in
+units of fx (26).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ Floats: TypeAlias = NDArray[np.float64]
 
 
 def packed_sensor(sensor: Sensor) -> Floats:
-    """Return a sensor as the array that the kernels take, (26,)."""
+    """Return a sensor as the array that the kernels take, (27,)."""
     i = sensor.intrinsics
     return np.concatenate(
         [
@@ -32,6 +33,7 @@ def packed_sensor(sensor: Sensor) -> Floats:
             sensor.pose.centre(),
             [sensor.columns, sensor.rows],
             [i.k1, i.k2, i.p1, i.p2, i.k3],
+            [i.skew],
         ]
     ).astype(np.float64)
 
@@ -44,8 +46,8 @@ def pixel_ray(
 
     Newton's method on the distortion starts from the normalised point (x, y); see `lens.undistort`.
     """
-    wx = (px - sensor[2]) / sensor[0]
     wy = (py - sensor[3]) / sensor[1]
+    wx = (px - sensor[2]) / sensor[0] - sensor[26] * wy
     k1, k2, p1, p2, k3 = sensor[21], sensor[22], sensor[23], sensor[24], sensor[25]
     for _ in range(20):
         r2 = x * x + y * y
@@ -84,10 +86,9 @@ def image_point(sensor: Floats, x: float, y: float, z: float) -> tuple[float, fl
     k1, k2, p1, p2, k3 = sensor[21], sensor[22], sensor[23], sensor[24], sensor[25]
     r2 = u * u + v * v
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return (
-        sensor[0] * (u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)) + sensor[2],
-        sensor[1] * (v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v) + sensor[3],
-    )
+    wx = u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)
+    wy = v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v
+    return sensor[0] * (wx + sensor[26] * wy) + sensor[2], sensor[1] * wy + sensor[3]
 
 
 @kernel

@@ -20,6 +20,7 @@ lenses = st.builds(
     p1=st.floats(-2e-3, 2e-3),
     p2=st.floats(-2e-3, 2e-3),
     k3=st.floats(-0.05, 0.05),
+    skew=st.floats(-2e-3, 2e-3),
 )
 poses = st.builds(
     lambda x, y, z, tilt: Pose.looking_at(

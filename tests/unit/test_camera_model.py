@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -33,11 +35,21 @@ def points(rng: np.random.Generator) -> Floats:
 def test_projection_is_that_of_opencv(points: Floats) -> None:
     rotation, _ = cv2.Rodrigues(POSE.matrix())
     expected, _ = cv2.projectPoints(
-        points, rotation, np.array(POSE.translation), LENS.matrix(), LENS.distortion()
+        points, rotation, np.array(POSE.translation), LENS.matrix(), LENS.distortion()[:5]
     )
     # Two evaluations of one formula in double precision: a pixel of 640 is known to 1e-13, and the rotation
     # vector of the other loses a few digits more.
     np.testing.assert_allclose(project(LENS, POSE, points), expected[:, 0], rtol=0.0, atol=1e-9)
+
+
+def test_the_skew_moves_along_the_row_by_the_distance_from_the_principal_point(points: Floats) -> None:
+    skewed = replace(LENS, skew=2e-3)
+    straight = project(LENS, POSE, points)
+    # K of a skewed image: fx x' + (fx skew) y' + cx, where y' is (v - cy) / fy.
+    shift = LENS.fx * 2e-3 * (straight[:, 1] - LENS.cy) / LENS.fy
+    expected = straight + np.stack([shift, np.zeros_like(shift)], axis=1)
+    np.testing.assert_allclose(project(skewed, POSE, points), expected, atol=1e-11)  # rounding at 1e3 px
+    assert skewed.matrix()[0, 1] == LENS.fx * 2e-3
 
 
 def test_a_point_on_the_axis_falls_on_the_principal_point() -> None:

@@ -149,6 +149,11 @@ def test_a_covariance_of_other_parameters_is_not_taken_for_ours(rng: np.random.G
     known = CalibrationUncertainty(("C1", "P1"), SENSOR_PARAMETERS, covariance)
     order = np.roll(np.arange(count), len(SENSOR_PARAMETERS))
     np.testing.assert_array_equal(known.of(["P1", "C1"]), covariance[np.ix_(order, order)])
+    fewer, less = SENSOR_PARAMETERS[:-1], len(SENSOR_PARAMETERS) - 1
+    old = CalibrationUncertainty(("C1", "P1"), fewer, covariance[: 2 * less, : 2 * less]).of(["P1"])
+    np.testing.assert_array_equal(old[:-1, :-1], covariance[less : 2 * less, less : 2 * less])
+    assert not old[-1].any()  # a parameter that did not exist was fixed
+    assert not old[:, -1].any()
     other = CalibrationUncertainty(("C1", "P1"), (*SENSOR_PARAMETERS, "k99"), covariance)
     with pytest.raises(InvalidInput, match="k99, but sensors have"):
         other.of(["C1"])

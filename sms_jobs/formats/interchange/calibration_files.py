@@ -80,7 +80,9 @@ def calibration_text(
     """
     if style == "thesis-xml":
         return thesis_text(calibration, pixel_pitch_mm)
-    return opencv_text(calibration, _DIALECTS[style]), ()
+    skewed = [s.name for s in calibration.rig.sensors if s.intrinsics.skew]
+    remarks = (f"{', '.join(skewed)}: OpenCV's own functions leave the skew in camera_matrix out",)
+    return opencv_text(calibration, _DIALECTS[style]), remarks if skewed else ()
 
 
 def _together(texts: list[tuple[Path, str]]) -> Table:

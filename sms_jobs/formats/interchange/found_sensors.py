@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from datetime import datetime
-from math import isfinite
+from math import cos, isfinite, radians, sin
 from typing import Any
 
 import numpy as np
 
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.lens import COEFFICIENTS, Floats, Intrinsics
+from sms_jobs.metrology.geometry.lens import COEFFICIENTS, LENS, Floats, Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 from sms_jobs.records.sensors import Box
 from sms_jobs.records.views import Role
@@ -29,6 +30,7 @@ _COUNTS = (4, 5, 8, 12, 14)
 
 CAMERA_MODEL = f"the pin-hole with {', '.join(COEFFICIENTS)}"
 _MATRIX_SIDE = 100_000
+_NUMBER = re.compile(r"[-+]?(?:\d{1,40}(?:\.\d{0,40})?|\.\d{1,40})(?:[eE][-+]?\d{1,4})?")
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,25 @@ def _matrix(table: dict[str, Any], where: str) -> tuple[tuple[int, ...], Any]:
     return tuple(sizes), table["data"]
 
 
+def number(text: str, where: str) -> float:
+    """Return the number that a text is; raise `ConfigurationError` unless it is a finite one."""
+    word = text.strip()
+    if not _NUMBER.fullmatch(word):
+        raise ConfigurationError(f"{where} should be a number, not '{word[:40]}'")
+    value = float(word)
+    if not isfinite(value):
+        raise ConfigurationError(f"{where} is {word[:40]}, which is beyond all numbers")
+    return value
+
+
+def number_list(text: str, count: int, where: str) -> Floats:
+    """Return the numbers of a text, as many as there should be."""
+    words = text.split()
+    if len(words) != count:
+        raise ConfigurationError(f"{where} should have {count} numbers, but has {len(words)}")
+    return np.array([number(word, where) for word in words])
+
+
 def image_size(columns: Any, rows: Any, where: str) -> tuple[int, int]:
     """Return a size of an image in px; raise `ConfigurationError` unless it is one."""
     for side in (columns, rows):
@@ -117,22 +138,23 @@ def intrinsics_from(matrix: Floats, coefficients: Floats, where: str) -> Intrins
     Raises
     ------
     ConfigurationError
-        They are not those of the model of this program: no skew, and `COEFFICIENTS` alone.
+        They are not those of the model of this program: `COEFFICIENTS` alone, and a small skew.
     """
     if matrix.shape != (3, 3):
         raise ConfigurationError(f"the camera matrix of {where} is {_shape(matrix)}, not 3 x 3")
-    if matrix[0, 1] != 0.0:
-        raise ConfigurationError(
-            f"the camera matrix of {where} has a skew of {matrix[0, 1]:g} px, which the camera model here "
-            "does not have: calibrate it again without skew"
-        )
     if matrix[1, 0] != 0.0 or tuple(matrix[2]) != (0.0, 0.0, 1.0):
         raise ConfigurationError(
-            f"the camera matrix of {where} should be fx 0 cx, 0 fy cy, 0 0 1, not {matrix.tolist()}"
+            f"the camera matrix of {where} should be fx skew cx, 0 fy cy, 0 0 1, not {matrix.tolist()}"
         )
     if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
         raise ConfigurationError(
             f"the focal lengths of {where} should be above 0 px, not {matrix[0, 0]:g} and {matrix[1, 1]:g}"
+        )
+    skew, most = float(matrix[0, 1] / matrix[0, 0]), LENS["skew"].high
+    if not abs(skew) <= most:
+        raise ConfigurationError(
+            f"the skew of {where} is {matrix[0, 1]:g} px, {abs(skew):.2g} of fx, allowed is {most:g} of fx; "
+            "it should be the number in the first row and second column of K"
         )
     if coefficients.size not in _COUNTS:
         raise ConfigurationError(
@@ -147,14 +169,23 @@ def intrinsics_from(matrix: Floats, coefficients: Floats, where: str) -> Intrins
             )
     bent = {name: value for name, value in found.items() if name in COEFFICIENTS}
     fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return Intrinsics(fx, fy, cx, cy, **bent)
+    return Intrinsics(fx, fy, cx, cy, **bent, skew=skew)
 
 
 def opencv_coefficients(intrinsics: Intrinsics) -> Floats:
     """Return the distortion coefficients of intrinsics as OpenCV writes them."""
-    last = max(_OPENCV.index(name) for name in COEFFICIENTS)
+    last = max(_OPENCV.index(name) for name in COEFFICIENTS if name in _OPENCV)
     count = next(n for n in _COUNTS if n > last)
     return np.array([getattr(intrinsics, name, 0.0) for name in _OPENCV[:count]])
+
+
+def cardan_rotation(alpha_deg: float, beta_deg: float, gamma_deg: float) -> Floats:
+    """Return Rz(gamma) Ry(beta) Rx(alpha), (3, 3): about the fixed axes x, y and z, in this order."""
+    a, b, c = radians(alpha_deg), radians(beta_deg), radians(gamma_deg)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cos(a), -sin(a)], [0.0, sin(a), cos(a)]])
+    about_y = np.array([[cos(b), 0.0, sin(b)], [0.0, 1.0, 0.0], [-sin(b), 0.0, cos(b)]])
+    about_z = np.array([[cos(c), -sin(c), 0.0], [sin(c), cos(c), 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(about_z @ about_y @ about_x)
 
 
 def pose_from(rotation: Floats, translation: Floats, where: str) -> Pose:

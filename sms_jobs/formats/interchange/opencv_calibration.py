@@ -8,7 +8,7 @@ frame of the first sensor.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, Literal, TypeAlias
 
@@ -83,22 +83,28 @@ def _projector(matrix: str, distortion: str) -> _Names:
 
 _R = ("R", "Rot", "rotation", "rotation_matrix")
 _T = ("T", "Trans", "translation", "translation_vector")
+_MATRICES = ("M", "K", "cameraMatrix", "camera_matrix", "CameraMatrix", "mtx")
+_DISTORTIONS = ("D", "distCoeffs", "distortion_coefficients", "dist_coeffs", "DistCoeffs", "dist")
+_SIDES = (
+    ("1", "2"),
+    ("_1", "_2"),
+    ("0", "1"),
+    ("_0", "_1"),
+    ("_left", "_right"),
+    ("Left", "Right"),
+    ("L", "R"),
+    ("_l", "_r"),
+)
 _LAYOUTS = (
     _Layout((_camera("M1", "D1"), _projector("M4", "D4")), ("Rlp",), ("Tlp",)),  # SLMaster
     _Layout((_camera("Kc", "kc"), _projector("Kp", "kp")), ("Rp",), ("Tp",)),  # SLStudio
     _Layout((_camera("cam_K", "cam_kc"), _projector("proj_K", "proj_kc")), _R, _T),  # Moreno and Taubin
     _Layout((_camera("cam_int", "cam_dist"), _projector("proj_int", "proj_dist")), (*_R, "roration"), _T),
-    _Layout((_camera("M1", "D1"), _camera("M2", "D2")), _R, _T),  # OpenCV's sample stereo_calib
-    _Layout((_camera("K1", "D1"), _camera("K2", "D2")), _R, _T),
-    _Layout((_camera("cameraMatrix1", "distCoeffs1"), _camera("cameraMatrix2", "distCoeffs2")), _R, _T),
-    *(
-        _Layout(
-            (_camera(f"camera_matrix{one}", f"{word}{one}"), _camera(f"camera_matrix{two}", f"{word}{two}")),
-            _R,
-            _T,
-        )
-        for one, two in (("_1", "_2"), ("1", "2"), ("_left", "_right"))
-        for word in ("distortion_coefficients", "dist_coeffs")
+    *(  # OpenCV's sample stereo_calib has M1 D1 and M2 D2
+        _Layout((_camera(f"{k}{one}", f"{d}{one}"), _camera(f"{k}{two}", f"{d}{two}")), _R, _T)
+        for k in _MATRICES
+        for d in _DISTORTIONS
+        for one, two in _SIDES
     ),
     *(
         _Layout((_camera(matrix, distortion),), _R, _T)
@@ -165,9 +171,18 @@ def _own_sensor(table: Table, name: str, source: str) -> FoundSensor:
         raise ConfigurationError(f"{where} should be a table, not {found!r}")
     values = [_needed(found, key, where) for key in ("camera_matrix", "distortion_coefficients", "R", "T")]
     matrix, coefficients, rotation, translation = (numbers(v, where) for v in values)
+    intrinsics = intrinsics_from(matrix, coefficients, where)
+    if "skew" in found:
+        # The matrix has it in px, which is rounded.
+        skew = float(numbers(found["skew"], f"skew of {where}").ravel()[0])
+        if not np.isclose(skew, intrinsics.skew, rtol=1e-9, atol=0.0):
+            raise ConfigurationError(
+                f"{where} says two skews: {skew:g} of fx, and {intrinsics.skew:g} of fx in camera_matrix"
+            )
+        intrinsics = replace(intrinsics, skew=skew)
     return FoundSensor(
         role=role_of(name),
-        intrinsics=intrinsics_from(matrix, coefficients, where),
+        intrinsics=intrinsics,
         pose=pose_from(rotation, translation, where),
         name=name,
         size=image_size(_needed(found, "image_width", where), _needed(found, "image_height", where), where),
@@ -295,6 +310,7 @@ def opencv_text(calibration: Calibration, dialect: Dialect) -> str:
         storage.write("image_height", sensor.rows)
         storage.write("camera_matrix", sensor.intrinsics.matrix())
         storage.write("distortion_coefficients", opencv_coefficients(sensor.intrinsics)[None])
+        storage.write("skew", sensor.intrinsics.skew)
         storage.write("R", sensor.pose.matrix())
         storage.write("T", np.array(sensor.pose.translation)[:, None])
         storage.endWriteStruct()

@@ -60,7 +60,7 @@ from sms_jobs.metrology.calibration.bundle_adjustment import adjust
 from sms_jobs.metrology.calibration.bundle_cross_validation import cross_validate
 from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
 from sms_jobs.metrology.calibration.initialisation import initialise
-from sms_jobs.metrology.geometry.lens import KEPT, LENS
+from sms_jobs.metrology.geometry.lens import HELD, KEPT, LENS
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.sensors import Calibration
@@ -158,7 +158,7 @@ def adjusted(
     doubts: tuple[str, ...] = (),
 ) -> Iterator[Output]:
     """Adjust a session and yield the calibration with all that is known of it, and the page about it."""
-    problem = problem_of(plan, start, boards, bars, parameters.fixed)
+    problem = problem_of(plan, start, boards, bars, (*parameters.fixed, *HELD))
     options = parameters.options(inputs.threads)
     found = adjust(problem, options)
     progress(0.6, "measuring poses that take no part")
@@ -202,7 +202,7 @@ def _statistics(calibration: Calibration, quality: CalibrationQuality) -> dict[s
 KIND = Kind(
     name=CALIBRATE_BOARDS,
     summary="calibrate a rig from poses of a board",
-    version=4,
+    version=5,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     inputs=(OBSERVED_BOARDS, LAST),

@@ -3,8 +3,8 @@
 A lens maps the direction of a ray, the normalised point (x, y) = (X / Z, Y / Z) in the sensor's frame, to a
 distorted point (x', y'), which the focal lengths and the principal point scale to pixels; what lies 90
 degrees from the axis or more is out of its reach. Cameras and projectors share one model, Brown's as OpenCV
-has it. The number of parameters, their order and their names in every array, table, file and report follow
-from `Intrinsics`.
+has it, and the skew of the pixels. The number of parameters, their order and their names in every array,
+table, file and report follow from `Intrinsics`.
 
 To put another model here:
 
@@ -58,6 +58,8 @@ class Parameter:
         Standard deviation of what lenses have, which keeps away what a few poses do not tell.
     fixed
         Whether an adjustment keeps it fixed by default.
+    held
+        Whether a session keeps it whatever else it is told to estimate: it comes from other programs alone.
     """
 
     meaning: str
@@ -68,6 +70,7 @@ class Parameter:
     poses: float = float("inf")
     plausible: float = float("inf")
     fixed: bool = False
+    held: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,7 @@ class Intrinsics:
     p1: Annotated[float, Parameter("tangential, along y", "distortion", plausible=0.1)] = 0.0
     p2: Annotated[float, Parameter("tangential, along x", "distortion", plausible=0.1)] = 0.0
     k3: Annotated[float, Parameter("radial, r^6", "distortion", plausible=1.0, fixed=True)] = 0.0
+    skew: Annotated[float, Parameter("skew, of y'", "skew", "1", -0.1, 0.1, fixed=True, held=True)] = 0.0
 
     @classmethod
     def from_vector(cls, values: Floats) -> Intrinsics:
@@ -98,8 +102,8 @@ class Intrinsics:
         return self.vector()[PIN_HOLE:]
 
     def matrix(self) -> Floats:
-        """Return the 3 x 3 matrix K."""
-        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+        """Return the 3 x 3 matrix K; its skew is in px."""
+        return np.array([[self.fx, self.fx * self.skew, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
 
 LENS: dict[str, Parameter] = {
@@ -119,42 +123,46 @@ COEFFICIENTS = tuple(LENS)[PIN_HOLE:]
 KEPT = tuple(name for name, parameter in LENS.items() if parameter.fixed)
 """Names of those that an adjustment keeps fixed by default."""
 
+HELD = tuple(name for name, parameter in LENS.items() if parameter.held)
+"""Names of those that sessions always keep."""
+
 
 def distorted(lens: Floats, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
     """Return the distorted point (x', y') of a normalised one; `lens` is a `vector` of intrinsics.
 
-    x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2) and
+    x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2) + skew y' and
     y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
-    (Brown 1966, as in OpenCV; thesis Eq. (1.22) is its radial part). For numbers in kernels, and for arrays.
+    (Brown 1966, as in OpenCV; thesis Eq. (1.22) is its radial part; the skew is that of K, in units of fx).
+    For numbers in kernels, and for arrays.
     """
-    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
+    k1, k2, p1, p2, k3, skew = lens[4], lens[5], lens[6], lens[7], lens[8], lens[9]
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return (
-        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-    )
+    down = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    return x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) + skew * down, down
 
 
 def by_point(
     lens: Floats, x: Coordinate, y: Coordinate
 ) -> tuple[Coordinate, Coordinate, Coordinate, Coordinate]:
     """Return dx'/dx, dx'/dy, dy'/dx and dy'/dy of `distorted`: derivatives of thesis Eq. (1.22)."""
-    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
+    k1, k2, p1, p2, k3, skew = lens[4], lens[5], lens[6], lens[7], lens[8], lens[9]
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
     cross = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+    down = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
     return (
-        radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x,
+        radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x + skew * cross,
+        cross + skew * down,
         cross,
-        cross,
-        radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x,
+        down,
     )
 
 
 def by_parameters(lens: Floats, x: Coordinate, y: Coordinate, rows: Floats) -> None:
     """Fill rows (2, coefficients, ...) with the derivatives of x' and y' by the coefficients."""
+    k1, k2, p1, p2, k3, skew = lens[4], lens[5], lens[6], lens[7], lens[8], lens[9]
     r2 = x * x + y * y
     r4 = r2 * r2
     rows[0, 0], rows[1, 0] = x * r2, y * r2
@@ -162,6 +170,11 @@ def by_parameters(lens: Floats, x: Coordinate, y: Coordinate, rows: Floats) -> N
     rows[0, 2], rows[1, 2] = 2.0 * x * y, r2 + 2.0 * y * y
     rows[0, 3], rows[1, 3] = r2 + 2.0 * x * x, 2.0 * x * y
     rows[0, 4], rows[1, 4] = x * r4 * r2, y * r4 * r2
+    for k in range(5):
+        rows[0, k] += skew * rows[1, k]
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    rows[0, 5] = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    rows[1, 5] = 0.0
 
 
 def distort(intrinsics: Intrinsics, points: Floats) -> Floats:

@@ -20,6 +20,7 @@ from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
+from sms_jobs.records.scene import AT_ORIGIN
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
 from sms_jobs.records.supplements import Supplement
 from sms_jobs.records.views import Role
@@ -50,7 +51,7 @@ def calibration(rng: np.random.Generator) -> Calibration:
             role,
             columns,
             rows,
-            Intrinsics(2100.0 + rng.normal(), 2099.0 + rng.normal(), 640.1, 511.7, *rng.normal(0.0, 0.01, 5)),
+            Intrinsics(2100.0 + rng.normal(), 2099.0 + rng.normal(), 640.1, 511.7, *rng.normal(0.0, 0.01, 6)),
             pose(rng),
         )
         for name, role, columns, rows in (
@@ -96,7 +97,10 @@ def test_programs_with_opencv_read_what_is_written(
             node.getNode("camera_matrix").mat(),
             node.getNode("distortion_coefficients").mat(),
         )
-        ours = project(sensor.intrinsics, sensor.pose, points)
+        k, lens = node.getNode("camera_matrix").mat(), sensor.intrinsics
+        assert k[0, 1] == lens.fx * lens.skew
+        # OpenCV's own functions leave the skew out: K has it for those who multiply by K.
+        ours = project(replace(lens, skew=0.0), sensor.pose, points)
         ahead = np.isfinite(ours[:, 0])
         # Frames and pixel centres are the same, so only the roundings of Rodrigues' formula remain.
         np.testing.assert_allclose(seen[ahead, 0], ours[ahead], rtol=1e-9, atol=1e-7)
@@ -106,9 +110,10 @@ def test_programs_with_opencv_read_what_is_written(
 def test_the_thesiss_parameters_come_back_to_the_misfit(
     calibration: Calibration, tmp_path: Path, rng: np.random.Generator
 ) -> None:
-    # Without tangential terms, which the thesis does not have.
+    # Without tangential terms and skew, which the thesis does not have.
     sensors = tuple(
-        replace(s, intrinsics=replace(s.intrinsics, p1=0.0, p2=0.0)) for s in calibration.rig.sensors
+        replace(s, intrinsics=replace(s.intrinsics, p1=0.0, p2=0.0, skew=0.0))
+        for s in calibration.rig.sensors
     )
     radial = replace(calibration, rig=Rig("hall-3", sensors))
     found = read_calibration([written(radial, "thesis-xml", tmp_path)], Supplement())
@@ -132,6 +137,39 @@ def test_the_thesiss_parameters_come_back_to_the_misfit(
         # degrees and millimetres on the chip are rounded.
         assert np.abs(off).max() * before.intrinsics.fx < 2.2 * float(said[1]) + 1e-9
         np.testing.assert_allclose(after.pose.centre(), before.pose.centre(), rtol=1e-12, atol=1e-9)
+
+
+def test_a_skew_is_told_where_programs_leave_it_out(calibration: Calibration) -> None:
+    said = calibration_text(calibration, "opencv-yaml", 0.005)[1]
+    assert said == ("C1, C12, P1: OpenCV's own functions leave the skew in camera_matrix out",)
+    first, *_ = calibration.rig.sensors
+    straight = replace(first, intrinsics=replace(first.intrinsics, skew=0.0))
+    alone = replace(calibration, rig=Rig("hall-3", (straight,)))
+    assert calibration_text(alone, "opencv-yaml", 0.005)[1] == ()
+
+
+def test_the_skew_of_a_camera_matrix_is_taken(tmp_path: Path) -> None:
+    matrix = [[1750.0, 0.7, 640.0], [0.0, 1751.0, 512.0], [0.0, 0.0, 1.0]]
+    values = {
+        "image_width": 1280,
+        "image_height": 1024,
+        "camera_matrix": matrix,
+        "distortion_coefficients": D1,
+    }
+    (camera,) = read_calibration([saved(tmp_path / "left.yml", values)], GIVEN).calibration.rig.sensors
+    lens = camera.intrinsics
+    assert lens.skew == 0.7 / 1750.0
+    text = calibration_text(one_camera(lens), "opencv-json", 0.005)[0]
+    own = tmp_path / "own.json"
+    own.write_text(re.sub(r'("skew": )[^\s,]+', r"\g<1>5.0e-04", text), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=r"C1 in .* says two skews: 0.0005 of fx, and 0.0004 of fx"):
+        read_calibration([own], Supplement())
+
+
+def one_camera(lens: Intrinsics) -> Calibration:
+    return Calibration(
+        Rig("desk", (Sensor("C1", Role.CAMERA, 1280, 1024, lens, AT_ORIGIN),)), BOX, SINCE, "by hand"
+    )
 
 
 def test_tangential_distortion_is_not_lost_in_silence(calibration: Calibration) -> None:
@@ -166,6 +204,10 @@ VIEWS = {
     "procam": ("cam_int cam_dist proj_int proj_dist roration translation", ["C1", "P1"]),
     "numbered": ("camera_matrix_1 dist_coeffs_1 camera_matrix_2 dist_coeffs_2 R T", ["C1", "C2"]),
     "camel": ("cameraMatrix1 distCoeffs1 cameraMatrix2 distCoeffs2 R T", ["C1", "C2"]),
+    "short": ("K1 D1 K2 D2 R T", ["C1", "C2"]),
+    "mixed": ("M1 dist1 M2 dist2 R T", ["C1", "C2"]),
+    "from nought": ("K_0 D_0 K_1 D_1 R T", ["C1", "C2"]),
+    "sides": ("cameraMatrixL distCoeffsL cameraMatrixR distCoeffsR R T", ["C1", "C2"]),
 }
 
 
@@ -321,7 +363,7 @@ REFUSALS = {
     "sensor_that_is_missing.json": "C1 is missing",
     "shape_that_lies.yml": "has 300000 x 3 numbers, which cannot be",
     "size_of_half_a_pixel.yml": "says 1280.5 x 1024.0 px",
-    "skew.yml": "has a skew of 0.05 px",
+    "skew.yml": "the skew of M1",
     "thesis_attribute.xml": "line 14, element sms/calibration/sensors/sensor[1]/phi_deg: has no attribute",
     "thesis_distortion.xml": "cannot be carried over",
     "thesis_negative_chip.xml": "sensor[1]/length_mm: should be greater than 0, not -8.71",

@@ -119,7 +119,7 @@ def test_a_second_calibration_of_a_rig_waits_for_a_word(made: Path, tmp_path: Pa
     ("arguments", "code", "words"),
     [
         (("accept", "99"), 3, "there is no calibration 99"),
-        (("import", str(WRONG / "skew.yml"), *SAID), 2, "skew of 0.05 px"),
+        (("import", str(WRONG / "skew.yml"), *SAID), 2, "350 px, 0.2 of fx, allowed is 0.1 of fx"),
         (("import", "no-such-file.yml", *SAID), 3, "there is no calibration file no-such-file.yml"),
         (("import", str(WRONG / "skew.yml"), "--size", "P1=big"), 2, "as in P1=1920x1080, not 'P1=big'"),
         (("export", "99", "--as", "opencv-yaml", "--out", "x.yml"), 3, "99"),
