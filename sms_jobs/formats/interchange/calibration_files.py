@@ -12,19 +12,20 @@ from pathlib import Path
 import numpy as np
 
 from sms_jobs.errors import ConfigurationError, InvalidInput
+from sms_jobs.formats.interchange.calibration_formats import document_of, format_of
 from sms_jobs.formats.interchange.found_sensors import FoundCalibration, FoundSensor, image_size
 from sms_jobs.formats.interchange.opencv_calibration import Dialect, find_opencv_calibration, opencv_text
 from sms_jobs.formats.interchange.opencv_text import Table, parse_storage
 from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.formats.interchange.text_files import read_text
-from sms_jobs.formats.interchange.thesis_calibration import find_thesis_calibration, thesis_text
-from sms_jobs.formats.interchange.xml_elements import parse_xml
+from sms_jobs.formats.interchange.thesis_calibration import thesis_text
 from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.common_field import CameraView, common_field
 from sms_jobs.metrology.geometry.lens import distortion_jacobian, undistort
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
 from sms_jobs.records.supplements import Supplement
-from sms_jobs.records.views import role_of, sensor_name
+from sms_jobs.records.views import Role, role_of, sensor_name
 
 _DIALECTS: dict[Style, Dialect] = {"opencv-yaml": "yml", "opencv-xml": "xml", "opencv-json": "json"}
 _MOST_BLIND = 0.5
@@ -54,11 +55,12 @@ def read_calibration(paths: Sequence[Path], given: Supplement) -> ImportedCalibr
     """
     texts = [(path, read_text(path, "calibration file")) for path in paths]
     sources = ", ".join(str(path) for path, _ in texts)
-    root = parse_xml(texts[0][1], sources) if len(texts) == 1 and texts[0][1].lstrip()[:1] == "<" else None
-    if root is not None and root.name == "sms":
-        found = find_thesis_calibration(root, sources)
-    else:
+    document = document_of(texts[0][1], sources) if len(texts) == 1 else None
+    known = None if document is None else format_of(document)
+    if document is None or known is None:
         found = find_opencv_calibration(_together(texts), sources)
+    else:
+        found = known.find(document)
     digest = hashlib.sha256("".join(text for _, text in texts).encode()).hexdigest()
     # A file's name may have bytes that are no text.
     names = ", ".join(path.name for path, _ in texts).encode("utf-8", "replace").decode()
@@ -103,11 +105,16 @@ def _completed(found: FoundCalibration, given: Supplement, sources: str, origin:
         given.valid_from or found.valid_from,
         given.volume or found.volume,
     )
-    if rig is None or valid_from is None or volume is None:
+    to_ask = volume is None and not _several_cameras(found, given)
+    if rig is None or valid_from is None or to_ask:
         missing = [
             option
-            for option, value in (("--rig", rig), ("--valid-from", valid_from), ("--volume", volume))
-            if value is None
+            for option, asked in (
+                ("--rig", rig is None),
+                ("--valid-from", valid_from is None),
+                ("--volume", to_ask),
+            )
+            if asked
         ]
         raise InvalidInput(f"{sources} does not say everything: add {', '.join(missing)}")
     if valid_from.tzinfo is None:
@@ -115,9 +122,23 @@ def _completed(found: FoundCalibration, given: Supplement, sources: str, origin:
             f"the time {valid_from.isoformat()} from which it is valid needs a zone, as in +02:00"
         )
     checked_name(rig, "rig")
-    _check_volume(volume)
+    if volume is not None:
+        _check_volume(volume)
     sensors = _sensors(found, given, sources)
-    remarks = [*found.remarks]
+    remarks = [*found.remarks, *_folds(sensors, sources)]
+    if volume is None:
+        volume = _seen_together(sensors, sources)
+        low, high = (", ".join(f"{x:g}" for x in corner) for corner in (volume.low, volume.high))
+        remarks.append(
+            f"the volume is what the cameras see together, from {low} to {high} mm; --volume says another"
+        )
+    calibration = Calibration(Rig(rig, sensors), volume, valid_from.astimezone(UTC), origin)
+    return ImportedCalibration(calibration, tuple(remarks))
+
+
+def _folds(sensors: tuple[Sensor, ...], sources: str) -> list[str]:
+    """Say where distortions fold over in a part of the image; refuse those that do in most of it."""
+    remarks = []
     for sensor in sensors:
         blind = _blind_part(sensor)
         if blind > _MOST_BLIND:
@@ -129,8 +150,12 @@ def _completed(found: FoundCalibration, given: Supplement, sources: str, origin:
             remarks.append(
                 f"{sensor.name}: {blind:.0%} of the image has no ray; its distortion folds over there"
             )
-    calibration = Calibration(Rig(rig, sensors), volume, valid_from.astimezone(UTC), origin)
-    return ImportedCalibration(calibration, tuple(remarks))
+    return remarks
+
+
+def _several_cameras(found: FoundCalibration, given: Supplement) -> bool:
+    roles = [role_of(name) for name in given.names] or [sensor.role for sensor in found.sensors]
+    return len(roles) > 1 and Role.PROJECTOR not in roles
 
 
 def _sensors(found: FoundCalibration, given: Supplement, sources: str) -> tuple[Sensor, ...]:
@@ -145,18 +170,25 @@ def _sensors(found: FoundCalibration, given: Supplement, sources: str) -> tuple[
     strange = sorted(set(given.sizes) - set(names))
     if strange:
         raise InvalidInput(f"--size names {strange[0]}, but the sensors of {sources} are {', '.join(names)}")
-    sensors = []
+    mixed = found.sensors[0].role is not found.sensors[-1].role
     for name, sensor in zip(names, found.sensors, strict=True):
-        columns, rows = _size(name, sensor, given, sources)
-        pose = Pose.from_arrays(
-            sensor.pose.matrix(), np.array(sensor.pose.translation) * given.millimetres_per_unit
-        )
-        role = role_of(name)
-        if role is not sensor.role and found.sensors[0].role is not found.sensors[-1].role:
+        if mixed and role_of(name) is not sensor.role:
             raise InvalidInput(
                 f"{name} cannot be the name of a {sensor.role.value}, which it is in {sources}"
             )
-        sensors.append(Sensor(name, role, columns, rows, sensor.intrinsics, pose))
+    sizes = [_size(name, sensor, given, sources) for name, sensor in zip(names, found.sensors, strict=True)]
+    unsized = [name for name, size in zip(names, sizes, strict=True) if size is None]
+    if unsized:
+        options = " ".join(f"--size {name}=COLUMNSxROWS" for name in unsized)
+        raise InvalidInput(f"{sources} does not say the image size of {', '.join(unsized)}: add {options}")
+    sensors = []
+    for name, sensor, size in zip(names, found.sensors, sizes, strict=True):
+        assert size is not None
+        columns, rows = size
+        pose = Pose.from_arrays(
+            sensor.pose.matrix(), np.array(sensor.pose.translation) * given.millimetres_per_unit
+        )
+        sensors.append(Sensor(name, role_of(name), columns, rows, sensor.intrinsics, pose))
     return tuple(sorted(sensors, key=lambda s: (s.name[0], int(s.name[1:]))))
 
 
@@ -182,20 +214,28 @@ def _names(found: FoundCalibration, given: Supplement, sources: str) -> list[str
     return names
 
 
-def _size(name: str, sensor: FoundSensor, given: Supplement, sources: str) -> tuple[int, int]:
+def _size(name: str, sensor: FoundSensor, given: Supplement, sources: str) -> tuple[int, int] | None:
     said = given.sizes.get(name)
     if said is not None:
         said = image_size(*said, f"--size of {name}")
-    if said is None and sensor.size is None:
-        raise InvalidInput(f"{sources} does not say the image size of {name}: add --size {name}=COLUMNSxROWS")
     if said is not None and sensor.size is not None and said != sensor.size:
         raise InvalidInput(
             f"--size says {said[0]} x {said[1]} px for {name}, but {sources} says {sensor.size[0]} x "
             f"{sensor.size[1]} px"
         )
-    size = said or sensor.size
-    assert size is not None
-    return size
+    return said or sensor.size
+
+
+def _seen_together(sensors: tuple[Sensor, ...], sources: str) -> Box:
+    """Return a volume about what several cameras see together."""
+    found = common_field([CameraView(s.intrinsics, s.pose, s.columns, s.rows) for s in sensors])
+    if found is None:
+        raise InvalidInput(
+            f"{sources} does not say the measurement volume, and its cameras do not look at one place: add "
+            "--volume"
+        )
+    low, high = (corner.tolist() for corner in found)
+    return Box((low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
 
 def _check_volume(volume: Box) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
 from sms_jobs.errors import ConfigurationError
+from sms_jobs.formats.interchange.calibration_formats import CalibrationFormat, Document
 from sms_jobs.formats.interchange.found_sensors import LONGEST_SIDE_PX, FoundCalibration, FoundSensor
 from sms_jobs.formats.interchange.xml_elements import Element
 from sms_jobs.formats.interchange.xml_values import Places, value_of
@@ -99,7 +100,11 @@ class _Calibration(_Table):
     volume: _Volume | None = None
 
 
-def find_thesis_calibration(root: Element, source: str) -> FoundCalibration:
+def _fits(document: Document) -> bool:
+    return document.root is not None and document.root.name == "sms"
+
+
+def find_thesis_calibration(document: Document) -> FoundCalibration:
     """Return the sensors that the element <calibration> of a file describes.
 
     Raises
@@ -108,8 +113,10 @@ def find_thesis_calibration(root: Element, source: str) -> FoundCalibration:
         It is missing or says what cannot be, or the distortion of a sensor cannot be carried over; the
         message names line and element.
     """
-    section = next((child for child in root.children if child.name == "calibration"), None)
-    if root.name != "sms" or section is None:
+    root, source = document.root, document.source
+    children: list[Element] = [] if root is None else root.children
+    section = next((child for child in children if child.name == "calibration"), None)
+    if section is None:
         raise ConfigurationError(
             f"{source} has no element <calibration> inside of a root <sms>; 'sms calibration export NUMBER "
             "--as thesis-xml' writes such a file"
@@ -221,3 +228,6 @@ def _tuples(value: Any) -> Any:
 def _plain(message: str, value: Any) -> str:
     shown = f", not {value!r}" if isinstance(value, str | int | float) else ""
     return message.replace("Input should", "should").replace("Extra inputs are", "is") + shown
+
+
+FORMAT = CalibrationFormat("thesis", _fits, find_thesis_calibration)

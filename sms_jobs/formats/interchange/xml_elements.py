@@ -1,7 +1,8 @@
 """XML as data: elements with the line they begin in, and nothing else.
 
-Expat does the parsing. A document type declaration is refused as soon as it begins, so there are no entities
-to expand (the "billion laughs") and none to fetch from a disk or a network; nesting and size are bounded.
+Expat does the parsing. A document type declaration that is more than a name is refused as soon as it begins,
+so there are no entities to expand (the "billion laughs") and none to fetch from a disk or a network; nesting
+and size are bounded.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def parse_xml(text: str, source: str) -> Element:
     Raises
     ------
     ConfigurationError
-        It is not well-formed, declares a document type, or is nested or filled beyond all measure.
+        It is not well-formed, declares more of its type than a name, or is nested or filled beyond measure.
     """
     parser = expat.ParserCreate()
     parser.buffer_text = True
@@ -58,8 +59,9 @@ def parse_xml(text: str, source: str) -> Element:
     def characters(data: str) -> None:
         open_elements[-1].text += data
 
-    def doctype(*_: object) -> None:
-        raise refuse("a document type declaration (<!DOCTYPE ...>) is not read; remove it")
+    def doctype(_name: str, system: str | None, public: str | None, more: int) -> None:
+        if system is not None or public is not None or more:
+            raise refuse("a document type declaration (<!DOCTYPE ...>) is not read; remove it")
 
     parser.StartElementHandler = start
     parser.EndElementHandler = end
