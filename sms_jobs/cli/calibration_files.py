@@ -75,7 +75,8 @@ def import_(
     volume: Annotated[
         _Six | None,
         typer.Option(
-            help="Measurement volume in the world's frame, in mm: its lower corner, then its upper.",
+            help="Measurement volume in the world's frame, in mm: its lower corner, then its upper. Of "
+            "cameras without projectors it is what they see together, if not given.",
             metavar="X Y Z X Y Z",
             show_default=False,
         ),
@@ -103,14 +104,18 @@ def import_(
     """Bring in a calibration that was made elsewhere.
 
     Reads what 'sms calibration export' writes, and files of OpenCV with one camera or two, as OpenCV's
-    samples, SLStudio, SLMaster and others write them; the world is then the frame of the first sensor. What
-    the file does not say has to be added. Nothing is changed unless everything is right.
+    samples, SLStudio, SLMaster and others write them; the world is then the frame of the first sensor. Reads
+    the cameras of DICe (camera system file), VIC-3D (project) and MatchID (.caldat) too. What the file does
+    not say has to be added. Nothing is changed unless everything is right.
 
     The first calibration of a rig is used at once. Where the rig has one in use, nothing is computed with
     this one before 'sms calibration accept'; one of other sensors is refused.
 
     Example: sms calibration import calibration.xml --rig desk --valid-from 2026-05-04T10:00:00+02:00
     --volume -200 -200 500 200 200 900
+
+    Example: sms calibration import cal.caldat --rig stereo --valid-from 2026-05-04T10:00:00+02:00
+    --size C1=1920x1200 --size C2=1920x1200
 
     Example: sms calibration import intrinsics.yml extrinsics.yml --camera C1 --projector P1
     --size C1=1280x1024 --size P1=1920x1080 --unit-mm 1000 --rig desk --valid-from 2026-05-04T10:00:00+02:00
