@@ -77,6 +77,7 @@ def example(hint: Any, rng: np.random.Generator, meta: Any = None) -> Any:
             values["name"] = sensor_name(values["role"], int(rng.integers(1, 1000)))
         if hint is Intrinsics:
             values["fx"], values["fy"] = LENS["fx"].low, LENS["fx"].high
+            values["skew"] = LENS["skew"].low
         made = hint(**values)
         # An artefact must be one of those that its campaign describes, which chance does not know.
         return replace(made, artefact=None) if isinstance(made, LoadState) else made
