@@ -30,6 +30,7 @@ Labels: TypeAlias = NDArray[np.int32]
 Corner: TypeAlias = tuple[float, float, float]
 
 _SEED_SCORE = 0.4  # of a place to a pixel: a poor start, but the refinement judges it
+_MISFIT = 12.0  # variance left over, in medians: on a curved panel no more than 8, across a step 50 to 500
 _RETURN_SIGMAS = 4.0  # by which a point may come back beside where it set out
 _RETURN_PX = 0.05  # and at least: what two subsets of different shapes may differ by
 
@@ -118,12 +119,25 @@ def match_cameras(
     likely = (found.score >= _SEED_SCORE) & found.unique
     seeds = Seeds(first[likely], found.warp[likely])
     result = spread_matches(images, nodes, seeds, settings, grid, threads)
+    refuse_misfits(result.matches)
     there_and_back = _way_back(reference, partner, result, settings, threads)
     sigma = np.hypot(*result.matches.sigma.T)
     with np.errstate(invalid="ignore"):
         lost = ~(there_and_back <= np.maximum(_RETURN_PX, _RETURN_SIGMAS * sigma))
     result.matches.ending[lost & (result.matches.ending == CONVERGED)] = NOT_CONVERGED
     return CameraMatches(result, (len(first), int(np.count_nonzero(likely))), there_and_back)
+
+
+def refuse_misfits(found: Matches) -> None:
+    """Give up matches that leave over far more than others: half of their subset is of another surface.
+
+    How much a good one leaves over depends on the images: noise that nobody knows, blur that is not the same in
+    both. So the median of all is the measure.
+    """
+    matched = found.ending == CONVERGED
+    if matched.any():
+        usual = max(1.0, float(np.median(found.misfit[matched])))
+        found.ending[matched & (found.misfit > _MISFIT * usual)] = NOT_CONVERGED
 
 
 def _first_matches(

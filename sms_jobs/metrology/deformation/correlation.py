@@ -101,6 +101,7 @@ class Matches:
     score: Floats
     iterations: NDArray[np.int32]
     ending: NDArray[np.int32]
+    misfit: Floats
 
 
 def blank_matches(count: int, numbers: int) -> Matches:
@@ -111,6 +112,7 @@ def blank_matches(count: int, numbers: int) -> Matches:
         np.full(count, np.nan),
         np.zeros(count, dtype=np.int32),
         np.full(count, NOT_CONVERGED, dtype=np.int32),
+        np.full(count, np.nan),
     )
 
 
@@ -259,7 +261,7 @@ def _match_block(
     start: int, stop: int,
     images: tuple[Floats, Floats, Floats, Floats, Labels], noise: Floats,
     x: Ints, y: Ints, radius: int, minimum: int, orders: tuple[int, int], ends: tuple[float, int],
-    warp: Floats, sigma: Floats, score: Floats, iterations: Labels, ending: Labels,
+    warp: Floats, sigma: Floats, score: Floats, iterations: Labels, ending: Labels, misfit: Floats,
 ) -> None:  # fmt: skip
     """Match points start .. stop; `warp` holds the guesses and is overwritten."""
     reference, gradient_x, gradient_y, coefficients, labels = images
@@ -294,7 +296,9 @@ def _match_block(
         if ending[k] == CONVERGED:
             # Both images are noisy; what the fit leaves over counts where it is more than their noise.
             variance += ff / gg * (noise[2] + noise[3] * g_mean)
-            variance = max(variance, 2.0 * ff * (1.0 - score[k]) / max(n - unknowns, 1))
+            left_over = 2.0 * ff * (1.0 - score[k]) / max(n - unknowns, 1)
+            misfit[k] = left_over / variance
+            variance = max(variance, left_over)
             sigma[k, 0] = np.sqrt(variance * inverse[0, 0])
             sigma[k, 1] = np.sqrt(variance * inverse[3, 3])
 
@@ -327,7 +331,8 @@ def match_points(
     -------
     `warp` (n, 6), or (n, 12) of second order, in the order of `guess`; `sigma` (n, 2), the standard
     deviations of u and v in px; `score` (n,), the zero-normalised cross-correlation; `iterations` and
-    `ending` (n,).
+    `ending` (n,); `misfit` (n,), the variance that the fit leaves over, in units of that of both images' noise:
+    about 1, less what interpolation smooths, where the subset is what it is taken for.
 
     Notes
     -----
@@ -353,7 +358,7 @@ def match_points(
     def work(start: int, stop: int) -> None:
         _match_block(
             start, stop, pixels, noise, x, y, settings.radius, minimum, orders, ends,
-            warp, result.sigma, result.score, result.iterations, result.ending,
+            warp, result.sigma, result.score, result.iterations, result.ending, result.misfit,
         )  # fmt: skip
 
     in_row_blocks(work, len(x), threads)

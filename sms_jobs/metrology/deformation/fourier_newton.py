@@ -254,7 +254,9 @@ def _conclude(
     with np.errstate(divide="ignore", invalid="ignore"):
         score = value / np.sqrt(ff * gg)
         noise = variance + ff / gg * (images.noise[1].floor + images.noise[1].slope * g_mean)
-        noise = np.maximum(noise, 2.0 * ff * (1.0 - score) / np.maximum(count - 4, 1))
+        left_over = 2.0 * ff * (1.0 - score) / np.maximum(count - 4, 1)
+        misfit = left_over / noise
+        noise = np.maximum(noise, left_over)
         # The rims bend C where no texture does: as far as they do, they hold the peak back.
         scale = np.sqrt(gg / ff)
         pull_u, pull_v = u * (-bend_x / (scale * xx) - 1.0), v * (-bend_y / (scale * yy) - 1.0)
@@ -264,6 +266,7 @@ def _conclude(
     found.score[at] = np.where(textured, score, np.nan)
     found.ending[at] = np.where(textured, np.where(good, CONVERGED, NOT_CONVERGED), NO_TEXTURE)
     found.sigma[at] = np.where((textured & good)[:, None], sigma, np.nan)
+    found.misfit[at] = np.where(textured & good, misfit, np.nan)
 
 
 def _slopes(images: PreparedImages) -> tuple[Floats, Floats]:
