@@ -131,8 +131,8 @@ def match_cameras(
 def refuse_misfits(found: Matches) -> None:
     """Give up matches that leave over far more than others: half of their subset is of another surface.
 
-    How much a good one leaves over depends on the images: noise that nobody knows, blur that is not the same in
-    both. So the median of all is the measure.
+    How much a good one leaves over depends on the images: noise that nobody knows, blur that is not the same
+    in both. So the median of all is the measure.
     """
     matched = found.ending == CONVERGED
     if matched.any():

@@ -331,8 +331,8 @@ def match_points(
     -------
     `warp` (n, 6), or (n, 12) of second order, in the order of `guess`; `sigma` (n, 2), the standard
     deviations of u and v in px; `score` (n,), the zero-normalised cross-correlation; `iterations` and
-    `ending` (n,); `misfit` (n,), the variance that the fit leaves over, in units of that of both images' noise:
-    about 1, less what interpolation smooths, where the subset is what it is taken for.
+    `ending` (n,); `misfit` (n,), the variance that the fit leaves over, in units of that of both images'
+    noise: about 1, less what interpolation smooths, where the subset is what it is taken for.
 
     Notes
     -----
