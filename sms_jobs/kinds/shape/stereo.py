@@ -310,10 +310,21 @@ def _points(
             trusted_points(one, labels), plane, labels, parameters.subset_radius_px, threads
         )
         shift[:, ~_between_matches(one, labels.shape, parameters.spacing_px)] = np.nan
-        places[number] = pixels + shift.reshape(2, -1)
+        places[number] = _well_inside(pixels + shift.reshape(2, -1), labels.shape, parameters.edge_margin_px)
         sigma[number] = np.sqrt(variance).reshape(2, -1)
     cameras = [partner.camera for partner in partners]
     return meet_rays(reference.camera, cameras, pixels, places, sigma, threads)
+
+
+def _well_inside(places: Floats, shape: tuple[int, ...], margin_px: int) -> Floats:
+    """Return places (2, n) in a partner's image, NaN nearer to its border than a margin, or beyond.
+
+    There subsets are cut, and a place is told from those further in alone.
+    """
+    rows, columns = shape
+    low, high = np.full((2, 1), margin_px), np.array([[columns], [rows]]) - 1 - margin_px
+    inside = ((places >= low) & (places <= high)).all(axis=0)
+    return np.asarray(np.where(inside, places, np.nan))
 
 
 def _between_matches(found: GridMatches, shape: tuple[int, ...], spacing_px: int) -> Mask:
