@@ -18,8 +18,8 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def test_the_tutorial_has_its_three_ways() -> None:
-    assert len(SECTIONS) == 3
+def test_the_tutorial_has_its_four_ways() -> None:
+    assert len(SECTIONS) == 4
     assert QUICK in SECTIONS
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -83,6 +85,38 @@ def test_curvature_leaves_no_bias(speckle) -> None:
     # A single subset is off by bend r (r + 1) / 6 = 0.0073 px, the blend by a sixth of that at most.
     assert single.mean() == pytest.approx(bend * radius * (radius + 1) / 6.0, rel=0.25)
     assert abs(error.mean()) < single.mean() / 6.0
+
+
+def _fitted(field: Callable[[np.ndarray], np.ndarray], x: np.ndarray, radius: int) -> np.ndarray:
+    """Return what quadratic subsets say of a displacement u(x): least squares, (n, 12)."""
+    offset = np.arange(-radius, radius + 1.0)
+    basis = np.stack([np.ones_like(offset), offset, 0.5 * offset**2], axis=1)
+    found, *_ = np.linalg.lstsq(basis, field(x[None] + offset[:, None]), rcond=None)
+    warp = np.zeros((len(x), 12))
+    warp[:, [0, 1, 6]] = found.T
+    return warp
+
+
+def test_quadratic_matches_are_blended_to_the_fourth_derivative() -> None:
+    """A quadratic is exact to the edge; of a fourth derivative a subset shows what the blend does not."""
+    size, radius = 161, 20
+    labels = np.ones((size, size), np.int32)
+    plane = np.stack([*np.mgrid[0:size, 0:size][::-1].astype(np.float64), np.zeros((size, size))])
+    y, x = (a.ravel() for a in np.mgrid[2:size:4, 2:size:4])
+    sigma, region, column = np.full((len(x), 2), 0.01), np.ones(len(x), np.int32), np.arange(size) - 80.0
+
+    def blended(field: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        warp = _fitted(field, x - 80.0, radius)
+        value, variance = blend_matches(ImagePoints(x, y, region, warp, sigma), plane, labels, radius)
+        return value[0] - field(column), variance, warp[:, 0] - field(x - 80.0)
+
+    error, variance, _ = blended(lambda at: 0.3 - 0.02 * at + 1e-4 * at**2)
+    np.testing.assert_allclose(error, 0.0, atol=1e-12)
+    np.testing.assert_allclose(variance, 0.81 * 0.01**2)
+    error, _, single = blended(lambda at: 1e-8 * at**4)
+    # Of x^4 a subset of radius r leaves 3/35 r^4 at its centre.
+    assert abs(single.mean()) == pytest.approx(1e-8 * radius**4 * 3.0 / 35.0, rel=0.2)
+    assert abs(error[50:110, 50:110].mean()) < abs(single.mean()) / 6.0
 
 
 def test_a_rigid_shift_is_measured_everywhere() -> None:
