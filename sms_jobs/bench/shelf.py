@@ -17,7 +17,7 @@ from sms_jobs.records.campaign import Campaign, Subject
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.views import view_of
-from sms_jobs.virtual_rig.truth import Truth, exact_truth
+from sms_jobs.virtual_rig.truth import Shape, Truth, exact_shape, exact_truth
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,19 @@ class Shelf:
             kind.checked(output)
             assert isinstance(output, DatasetOutput)
             self.records[kind.makes or kind.name, output.subject] = dict(output.records)
+
+    def record(self, subject: Subject) -> None:
+        """Record a state on the virtual rig, and keep the frames of a tuple in memory."""
+        self.run(simulate.KIND, Subject(subject.campaign, subject.state), simulate.KIND.parameters())
+        for own in subject.recordings:
+            recorded: Measurement = self.records[MEASUREMENT, own]["measurement"]
+            frames = np.stack([recorded.frames.frame(i) for i in range(recorded.frames.shape[0])])
+            self.records[MEASUREMENT, own] = {"measurement": replace(recorded, frames=ArrayStack(frames))}
+
+    def shape(self, subject: Subject) -> Shape:
+        """Return the exact shape at a recorded state."""
+        recorded = self.records[MEASUREMENT, textured_by(subject)]["measurement"]
+        return exact_shape(recorded.simulation, view_of(subject.view).partners, threads=self.threads)
 
     def truth(self, subject: Subject) -> Truth:
         """Return what is exactly true between the reference state and a recorded one."""
@@ -67,10 +80,6 @@ def reconstructed(
         subject = Subject(campaign.name, label, campaign.views[0])
         say(f"recording and measuring {subject}")
         shelf.records[CALIBRATION, subject] = {"calibration": calibration}
-        shelf.run(simulate.KIND, Subject(campaign.name, label), simulate.KIND.parameters())
-        for own in subject.recordings:
-            recorded: Measurement = shelf.records[MEASUREMENT, own]["measurement"]
-            frames = np.stack([recorded.frames.frame(i) for i in range(recorded.frames.shape[0])])
-            shelf.records[MEASUREMENT, own] = {"measurement": replace(recorded, frames=ArrayStack(frames))}
+        shelf.record(subject)
         shelf.run(kind, subject, kind.parameters())
     return shelf, Subject(campaign.name, deformed[-1], campaign.views[0])
