@@ -67,7 +67,7 @@ def _views(rig: ConnectedRig) -> dict[str, dict[str, float]]:
     views: dict[str, dict[str, float]] = {name: {} for name in rig.cameras}
 
     def look(what: str) -> None:
-        rig.trigger.fire(rig.cameras)
+        rig.fire(rig.cameras)
         for name, camera in rig.cameras.items():
             views[name][what] = float(camera.read(FRAME_TIMEOUT_S).image.mean())
 

@@ -24,8 +24,10 @@ from sms_jobs.instruments.optical_drivers import (
     camera_drivers,
     projector_drivers,
 )
-from sms_jobs.instruments.protocols import Camera
+from sms_jobs.instruments.protocols import Camera, Fired, Lamp, SoftwareTrigger, StandingLamp
 from sms_jobs.instruments.recorder import ConnectedRig
+from sms_jobs.instruments.scanners.client import links
+from sms_jobs.instruments.simulated.lamp import RoomLamp
 from sms_jobs.instruments.simulated.optics import Setting, SimulatedCamera, VirtualRoom
 from sms_jobs.instruments.simulated.serial.simulation import SerialSimulation
 from sms_jobs.records.instruments import TriggerController, VideoSplitter
@@ -78,18 +80,21 @@ def connected(
         for device in (*boxes, *switches, *channels):
             open_(device)
         room = None if setting is None else VirtualRoom(setting, clock, angles, threads)
-        cameras, projectors = _sensors_of(rig, DriverContext(clock, stack, room))
+        context = DriverContext(clock, stack, room)
+        cameras, projectors = _sensors_of(rig, context)
+        lamp: Lamp = StandingLamp() if room is None else RoomLamp(room, links(context))
         yield ConnectedRig(
             rig.name,
             cameras,
             projectors,
             clock,
-            WiredTrigger(tuple(zip(boxes, map(_sensors, rig.serial.triggers), strict=True))),
+            WiredTrigger(clock, tuple(zip(boxes, map(_sensors, rig.serial.triggers), strict=True))),
             {c.name: ChannelValue(c) for c in channels},
             stage,
             WiredVideo(tuple(zip(switches, map(_sensors, rig.serial.splitters), strict=True))),
             room.simulation if room is not None and (rig.simulated or _simulated_there(cameras)) else None,
             {name: sensor.describe() for name, sensor in (*cameras.items(), *projectors.items())},
+            lamp,
         )
 
 
@@ -177,26 +182,29 @@ class WiredTrigger:
 
     Attributes
     ----------
+    clock
+        Of the rig.
     boxes
         The controllers, each with the names of the cameras on its outputs.
     """
 
+    clock: Clock
     boxes: tuple[tuple[TriggerBox, frozenset[str]], ...]
 
-    def fire(self, cameras: Mapping[str, Camera]) -> None:
-        """Expose all of them."""
+    def fire(self, cameras: Mapping[str, Camera]) -> dict[str, Fired]:
+        """Expose all of them, and return by name when that was."""
         wired = {name for _, names in self.boxes for name in names if name in cameras}
         # The light of a simulated trigger line reaches a simulated camera by a call; a real one is told
         # beforehand, so that it does not take for an answer what it exposed before.
         simulated = {name for name in wired if isinstance(cameras[name], SimulatedCamera)}
         for name in wired - simulated:
             cameras[name].trigger()
+        fired: dict[str, Fired] = {}
         for box, sensors in self.boxes:
             if names := [name for name in cameras if name in sensors]:
-                box.fire(names)
-        for name, camera in cameras.items():
-            if name in simulated or name not in wired:
-                camera.trigger()
+                fired |= box.fire(names)
+        by_link = {n: camera for n, camera in cameras.items() if n in simulated or n not in wired}
+        return SoftwareTrigger(self.clock).fire(by_link) | fired
 
 
 @dataclass(frozen=True)

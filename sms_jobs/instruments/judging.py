@@ -10,12 +10,18 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.spool import Spooled
+from sms_jobs.metrology.images.image_quality import image_quality
+from sms_jobs.metrology.images.texture_extent import LEAST_CONTRAST
 from sms_jobs.metrology.phase.recording_quality import recording_quality
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.recording import Verdict
 
 LOOKED_AT = (slice(None, None, 4), slice(None, None, 4))
 """The rows and columns of an image that are looked at for the verdict."""
+APART_S = 0.01
+"""In 10 ms a cross-head of 2 mm a minute moves a third of a micrometre, a thousandth of a pixel of 0.3 mm."""
+_DARK = 0.05
+"""Of full scale: an image that is nowhere brighter shows next to nothing of its lens."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +39,18 @@ class Limits:
     channels
         Those that have to be read before and after a set, by name, each with how far it may go meanwhile, in
         its unit; None for any way.
+    apart_s
+        How far apart in time the images of cameras without a projector may be that are to show one state.
+    speckled
+        Whether these show a specimen: of a plain artefact the edges alone stand out.
     """
 
     saturated_fraction: float = 0.02
     lit_fraction: float = 0.01
     recordings: int = 2
     channels: Mapping[str, float | None] = field(default_factory=dict)
+    apart_s: float = APART_S
+    speckled: bool = True
 
     def require_channels(self, rig: str, known: Collection[str]) -> None:
         """Raise `InvalidInput` when a rig does not have a channel that has to be read."""
@@ -66,6 +78,21 @@ def judged(file: Spooled, sequence: FringeSequence, saturated: NDArray[np.bool_]
     return Verdict(quality.lit_fraction, quality.saturated_fraction, quality.modulation)
 
 
+def judged_image(file: Spooled, speckled: bool) -> Verdict:
+    """Judge a finished image without fringes, on all of its pixels."""
+    about = file.header.about
+    found = image_quality(
+        file.frame(0), about["full_scale"], about["gain"], about["read_noise"], areas=speckled
+    )
+    return Verdict(
+        found.lit_fraction,
+        found.saturated_fraction,
+        found.contrast,
+        contrast_to_noise=found.contrast_to_noise,
+        level=found.level,
+    )
+
+
 def wanting(verdict: Verdict, limits: Limits) -> list[str]:
     """Return what images of a set do not keep of the limits."""
     doubts = []
@@ -74,12 +101,35 @@ def wanting(verdict: Verdict, limits: Limits) -> list[str]:
             f"{verdict.saturated_fraction:.0%} of the lit region is saturated, allowed is "
             f"{limits.saturated_fraction:.0%}"
         )
-    if verdict.lit_fraction < limits.lit_fraction:
+    if verdict.lit_fraction < limits.lit_fraction and verdict.level is not None:
+        doubts.append(_nothing_to_match(verdict, verdict.level, limits))
+    elif verdict.lit_fraction < limits.lit_fraction:
         doubts.append(
             f"fringes stand out in {verdict.lit_fraction:.2%} of the image, wanted is "
             f"{limits.lit_fraction:.2%}"
         )
     return doubts
+
+
+def _nothing_to_match(verdict: Verdict, level: float, limits: Limits) -> str:
+    why = (
+        f"99 % of its pixels are below {level:.1%} of full scale: look at lens cap, lamp and exposure"
+        if level < _DARK
+        else "look at focus, light and speckle"
+    )
+    return (
+        f"grey levels scatter by {LEAST_CONTRAST:g} times their noise in {verdict.lit_fraction:.2%} of the "
+        f"image, wanted is {limits.lit_fraction:.2%}; {why}"
+    )
+
+
+def far_apart(cameras: Collection[str], apart_s: float, limits: Limits) -> list[str]:
+    """Return what speaks against images of cameras that are to show one state: they may be of two."""
+    if apart_s <= limits.apart_s:
+        return []
+    names, apart_ms, allowed_ms = " and ".join(cameras), 1e3 * apart_s, 1e3 * limits.apart_s
+    words = f"{names} were exposed up to {apart_ms:.3g} ms apart, allowed is {allowed_ms:.3g} ms"
+    return [f"{words}: trigger them by one wire, or allow more by apart_ms if nothing moves"]
 
 
 def drifted(

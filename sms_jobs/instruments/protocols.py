@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.devices.device import Status
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.measurement import FringeSequence, Measurement
@@ -30,6 +31,28 @@ class Recorder(Protocol):
 
 
 @dataclass(frozen=True)
+class Fired:
+    """When a camera began to expose, as well as that is known, by the clock of the rig.
+
+    Attributes
+    ----------
+    not_before_s, not_after_s
+        Cameras that one wire exposes have the same.
+    """
+
+    not_before_s: float
+    not_after_s: float
+
+
+def apart_s(fired: Iterable[Fired]) -> float:
+    """Return how far apart cameras may have begun to expose, at most; 0 where one signal exposed them all."""
+    known = set(fired)
+    if len(known) < 2:
+        return 0.0
+    return max(f.not_after_s for f in known) - min(f.not_before_s for f in known)
+
+
+@dataclass(frozen=True)
 class Frame:
     """One image as a camera delivered it.
 
@@ -41,11 +64,15 @@ class Frame:
         When it was exposed, by the clock of the rig.
     image
         (rows, columns), uint8 or uint16.
+    fired
+        When it was, of a camera that does not wait for its trigger, or is triggered by another computer; None
+        where whoever triggered it here knows.
     """
 
     number: int
     time_s: float
     image: NDArray[Any]
+    fired: Fired | None = None
 
 
 @dataclass(frozen=True)
@@ -161,18 +188,47 @@ class Stage(Protocol):
 class Trigger(Protocol):
     """What makes the cameras of a rig expose together."""
 
-    def fire(self, cameras: Mapping[str, Camera]) -> None:
-        """Expose all of them."""
+    def fire(self, cameras: Mapping[str, Camera]) -> Mapping[str, Fired]:
+        """Expose all of them, and return by name when that was."""
         ...
 
 
+@dataclass(frozen=True)
 class SoftwareTrigger:
-    """Triggers the cameras one after the other over their own links."""
+    """Triggers the cameras one right after the other over their own links."""
 
-    def fire(self, cameras: Mapping[str, Camera]) -> None:
+    clock: Clock
+
+    def fire(self, cameras: Mapping[str, Camera]) -> dict[str, Fired]:
         """Expose all of them."""
-        for camera in cameras.values():
+        fired = {}
+        for name, camera in cameras.items():
+            begun = self.clock.monotonic()
             camera.trigger()
+            fired[name] = Fired(begun, self.clock.monotonic())
+        return fired
+
+
+class Lamp(Protocol):
+    """What lights a specimen whose texture is recorded without a projector."""
+
+    def on(self) -> None:
+        """Light it; the light is there when this returns."""
+        ...
+
+    def off(self) -> None:
+        """Light it no more, whatever state it is in."""
+        ...
+
+
+class StandingLamp:
+    """A lamp that nobody switches from here: it shines, or somebody has forgotten it."""
+
+    def on(self) -> None:
+        """Do nothing: it shines."""
+
+    def off(self) -> None:
+        """Do nothing."""
 
 
 class Video(Protocol):

@@ -1,4 +1,4 @@
-"""Projectors in turn, all of their cameras at once: how a state is recorded with instruments.
+"""Projectors in turn, all of their cameras at once, then the cameras without one: how a state is recorded.
 
 Frames go to the spool as they come, so that a set that breaks off loses nothing of what was complete. What
 is wrong with a set is found while the specimen is still held: a frame that a camera did not deliver is
@@ -7,52 +7,56 @@ taken again at once, and a set that is saturated or dark as often as the order a
 
 from __future__ import annotations
 
-import json
 import logging
 import shutil
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import TypeAdapter
 
-from sms_jobs.errors import FrameLost, InstrumentError, InvalidInput, StorageFull
+from sms_jobs.errors import DeviceFault, FrameLost, InstrumentError, InvalidInput, StorageFull
 from sms_jobs.instruments.clock import Clock
-from sms_jobs.instruments.judging import LOOKED_AT, Limits, drifted, judged, wanting
+from sms_jobs.instruments.judging import Limits, drifted, far_apart, judged, judged_image, wanting
+from sms_jobs.instruments.kept_sets import (
+    SIMULATION,
+    Finished,
+    SetWriter,
+    frames_of,
+    keep,
+    kept,
+    new_path,
+    set_aside_interrupted,
+)
 from sms_jobs.instruments.protocols import (
     Camera,
+    CameraFacts,
     Channel,
     DirectVideo,
+    Fired,
     Frame,
+    Lamp,
     Projector,
     SoftwareTrigger,
     Stage,
+    StandingLamp,
     Trigger,
     Video,
+    apart_s,
 )
-from sms_jobs.instruments.spool import Spooled, SpooledFrames, SpoolHeader, SpoolWriter
-from sms_jobs.records.measurement import FringeSequence, Measurement
-from sms_jobs.records.recording import InterruptedRecording, Recording, Verdict
+from sms_jobs.instruments.spool import Spooled, SpoolHeader
+from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.recording import Verdict
 from sms_jobs.records.scene import Simulation
 from sms_jobs.records.views import view_of
 
 FRAME_TIMEOUT_S = 5.0
 _TRIES = 3
 """How often a pattern is projected before a camera that misses it is given up."""
-_SYNC_EVERY_S = 1.0
-_WAITING_FRAMES = 4
-"""Of each camera that may wait for the disk."""
-_SIMULATION = TypeAdapter(Simulation)
-_FRAMES = ".frames"
-_INTERRUPTED = ".interrupted"
 
 logger = logging.getLogger(__name__)
 
@@ -70,7 +74,7 @@ class ConnectedRig:
     clock
         Of the rig.
     trigger
-        What makes the cameras expose.
+        What makes the cameras expose; None for a trigger over the link of each.
     channels
         Scalar readings, by name.
     stage
@@ -81,18 +85,25 @@ class ConnectedRig:
         What a view truly sees now; None for real instruments.
     described
         What each sensor said of itself when it was connected, by name.
+    lamp
+        What lights a specimen that is recorded without a projector.
     """
 
     name: str
     cameras: Mapping[str, Camera]
     projectors: Mapping[str, Projector]
     clock: Clock
-    trigger: Trigger = field(default_factory=SoftwareTrigger)
+    trigger: Trigger | None = None
     channels: Mapping[str, Channel] = field(default_factory=dict)
     stage: Stage | None = None
     video: Video = field(default_factory=DirectVideo)
     simulation: Callable[[str], Simulation] | None = None
     described: Mapping[str, str] = field(default_factory=dict)
+    lamp: Lamp = field(default_factory=StandingLamp)
+
+    def fire(self, cameras: Mapping[str, Camera]) -> Mapping[str, Fired]:
+        """Expose some cameras together, and return by name when that was."""
+        return (self.trigger or SoftwareTrigger(self.clock)).fire(cameras)
 
     def read_channels(self) -> dict[str, float]:
         """Return what every channel reads now."""
@@ -113,13 +124,14 @@ def record_state(
     Parameters
     ----------
     views
-        Such as C1P1, in order of their projectors.
+        Such as C1P1, in order of their projectors; cameras without one, such as C1, are recorded last, all
+        of them at once, and all of them again where one of them is not there.
     spool
-        Folder of the job; it holds one file a view afterwards, see `finished` and `recorded`.
+        Folder of the job; it holds one file a view afterwards, see `kept_sets`.
     progress
         Told a fraction and a few words; may raise to stop the recording, which leaves the projectors dark.
     texture_exposure
-        Of the white frame, in units of the camera's own.
+        Of the white frame, and of images without a projector, in units of the camera's own.
 
     Raises
     ------
@@ -132,129 +144,101 @@ def record_state(
     """
     limits.require_channels(rig.name, rig.channels)
     spool.mkdir(parents=True, exist_ok=True)
-    _set_aside_interrupted(spool)
-    by_projector = _by_projector(rig, [p for p in views if not is_finished(spool, p)])
-    _require_room(rig, by_projector, sequence.frames + 1, spool)
+    set_aside_interrupted(spool)
+    there = kept(spool)
+    missing = [view for view in views if view not in there]
+    _require_sensors(rig, missing)
+    _require_room(rig, missing, sequence, spool)
+    lamplit = [view for view in views if not view_of(view).projectors]
+    # Images that are to show one state are recorded at one time, whichever of them was lost.
+    sets: list[_Set] = [
+        _FringeSet(rig, cameras, sequence, texture_exposure, spool, limits, projector=projector)
+        for projector, cameras in _by_projector(missing).items()
+    ]
+    if any(view in missing for view in lamplit):
+        sets.append(_LampSet(rig, tuple(lamplit), sequence, texture_exposure, spool, limits))
     with ExitStack() as stack:
+        stack.callback(_quietly, rig.lamp.off)
         for projector in rig.projectors.values():
             stack.callback(_quietly, projector.dark)
         for camera in rig.cameras.values():
             stack.callback(_quietly, camera.disarm)
-        for number, (name, cameras) in enumerate(by_projector.items()):
+        for number, one in enumerate(sets):
 
             def part(fraction: float, words: str, number: int = number) -> None:
-                progress((number + fraction) / len(by_projector), words)
+                progress((number + fraction) / len(sets), words)
 
-            for attempt in range(1, limits.recordings + 1):
-                taken = _Set(rig, name, cameras, sequence, texture_exposure, spool, attempt)
-                doubts = taken.record(limits, part)
-                for words in doubts:
-                    logger.warning("%s", words)
-                if not doubts:
-                    break
+            _until_good(one, part)
 
 
-def is_finished(spool: Path, view: str) -> bool:
-    """Say whether a whole set of a view is in the spool."""
-    return _facts_path(spool, view).is_file()
-
-
-def recorded(spool: Path, view: str, sequence: FringeSequence) -> tuple[Measurement, Recording]:
-    """Return a finished set; its frames are read from the spool as they are asked for."""
-    facts = json.loads(_facts_path(spool, view).read_text(encoding="utf-8"))
-    file = Spooled(spool / facts["file"])
-    about = file.header.about
-    numbers, times = file.numbers_and_times(file.complete)
-    measurement = Measurement(
-        file.header.recorded_at,
-        sequence,
-        about["full_scale"],
-        about["gain"],
-        about["read_noise"],
-        file.frame(sequence.frames).astype(np.uint16),
-        SpooledFrames(file, sequence.frames),
-        None if about["simulation"] is None else _SIMULATION.validate_python(about["simulation"]),
-    )
-    return measurement, Recording(
-        about["rig"],
-        Verdict(**{**facts["verdict"], "doubts": tuple(facts["verdict"]["doubts"])}),
-        facts["retaken"],
-        facts["recordings"],
-        about["channels"],
-        facts["channels"],
-        None if about["stage_rad"] is None else tuple(about["stage_rad"]),
-        numbers=numbers,
-        times_s=times,
-    )
-
-
-def interrupted(spool: Path, view: str, sequence: FringeSequence) -> list[InterruptedRecording]:
-    """Return the sets of a view that broke off after one complete frame or more, in order."""
-    found = []
-    for path in _files(spool, view):
-        file = Spooled(path)
-        count = min(file.complete, sequence.frames)
-        if path.suffix == _INTERRUPTED and count:
-            numbers, times = file.numbers_and_times(count)
-            full_scale = file.header.about["full_scale"]
-            frames = SpooledFrames(file, count)
-            found.append(
-                InterruptedRecording(file.header.recorded_at, sequence, full_scale, numbers, times, frames)
-            )
-    return found
+def _until_good(one: _Set, progress: Callable[[float, str], None]) -> None:
+    """Record a set until nothing is wrong with it, as often as it may be."""
+    for attempt in range(1, one.limits.recordings + 1):
+        doubts = replace(one, attempt=attempt).record(progress)
+        for words in doubts:
+            logger.warning("%s", words)
+        if not doubts:
+            return
 
 
 @dataclass
-class _Set:
-    """One set: a projector's patterns, seen by its cameras."""
+class _Set(ABC):
+    """What some cameras record together."""
 
     rig: ConnectedRig
-    projector: str
     cameras: tuple[str, ...]
     sequence: FringeSequence
     texture_exposure: float
     spool: Path
-    attempt: int
-    _retaken: int = 0
-    _next_number: dict[str, int] = field(default_factory=dict)
+    limits: Limits
+    attempt: int = 1
+    _retaken: int = field(default=0, init=False)
+    _next_number: dict[str, int] = field(default_factory=dict, init=False)
+    _fired: tuple[Fired, ...] = field(default=(), init=False)
+    """When its last frames were exposed."""
 
-    def record(self, limits: Limits, progress: Callable[[float, str], None]) -> tuple[str, ...]:
+    def record(self, progress: Callable[[float, str], None]) -> tuple[str, ...]:
         """Record the set and return what is wrong with it, in words."""
-        rig, sequence = self.rig, self.sequence
+        rig = self.rig
         begun, channels = rig.clock.now(), rig.read_channels()
         zero = rig.clock.monotonic()
-        projector = rig.projectors[self.projector]
-        rig.video.feed(self.projector)
-        projector.load(sequence)
+        self.prepare()
         with ExitStack() as stack:
             writers = {
                 camera: stack.enter_context(self._writer(camera, begun, channels)) for camera in self.cameras
             }
-            done, total = 0, sequence.frames + 1
-            for exposure in sequence.exposures:
-                self._arm(exposure)
-                looked_at = exposure == min(sequence.exposures)  # the others may saturate
-                for pattern in range(sequence.frames_per_exposure):
-                    self._take(partial(projector.show, pattern), writers, zero, looked_at)
-                    done += 1
-                    progress(done / total, f"recording {self.projector}: frame {done} of {total}")
-            self._arm(self.texture_exposure)
-            self._take(projector.white, writers, zero, looked_at=False)
-            projector.dark()
+            self.take_all(writers, zero, progress)
         after = rig.read_channels()
         units = {name: channel.unit for name, channel in rig.channels.items()}
-        moved = drifted(channels, after, units, limits)
-        doubts: list[str] = []
-        for camera in self.cameras:
-            doubts += self._finish(camera, writers[camera].saturated, after, limits, moved)
-        return tuple(doubts)
+        moved = drifted(channels, after, units, self.limits)
+        return self.finish(writers, after, moved)
+
+    @abstractmethod
+    def view(self, camera: str) -> str:
+        """Return what a camera records here."""
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Have the light ready."""
+
+    @abstractmethod
+    def take_all(
+        self, writers: Mapping[str, SetWriter], zero: float, progress: Callable[[float, str], None]
+    ) -> None:
+        """Take every frame; times are those since `zero`."""
+
+    @abstractmethod
+    def finish(
+        self, writers: Mapping[str, SetWriter], channels: dict[str, float], moved: list[str]
+    ) -> tuple[str, ...]:
+        """Judge what was taken, mark it as whole, and return what is wrong with it."""
 
     def _arm(self, exposure: float) -> None:
         for camera in self.cameras:
             self.rig.cameras[camera].arm(exposure)
 
-    def _writer(self, camera: str, begun: datetime, channels: dict[str, float]) -> _Writer:
-        facts, stage = self.rig.cameras[camera].facts, self.rig.stage
+    def _writer(self, camera: str, begun: datetime, channels: dict[str, float]) -> SetWriter:
+        facts, stage, view = self.rig.cameras[camera].facts, self.rig.stage, self.view(camera)
         about = {
             "rig": self.rig.name,
             "full_scale": facts.full_scale,
@@ -265,13 +249,13 @@ class _Set:
             "simulation": None,
         }
         if self.rig.simulation is not None:
-            truth = self.rig.simulation(camera + self.projector)
-            about["simulation"] = _SIMULATION.dump_python(truth, mode="json")
-        header = SpoolHeader(begun, facts.rows, facts.columns, facts.dtype, self.sequence.frames + 1, about)
-        return _Writer(_new_path(self.spool, camera + self.projector), header, self.rig.clock)
+            about["simulation"] = SIMULATION.dump_python(self.rig.simulation(view), mode="json")
+        frames = frames_of(view, self.sequence)
+        header = SpoolHeader(begun, facts.rows, facts.columns, facts.dtype, frames, about)
+        return SetWriter(new_path(self.spool, view), header, self.rig.clock)
 
     def _take(
-        self, show: Callable[[], None], writers: Mapping[str, _Writer], zero: float, looked_at: bool
+        self, show: Callable[[], None], writers: Mapping[str, SetWriter], zero: float, looked_at: bool
     ) -> None:
         """Show a pattern and keep what every camera sees of it; show it again when one misses it."""
         for tries in range(1, _TRIES + 1):
@@ -284,7 +268,7 @@ class _Set:
                     raise InstrumentError(
                         f"{error}, {_TRIES} times one after the other; check the camera's link"
                     ) from error
-                logger.warning("%s; the pattern is shown again", error)
+                logger.warning("%s; it is taken again", error)
                 self._retaken += 1
         for camera, frame in frames.items():
             writers[camera].append(frame.number, frame.time_s - zero, frame.image, looked_at)
@@ -292,7 +276,7 @@ class _Set:
     def _frames(self) -> dict[str, Frame]:
         """Trigger all cameras and return what they deliver; raise `FrameLost` when one delivers nothing."""
         cameras = {name: self.rig.cameras[name] for name in self.cameras}
-        self.rig.trigger.fire(cameras)
+        fired = self.rig.fire(cameras)
         frames, lost = {}, None
         for name, camera in cameras.items():  # all are read, so that none is a frame behind afterwards
             try:
@@ -301,130 +285,161 @@ class _Set:
                 lost = error
                 self._next_number.pop(name, None)  # the camera may have counted the lost frame, or not
                 continue
+            _require_size(name, frames[name], camera.facts)
             expected = self._next_number.get(name, frames[name].number)
             self._next_number[name] = frames[name].number + 1
             if frames[name].number != expected:
                 lost = FrameLost(f"camera {name} went from frame {expected - 1} to {frames[name].number}")
         if lost is not None:
             raise lost
+        self._fired = tuple(frame.fired or fired[name] for name, frame in frames.items())
         return frames
 
-    def _finish(
+    def _finished(
         self,
-        camera: str,
-        saturated: NDArray[np.bool_],
+        view: str,
+        writer: SetWriter,
+        verdict: Verdict,
         channels: dict[str, float],
-        limits: Limits,
-        moved: list[str],
-    ) -> list[str]:
-        """Judge a camera's set and mark it as finished; return what is wrong with it."""
-        view = camera + self.projector
-        path = _newest(self.spool, view)
-        verdict = judged(Spooled(path), self.sequence, saturated)
-        doubts = [f"{view}: {words}" for words in (*wanting(verdict, limits), *moved)]
-        facts = {
-            "file": path.name,
-            "verdict": vars(replace(verdict, doubts=tuple(doubts))),
-            "retaken": self._retaken,
-            "recordings": self.attempt,
-            "channels": channels,
+        more: Iterable[str],
+        apart: float | None = None,
+    ) -> Finished:
+        """Return what is known of the set of a view; `more` is what speaks against it besides its frames."""
+        doubts = tuple(f"{view}: {words}" for words in (*wanting(verdict, self.limits), *more))
+        judged_so = replace(verdict, doubts=doubts)
+        return Finished(writer.path, judged_so, self._retaken, self.attempt, channels, apart)
+
+
+@dataclass
+class _FringeSet(_Set):
+    """A projector's patterns, and white, seen by its cameras."""
+
+    projector: str = ""
+
+    def view(self, camera: str) -> str:
+        """Return a view such as C1P1."""
+        return camera + self.projector
+
+    def prepare(self) -> None:
+        """Have the projector ready."""
+        self.rig.video.feed(self.projector)
+        self.rig.projectors[self.projector].load(self.sequence)
+
+    def take_all(
+        self, writers: Mapping[str, SetWriter], zero: float, progress: Callable[[float, str], None]
+    ) -> None:
+        """Take exposure by exposure, pattern by pattern, white at last."""
+        projector, sequence = self.rig.projectors[self.projector], self.sequence
+        done, total = 0, sequence.frames + 1
+        for exposure in sequence.exposures:
+            self._arm(exposure)
+            looked_at = exposure == min(sequence.exposures)  # the others may saturate
+            for pattern in range(sequence.frames_per_exposure):
+                self._take(partial(projector.show, pattern), writers, zero, looked_at)
+                done += 1
+                progress(done / total, f"recording {self.projector}: frame {done} of {total}")
+        self._arm(self.texture_exposure)
+        self._take(projector.white, writers, zero, looked_at=False)
+        projector.dark()
+
+    def finish(
+        self, writers: Mapping[str, SetWriter], channels: dict[str, float], moved: list[str]
+    ) -> tuple[str, ...]:
+        """Judge fringes; each camera's set counts for itself."""
+        doubts: list[str] = []
+        for camera, writer in writers.items():
+            view = self.view(camera)
+            verdict = judged(Spooled(writer.path), self.sequence, writer.saturated)
+            finished = self._finished(view, writer, verdict, channels, moved)
+            keep({view: finished}, together=False)
+            doubts += finished.verdict.doubts
+        return tuple(doubts)
+
+
+@dataclass
+class _LampSet(_Set):
+    """One image of every camera that has no projector: what they see at one moment."""
+
+    def view(self, camera: str) -> str:
+        """Return a view such as C1."""
+        return camera
+
+    def prepare(self) -> None:
+        """Have the lamp on."""
+        self.rig.lamp.on()
+
+    def take_all(
+        self, writers: Mapping[str, SetWriter], zero: float, progress: Callable[[float, str], None]
+    ) -> None:
+        """Take the images."""
+        self._arm(self.texture_exposure)
+        self._take(lambda: None, writers, zero, looked_at=False)
+        self.rig.lamp.off()
+        progress(1.0, f"recording {', '.join(self.cameras)}: one image each")
+
+    def finish(
+        self, writers: Mapping[str, SetWriter], channels: dict[str, float], moved: list[str]
+    ) -> tuple[str, ...]:
+        """Judge the images, and whether they show one state; they count together."""
+        apart = apart_s(self._fired)
+        more = [*far_apart(self.cameras, apart, self.limits), *moved]
+        found = {
+            camera: self._finished(
+                camera,
+                writer,
+                judged_image(Spooled(writer.path), self.limits.speckled),
+                channels,
+                more,
+                apart,
+            )
+            for camera, writer in writers.items()
         }
-        marker = _facts_path(self.spool, view)
-        beside = marker.with_suffix(".new")
-        beside.write_text(json.dumps(facts), encoding="utf-8")
-        before = json.loads(marker.read_text(encoding="utf-8"))["file"] if marker.is_file() else None
-        beside.replace(marker)
-        if before is not None:
-            (self.spool / before).unlink()
-        return doubts
+        keep(found, together=True)
+        return tuple(words for one in found.values() for words in one.verdict.doubts)
 
 
-class _Writer:
-    """Writes frames from a thread of its own, so that the next pattern need not wait for the disk."""
-
-    def __init__(self, path: Path, header: SpoolHeader, clock: Clock) -> None:
-        self._file = SpoolWriter(path, header)
-        self._clock = clock
-        self._synced = clock.monotonic()
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="spool")
-        self._pending: deque[Future[None]] = deque()
-        self._full_scale = header.about["full_scale"]
-        self.saturated = np.zeros((header.rows, header.columns), np.bool_)[LOOKED_AT]
-
-    def append(self, number: int, time_s: float, image: NDArray[Any], looked_at: bool) -> None:
-        """Have a frame written and looked at; raise `StorageFull` when one before could not be."""
-        while len(self._pending) >= _WAITING_FRAMES:
-            self._pending.popleft().result()
-        if looked_at:
-            self.saturated |= image[LOOKED_AT] >= self._full_scale
-        self._pending.append(self._thread.submit(self._file.append, number, time_s, image))
-        if self._clock.monotonic() > self._synced + _SYNC_EVERY_S:
-            self._synced = self._clock.monotonic()
-            self._pending.append(self._thread.submit(self._file.sync))
-
-    def __enter__(self) -> _Writer:
-        return self
-
-    def __exit__(self, *problem: object) -> None:
-        try:
-            while self._pending:
-                self._pending.popleft().result()
-        finally:
-            self._thread.shutdown()
-            self._file.close()
+def _require_size(camera: str, frame: Frame, facts: CameraFacts) -> None:
+    """Raise `DeviceFault` for an image that is not as large as its camera said."""
+    rows, columns = frame.image.shape
+    if (rows, columns) != (facts.rows, facts.columns):
+        raise DeviceFault(
+            f"camera {camera} delivers an image of {columns} x {rows} px, announced were {facts.columns} x "
+            f"{facts.rows}: set it up as the rig file says"
+        )
 
 
-def _by_projector(rig: ConnectedRig, views: Sequence[str]) -> dict[str, tuple[str, ...]]:
+def _require_sensors(rig: ConnectedRig, views: Sequence[str]) -> None:
+    """Raise `InvalidInput` for a view that a rig has not the sensors for."""
+    known = (*rig.cameras, *rig.projectors)
+    for view in map(view_of, views):
+        for name in view.sensors:
+            if name not in known:
+                raise InvalidInput(
+                    f"rig {rig.name} has no {name} for the view {view}; it has {', '.join(known)}"
+                )
+
+
+def _by_projector(views: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return the cameras of each projector, both in the order of the views."""
     found: dict[str, tuple[str, ...]] = {}
     for view in map(view_of, views):
-        camera, projector = view.camera, view.projector
-        for name, known in ((camera, rig.cameras), (projector, rig.projectors)):
-            if name not in known:
-                raise InvalidInput(
-                    f"rig {rig.name} has no {name} for the view {view}; it has "
-                    f"{', '.join([*rig.cameras, *rig.projectors])}"
-                )
-        found[projector] = (*found.get(projector, ()), camera)
+        for projector in view.projectors:
+            found[projector] = (*found.get(projector, ()), view.camera)
     return found
 
 
-def _require_room(
-    rig: ConnectedRig, by_projector: Mapping[str, tuple[str, ...]], frames: int, spool: Path
-) -> None:
-    """Raise `StorageFull` when sets of so many frames have no room, before a load is held for them."""
-    facts = [rig.cameras[camera].facts for cameras in by_projector.values() for camera in cameras]
-    needed = sum(frames * f.rows * f.columns * np.dtype(f.dtype).itemsize for f in facts)
+def _require_room(rig: ConnectedRig, views: Sequence[str], sequence: FringeSequence, spool: Path) -> None:
+    """Raise `StorageFull` when some views have no room, before a load is held for them."""
+    needed = 0
+    for view in views:
+        facts = rig.cameras[view_of(view).camera].facts
+        needed += frames_of(view, sequence) * facts.rows * facts.columns * np.dtype(facts.dtype).itemsize
     free = shutil.disk_usage(spool).free
     if needed > free:
         raise StorageFull(
             f"the disk of the spool, {spool}, has {free / 1e6:.0f} MB left, and the frames of this state "
             f"need {needed / 1e6:.0f} MB; free some space"
         )
-
-
-def _set_aside_interrupted(spool: Path) -> None:
-    """Mark the files of sets that broke off, so that nobody takes them for more than they are."""
-    kept = {json.loads(p.read_text(encoding="utf-8"))["file"] for p in spool.glob("*.json")}
-    for path in spool.glob(f"*{_FRAMES}"):
-        if path.name not in kept:
-            path.rename(path.with_suffix(_INTERRUPTED))
-
-
-def _facts_path(spool: Path, view: str) -> Path:
-    return spool / f"{view}.json"
-
-
-def _files(spool: Path, view: str) -> list[Path]:
-    return sorted(spool.glob(f"{view}.[0-9]*"))
-
-
-def _new_path(spool: Path, view: str) -> Path:
-    return spool / f"{view}.{len(_files(spool, view)) + 1:03d}{_FRAMES}"
-
-
-def _newest(spool: Path, view: str) -> Path:
-    return _files(spool, view)[-1]
 
 
 def _quietly(what: Callable[[], None]) -> None:

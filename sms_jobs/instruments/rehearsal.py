@@ -20,7 +20,8 @@ from sms_jobs.errors import InstrumentError
 from sms_jobs.instruments.clock import Clock, SimulatedClock
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.judging import Limits
-from sms_jobs.instruments.protocols import Camera, CameraFacts, Frame, Trigger
+from sms_jobs.instruments.kept_sets import frames_of
+from sms_jobs.instruments.protocols import Camera, CameraFacts, Fired, Frame
 from sms_jobs.instruments.recorder import ConnectedRig, record_state
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.instruments import Instruments, SerialChannel, Stage, TriggerController, VideoSplitter
@@ -62,11 +63,13 @@ def rehearse(
     """
     silent = _simulated(rig)
     recording_s = _sets(rig, silent, views, sequence, texture_exposure)
-    frames = len(views) * (sequence.frames + 1)
+    frames = sum(frames_of(view, sequence) for view in views)
     sizes = {c.name: c.rows * c.columns for c in rig.cameras}
     sets: Counter[str] = Counter()
-    for view in map(view_of, views):
-        sets[view.projector] += (sequence.frames + 1) * sizes[view.camera] * BYTES_A_PIXEL
+    for name in views:
+        view = view_of(name)
+        # Cameras without a projector are one set.
+        sets["".join(view.projectors)] += frames_of(name, sequence) * sizes[view.camera] * BYTES_A_PIXEL
     return tuple(
         StateRehearsal(moving_s, recording_s, frames, sets.total(), max(sets.values()), problem)
         for moving_s, problem in _moves(rig, silent, poses)
@@ -87,7 +90,7 @@ def _sets(
             found,
             cameras={c.name: _TimedCamera(clock, c.exposure_s) for c in rig.cameras},
             projectors={p.name: _TimedProjector(clock, p.settle_s) for p in rig.projectors},
-            trigger=_TimedTrigger(found.trigger),
+            trigger=_TimedTrigger(found),
         )
         begun = clock.monotonic()
         spool = Path(folder) / "spool"
@@ -184,12 +187,13 @@ class _TimedCamera:
 class _TimedTrigger:
     """Exposes cameras when the real trigger would have, by whichever wire."""
 
-    trigger: Trigger
+    wired: ConnectedRig
 
-    def fire(self, cameras: Mapping[str, Camera]) -> None:
-        self.trigger.fire(cameras)
+    def fire(self, cameras: Mapping[str, Camera]) -> Mapping[str, Fired]:
+        fired = self.wired.fire(cameras)
         for camera in cameras.values():
             camera.trigger()
+        return fired
 
 
 @dataclass

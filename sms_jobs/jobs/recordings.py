@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow, StatisticRow
 from sms_jobs.errors import InvalidInput
+from sms_jobs.instruments.kept_sets import forget, kept
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND, stage_angles
@@ -99,11 +99,11 @@ def open_recordings(session: Session, spool: Path) -> list[OpenRecording]:
     )
     found = []
     for row in rows:
-        facts = _facts(spool / row.id)
-        doubts = tuple(d for f in facts.values() for d in f["verdict"]["doubts"])
+        finished = kept(spool / row.id)
+        doubts = tuple(words for one in finished.values() for words in one.verdict.doubts)
         found.append(
             OpenRecording(
-                row.id, row.subject, row.state, row.error or row.message or "", tuple(facts), doubts
+                row.id, row.subject, row.state, row.error or row.message or "", tuple(finished), doubts
             )
         )
     return found
@@ -197,11 +197,7 @@ def state_value(state: LoadState, channel: str) -> float:
 
 def forget_doubtful(spool: Path) -> list[str]:
     """Have the doubtful sets of a job recorded again; their frames stay. Return their views."""
-    doubtful = [view for view, facts in _facts(spool).items() if facts["verdict"]["doubts"]]
+    doubtful = [view for view, one in kept(spool).items() if one.verdict.doubts]
     for view in doubtful:
-        (spool / f"{view}.json").unlink()
+        forget(spool, view)
     return doubtful
-
-
-def _facts(spool: Path) -> dict[str, dict[str, dict[str, list[str]]]]:
-    return {p.stem: json.loads(p.read_text(encoding="utf-8")) for p in sorted(spool.glob("*.json"))}

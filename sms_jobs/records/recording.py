@@ -28,19 +28,27 @@ class Verdict:
     ----------
     lit_fraction
         Part of the image that the projector lights: where fringes stand out from noise, or where white
-        saturates.
+        saturates. Without a projector, where texture stands out from noise.
     saturated_fraction
-        Part of the lit region that is saturated in one of the fringe frames that were looked at.
+        Part of the lit region that is saturated in one of the fringe frames that were looked at, or in the
+        image.
     modulation
-        Median of the fringes' amplitude in the lit region, as a fraction of full scale.
+        Median of the fringes' amplitude in the lit region, as a fraction of full scale; without fringes that
+        of the texture's standard deviation.
     doubts
         What an operator should know, in words; empty for a recording without blemish.
+    contrast_to_noise
+        Of an image without fringes: the texture's standard deviation over that of noise; None for fringes.
+    level
+        Of an image without fringes: what 99 % of its pixels are below, as a fraction of full scale.
     """
 
     lit_fraction: float
     saturated_fraction: float
     modulation: float
     doubts: tuple[str, ...] = ()
+    contrast_to_noise: float | None = None
+    level: float | None = None
 
 
 @dataclass(frozen=True)
@@ -61,6 +69,9 @@ class Recording:
         Scalar channels read before and after the set, by name, in the unit of their name.
     stage_rad
         Pan and tilt as the stage read them; None where there is none, or it had not been home.
+    apart_s
+        How far apart, at most, the cameras that recorded this state without a projector were exposed; None
+        for fringes.
     numbers
         What each camera frame was numbered by the camera: fringe frames in order, then the white frame.
     times_s
@@ -74,6 +85,7 @@ class Recording:
     channels_before: dict[str, float] = field(default_factory=dict)
     channels_after: dict[str, float] = field(default_factory=dict)
     stage_rad: tuple[float, float] | None = None
+    apart_s: float | None = None
     numbers: NDArray[np.int64] = array("1", "number that the camera gave the frame", PER_FRAME, kw_only=True)
     times_s: NDArray[np.float64] = array(
         "s", "time since the start of the recording", PER_FRAME, kw_only=True

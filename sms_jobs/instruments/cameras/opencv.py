@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sms_jobs.errors import DeviceFault, FrameLost, InvalidInput, LinkLost
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.optical_drivers import CameraDriver, DriverContext
-from sms_jobs.instruments.protocols import CameraFacts, Frame
+from sms_jobs.instruments.protocols import CameraFacts, Fired, Frame
 from sms_jobs.instruments.real_cameras import RealCamera, checked_image
 
 _EXPOSURE_UNIT_MS = 0.1
@@ -147,13 +147,14 @@ class OpencvCamera:
         begun = self._clock.monotonic()
         for _ in range(self._settings.discarded):
             self._grab()
+        last = self._clock.monotonic()  # when the frame before had come
         image = self._next()
         now = self._clock.monotonic()
         allowed = timeout_s + (self._settings.discarded + 1) * self._exposure_s
         if now > begun + allowed:
             raise FrameLost(f"camera {name} took {now - begun:.3g} s for a frame, more than {allowed:.3g} s")
         self._number += 1
-        return Frame(self._number, now, checked_image(name, image, self.facts))
+        return Frame(self._number, now, checked_image(name, image, self.facts), Fired(last, now))
 
     def disarm(self) -> None:
         """Forget what was asked for."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.optical_drivers import CameraDriver, DriverContext
-from sms_jobs.instruments.protocols import CameraFacts, Frame
+from sms_jobs.instruments.protocols import CameraFacts, Fired, Frame
 from sms_jobs.instruments.scanners.client import link_to
 from sms_jobs.instruments.scanners.link import Address, ScannerLink
 from sms_jobs.records.optical_instruments import CameraInstrument
@@ -95,7 +95,8 @@ class ScannerCamera:
         reply, data = self.link.ask("read", timeout_s + _TRANSFER_S, camera=self.name, timeout_s=timeout_s)
         facts = self.facts
         image = np.frombuffer(data, facts.dtype).reshape(facts.rows, facts.columns)
-        return Frame(int(reply["number"]), float(reply["time_s"]) + self.link.behind_s, image)
+        time_s, *fired = (float(t) + self.link.behind_s for t in (reply["time_s"], *reply["fired_s"]))
+        return Frame(int(reply["number"]), time_s, image, Fired(*fired))
 
     def disarm(self) -> None:
         """Stop taking frames."""

@@ -10,6 +10,7 @@ from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.devices.device import Description, Status, at_once
 from sms_jobs.instruments.drivers.line_device import LineDevice
 from sms_jobs.instruments.operation_log import OperationLog
+from sms_jobs.instruments.protocols import Fired
 from sms_jobs.records.instruments import TriggerController, VideoSplitter
 from sms_jobs.records.operations import Reading
 
@@ -28,6 +29,7 @@ class TriggerBox:
         self._clock = clock
         self._log = log or OperationLog(clock)
         self._selected: tuple[int, ...] = ()
+        self._fired: dict[int, Fired] = {}
         self._unconfirmed = 0
 
     @property
@@ -96,13 +98,15 @@ class TriggerBox:
         def fire() -> None:
             with self._log.operation(self.name, "trigger", ", ".join(map(str, outputs))):
                 # A request that names no output triggers whatever is selected, once.
-                requests = [self._settings.trigger.format(output=output) for output in outputs]
-                for request in dict.fromkeys(requests):
-                    self._send_once(request)
+                requests = {output: self._settings.trigger.format(output=output) for output in outputs}
+                sent = {request: self._send_once(request) for request in dict.fromkeys(requests.values())}
+                self._fired = {output: sent[request] for output, request in requests.items()}
 
         return at_once(f"'{self.name}' to trigger", fire, self._clock)
 
-    def _send_once(self, request: str) -> None:
+    def _send_once(self, request: str) -> Fired:
+        """Send a request and return between which moments the box did what it says."""
+        begun = self._clock.monotonic()
         try:
             self._line.request(request, retries=0)
         except LinkLost:
@@ -114,11 +118,15 @@ class TriggerBox:
             )
         else:
             self._unconfirmed = 0
+        return Fired(begun, self._clock.monotonic())
 
-    def fire(self, cameras: Iterable[str]) -> None:
-        """Expose cameras together, by their names."""
-        self.set(cameras).wait()
+    def fire(self, cameras: Iterable[str]) -> dict[str, Fired]:
+        """Expose cameras together, by their names, and return when each was."""
+        names = tuple(cameras)
+        self.set(names).wait()
         self.trigger().wait()
+        wiring = {wire.sensor: wire.output for wire in self._settings.wiring}
+        return {name: self._fired[wiring[name]] for name in names}
 
 
 class VideoSwitch:

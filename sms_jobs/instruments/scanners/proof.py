@@ -12,7 +12,7 @@ import hmac
 import struct
 from dataclasses import dataclass
 
-PROTOCOL = 2
+PROTOCOL = 3
 """Of everything that passes over the link; both ends have to speak the same."""
 NONCE_BYTES = 32
 PROOF_BYTES = 32

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InstrumentError, InvalidInput, LinkLost, SmsError
 from sms_jobs.instruments.clock import Clock, RealClock
 from sms_jobs.instruments.connection import connected
+from sms_jobs.instruments.protocols import Fired
 from sms_jobs.instruments.recorder import ConnectedRig
 from sms_jobs.instruments.scanners.door import Door
 from sms_jobs.instruments.scanners.link import DEFORMATION, SEQUENCE, SETTING, Address, error_reply
@@ -230,6 +231,7 @@ class Lent:
     rig: ConnectedRig
     clock: Clock
     _sequence: FringeSequence = field(default_factory=FringeSequence)
+    _fired: dict[str, Fired] = field(default_factory=dict)
 
     def facts(self) -> dict[str, Any]:
         """Return what there is."""
@@ -266,10 +268,12 @@ class Lent:
             case "arm":
                 self._camera(request).arm(request["exposure"])
             case "trigger":
-                self.rig.trigger.fire({request["camera"]: self._camera(request)})
+                self._fired |= self.rig.fire({request["camera"]: self._camera(request)})
             case "read":
                 frame = self._camera(request).read(request["timeout_s"])
-                return {"number": frame.number, "time_s": frame.time_s}, frame.image
+                fired = frame.fired or self._fired[request["camera"]]
+                between_s = fired.not_before_s, fired.not_after_s
+                return {"number": frame.number, "time_s": frame.time_s, "fired_s": between_s}, frame.image
             case "disarm":
                 self._camera(request).disarm()
             case "stands":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ from sms_jobs.virtual_rig.rendering import Noise, Rendering, render
 
 WHITE = -1
 """In place of a pattern's number: full brightness."""
+LAMP = ""
+"""In place of a projector's name: what lights cameras whose images are recorded without one."""
 _FLASH = 2.0
 """What a lamp adds, in units of full scale: nothing else is left to be seen."""
 
@@ -69,43 +72,60 @@ class VirtualRoom:
     _seen: dict[tuple[object, ...], Rendering] = field(default_factory=dict)
 
     def light(self, projector: str, sequence: FringeSequence, number: int) -> None:
-        """Have a projector show a pattern, or white."""
+        """Have a projector show a pattern, or white; or have the lamp shine."""
         self._lit = projector, sequence, number
 
     def darken(self, projector: str) -> None:
-        """Have a projector show nothing."""
+        """Have a projector, or the lamp, show nothing."""
         if self._lit is not None and self._lit[0] == projector:
             self._lit = None
 
     def view(self, camera: str, exposure: float) -> NDArray[Any]:
         """Return what a camera sees now."""
-        if self._lit is None:
+        return self.exposed(camera, exposure)()
+
+    def exposed(self, camera: str, exposure: float) -> Callable[[], NDArray[Any]]:
+        """Return what computes the image of what a camera sees now, whenever it is asked for."""
+        return partial(self._image, camera, exposure, self._lit, self.present_deformation())
+
+    def simulation(self, view: str) -> Simulation:
+        """Return what a view truly sees now."""
+        return self._simulation(view, self.present_deformation())
+
+    def _simulation(self, view: str, deformation: tuple[Deformation, ...]) -> Simulation:
+        return Simulation.of(self.setting.scene, view_of(view), deformation, self.setting.state)
+
+    def _image(
+        self,
+        camera: str,
+        exposure: float,
+        lit: tuple[str, FringeSequence, int] | None,
+        deformation: tuple[Deformation, ...],
+    ) -> NDArray[Any]:
+        if lit is None:
             rows, columns = self._size(camera)
             return np.zeros((rows, columns), np.uint16)
-        projector, sequence, number = self._lit
-        rendering = self._rendering(camera, projector, sequence)
+        projector, sequence, number = lit
+        rendering = self._rendering(camera, projector, sequence, deformation)
         if number == WHITE:
             return rendering.frames.texture(exposure)
         place = sequence.exposures.index(exposure) * sequence.frames_per_exposure + number
         return rendering.frames.frame(place)
 
-    def simulation(self, view: str) -> Simulation:
-        """Return what a view truly sees now."""
-        setting = self.setting
-        return Simulation.of(setting.scene, view_of(view), self.present_deformation(), setting.state)
-
     def _size(self, camera: str) -> tuple[int, int]:
         sensor = self.setting.scene.rig.sensor(camera)
         return sensor.rows, sensor.columns
 
-    def _rendering(self, camera: str, projector: str, sequence: FringeSequence) -> Rendering:
+    def _rendering(
+        self, camera: str, projector: str, sequence: FringeSequence, deformation: tuple[Deformation, ...]
+    ) -> Rendering:
         """Return the frames of a view; what was seen from one place is kept while nothing moves."""
-        deformation = self.present_deformation()
         key = (camera, projector, sequence, deformation)
         if key not in self._seen:
             # Those of another projector or pose will not be asked for again.
             self._seen = {k: v for k, v in self._seen.items() if k[1:] == key[1:]}
-            self._seen[key] = render(self.simulation(camera + projector), sequence, threads=self.threads)
+            simulation = self._simulation(camera + projector, deformation)
+            self._seen[key] = render(simulation, sequence, threads=self.threads)
         return self._seen[key]
 
     def present_deformation(self) -> tuple[Deformation, ...]:
@@ -148,6 +168,16 @@ class SimulatedProjector:
         self.room.darken(self.name)
 
 
+@dataclass(frozen=True)
+class _Exposed:
+    """A frame that was exposed; light takes long to compute, and a trigger no time."""
+
+    number: int
+    time_s: float
+    image: Callable[[], NDArray[Any]]
+    flash: bool
+
+
 @dataclass
 class SimulatedCamera:
     """A camera of the virtual rig, with faults on demand."""
@@ -158,7 +188,7 @@ class SimulatedCamera:
     _exposure: float | None = None
     _triggers: int = 0
     _number: int = 0
-    _waiting: list[Frame] = field(default_factory=list)
+    _waiting: list[_Exposed] = field(default_factory=list)
     _flashes: int = 0
 
     @property
@@ -189,14 +219,12 @@ class SimulatedCamera:
         self._number += 1
         if any(f.frame == self._triggers for f in self._here("dropped-frame")):
             return
-        image = self.room.view(self.name, self._exposure)
+        image = self.room.exposed(self.name, self._exposure)
         if any(f.frame == self._triggers for f in self._here("flash")):
             self._flashes = 3
-        if self._flashes:
-            self._flashes -= 1
-            noise = Noise.of(self.room.setting.scene.camera)
-            image = np.minimum(image + _FLASH * noise.full_scale, noise.full_scale).astype(np.uint16)
-        self._waiting.append(Frame(self._number, self.room.clock.monotonic(), image))
+        flash = self._flashes > 0
+        self._flashes -= flash
+        self._waiting.append(_Exposed(self._number, self.room.clock.monotonic(), image, flash))
 
     def read(self, timeout_s: float) -> Frame:
         """Return the oldest frame that was not read."""
@@ -204,7 +232,12 @@ class SimulatedCamera:
         if not self._waiting:
             self.room.clock.sleep(timeout_s)
             raise FrameLost(f"camera {self.name} delivered no frame within {timeout_s:g} s of its trigger")
-        return self._waiting.pop(0)
+        exposed = self._waiting.pop(0)
+        image = exposed.image()
+        if exposed.flash:
+            noise = Noise.of(self.room.setting.scene.camera)
+            image = np.minimum(image + _FLASH * noise.full_scale, noise.full_scale).astype(np.uint16)
+        return Frame(exposed.number, exposed.time_s, image)
 
     def disarm(self) -> None:
         """Stop taking frames."""

@@ -17,13 +17,8 @@ from sms_jobs.errors import InstrumentError, InvalidInput
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.devices.device import POLLS_EVERY_S
 from sms_jobs.instruments.judging import Limits
-from sms_jobs.instruments.recorder import (
-    ConnectedRig,
-    interrupted,
-    is_finished,
-    record_state,
-    recorded,
-)
+from sms_jobs.instruments.kept_sets import interrupted, kept, recorded
+from sms_jobs.instruments.recorder import ConnectedRig, record_state
 from sms_jobs.instruments.simulated.optics import Setting
 from sms_jobs.kinds.kind import (
     MEASUREMENT,
@@ -184,7 +179,7 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
     spool, sequence = station.spool, task.sequence
     limits = parameters.limits()
     limits = replace(limits, lit_fraction=min(limits.lit_fraction, task.fills))
-    finished_before = [view for view in task.views if is_finished(spool, view)]
+    finished_before = kept(spool)
     with connected(station.rig, task.setting, inputs.threads) as rig:
         if task.angles_rad is not None:
             _bring_stage(rig, task.angles_rad, inputs.subject, progress)

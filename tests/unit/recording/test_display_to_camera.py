@@ -20,11 +20,13 @@ from support.display import COLUMNS, ROWS, Display, display
 from sms_jobs.instruments.cameras import opencv
 from sms_jobs.instruments.cameras.opencv import OpencvSettings
 from sms_jobs.instruments.clock import RealClock
+from sms_jobs.instruments.judging import Limits
+from sms_jobs.instruments.kept_sets import recorded
 from sms_jobs.instruments.optical_drivers import DriverContext
 from sms_jobs.instruments.projectors import window
 from sms_jobs.instruments.projectors.window import WindowSettings
-from sms_jobs.instruments.protocols import Camera
-from sms_jobs.instruments.recorder import ConnectedRig, Limits, record_state, recorded
+from sms_jobs.instruments.protocols import Camera, Fired, SoftwareTrigger
+from sms_jobs.instruments.recorder import ConnectedRig, record_state
 from sms_jobs.records.measurement import FringeSequence
 
 SEQUENCE = FringeSequence((5, 4), 4, (0.0, pi / 2))
@@ -38,11 +40,10 @@ class Photographer:
     folder: Path
     taken: int = 0
 
-    def fire(self, cameras: Mapping[str, Camera]) -> None:
+    def fire(self, cameras: Mapping[str, Camera]) -> Mapping[str, Fired]:
         cv2.imwrite(str(self.folder / f"{self.taken:03d}.png"), self.display.grab()[:, :, 0] // 2)
         self.taken += 1
-        for camera in cameras.values():
-            camera.trigger()
+        return SoftwareTrigger(RealClock()).fire(cameras)
 
 
 def test_what_is_projected_is_what_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,7 +23,9 @@ from sms_jobs.formats.rig_configuration import example_rig, parse_rig
 from sms_jobs.instruments.checking import checked
 from sms_jobs.instruments.clock import SimulatedClock
 from sms_jobs.instruments.connection import connected, connected_stage
-from sms_jobs.instruments.recorder import Limits, record_state, recorded
+from sms_jobs.instruments.judging import Limits
+from sms_jobs.instruments.kept_sets import recorded
+from sms_jobs.instruments.recorder import record_state
 from sms_jobs.instruments.scanners.link import Address
 from sms_jobs.instruments.scanners.server import ScannerServer
 from sms_jobs.instruments.simulated.optics import Setting

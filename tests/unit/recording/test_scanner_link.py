@@ -199,7 +199,7 @@ def test_a_client_says_nothing_to_who_has_not_the_key(answer: Change) -> None:
 def test_a_client_tells_what_listens_in_the_place_of_a_server() -> None:
     other = struct.pack("!8sI", b"sms-link", 7)
     for said, told in (
-        (other, "speaks version 7 of the protocol and this computer version 2"),
+        (other, "speaks version 7 of the protocol and this computer version 3"),
         (b"HTTP/1.1 400 Bad Request\r\n\r\n", "is no server of a scanner"),
     ):
         answer = said.ljust(CHALLENGE_BYTES, b"\0")

@@ -17,7 +17,8 @@ from sms_jobs.formats.rig_configuration import parse_rig
 from sms_jobs.instruments.clock import RealClock
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.judging import Limits
-from sms_jobs.instruments.recorder import interrupted, is_finished, record_state, recorded
+from sms_jobs.instruments.kept_sets import interrupted, is_finished, recorded
+from sms_jobs.instruments.recorder import record_state
 from sms_jobs.instruments.scanners.keys import made_key, read_key
 from sms_jobs.instruments.scanners.link import Address, ScannerLink
 from sms_jobs.instruments.scanners.server import Lent, ScannerServer
