@@ -1,4 +1,4 @@
-"""Chapter of the report: shape, displacement and strain of surfaces, by views of camera and projector."""
+"""Chapter of the report: shape, displacement and strain of surfaces, whatever they are measured with."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ CHAPTER = Chapter(
     rank=0,
     introduction="Lengths are in millimetres in the frame of the calibration, strains in microstrain (µε) in "
     "the plane of the surface. Standard deviations cover the camera's noise and the misfit of "
-    "the subsets, not the calibration. Of a camera with several projectors displacement is "
+    "the subsets, not the calibration. Of a camera with several partners displacement is "
     "merged of all, shape and strain are of the view that sees most of the surface. A camera "
     "alone measures in the plane of its image: X points to the right and Y up, both as the "
     "camera sees the specimen, lengths are in millimetres where the size of a pixel was given "
