@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.deformation.correlation import (
     CONVERGED,
+    LEFT_IMAGE,
+    NO_TEXTURE,
     NOT_CONVERGED,
+    TOO_FEW_PIXELS,
     Matches,
     MatchSettings,
     Noise,
@@ -33,6 +36,7 @@ _SEED_SCORE = 0.4  # of a place to a pixel: a poor start, but the refinement jud
 _MISFIT = 12.0  # variance left over, in medians: on a curved panel no more than 8, across a step 50 to 500
 _RETURN_SIGMAS = 4.0  # by which a point may come back beside where it set out
 _RETURN_PX = 0.05  # and at least: what two subsets of different shapes may differ by
+_RETURN_RADIUS = 2.0 / 3.0  # of the subsets on the way back: a quarter of the time, and a second opinion
 
 
 @dataclass(frozen=True)
@@ -120,12 +124,10 @@ def match_cameras(
     seeds = Seeds(first[likely], found.warp[likely])
     result = spread_matches(images, nodes, seeds, settings, grid, threads)
     refuse_misfits(result.matches)
-    there_and_back = _way_back(reference, partner, result, settings, threads)
-    sigma = np.hypot(*result.matches.sigma.T)
+    missed, allowed = _way_back(reference, partner, result, settings, threads)
     with np.errstate(invalid="ignore"):
-        lost = ~(there_and_back <= np.maximum(_RETURN_PX, _RETURN_SIGMAS * sigma))
-    result.matches.ending[lost & (result.matches.ending == CONVERGED)] = NOT_CONVERGED
-    return CameraMatches(result, (len(first), int(np.count_nonzero(likely))), there_and_back)
+        result.matches.ending[missed > allowed] = NOT_CONVERGED
+    return CameraMatches(result, (len(first), int(np.count_nonzero(likely))), missed)
 
 
 def refuse_misfits(found: Matches) -> None:
@@ -170,12 +172,15 @@ def _way_back(
     found: GridMatches,
     settings: MatchSettings,
     threads: int,
-) -> Floats:
-    """Match the partner's subsets with the reference image; return by how many px they miss the nodes."""
+) -> tuple[Floats, Floats]:
+    """Match smaller subsets of the partner with the reference image; return by how many px they miss nodes.
+
+    And by how many they may: NaN for what was not matched, or has too little texture for a second opinion.
+    """
     matched = found.matches.ending == CONVERGED
-    missed = np.full(len(found.x), np.nan)
+    missed, allowed = np.full((2, len(found.x)), np.nan)
     if not matched.any():
-        return missed
+        return missed, allowed
     warp = found.matches.warp[matched]
     start = np.stack([found.x[matched], found.y[matched]], axis=1).astype(np.float64)
     place = start + warp[:, [0, 3]]
@@ -191,11 +196,15 @@ def _way_back(
     )
     everywhere = np.ones(partner.texture.shape, dtype=np.int32)
     images = prepare_images(partner.texture, reference.texture, everywhere, (partner.noise, reference.noise))
-    again: Matches = match_points(images, pixel[:, 0].copy(), pixel[:, 1].copy(), guess, settings, threads)
+    smaller = replace(settings, radius=max(5, round(_RETURN_RADIUS * settings.radius)), shape_order=1)
+    again: Matches = match_points(images, pixel[:, 0].copy(), pixel[:, 1].copy(), guess, smaller, threads)
     there = carried(again.warp, *(place - pixel).T)
     distance = np.hypot(*(place + there[:, [0, 3]] - start).T)
-    missed[matched] = np.where(again.ending == CONVERGED, distance, np.inf)
-    return missed
+    distance[np.isin(again.ending, (LEFT_IMAGE, NOT_CONVERGED))] = np.inf
+    missed[matched] = np.where(np.isin(again.ending, (NO_TEXTURE, TOO_FEW_PIXELS)), np.nan, distance)
+    sigma = np.hypot(found.matches.sigma[matched].max(axis=1), np.nan_to_num(again.sigma.max(axis=1)))
+    allowed[matched] = np.maximum(_RETURN_PX, _RETURN_SIGMAS * sigma)
+    return missed, allowed
 
 
 def distance_from_rays(
