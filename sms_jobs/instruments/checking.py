@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from sms_jobs.instruments.cameras.scanner import ScannerCamera
 from sms_jobs.instruments.recorder import FRAME_TIMEOUT_S, ConnectedRig
 
-DARK = "dark"
+DARK, NOW = "dark", "now"
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,8 @@ class RigCheck:
         What each camera and projector says of itself, by name.
     views
         Mean grey level of each camera: when all projectors are dark, and with each at full brightness in
-        turn; none for simulated ones, which see a campaign's scene alone.
+        turn; now, by whatever light there is, of a rig without any. None for simulated ones, which see a
+        campaign's scene alone.
     full_scales
         Grey level at which each camera saturates.
     channels
@@ -78,7 +79,7 @@ def _views(rig: ConnectedRig) -> dict[str, dict[str, float]]:
         for projector in rig.projectors.values():
             ending.callback(projector.dark)
             projector.dark()
-        look(DARK)
+        look(DARK if rig.projectors else NOW)
         for name, projector in rig.projectors.items():
             rig.video.feed(name)
             projector.white()

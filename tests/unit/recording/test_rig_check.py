@@ -93,6 +93,11 @@ def test_cameras_say_what_they_see_of_each_projector(
     assert "sees on average dark 12.0, P1 200.0 of 255" in shown
 
 
+def test_cameras_without_a_projector_say_what_they_see_now(home: Path, tmp_path: Path) -> None:
+    connect(home, desk(film(tmp_path, [9, 120])).partition("[[projectors]]")[0])
+    assert json.loads(told(home, "check", "desk", "--json"))["views"] == {"C1": {"now": 120.0}}
+
+
 def test_a_camera_without_a_frame_fails_the_check(
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
