@@ -251,7 +251,7 @@ class _Followed:
         self._turns.append(recorded)
         if not self._as_json:
             output.print_table(
-                ["recorded", "lit", "saturated", "modulation", "verdict"],
+                ["recorded", "lit", "saturated", "modulation or contrast", "verdict"],
                 [(v.subject, *_words(v.statistics)) for v in recorded.verdicts],
                 empty="nothing was recorded",
             )

@@ -60,7 +60,7 @@ def create(
     if campaign.scene is not None:
         following = f"sms job submit simulate --campaign {campaign.name}"
     elif not campaign.fringe_views:
-        following = f"sms import images FOLDER --campaign {campaign.name}"
+        following = f"sms import images FOLDER --campaign {campaign.name}, or sms acquire run {campaign.name}"
     else:
         following = f"sms acquire run {campaign.name} --dry-run"
     output.say(

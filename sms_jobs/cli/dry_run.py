@@ -36,14 +36,14 @@ def show(campaign: str, done: DryRun, as_json: bool) -> None:
                 f"{s.recording_s:.1f}",
                 s.frames,
                 size(s.raw_bytes),
-                size(round(s.raw_bytes * (done.packed or 1.0))),
+                size(done.archived(s.raw_bytes)),
             )
             for label, s in done.states.items()
         ],
         empty="nothing could be rehearsed",
     )
     if done.states:
-        packed = "at most: nothing was recorded with this rig yet"
+        packed = "at most: nothing of the sort was recorded with this rig yet"
         if done.packed is not None:
             packed = f"{done.packed:.0%} of raw, as before with this rig"
         output.print_facts(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from sqlalchemy import select
@@ -13,6 +15,7 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue.campaigns import definition
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, RigRow
 from sms_jobs.errors import InvalidInput
+from sms_jobs.instruments.kept_sets import frames_of
 from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL, rehearse
 from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds.kind import MEASUREMENT
@@ -25,6 +28,8 @@ from sms_jobs.records.views import view_of
 
 _RECENT = 50
 """So many of the rig's last measurements tell how well its frames are packed."""
+_UNPACKED = {True: 1.0, False: 2.0}
+"""With fringes and without: an image alone lies in its file as texture and as frame."""
 
 
 def dry_run(
@@ -48,29 +53,30 @@ def dry_run(
     rehearsed: dict[str, StateRehearsal] = {}
     if not missing:
         poses = [_pose(s) for s in states]
-        found = rehearse(rig, campaign.fringe_views, campaign.sequence, poses, parameters.texture_exposure)
+        found = rehearse(rig, campaign.recordings, campaign.sequence, poses, parameters.texture_exposure)
         rehearsed = {s.label: r for s, r in zip(states, found, strict=True)}
         missing += [f"{label}: {r.problem}" for label, r in rehearsed.items() if r.problem]
     # A set that is recorded again lies beside the one that it replaces.
     again = parameters.recordings > 1
     spool_bytes = max((s.raw_bytes + again * s.set_bytes for s in rehearsed.values()), default=0)
-    found_room, packed = {"spool": _free(spool), "archive": archive.room().free_bytes}, _packed(session, rig)
-    archived = sum(s.raw_bytes for s in rehearsed.values()) * (packed or 1.0)
-    for disk, needed in (("spool", spool_bytes), ("archive", archived)):
-        if needed > found_room[disk]:
-            missing.append(
-                f"the disk of the {disk} has room for {found_room[disk] / 1e9:.1f} GB, and "
-                f"{needed / 1e9:.1f} GB are needed: free some space"
-            )
-    return DryRun(
+    done = DryRun(
         rehearsed,
-        packed,
+        _mixed(rig, campaign, _packed(session, rig)),
         spool_bytes,
-        found_room["spool"],
-        found_room["archive"],
+        _free(spool),
+        archive.room().free_bytes,
         tuple(missing),
         _remarks(rig, campaign, states),
+        _mixed(rig, campaign, _UNPACKED) or 1.0,
     )
+    needed = ("spool", spool_bytes, done.spool_room), ("archive", done.archived_bytes, done.archive_room)
+    full = [
+        f"the disk of the {disk} has room for {room / 1e9:.1f} GB, and {needs / 1e9:.1f} GB are needed: free "
+        "some space"
+        for disk, needs, room in needed
+        if needs > room
+    ]
+    return replace(done, missing=(*done.missing, *full))
 
 
 def _pose(state: LoadState) -> StagePose | None:
@@ -82,9 +88,7 @@ def _missing_sensors(rig: RigFile, campaign: Campaign) -> Iterator[str]:
     """Tell which sensors the rig lacks, or has with another size."""
     sizes = {c.name: (c.columns, c.rows) for c in rig.cameras}
     sizes |= {p.name: (p.columns, p.rows) for p in rig.projectors}
-    if not campaign.fringe_views:
-        yield f"campaign {campaign.name} has no projector, and images without fringes are imported"
-    names = dict.fromkeys(name for view in campaign.fringe_views for name in view_of(view).sensors)
+    names = dict.fromkeys(name for view in campaign.recordings for name in view_of(view).sensors)
     for name in names:
         if name not in sizes:
             yield f"the file of rig {rig.name} has no {name}; it has {', '.join(sizes) or 'none'}"
@@ -106,24 +110,37 @@ def _missing_channels(rig: RigFile, parameters: AcquireParameters) -> Iterator[s
 
 
 def _remarks(rig: RigFile, campaign: Campaign, states: Sequence[LoadState]) -> tuple[str, ...]:
-    """Tell which cameras are not recorded, and which values of the plan no channel will confirm."""
-    alone = tuple(
-        f"{camera} looks on without a projector: its images are imported, not recorded"
-        for camera in campaign.recordings
-        if camera not in campaign.fringe_views
-    )
+    """Tell which values of the plan no channel will confirm."""
     measured = {c.name for c in rig.serial.channels}
     planned = {"load_n" for s in states if s.load_n is not None} | {n for s in states for n in s.channels}
     unread = sorted(planned - measured - set(ANGLES))
     if not unread:
-        return alone
-    words = f"the plan says what {' and '.join(unread)} will be, which no channel of rig {rig.name} reads"
-    return (*alone, words)
+        return ()
+    return (f"the plan says what {' and '.join(unread)} will be, which no channel of rig {rig.name} reads",)
 
 
-def _packed(session: Session, rig: RigFile) -> float | None:
-    """Return what recordings of a rig took in the archive, as a fraction of their raw frames."""
-    sizes = {c.name: c.rows * c.columns * BYTES_A_PIXEL for c in rig.cameras}
+def _mixed(rig: RigFile, campaign: Campaign, ratios: Mapping[bool, float]) -> float | None:
+    """Return a ratio of packing for the views of a campaign; None where it is not known of a sort of them."""
+    sizes = _image_bytes(rig)
+    raw: Counter[bool] = Counter()
+    for name in campaign.recordings:
+        view = view_of(name)
+        raw[bool(view.projectors)] += frames_of(name, campaign.sequence) * sizes.get(view.camera, 0)
+    if not raw.total() or any(fringes not in ratios for fringes in raw):
+        return None
+    return sum(ratios[fringes] * count for fringes, count in raw.items()) / raw.total()
+
+
+def _image_bytes(rig: RigFile) -> dict[str, int]:
+    return {c.name: c.rows * c.columns * BYTES_A_PIXEL for c in rig.cameras}
+
+
+def _packed(session: Session, rig: RigFile) -> dict[bool, float]:
+    """Return what recordings of a rig took in the archive, as a fraction of their raw frames.
+
+    For those with fringes, True, and without, False, as far as there are any.
+    """
+    sizes = _image_bytes(rig)
     rows = session.execute(
         select(FileRow.size_bytes, FileRow.view, CampaignRow.id)
         .join(CampaignRow, CampaignRow.id == FileRow.campaign_id)
@@ -138,16 +155,19 @@ def _packed(session: Session, rig: RigFile) -> float | None:
         .order_by(FileRow.id.desc())
         .limit(_RECENT)
     ).all()
-    frames = {
-        row.id: definition(row).sequence.frames + 1
+    sequences = {
+        row.id: definition(row).sequence
         for row in session.scalars(select(CampaignRow).where(CampaignRow.id.in_({r[2] for r in rows})))
     }
-    raw = packed = 0
-    for size_bytes, view, campaign_id in rows:
-        camera = view_of(view).camera
-        raw += frames[campaign_id] * sizes.get(camera, 0)
-        packed += size_bytes if camera in sizes else 0
-    return packed / raw if raw else None
+    raw: Counter[bool] = Counter()
+    packed: Counter[bool] = Counter()
+    for size_bytes, name, campaign_id in rows:
+        view = view_of(name)
+        if view.camera in sizes:
+            fringes = bool(view.projectors)
+            raw[fringes] += frames_of(str(view), sequences[campaign_id]) * sizes[view.camera]
+            packed[fringes] += size_bytes
+    return {fringes: packed[fringes] / raw[fringes] for fringes in raw}
 
 
 def _free(folder: Path) -> int:

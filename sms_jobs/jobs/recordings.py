@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from sms_jobs.instruments.kept_sets import forget, kept
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND, stage_angles
-from sms_jobs.records.campaign import LoadState, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Subject
 from sms_jobs.records.job import JobState
 
 _OPEN = (JobState.QUEUED, JobState.RUNNING, JobState.LOST, JobState.NEEDS_OPERATOR, JobState.FAILED)
@@ -154,21 +155,22 @@ def turns(states: Sequence[LoadState]) -> list[Turn]:
 
 
 def unrecorded(session: Session, name: str) -> tuple[LoadState, ...]:
-    """Return the states of a campaign whose fringes are neither recorded nor about to be."""
+    """Return the states of a campaign that are neither recorded nor about to be.
+
+    Fringes are there when those of one view are; of cameras without a projector every image counts. Either
+    may have been imported without the other.
+    """
     campaign = definition(campaign_row(session, name))
-    recorded = set(
-        session.scalars(
-            select(LoadStateRow.label)
-            .join(CampaignRow, CampaignRow.id == LoadStateRow.campaign_id)
-            .join(FileRow, FileRow.state_id == LoadStateRow.id)
-            # Images of cameras without a projector are imported, before the fringes or after.
-            .where(
-                CampaignRow.name == name,
-                FileRow.source == MEASUREMENT,
-                FileRow.view.in_(campaign.fringe_views),
-            )
-        )
+    there = session.execute(
+        select(LoadStateRow.label, FileRow.view)
+        .join(CampaignRow, CampaignRow.id == LoadStateRow.campaign_id)
+        .join(FileRow, FileRow.state_id == LoadStateRow.id)
+        .where(CampaignRow.name == name, FileRow.source == MEASUREMENT)
     )
+    views: defaultdict[str, set[str]] = defaultdict(set)
+    for label, view in there:
+        views[label].add(view or "")
+    recorded = {label for label, found in views.items() if _is_recorded(campaign, found)}
     coming = {
         Subject.parse(subject).state
         for subject in session.scalars(
@@ -178,6 +180,12 @@ def unrecorded(session: Session, name: str) -> tuple[LoadState, ...]:
         )
     }
     return tuple(s for s in campaign.states if s.label not in recorded | coming)
+
+
+def _is_recorded(campaign: Campaign, views: Set[str]) -> bool:
+    """Say whether measurements of some views are what a state has to have."""
+    fringes = set(campaign.fringe_views)
+    return (not fringes or bool(fringes & views)) and set(campaign.recordings) - fringes <= views
 
 
 def state_value(state: LoadState, channel: str) -> float:

@@ -67,7 +67,7 @@ def recordings(found: Mapping[str, Recording]) -> list[Markup]:
         "recording",
         "lit [%]",
         "saturated [%]",
-        "modulation [% of full scale]",
+        "modulation or contrast [% of full scale]",
         "retaken",
         "sets",
         "doubts",

@@ -16,7 +16,7 @@ from pydantic import Field, field_validator
 from sms_jobs.errors import InstrumentError, InvalidInput
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.devices.device import POLLS_EVERY_S
-from sms_jobs.instruments.judging import Limits
+from sms_jobs.instruments.judging import APART_S, Limits
 from sms_jobs.instruments.kept_sets import interrupted, kept, recorded
 from sms_jobs.instruments.recorder import ConnectedRig, record_state
 from sms_jobs.instruments.simulated.optics import Setting
@@ -60,13 +60,23 @@ class AcquireParameters(Parameters):
         0.01,
         ge=0.0,
         le=1.0,
-        description="least part of the image in which fringes must stand out; of a ball bar 0.0001 at most",
+        description="least part of the image in which fringes must stand out, or texture where nothing is "
+        "projected; of a ball bar 0.0001 at most",
     )
     recordings: int = Field(
         2, ge=1, le=10, description="how often a set is recorded until it keeps these limits"
     )
     texture_exposure: float = Field(
-        1.0, gt=0.0, description="exposure of the white frame, in units of the camera's own"
+        1.0,
+        gt=0.0,
+        description="exposure of the white frame, and of images without a projector, in units of the "
+        "camera's own",
+    )
+    apart_ms: float = Field(
+        1e3 * APART_S,
+        ge=0.0,
+        description="how far apart the images of cameras without a projector may be, which have to show one "
+        "state: at a cross-head's 2 mm a minute 10 ms are a third of a micrometre",
     )
     channels: tuple[str, ...] = Field(
         (),
@@ -90,7 +100,11 @@ class AcquireParameters(Parameters):
     def limits(self) -> Limits:
         """Return what a set must keep."""
         return Limits(
-            self.saturated_fraction, self.lit_fraction, self.recordings, _drift_limits(self.channels)
+            self.saturated_fraction,
+            self.lit_fraction,
+            self.recordings,
+            _drift_limits(self.channels),
+            1e-3 * self.apart_ms,
         )
 
 
@@ -113,13 +127,15 @@ class Order:
     Attributes
     ----------
     views, sequence
-        All of them, projector by projector; images of cameras alone are not recorded here.
+        All of them: a camera and its projector, or a camera whose texture is recorded without one.
     angles_rad
         Where a stage has to bring an artefact: pan and tilt; None where nothing moves.
     setting
         What stands before simulated instruments; None where nothing is simulated.
     fills
         What part of the image may at least be asked to be lit: the spheres of a bar fill little of it.
+    speckled
+        Whether a specimen stands there, and no artefact.
     """
 
     views: tuple[str, ...]
@@ -127,6 +143,7 @@ class Order:
     angles_rad: tuple[float, float] | None
     setting: Setting | None
     fills: float = 1.0
+    speckled: bool = True
 
 
 def stage_angles(state: LoadState) -> tuple[float, float] | None:
@@ -144,13 +161,18 @@ def order(campaign: Campaign, subject: Subject) -> Order:
         setting = Setting(scene, state.label, state.deformation, state.planned())
     shown = None if campaign.session is None else campaign.session.artefacts.get(state.artefact or "")
     fills = _SPHERES_FILL if isinstance(shown, BallBar) else 1.0
-    return Order(campaign.fringe_views, campaign.sequence, stage_angles(state), setting, fills)
+    return Order(
+        campaign.recordings,
+        campaign.sequence,
+        stage_angles(state),
+        setting,
+        fills,
+        state.artefact is None,
+    )
 
 
 def all_states(campaign: Campaign) -> tuple[Subject, ...]:
-    """Return every state, of specimens and artefacts alike, where a projector lights them."""
-    if not campaign.fringe_views:
-        return ()
+    """Return every state, of specimens and artefacts alike."""
     return tuple(Subject(campaign.name, s.label) for s in campaign.states)
 
 
@@ -178,7 +200,7 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
         )
     spool, sequence = station.spool, task.sequence
     limits = parameters.limits()
-    limits = replace(limits, lit_fraction=min(limits.lit_fraction, task.fills))
+    limits = replace(limits, lit_fraction=min(limits.lit_fraction, task.fills), speckled=task.speckled)
     finished_before = kept(spool)
     with connected(station.rig, task.setting, inputs.threads) as rig:
         if task.angles_rad is not None:
@@ -234,6 +256,11 @@ def _bring_stage(
 def _statistics(recording: Recording) -> dict[str, float]:
     """Return what people search recordings by."""
     verdict = recording.verdict
+    of_an_image = {
+        "contrast_to_noise": verdict.contrast_to_noise,
+        "level": verdict.level,
+        "apart_ms": None if recording.apart_s is None else 1e3 * recording.apart_s,
+    }
     return {
         "saturated_fraction": verdict.saturated_fraction,
         "lit_fraction": verdict.lit_fraction,
@@ -241,6 +268,7 @@ def _statistics(recording: Recording) -> dict[str, float]:
         "doubts": float(len(verdict.doubts)),
         "retaken_frames": float(recording.retaken),
         "recordings": float(recording.recordings),
+        **{name: value for name, value in of_an_image.items() if value is not None},
         **{f"{name}_before": value for name, value in recording.channels_before.items()},
         **{f"{name}_after": value for name, value in recording.channels_after.items()},
     }
@@ -259,7 +287,7 @@ def whole_rig(campaign: Campaign, subject: Subject) -> tuple[str, ...]:
 KIND = Kind(
     name="acquire",
     summary="record every view of a state with the instruments of the rig",
-    version=1,
+    version=2,
     scope=Scope.STATE,
     parameters=AcquireParameters,
     inputs=(),

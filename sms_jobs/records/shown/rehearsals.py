@@ -18,7 +18,7 @@ class StateRehearsal:
     frames
         Of all views, the white ones too.
     raw_bytes, set_bytes
-        Of these frames, and of those of the projector that has most.
+        Of these frames, and of those that are recorded again together if need be, where they are most.
     problem
         Why the stage cannot take its pose, in words; empty where it can.
     """
@@ -45,8 +45,10 @@ class DryRun:
     states
         By label, in order.
     packed
-        What a measurement of this rig takes in the archive, as a fraction of its raw frames; None where
-        there is none yet.
+        What these views take in the archive, as a fraction of their raw frames, by what this rig's took
+        before; None where there is none of their sort yet.
+    unpacked
+        The same if nothing can be packed.
     spool_bytes, spool_room
         What one state needs of the spool's disk, at most, and what is free there.
     archive_room
@@ -64,6 +66,7 @@ class DryRun:
     archive_room: int
     missing: tuple[str, ...]
     remarks: tuple[str, ...] = ()
+    unpacked: float = 1.0
 
     @property
     def seconds(self) -> float:
@@ -82,5 +85,9 @@ class DryRun:
 
     @property
     def archived_bytes(self) -> int:
-        """Of all states in the archive; the raw frames' where nothing is known of packing."""
-        return round(self.raw_bytes * (1.0 if self.packed is None else self.packed))
+        """Of all states in the archive."""
+        return self.archived(self.raw_bytes)
+
+    def archived(self, raw_bytes: int) -> int:
+        """Return what raw frames take in the archive, at most where nothing is known of packing."""
+        return round(raw_bytes * (self.unpacked if self.packed is None else self.packed))

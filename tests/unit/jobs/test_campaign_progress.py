@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from sms_jobs.jobs.submission import submit
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.state_progress import StateProgress
 from sms_jobs.virtual_rig.campaigns import small_plate
+from sms_jobs.virtual_rig.stereo_campaigns import stereo_campaign
 
 NOW = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
 
@@ -39,12 +41,20 @@ def progress(services: Services) -> list[StateProgress]:
         return progress_of(session, "plate")
 
 
-def add(session: Session, source: str, label: str, view: str, minutes: int, **statistics: float) -> None:
+def add(
+    session: Session,
+    source: str,
+    label: str,
+    view: str,
+    minutes: int,
+    name: str = "plate",
+    **statistics: float,
+) -> None:
     """Enter a file into the catalogue, as an archived one is."""
-    campaign = campaign_row(session, "plate")
+    campaign = campaign_row(session, name)
     file = FileRow(
         source=source,
-        path=f"{source}-{label}-{view}-{minutes}",
+        path=f"{name}-{source}-{label}-{view}-{minutes}",
         content_hash="0" * 64,
         size_bytes=1,
         media_type="application/x-hdf5",
@@ -112,3 +122,25 @@ def test_an_imported_image_does_not_stand_for_the_fringes_of_its_state(services:
         assert next_state(session, "plate").label == "S00"
         add(session, "measurement", "S00", "C1P1", 2)
         assert next_state(session, "plate").label == "S01"
+
+
+def test_a_state_of_several_cameras_is_recorded_when_all_of_them_are(services: Services) -> None:
+    calibration, pair = stereo_campaign("pair")
+    lit = replace(small_plate("lit")[1], views=("C1P1", "C1P2", "C2C3"), scene=None)
+    register_campaign(services.catalogue, services.archive, pair, calibration, NOW)
+    register_campaign(services.catalogue, services.archive, lit, None, NOW)
+
+    def next_of(session: Session, name: str) -> str:
+        state = next_state(session, name)
+        assert state is not None
+        return state.label
+
+    with services.catalogue.writing() as session:
+        add(session, "measurement", "S00", "C1", 1, "pair")
+        assert next_of(session, "pair") == "S00"
+        add(session, "measurement", "S00", "C2", 2, "pair")
+        assert next_of(session, "pair") == "S01"
+        # Beside fringes either may have been imported without the other.
+        for view, following in (("C1P1", "S00"), ("C2", "S00"), ("C3", "S01")):
+            add(session, "measurement", "S00", view, 3, "lit")
+            assert next_of(session, "lit") == following

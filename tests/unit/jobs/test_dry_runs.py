@@ -36,6 +36,11 @@ unit = "degC"
 """
 
 
+SIDE = """
+    {{ name = "C{0}", driver = "simulated", columns = 100, rows = 80 }},
+"""
+
+
 @pytest.fixture(scope="module")
 def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
     home = tmp_path_factory.mktemp("home")
@@ -87,21 +92,30 @@ def test_what_the_rig_lacks_is_told(services: Services) -> None:
     assert without.missing[0].startswith("S01: rig hall-3 has no stage")
 
 
-def test_a_camera_that_looks_on_alone_is_not_recorded(services: Services) -> None:
-    plate = replace(asking_for(), views=("C1P1", "C1P2", "C2"))
-    done = tried(services, plate)
+def test_cameras_without_a_projector_are_recorded_beside_fringes(services: Services) -> None:
+    plate = replace(asking_for(), views=("C1P1", "C1P2", "C2C3"))
+    lacking, _ = tried(services, plate).missing
+    assert lacking == "the file of rig hall-3 has no C2; it has C1, P1, P2"
+    rig = RIG.replace("cameras = [", "cameras = [" + SIDE.format(2) + SIDE.format(3))
+    done = tried(services, plate, rig)
     assert done.missing == ()
-    assert done.frames == 2 * len(plate.states) * (plate.sequence.frames + 1)
-    assert done.remarks[0] == "C2 looks on without a projector: its images are imported, not recorded"
-    assert order(plate, Subject("plate", "S00")).views == ("C1P1", "C1P2")
-    together = replace(plate, views=("C1P1", "C2C3"))
-    assert tried(services, together).remarks[:2] == tuple(
-        f"{camera} looks on without a projector: its images are imported, not recorded"
-        for camera in ("C2", "C3")
-    )
-    alone = replace(plate, views=("C2",))
-    assert "images without fringes are imported" in tried(services, alone).missing[0]
-    assert all_states(alone) == ()
+    # At each of two states two sets of fringes and a white frame, and one image of each of two cameras.
+    states, fringes = len(plate.states), plate.sequence.frames + 1
+    assert done.frames == states * (2 * fringes + 2)
+    assert done.raw_bytes == states * 2 * (2 * fringes * 256 * 256 + 2 * 100 * 80)
+    assert order(plate, Subject("plate", "S00")).views == ("C1P1", "C1P2", "C2", "C3")
+
+
+def test_cameras_alone_need_no_projector_and_take_an_image_each(services: Services) -> None:
+    alone = replace(asking_for(), views=("C1C2", "C3"))
+    rig = RIG.replace("cameras = [", "cameras = [" + SIDE.format(2) + SIDE.format(3))
+    done = tried(services, alone, rig[: rig.index("projectors")] + rig[rig.index("stages") :])
+    assert done.missing == ()
+    assert done.frames == 3 * len(alone.states)
+    assert done.raw_bytes == len(alone.states) * 2 * (256 * 256 + 2 * 100 * 80)
+    # Their images lie in their files twice, and nothing is known yet of how well they are packed.
+    assert (done.packed, done.archived_bytes) == (None, 2 * done.raw_bytes)
+    assert [s.label for s in alone.states] == [str(s.state) for s in all_states(alone)]
 
 
 def test_values_that_no_channel_confirms_are_remarked_on(services: Services) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from pydantic import ValidationError
 
@@ -9,6 +11,23 @@ from sms_jobs.kinds.recording.acquire import AcquireParameters, order
 from sms_jobs.records.campaign import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.sessions import small_session
+from sms_jobs.virtual_rig.stereo_campaigns import stereo_campaign
+
+
+def test_a_state_is_all_that_its_campaign_records() -> None:
+    campaign = replace(small_plate("plate")[1], views=("C1P1", "C1C2", "C3"))
+    assert order(campaign, Subject("plate", "S00")).views == ("C1P1", "C1", "C2", "C3")
+    pair = stereo_campaign("pair")[1]
+    assert order(pair, Subject("pair", "S01")).views == ("C1", "C2")
+    assert order(pair, Subject("pair", "S01")).speckled
+    assert not order(small_session("session"), Subject("session", "B01")).speckled
+
+
+def test_how_far_apart_images_may_be_is_said_in_milliseconds() -> None:
+    assert AcquireParameters().limits().apart_s == pytest.approx(0.01)
+    assert AcquireParameters(apart_ms=250.0).limits().apart_s == pytest.approx(0.25)
+    with pytest.raises(ValidationError, match="apart_ms"):
+        AcquireParameters(apart_ms=-1.0)
 
 
 def test_channels_are_read_and_limited() -> None:

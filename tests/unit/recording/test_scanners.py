@@ -125,6 +125,22 @@ def test_two_scanners_record_what_one_computer_would(served: Served, tmp_path: P
         assert (np.diff(recording.times_s) >= 0.001).all()  # a picture takes so long to be on
 
 
+def test_cameras_of_two_scanners_see_the_lamp_at_one_moment(served: Served, tmp_path: Path) -> None:
+    served.start(1)
+    served.start(2)
+    cameras, limits = ("C1", "C2"), Limits(lit_fraction=0.0, apart_s=1.0)
+    with connected(served.client(), Setting(scene(), "S00", ())) as found:
+        record_state(found, cameras, SEQUENCE, tmp_path / "s", limits, lambda *_: None)
+    seen = SimulatedRig(scene(), "S00", (), RealClock().now())
+    for view in cameras:
+        measurement, recording = recorded(tmp_path / "s", view, SEQUENCE)
+        np.testing.assert_array_equal(measurement.texture, seen.record(view, SEQUENCE).texture)
+        assert recording.verdict.doubts == ()
+        # Light is computed once both were exposed.
+        assert recording.apart_s is not None
+        assert 0.0 < recording.apart_s < 0.5
+
+
 def test_what_the_stage_of_the_client_moves_is_seen_by_all(served: Served, tmp_path: Path) -> None:
     served.start(1)
     served.start(2)
