@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.metrology.geometry.camera import Pose, pixel_grid, ray_directions
+from sms_jobs.metrology.geometry.camera import Camera, Pose, pixel_grid, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics
-from sms_jobs.metrology.geometry.several_cameras import Camera
 
 Floats: TypeAlias = NDArray[np.float64]
 Height: TypeAlias = Callable[[Floats, Floats], Floats]

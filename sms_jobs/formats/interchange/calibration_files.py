@@ -19,8 +19,8 @@ from sms_jobs.formats.interchange.opencv_text import Table, parse_storage
 from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.formats.interchange.text_files import read_text
 from sms_jobs.formats.interchange.thesis_calibration import thesis_text
-from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.common_field import CameraView, common_field
+from sms_jobs.metrology.geometry.camera import Camera, Pose
+from sms_jobs.metrology.geometry.common_view import common_field
 from sms_jobs.metrology.geometry.lens import distortion_jacobian, undistort
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
@@ -228,7 +228,7 @@ def _size(name: str, sensor: FoundSensor, given: Supplement, sources: str) -> tu
 
 def _seen_together(sensors: tuple[Sensor, ...], sources: str) -> Box:
     """Return a volume about what several cameras see together."""
-    found = common_field([CameraView(s.intrinsics, s.pose, s.columns, s.rows) for s in sensors])
+    found = common_field([Camera(s.intrinsics, s.pose, s.columns, s.rows) for s in sensors])
     if found is None:
         raise InvalidInput(
             f"{sources} does not say the measurement volume, and its cameras do not look at one place: add "

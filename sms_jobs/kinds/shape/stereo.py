@@ -50,9 +50,9 @@ from sms_jobs.metrology.deformation.displacement import blend_matches
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings
 from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
 from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
-from sms_jobs.metrology.geometry.camera import pixel_grid
+from sms_jobs.metrology.geometry.camera import Camera, pixel_grid
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
-from sms_jobs.metrology.geometry.several_cameras import Camera, SeenPoints, meet_rays
+from sms_jobs.metrology.geometry.several_cameras import SeenPoints, meet_rays
 from sms_jobs.metrology.images.masks import outside_box
 from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX
 from sms_jobs.metrology.images.texture_extent import textured_pixels

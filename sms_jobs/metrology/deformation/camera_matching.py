@@ -25,8 +25,8 @@ from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, S
 from sms_jobs.metrology.deformation.sampling import Nodes, choose_seeds
 from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
 from sms_jobs.metrology.deformation.shape_functions import carried
-from sms_jobs.metrology.geometry.camera import project
-from sms_jobs.metrology.geometry.several_cameras import Camera, depths_in_box
+from sms_jobs.metrology.geometry.camera import Camera, project
+from sms_jobs.metrology.geometry.several_cameras import depths_in_box
 
 Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
-from sms_jobs.metrology.geometry.several_cameras import Camera, depths_in_box, plane_warps
+from sms_jobs.metrology.geometry.camera import Camera
+from sms_jobs.metrology.geometry.several_cameras import depths_in_box, plane_warps
 
 Floats: TypeAlias = NDArray[np.float64]
 Corner: TypeAlias = tuple[float, float, float]

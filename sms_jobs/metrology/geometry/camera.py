@@ -66,6 +66,16 @@ class Pose:
         return np.asarray(-self.matrix().T @ np.array(self.translation))
 
 
+@dataclass(frozen=True)
+class Camera:
+    """A camera: its model, and the size of its image in pixels."""
+
+    intrinsics: Intrinsics
+    pose: Pose
+    columns: int
+    rows: int
+
+
 def project(intrinsics: Intrinsics, pose: Pose, points: Floats) -> Floats:
     """Project points of the world into the image.
 

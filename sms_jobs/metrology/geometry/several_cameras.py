@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.deformation.normal_matrix import invert
-from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
-from sms_jobs.metrology.geometry.lens import Intrinsics
+from sms_jobs.metrology.geometry.camera import Camera, project, ray_directions
 from sms_jobs.metrology.geometry.lens_kernels import by_point, distorted, undistorted
 from sms_jobs.metrology.geometry.triangulation import closest, turned
 
@@ -25,16 +24,6 @@ Floats: TypeAlias = NDArray[np.float64]
 
 _STEPS = 3
 """Of Gauss-Newton from the closest approach of two rays: each squares what is left of hundredths of a px."""
-
-
-@dataclass(frozen=True)
-class Camera:
-    """A camera: its model, and the size of its image in pixels."""
-
-    intrinsics: Intrinsics
-    pose: Pose
-    columns: int
-    rows: int
 
 
 @dataclass(frozen=True)

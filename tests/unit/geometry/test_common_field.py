@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.common_field import CameraView, common_field
+from sms_jobs.metrology.geometry.camera import Camera, Pose
+from sms_jobs.metrology.geometry.common_view import common_field
 from sms_jobs.metrology.geometry.lens import Intrinsics
 
 Floats = NDArray[np.float64]
@@ -15,9 +15,9 @@ LENS = Intrinsics(1000.0, 1000.0, 99.5, 49.5)
 """Of an image of 200 x 100 px, whose half is 0.1 x 0.05 of the distance."""
 
 
-def view(*centre: float, target: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> CameraView:
+def view(*centre: float, target: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Camera:
     pose = Pose.looking_at(np.array(centre), np.array(target), np.array([0.0, 1.0, 0.0]))
-    return CameraView(LENS, pose, 200, 100)
+    return Camera(LENS, pose, 200, 100)
 
 
 def test_two_cameras_at_right_angles_see_a_box() -> None:

@@ -8,8 +8,8 @@ from math import isnan, radians
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.common_view import Looking, common_view
+from sms_jobs.metrology.geometry.camera import Camera, Pose
+from sms_jobs.metrology.geometry.common_view import common_view
 from sms_jobs.metrology.geometry.lens import Intrinsics
 
 LENS = Intrinsics(fx=1000.0, fy=1000.0, cx=49.5, cy=49.5)
@@ -17,11 +17,11 @@ LENS = Intrinsics(fx=1000.0, fy=1000.0, cx=49.5, cy=49.5)
 LINE = np.stack([np.arange(-99.0, 100.0, 2.0), np.zeros(100), np.zeros(100)], axis=-1)
 
 
-def looking(degrees: float = 0.0, x: float = 0.0) -> Looking:
+def looking(degrees: float = 0.0, x: float = 0.0) -> Camera:
     """Return a camera that looks at (x, 0, 0) from so many degrees beside -z."""
     at = np.array([x + 1000.0 * np.sin(radians(degrees)), 0.0, -1000.0 * np.cos(radians(degrees))])
     pose = Pose.looking_at(at, np.array([x, 0.0, 0.0]), np.array([0.0, -1.0, 0.0]))
-    return Looking(LENS, pose, 100, 100)
+    return Camera(LENS, pose, 100, 100)
 
 
 def test_fields_of_view_overlap_by_what_both_see() -> None:
