@@ -20,6 +20,17 @@ from sms_jobs.bench.stereo_errors import (
     reported_over_observed,
     shape_errors,
 )
+from sms_jobs.bench.stereo_peers import (
+    PEERS,
+    SUBSET_PX,
+    Case,
+    Outcome,
+    measured_by,
+    measured_here,
+    peers_folder,
+    prepare,
+    rendered_plates,
+)
 from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.kinds.shape import stereo
 from sms_jobs.kinds.surface_ports import position_covariance
@@ -44,6 +55,12 @@ _STATES = ("S01", "S02", "S03")
 _GAUGE_LENGTH_MM = 10.0
 _RATE_RADIUS, _RATE_SPACING = 15, 5
 _LENSES: dict[str, Lens] = {"telephoto": TELEPHOTO, "wide-angle": WIDE_ANGLE}
+_PEERS = {"pyvale": 3.0, "al_dic": 10.0}
+"""Programs, and by how much we want to be faster."""
+_CASES = {
+    "shift": "pyvale's plate, rendered by riley, shifted by 5 mm along x and y, part of it out of the image",
+    "hole": "pyvale's plate with a hole, rendered by riley, stretched by 0.1 mm, against its mesh",
+}
 _SPECIMENS = {"curved": curved, "stepped": stepped}
 
 
@@ -77,6 +94,7 @@ def measure(run: Run) -> Iterator[Found]:
     yield from _still(run)
     yield from _speed(run)
     yield from _specimens(run)
+    yield from _peers(run)
 
 
 def flat(field_mm: float) -> Plane:
@@ -205,7 +223,7 @@ def _process_seconds(work: Callable[[], object]) -> float:
 
 
 def _specimens(run: Run) -> Iterator[Found]:
-    columns = 480 if run.quick else 800
+    columns = 480 if run.quick else 640
     states = _STATES[-1:] if run.quick else _STATES
     judged = {
         (specimen, lens): _judge(specimen, lens, columns, states, run)
@@ -245,6 +263,58 @@ def _specimens(run: Run) -> Iterator[Found]:
         f"{_gauge_length_mm('telephoto'):g} and "
         f"{_gauge_length_mm('wide-angle'):g} mm; wanted 0.8 to 1.2",
     )
+
+
+def _peers(run: Run) -> Iterator[Found]:
+    folder = peers_folder()
+    if run.quick or folder is None:
+        yield Figure("platehole_rms_um", None, "um", 0.5, "at most")
+        yield Condition(
+            "platehole", f"left out: --quick, or {PEERS} names no folder that ops/peers.sh has made"
+        )
+        return
+    run.say("stereo: rendering plates")
+    cases = rendered_plates(folder, run.folder)
+    found: dict[tuple[str, str], Outcome] = {}
+    for name, case in cases.items():
+        prepare(case, run.folder / name)
+        for program in ("here", *_PEERS):
+            run.say(f"stereo: {name}, {program}")
+            outcome = (
+                measured_here(case) if program == "here" else measured_by(folder, program, run.folder / name)
+            )
+            found[name, program] = outcome
+    hole = found["hole", "here"]
+    yield Figure("platehole_rms_um", _rms_um(hole.errors_mm(cases["hole"])), "um", 0.5, "at most")
+    yield Figure("platehole_valid_part", hole.valid_part(cases["hole"]), "1", 0.97)
+    for program, target in _PEERS.items():
+        ratio = min(
+            found[name, "here"].points_per_cpu_s() / found[name, program].points_per_cpu_s() for name in cases
+        )
+        yield Figure(f"points_per_cpu_s_over_{program}", ratio, "1", target)
+    for name, case in cases.items():
+        each = "; ".join(_told(program, found[name, program], case) for program in ("here", *_PEERS))
+        yield Condition(f"platehole, {name}", f"{_CASES[name]}: {each}")
+    yield Condition(
+        "points_per_cpu_s_over",
+        f"the lower of both cases; {SUBSET_PX} px, one thread, one run each in turn, with everything from "
+        "images to displacement, loading and compiling left out; here shape and covariance of every "
+        "pixel are in it, and second order between the cameras, which the others do not have",
+    )
+
+
+def _told(program: str, outcome: Outcome, case: Case) -> str:
+    """Return in words what a program found."""
+    errors = outcome.errors_mm(case)
+    return (
+        f"{program} {outcome.points_per_cpu_s():.0f} points / CPU-s, rms {_rms_um(errors):.3g} um and median "
+        f"{_MICRO * float(np.median(errors)):.3g} um over {outcome.valid_part(case):.1%} of the specimen's "
+        f"points, {outcome.spacing_px} px apart"
+    )
+
+
+def _rms_um(errors_mm: Floats) -> float:
+    return _MICRO * float(np.sqrt(np.mean(errors_mm**2)))
 
 
 def _gauge_length_mm(lens: str) -> float:
