@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from typing import Annotated, Any
 
 import typer
@@ -106,7 +107,7 @@ def submit(
             would = "would submit" if dry_run else "submitted"
             output.say(f"{would} {len(done.job_ids)} jobs: {what}" if what else "there is nothing to do")
             if what:
-                output.say(estimate_text(done.estimate))
+                output.say(estimate_text(done.estimate, datetime.now(UTC)))
         if wait:
             with followed() as tell:
                 waited = wait_for(services, done.jobs, tell=tell)

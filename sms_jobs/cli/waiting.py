@@ -38,10 +38,10 @@ def as_json(outlook: Outlook) -> dict[str, Any]:
 def outlook_text(outlook: Outlook) -> str:
     """Say how fast jobs come along, and when the rest will have ended."""
     rate = "" if outlook.per_minute is None else f"{outlook.per_minute:.3g} jobs/min, "
-    return rate + estimate_text(outlook.estimate)
+    return rate + estimate_text(outlook.estimate, datetime.now(UTC))
 
 
-def estimate_text(estimate: Estimate) -> str:
+def estimate_text(estimate: Estimate, now: datetime) -> str:
     """Say when jobs will have ended, and what that depends on."""
     one = "worker" if estimate.workers == 1 else "workers"
     where = f"on {estimate.workers} {one}" + ("" if estimate.alive else " once 'sms up' runs")
@@ -54,7 +54,7 @@ def estimate_text(estimate: Estimate) -> str:
         say = f"no estimate: there is no history yet of {new}"
     else:
         span = duration(estimate.seconds)
-        ready = clock(estimate.ready_at, datetime.now(UTC))
+        ready = clock(estimate.ready_at, now)
         if new:
             say = f"at least {span} {where}, not before {ready}; there is no history yet of {new}"
         else:

@@ -11,7 +11,7 @@ from sms_jobs.cli.output import clock, duration
 from sms_jobs.cli.waiting import estimate_text
 from sms_jobs.records.shown.estimates import Estimate
 
-NOW = datetime.now(UTC)
+NOW = datetime(2026, 3, 1, 21, 30, tzinfo=UTC)
 KNOWN = Estimate(40, 0, 11_400.0, NOW + timedelta(seconds=11_400), 2, True, {}, (), ())
 
 
@@ -37,13 +37,13 @@ def test_a_time_of_another_day_says_which() -> None:
 
 def test_an_estimate_says_what_it_rests_on() -> None:
     ready = clock(KNOWN.ready_at or NOW, NOW)
-    assert estimate_text(KNOWN) == f"about 3 h 10 min on 2 workers; ready {ready}"
-    assert estimate_text(replace(KNOWN, reused=12)).endswith("; 12 of 40 are reused")
-    assert "once 'sms up' runs" in estimate_text(replace(KNOWN, alive=False, workers=1))
-    assert estimate_text(replace(KNOWN, unknown={"merge": 3})) == (
+    assert estimate_text(KNOWN, NOW) == f"about 3 h 10 min on 2 workers; ready {ready}"
+    assert estimate_text(replace(KNOWN, reused=12), NOW).endswith("; 12 of 40 are reused")
+    assert "once 'sms up' runs" in estimate_text(replace(KNOWN, alive=False, workers=1), NOW)
+    assert estimate_text(replace(KNOWN, unknown={"merge": 3}), NOW) == (
         f"at least 3 h 10 min on 2 workers, not before {ready}; there is no history yet of merge (3)"
     )
     nothing = replace(KNOWN, seconds=None, ready_at=None, unknown={"merge": 40})
-    assert estimate_text(nothing) == "no estimate: there is no history yet of merge (40)"
-    assert "no worker serves the queue io" in estimate_text(replace(nothing, unserved=("io",)))
-    assert estimate_text(replace(KNOWN, reused=40)) == "nothing has to be computed: 40 of 40 are reused"
+    assert estimate_text(nothing, NOW) == "no estimate: there is no history yet of merge (40)"
+    assert "no worker serves the queue io" in estimate_text(replace(nothing, unserved=("io",)), NOW)
+    assert estimate_text(replace(KNOWN, reused=40), NOW) == "nothing has to be computed: 40 of 40 are reused"
