@@ -166,7 +166,7 @@ def _still(run: Run) -> Iterator[Found]:
         "static",
         f"rms change of Z from the first to the next {len(states)} recordings of what does not move over "
         f"what the covariance says, over {len(changes)} pixels, cameras of {columns} x {_rows(columns)} px, "
-        "12 bit; a plate, and a cylinder, which the cameras see blurred differently: that goes into its "
+        "12 bit; a plate, and a cylinder, whose matches leave over more than noise: that goes into its "
         "covariance but never changes; wanted 0.8 to 1.2",
     )
 
@@ -223,7 +223,7 @@ def _process_seconds(work: Callable[[], object]) -> float:
 
 
 def _specimens(run: Run) -> Iterator[Found]:
-    columns = 480 if run.quick else 640
+    columns = 480 if run.quick else 800
     states = _STATES[-1:] if run.quick else _STATES
     judged = {
         (specimen, lens): _judge(specimen, lens, columns, states, run)
