@@ -424,35 +424,3 @@ def pipeline_subjects(kind: Kind[Any], campaign: Campaign) -> tuple[Subject, ...
     if kind.pipeline_subjects is not None:
         return tuple(kind.pipeline_subjects(campaign))
     return default_subjects(kind, campaign)
-
-
-__all__ = [
-    "CALIBRATION",
-    "MEASUREMENT",
-    "Dataset",
-    "DatasetOutput",
-    "DocumentOutput",
-    "Inputs",
-    "Kind",
-    "Need",
-    "Output",
-    "Parameters",
-    "Port",
-    "Progress",
-    "Queue",
-    "Scope",
-    "Station",
-    "always",
-    "default_subjects",
-    "deformed_states",
-    "deformed_tuples",
-    "deformed_views",
-    "every_deformed_state",
-    "no_devices",
-    "pipeline_subjects",
-    "planes",
-    "planes_alone",
-    "rig_queue",
-    "tested_states",
-    "tuples",
-]
