@@ -63,11 +63,12 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Calibration, Sensor
 
 Floats: TypeAlias = NDArray[np.float64]
-Reasons: TypeAlias = NDArray[np.uint32]
 Mask: TypeAlias = NDArray[np.bool_]
 
 _GAP_SIGMAS = 6.0
 """Largest gap of the rays, in units of what noise and calibration explain; noise alone never reaches it."""
+_MOST_SATURATED = 0.5
+"""Part of an image that may be saturated: a bright background may, a specimen and its surroundings not."""
 _EXCHANGED = 5.0
 """How much better cameras the other way round have to explain the matches to be believed."""
 
@@ -183,6 +184,12 @@ def _seen(
             "crop them alike and calibrate that"
         )
     texture, noise = white_texture(measurement, parameters.smoothing_px, np.ones((rows, columns), dtype=bool))
+    saturated = float(np.mean(measurement.texture >= measurement.full_scale))
+    if saturated > _MOST_SATURATED:
+        raise InvalidInput(
+            f"{saturated:.0%} of the image of {recorded} are saturated, at {measurement.full_scale} or "
+            f"above; at most {_MOST_SATURATED:.0%} may be: record it with less light, or say its full scale"
+        )
     if float(np.ptp(measurement.texture)) == 0.0:
         raise InvalidInput(f"the image of {recorded} is blank: every pixel is {measurement.texture.flat[0]}")
     return TexturedCamera(_camera(sensor), np.asarray(texture), noise)
@@ -233,10 +240,10 @@ def _matched(
     )
     if not len(nodes.x):
         raise MeasurementFailed(f"the image of {inputs.subject.recordings[0]} shows no texture to be matched")
-    if not (found.grid.matches.ending == CONVERGED).any():
+    if not (found.matches.ending == CONVERGED).any():
         off = distance_from_rays(reference, partner, labels, nodes, volume, threads=inputs.threads)
         raise MeasurementFailed(_why_nothing(inputs.view.sensors, off))
-    return found.grid
+    return found
 
 
 def _why_nothing(sensors: tuple[str, ...], off_px: float) -> str:
@@ -275,16 +282,20 @@ def _refuse_far_from_rays(
 
 
 def _distance_from_rays(cameras: list[Camera], found: list[GridMatches], threads: int) -> float:
-    """Return the median distance in px of matches from the images of their rays; 0 without a point."""
-    distances = []
+    """Return the median distance in px of matches from the images of their rays, of the worst partner.
+
+    All together would hide one camera that has moved among others that have not.
+    """
+    worst = 0.0
     for partner, one in zip(cameras[1:], found, strict=True):
         good = one.matches.ending == CONVERGED
         pixels = np.stack([one.x[good], one.y[good]]).astype(np.float64)
         sigma = one.matches.sigma[good].T[None]
         met = meet_rays(cameras[0], [partner], pixels, _places(one, good)[None], sigma, threads)
-        distances.append(np.sqrt(met.chi_square) * np.sqrt(np.mean(sigma[0] ** 2, axis=0)))
-    every = np.concatenate(distances)
-    return float(np.nanmedian(every)) if np.isfinite(every).any() else 0.0
+        distance = np.sqrt(met.chi_square * np.mean(sigma[0] ** 2, axis=0))
+        if np.isfinite(distance).any():
+            worst = max(worst, float(np.nanmedian(distance)))
+    return worst
 
 
 def _places(found: GridMatches, chosen: Mask) -> Floats:
@@ -361,7 +372,7 @@ def _surface(
     reason[~missing & outside_box(position, calibration.volume.low, calibration.volume.high)] |= np.uint32(
         Reason.OUT_OF_VOLUME
     )
-    # Half a calibration's error that all share is no reason to doubt one of them.
+    # What the calibration is wrong by for all of them is no reason to doubt one.
     typical = np.concatenate([one.matches.sigma[one.matches.ending == CONVERGED].ravel() for one in found])
     allowed = _GAP_SIGMAS**2 * (1.0 + (epipolar_px / float(np.median(typical))) ** 2)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -405,7 +416,7 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=2,
+    version=3,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),

@@ -26,7 +26,7 @@ from sms_jobs.metrology.deformation.sampling import Nodes, choose_seeds
 from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
 from sms_jobs.metrology.deformation.shape_functions import carried
 from sms_jobs.metrology.geometry.camera import Camera, project
-from sms_jobs.metrology.geometry.several_cameras import depths_in_box
+from sms_jobs.metrology.geometry.several_cameras import depths_in_box, points_along_rays
 
 Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]
@@ -70,25 +70,6 @@ class RaySearch:
     spacing: int = 96
 
 
-@dataclass(frozen=True)
-class CameraMatches:
-    """Matches at the nodes of a grid, what their first ones were, and how well the way back leads home.
-
-    Attributes
-    ----------
-    grid
-        The matches.
-    seeds
-        How many squares were searched, and how many were found.
-    way_back_px
-        (n,), distance between a node and where the partner's own subset leads back to.
-    """
-
-    grid: GridMatches
-    seeds: tuple[int, int]
-    way_back_px: Floats
-
-
 def match_cameras(
     reference: TexturedCamera,
     partner: TexturedCamera,
@@ -98,7 +79,7 @@ def match_cameras(
     grid: GridSettings,
     search: RaySearch,
     threads: int = 1,
-) -> CameraMatches:
+) -> GridMatches:
     """Find the points of a grid of the reference camera in the image of a partner of the same size.
 
     Parameters
@@ -117,8 +98,7 @@ def match_cameras(
     noise = (reference.noise, partner.noise)
     images = prepare_images(reference.texture, partner.texture, labels, noise)
     if len(nodes.x) == 0:
-        nothing = spread_matches(images, nodes, Seeds.none(), settings, grid, threads)
-        return CameraMatches(nothing, (0, 0), np.zeros(0))
+        return spread_matches(images, nodes, Seeds.none(), settings, grid, threads)
     first, found = _first_matches(reference, partner, labels, nodes, search, threads)
     likely = (found.score >= _SEED_SCORE) & found.unique
     seeds = Seeds(first[likely], found.warp[likely])
@@ -127,7 +107,7 @@ def match_cameras(
     missed, allowed = _way_back(reference, partner, result, settings, threads)
     with np.errstate(invalid="ignore"):
         result.matches.ending[missed > allowed] = NOT_CONVERGED
-    return CameraMatches(result, (len(first), int(np.count_nonzero(likely))), missed)
+    return result
 
 
 def refuse_misfits(found: Matches) -> None:
@@ -228,9 +208,7 @@ def distance_from_rays(
     u, v, score = seed_displacements(reference.texture, partner.texture, labels, x, y, where, threads)
     pixels = np.stack([x, y], axis=1).astype(np.float64)
     rays, near, far = depths_in_box(reference.camera, pixels, *volume)
-    share = np.linspace(0.0, 1.0, 1000)
-    along = 1.0 / ((1.0 - share) / far[:, None] + share / np.maximum(near, 1e-3 * far)[:, None])
-    points = reference.camera.pose.centre() + along[..., None] * rays[:, None]
+    points = points_along_rays(reference.camera, rays, near, far, 1000)
     line = project(partner.camera.intrinsics, partner.camera.pose, points)
     found = pixels + np.stack([u, v], axis=1)
     off = np.linalg.norm(line - found[:, None], axis=-1)

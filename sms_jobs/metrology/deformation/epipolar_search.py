@@ -14,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.deformation.seeding import block_means
 from sms_jobs.metrology.geometry.camera import Camera
-from sms_jobs.metrology.geometry.several_cameras import depths_in_box, plane_warps
+from sms_jobs.metrology.geometry.several_cameras import depths_in_box, plane_warps, points_along_rays
 
 Floats: TypeAlias = NDArray[np.float64]
 Corner: TypeAlias = tuple[float, float, float]
 
 _BIN = 2  # px of the images in one of those that are searched
 _MOST_PLACES = 4096  # along a ray
+_AT_ONCE = 64  # squares, for the memory's sake
 _LEAST_OVERLAP = 0.6  # part of a template that must meet the partner's image
 _SURE = 0.6  # correlation from which on a surface that faces the cameras explains a place
 _UPRIGHT = (0.0, 0.0)
@@ -49,11 +51,15 @@ class FoundSeeds:
     score: Floats
     runner_up: Floats
 
-    def among(self, points: NDArray[np.intp], count: int) -> FoundSeeds:
-        """Return it as some of `count` points, of which the others have not been found."""
-        warp, score, runner_up = np.full((count, 6), np.nan), np.full(count, -1.0), np.full(count, -1.0)
-        warp[points], score[points], runner_up[points] = self.warp, self.score, self.runner_up
-        return FoundSeeds(warp, score, runner_up)
+    @classmethod
+    def none(cls, count: int) -> FoundSeeds:
+        """Return room for `count` points, of which none has been found."""
+        return cls(np.full((count, 6), np.nan), np.full(count, -1.0), np.full(count, -1.0))
+
+    def enter(self, points: NDArray[np.intp], found: FoundSeeds) -> None:
+        """Enter what was found for some of the points."""
+        for mine, theirs in zip(vars(self).values(), vars(found).values(), strict=True):
+            mine[points] = theirs
 
     @property
     def unique(self) -> NDArray[np.bool_]:
@@ -61,16 +67,9 @@ class FoundSeeds:
         return np.asarray(self.score > self.runner_up + _UNIQUE)
 
 
-def binned(image: NDArray[np.floating]) -> Floats:
-    """Return the means of squares of an image, less what is left over at its right and bottom."""
-    rows, columns = (n // _BIN for n in image.shape)
-    squares = image[: rows * _BIN, : columns * _BIN].reshape(rows, _BIN, columns, _BIN)
-    return np.asarray(squares.mean(axis=(1, 3)), dtype=np.float64)
-
-
 @kernel
 def _score(
-    template: Floats, image: Floats, x: float, y: float, place: Floats, slope: Floats, half: int, stride: int
+    template: Floats, image: Floats, x: float, y: float, place: Floats, slope: Floats, half: int
 ) -> float:
     """Return the correlation of the square about (x, y) with its image about a place; -1 where it is cut."""
     rows, columns = image.shape
@@ -78,10 +77,10 @@ def _score(
     sf, sg, sff, sgg, sfg = 0.0, 0.0, 0.0, 0.0, 0.0
     cx, cy = int(np.rint(x)), int(np.rint(y))
     whole = 0
-    for j in range(-half, half + 1, stride):
+    for j in range(-half, half + 1):
         if cy + j < 0 or cy + j >= template.shape[0]:
             continue
-        for i in range(-half, half + 1, stride):
+        for i in range(-half, half + 1):
             if cx + i < 0 or cx + i >= template.shape[1]:
                 continue
             whole += 1
@@ -113,17 +112,17 @@ def _score(
 @kernel
 def _search_block(
     start: int, stop: int, template: Floats, image: Floats, pixels: Floats, places: Floats, slopes: Floats,
-    half: int, width: int, stride: int, best: Floats, found: NDArray[np.int64], runner_up: Floats,
+    half: int, width: int,
+    best: Floats, found: NDArray[np.int64], met: Floats, runner_up: Floats,
 ) -> None:  # fmt: skip
-    """Fill for points start .. stop the best score, its place and sidestep, and the best one elsewhere."""
+    """Fill for points start .. stop the best score, beside which place, where, and the best elsewhere."""
     many = places.shape[1]
     along = np.empty(many)
-    side = np.empty(many, dtype=np.int64)
+    beside = np.empty((many, 2))
     place = np.empty(2)
     for i in range(start, stop):
         for m in range(many):
             along[m] = -1.0
-            side[m] = 0
             if not np.isfinite(places[i, m, 0]):
                 continue
             # Across the ray's image: the direction from one place to the next, turned.
@@ -135,15 +134,15 @@ def _search_block(
             if not length > 0.0:
                 continue
             for k in range(-width, width + 1):
-                turn = k if n > m else -k
-                place[0] = places[i, m, 0] + turn * ax / length
-                place[1] = places[i, m, 1] + turn * ay / length
-                score = _score(template, image, pixels[i, 0], pixels[i, 1], place, slopes[i, m], half, stride)
+                place[0] = places[i, m, 0] + k * ax / length
+                place[1] = places[i, m, 1] + k * ay / length
+                score = _score(template, image, pixels[i, 0], pixels[i, 1], place, slopes[i, m], half)
                 if score > along[m]:
                     along[m] = score
-                    side[m] = turn
+                    beside[m] = place
         top = int(np.argmax(along))
-        best[i], found[i, 0], found[i, 1] = along[top], top, side[top]
+        best[i], found[i] = along[top], top
+        met[i] = beside[top]
         for m in range(many):
             if abs(m - top) > _APART and along[m] > runner_up[i]:
                 runner_up[i] = along[m]
@@ -178,16 +177,18 @@ def search_along_rays(
         How many threads to use; the result does not depend on it.
     """
     rays, near, far = depths_in_box(reference, pixels, *volume)
-    coarse = tuple(binned(np.asarray(image, dtype=np.float64)) for image in images)
+    coarse = tuple(block_means(np.asarray(image, dtype=np.float64), _BIN) for image in images)
     width = max(1, int(np.ceil(width_px / _BIN)))
     middle = 0.5 * (reference.pose.centre() + partner.pose.centre())
 
     def search(points: NDArray[np.intp], tilt: tuple[float, float]) -> FoundSeeds:
-        found = _with_tilt(
-            reference, partner, coarse, pixels[points], (rays[points], near[points], far[points]), middle,
-            tilt, radius, width, threads,
-        )  # fmt: skip
-        return found.among(points, len(pixels))
+        found = FoundSeeds.none(len(pixels))
+        for some in np.split(points, range(_AT_ONCE, len(points), _AT_ONCE)):
+            depths = (rays[some], near[some], far[some])
+            found.enter(some, _with_tilt(
+                reference, partner, coarse, pixels[some], depths, middle, tilt, radius, width, threads
+            ))  # fmt: skip
+        return found
 
     tried = [search(np.flatnonzero(np.isfinite(near)), _UPRIGHT)]
     weak = np.flatnonzero(np.isfinite(near) & (tried[0].score < _SURE))
@@ -228,12 +229,7 @@ def _with_tilt(
     longest = np.nanmax(length, initial=0.0)
     diagonal = float(np.hypot(partner.columns, partner.rows))
     steps = int(np.clip(np.nan_to_num(longest, nan=2.0 * diagonal) / _BIN + 2, 3, _MOST_PLACES))
-    # Even steps of inverse distance are about even steps of the image.
-    share = np.linspace(0.0, 1.0, steps)
-    with np.errstate(divide="ignore"):
-        close = np.maximum(near, 1e-3 * far)
-        along = 1.0 / ((1.0 - share) / far[:, None] + share / close[:, None])
-    points = centre + along[..., None] * rays[:, None]
+    points = points_along_rays(reference, rays, near, far, steps)
     places, slopes = plane_warps(
         reference, partner, pixels, points, _facing(points, middle, reference, tilt), float(radius)
     )
@@ -247,23 +243,16 @@ def _with_tilt(
     shift = 0.5 * (_BIN - 1)
     own, there = (pixels - shift) / _BIN, (places - shift) / _BIN
     best, runner_up = np.full(count, -1.0), np.full(count, -1.0)
-    found = np.zeros((count, 2), dtype=np.int64)
+    found, met = np.zeros(count, dtype=np.int64), np.full((count, 2), np.nan)
     half = max(3, radius // _BIN)
 
     def work(start: int, stop: int) -> None:
         _search_block(
-            start, stop, coarse[0], coarse[1], own, there, slopes, half, width, 1, best, found, runner_up
+            start, stop, coarse[0], coarse[1], own, there, slopes, half, width, best, found, met, runner_up
         )
 
     in_row_blocks(work, count, threads, block=4)
-    each = np.arange(count)
-    at = found[:, 0]
-    place, slope = places[each, at], slopes[each, at]
-    beside = np.where(at + 1 < steps, at + 1, at - 1)
-    direction = (places[each, beside] - place) * np.where(beside > at, 1.0, -1.0)[:, None]
-    with np.errstate(invalid="ignore"):
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    place = place + _BIN * found[:, 1:] * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
+    place, slope = _BIN * met + shift, slopes[np.arange(count), found]
     warp = np.stack(
         [
             place[:, 0] - pixels[:, 0], slope[:, 0, 0] - 1.0, slope[:, 0, 1],

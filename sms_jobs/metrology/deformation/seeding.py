@@ -124,7 +124,7 @@ def _factors(settings: SearchSettings) -> list[int]:
     return [2**k for k in range(factor.bit_length() - 1, -1, -1)]
 
 
-def _coarse(image: Floats, factor: int) -> Floats:
+def block_means(image: Floats, factor: int) -> Floats:
     """Return the means of squares of an image, less what is left over at its right and bottom."""
     rows, columns = (n // factor for n in image.shape)
     squares = image[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
@@ -217,7 +217,7 @@ def seed_displacements(
     second = np.asarray(deformed, dtype=np.float64)
     regions = labels.astype(np.float64)
     levels = [
-        _Level(f, _coarse(first, f), _coarse(second, f), regions[f // 2 :: f, f // 2 :: f])
+        _Level(f, block_means(first, f), block_means(second, f), regions[f // 2 :: f, f // 2 :: f])
         if f > 1
         else _Level(1, first, second, regions)
         for f in _factors(settings)

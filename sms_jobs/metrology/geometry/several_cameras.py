@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel
 from sms_jobs.metrology.deformation.normal_matrix import invert
 from sms_jobs.metrology.geometry.camera import Camera, project, ray_directions
 from sms_jobs.metrology.geometry.lens_kernels import by_point, distorted, undistorted
@@ -93,6 +93,22 @@ def _first_depth(
     return along, gap
 
 
+@inlined
+def _is_seen(places: Floats, sigma: Floats, k: int, i: int) -> bool:
+    return bool(np.isfinite(places[k, 0, i]) and sigma[k, 0, i] > 0.0 and sigma[k, 1, i] > 0.0)
+
+
+@kernel
+def _own_variance(places: Floats, sigma: Floats, i: int) -> tuple[int, float]:
+    """Return how many partners see a point, and the reference image's part of a match's variance, px^2."""
+    count, own = 0, 0.0
+    for k in range(len(places)):
+        if _is_seen(places, sigma, k, i):
+            own += 0.25 * (sigma[k, 0, i] ** 2 + sigma[k, 1, i] ** 2)
+            count += 1
+    return count, own / max(count, 1)
+
+
 @kernel
 def _meet_block(
     start: int, stop: int, reference: tuple[Floats, Floats, Floats],
@@ -110,15 +126,10 @@ def _meet_block(
     normal, inverse, right, step = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     row = np.empty(3)
     for i in range(start, stop):
-        count, own = 0, 0.0
         depth = np.nan
-        for k in range(len(lenses)):
-            if np.isfinite(places[k, 0, i]) and sigma[k, 0, i] > 0.0 and sigma[k, 1, i] > 0.0:
-                own += 0.25 * (sigma[k, 0, i] ** 2 + sigma[k, 1, i] ** 2)
-                count += 1
+        count, own = _own_variance(places, sigma, i)
         if count == 0 or not undistorted(lens, pixels[:, i], inner):
             continue
-        own /= count
         d = turned(turn, inner[0], inner[1], 1.0)
         across = turned(turn, inner[2], inner[4], 0.0)
         down = turned(turn, inner[3], inner[5], 0.0)
@@ -135,7 +146,7 @@ def _meet_block(
             right[1], right[2] = -a / own, -b / own
             chi = (a * a + b * b) / own
             for k in range(len(lenses)):
-                if not (np.isfinite(places[k, 0, i]) and sigma[k, 0, i] > 0.0 and sigma[k, 1, i] > 0.0):
+                if not _is_seen(places, sigma, k, i):
                     continue
                 ray0, ray1, ray2 = (
                     d[0] + a * across[0] + b * down[0],
@@ -251,6 +262,17 @@ def depths_in_box(
     missed = ~(far > near)
     near[missed] = far[missed] = np.nan
     return rays, near, far
+
+
+def points_along_rays(camera: Camera, rays: Floats, near: Floats, far: Floats, count: int) -> Floats:
+    """Return `count` points on each ray (n, 3) of a camera between two distances (n,), (n, count, 3) in mm.
+
+    The farthest first, in even steps of inverse distance: those are about even in another camera's image.
+    """
+    share = np.linspace(0.0, 1.0, count)
+    with np.errstate(divide="ignore"):
+        along = 1.0 / ((1.0 - share) / far[:, None] + share / np.maximum(near, 1e-3 * far)[:, None])
+    return np.asarray(camera.pose.centre() + along[..., None] * rays[:, None])
 
 
 def plane_warps(

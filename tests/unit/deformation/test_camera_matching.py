@@ -10,7 +10,6 @@ import pytest
 from support.two_cameras import PITCH_MM, VOLUME, Floats, Height, cameras, curved, flat, seen_by
 
 from sms_jobs.metrology.deformation.camera_matching import (
-    CameraMatches,
     RaySearch,
     TexturedCamera,
     distance_from_rays,
@@ -18,7 +17,7 @@ from sms_jobs.metrology.deformation.camera_matching import (
 )
 from sms_jobs.metrology.deformation.correlation import CONVERGED, MatchSettings, Noise
 from sms_jobs.metrology.deformation.epipolar_search import search_along_rays
-from sms_jobs.metrology.deformation.matching import GridSettings
+from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings
 from sms_jobs.metrology.deformation.sampling import sample_nodes
 from sms_jobs.metrology.geometry.camera import project
 
@@ -45,25 +44,25 @@ def textured(rig: tuple, levels: tuple[Floats, Floats], noise: float, seed: int 
     ]
 
 
-def matched(seen: list[TexturedCamera], order: int = 2) -> CameraMatches:
+def matched(seen: list[TexturedCamera], order: int = 2) -> GridMatches:
     labels = np.ones(seen[0].texture.shape, dtype=np.int32)
     nodes = sample_nodes(labels, SPACING)
     settings = MatchSettings(RADIUS, 0.3, shape_order=order)
     return match_cameras(*seen, labels, nodes, settings, GridSettings(SPACING), RaySearch(VOLUME, 2.0))
 
 
-def errors(found: CameraMatches, exact: Floats) -> tuple[Floats, Floats]:
+def errors(found: GridMatches, exact: Floats) -> tuple[Floats, Floats]:
     """Return errors (n, 2) in px and standard deviations of the points that were matched."""
-    good = found.grid.matches.ending == CONVERGED
-    x, y = found.grid.x[good], found.grid.y[good]
-    place = np.stack([x, y], axis=1) + found.grid.matches.warp[good][:, [0, 3]]
-    return place - exact[y, x], found.grid.matches.sigma[good]
+    good = found.matches.ending == CONVERGED
+    x, y = found.x[good], found.y[good]
+    place = np.stack([x, y], axis=1) + found.matches.warp[good][:, [0, 3]]
+    return place - exact[y, x], found.matches.sigma[good]
 
 
-def well_inside(found: CameraMatches, exact: Floats) -> Floats:
+def well_inside(found: GridMatches, exact: Floats) -> Floats:
     """Return which nodes have a whole subset in both images."""
     rows, columns = exact.shape[:2]
-    x, y = found.grid.x, found.grid.y
+    x, y = found.x, found.y
     at = exact[y, x]
     room = np.minimum.reduce([x, columns - 1 - x, y, rows - 1 - y, at[:, 0], columns - 1 - at[:, 0]])
     return np.minimum(room, np.minimum(at[:, 1], rows - 1 - at[:, 1])) >= RADIUS + 5
@@ -73,7 +72,7 @@ def test_a_curved_surface_is_matched_to_thousandths_of_a_pixel() -> None:
     rig, levels, exact = images(curved)
     found = matched(textured(rig, levels, 0.0))
     inside = well_inside(found, exact)
-    good = found.grid.matches.ending == CONVERGED
+    good = found.matches.ending == CONVERGED
     assert good[inside].mean() > 0.999
     off, _ = errors(found, exact)
     # What a quadratic subset of 25 px leaves of waves of 94 mm, which are 380 px: its fourth derivative.
@@ -86,9 +85,9 @@ def test_a_first_order_subset_takes_curvature_for_a_shift() -> None:
     found = matched(textured(rig, levels, 0.0), order=1)
     off, _ = errors(found, exact)
     bend = sum(np.gradient(np.gradient(exact, axis=axis), axis=axis) for axis in (0, 1))
-    good = (found.grid.matches.ending == CONVERGED) & well_inside(found, exact)
-    off = off[good[found.grid.matches.ending == CONVERGED]]
-    expected = bend[found.grid.y[good], found.grid.x[good]] * RADIUS**2 / 6.0
+    good = (found.matches.ending == CONVERGED) & well_inside(found, exact)
+    off = off[good[found.matches.ending == CONVERGED]]
+    expected = bend[found.y[good], found.x[good]] * RADIUS**2 / 6.0
     rms, left = (np.sqrt(np.mean(one**2)) for one in (off, off - expected))
     assert rms > 0.008
     # The texture weighs the pixels of a subset differently from one to the next.
@@ -102,7 +101,7 @@ def test_matches_scatter_as_they_say(height: Height) -> None:
     for seed in range(3):
         found = matched(textured(rig, levels, NOISE, seed))
         off, sigma = errors(found, exact)
-        inside = well_inside(found, exact)[found.grid.matches.ending == CONVERGED]
+        inside = well_inside(found, exact)[found.matches.ending == CONVERGED]
         scores.append(np.mean((off / sigma)[inside] ** 2))
         assert (np.abs(off[inside]) < 6.0 * sigma[inside] + 0.05).all()
     # About 100 subsets fit side by side into what both see: 3 x 2 x 100 independent scores scatter by 6 %.
@@ -127,8 +126,7 @@ def test_a_grid_is_no_texture_to_begin_at() -> None:
         x, y = seen_by(camera, flat).material
         levels.append(2000.0 + 500.0 * np.cos(2.0 * np.pi * x / period) * np.cos(2.0 * np.pi * y / period))
     found = matched(textured(rig, (levels[0], levels[1]), 0.0))
-    assert found.seeds[1] == 0
-    assert not (found.grid.matches.ending == CONVERGED).any()
+    assert not (found.matches.ending == CONVERGED).any()
 
 
 def test_what_one_camera_alone_sees_has_no_match() -> None:
@@ -138,8 +136,8 @@ def test_what_one_camera_alone_sees_has_no_match() -> None:
     hidden[:, 180:230] = 2000.0
     found = matched(textured(rig, (levels[0], hidden), NOISE))
     off, sigma = errors(found, exact)
-    good = found.grid.matches.ending == CONVERGED
-    at = exact[found.grid.y, found.grid.x][:, 0]
+    good = found.matches.ending == CONVERGED
+    at = exact[found.y, found.x][:, 0]
     covered = (at > 186) & (at < 224)
     assert not good[covered].any()
     clear = good & ((at < 180 - RADIUS - 3) | (at > 230 + RADIUS + 3))

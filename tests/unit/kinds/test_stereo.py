@@ -157,6 +157,15 @@ def test_cameras_that_moved_are_refused() -> None:
         surface_of(subject, [images[0], shifted], calibration())
 
 
+def test_one_camera_of_three_that_moved_is_not_hidden_by_the_others() -> None:
+    subject = Subject("test", "S00", "C1C2C3")
+    images = [exposed(k, 3, curved, at_rest, 0)[0] for k in range(3)]
+    # The wider angle sees less of what the first camera sees: most of the matches are of the other two.
+    images[2] = recorded(np.roll(images[2].texture, 5, axis=0))
+    with pytest.raises(MeasurementFailed, match=r"[45](\.\d)? px \(median\) beside the images of their rays"):
+        surface_of(subject, images, calibration(3), epipolar_width_px=10.0)
+
+
 def test_images_with_nothing_in_common_are_refused() -> None:
     subject = Subject("test", "S00", "C1C2")
     first = exposed(0, 2, curved, at_rest, 0)[0]
@@ -172,6 +181,15 @@ def test_a_blank_image_and_an_image_of_another_size_are_refused() -> None:
         surface_of(subject, [first, recorded(np.full_like(first.texture, 7))], calibration())
     with pytest.raises(InvalidInput, match="has 400 x 200 px but C2 is calibrated for 400 x 300 px"):
         surface_of(subject, [first, recorded(first.texture[:200])], calibration())
+
+
+def test_a_saturated_image_is_refused() -> None:
+    subject = Subject("test", "S00", "C1C2")
+    first = exposed(0, 2, curved, at_rest, 0)[0]
+    bright = first.texture.copy()
+    bright[:, :240] = 4095
+    with pytest.raises(InvalidInput, match="60% of the image of test/S00/C2 are saturated, at 4095 or above"):
+        surface_of(subject, [first, recorded(bright)], calibration())
 
 
 def test_a_plain_image_has_no_point_and_says_so() -> None:
