@@ -135,7 +135,6 @@ def _at_one_moment(source: Catalogue, hold: bool) -> Iterator[Session]:
             yield session
         return
     with source.reading() as session:
-        session.connection(execution_options={"isolation_level": "REPEATABLE READ"})
         if hold:
             # Before the first query, which fixes what is seen. Writers wait until the session ends.
             names = ", ".join(f'"{table.name}"' for table in Table.metadata.sorted_tables)

@@ -90,6 +90,10 @@ class Catalogue:
     def __init__(self, url: str, *, create: bool = False) -> None:
         self.engine = _engine(url, create)
         self._writing = self.engine.execution_options(**{_WRITING: True})
+        self._reading = self.engine
+        if self.dialect == "postgresql":
+            # By itself each query would see what was committed before it, and two what was between.
+            self._reading = self.engine.execution_options(isolation_level="REPEATABLE READ")
         self._readable = readable.file_to_read(self.engine)
 
     @property
@@ -107,7 +111,7 @@ class Catalogue:
         with (
             self._explained(),
             readable.unchanged(self._readable),
-            Session(self.engine, expire_on_commit=False) as session,
+            Session(self._reading, expire_on_commit=False) as session,
         ):
             yield session
 

@@ -120,11 +120,14 @@ def coming_with(session: Session, planned: Draft) -> Graph | Sample:
 
 def _before(session: Session, requested: ColumnElement[bool]) -> ColumnElement[bool] | None:
     """Select the active jobs that were asked for or come before the last of those; None without any."""
-    priority = session.scalar(select(func.min(JobRow.priority)).where(requested))
-    if priority is None:
-        return None
-    last = select(func.max(JobRow.position)).where(requested, JobRow.priority == priority)
-    return _not_after(priority, session.scalars(last).one())
+    # In one statement: between two the last of them may end.
+    last = session.execute(
+        select(JobRow.priority, JobRow.position)
+        .where(requested)
+        .order_by(JobRow.priority, JobRow.position.desc())
+        .limit(1)
+    ).one_or_none()
+    return None if last is None else _not_after(last.priority, last.position)
 
 
 def _not_after(priority: int, position: int) -> ColumnElement[bool]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import replace
 from datetime import datetime, timedelta
 
 import pytest
-from sqlalchemy import select, update
+from sqlalchemy import event, select, update
+from support.deployments import Deployment
 from support.jobs import JOBS, NOW, accept_calibration, submit_pipeline
 
 from sms_jobs.catalogue import campaigns
@@ -198,3 +201,23 @@ def test_the_pace_is_that_of_the_last_minutes_without_what_was_reused(catalogue:
     with catalogue.writing() as session:
         session.execute(update(JobRow).where(JobRow.id == new[0]).values(reused_from=old[0]))
         assert pace(session, named(new), NOW + timedelta(seconds=30)) == pytest.approx(1 / 0.5)
+
+
+def test_jobs_that_end_while_one_asks_are_no_error(catalogue: Catalogue, deployment: Deployment) -> None:
+    add_campaign(catalogue, "plate")
+    ids = submitted(catalogue, "plate", "simulate")
+    with closing(deployment.catalogue()) as other, ThreadPoolExecutor(1) as pool:
+        asked = [0]
+
+        def all_end(*_: object) -> None:
+            asked[0] += 1
+            if asked[0] == 1:
+                pool.submit(let_all_succeed, other).result()
+
+        event.listen(catalogue.engine, "after_cursor_execute", all_end)
+        try:
+            told(catalogue, ids)
+        finally:
+            event.remove(catalogue.engine, "after_cursor_execute", all_end)
+    assert asked[0] > 1
+    assert told(catalogue, ids).jobs == 0

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from datetime import UTC, datetime
 
 import pytest
-from sqlalchemy import select, update
+from sqlalchemy import func, select, update
+from support.deployments import Deployment
 
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
@@ -67,3 +69,14 @@ def test_what_libraries_say_is_made_fit(catalogue: Catalogue) -> None:
         # No job is there; what is bound is what counts.
         session.execute(update(JobRow).values(error="broke\x00 \x1b[2J \udcff"))
     assert schema.differences_from_models(catalogue) == []
+
+
+def test_a_reader_sees_one_state_whatever_others_commit(catalogue: Catalogue, deployment: Deployment) -> None:
+    saved(catalogue, "before")
+    count = select(func.count()).select_from(SavedQueryRow)
+    with closing(deployment.catalogue()) as other, catalogue.reading() as session:
+        assert session.scalar(count) == 1
+        saved(other, "meanwhile")
+        assert session.scalar(count) == 1
+    with catalogue.reading() as session:
+        assert session.scalar(count) == 2
