@@ -3,33 +3,42 @@
 from __future__ import annotations
 
 import json
+import os
+import pwd
+import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from sms_jobs import settings as settings_file
 from sms_jobs.archive import Archive, FolderStore
-from sms_jobs.catalogue import renewal, schema
+from sms_jobs.catalogue import people, renewal, schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import CatalogueDamaged, CatalogueEmpty, ConfigurationError
 from sms_jobs.jobs.stations import Stations
+from sms_jobs.records.people import Actor, Role
 from sms_jobs.settings import Settings
 
 
 @dataclass(frozen=True)
 class Services:
-    """What a command or a worker needs to do its work."""
+    """What a command or a worker needs to do its work, and for whom it does it."""
 
     settings: Settings
     catalogue: Catalogue
     archive: Archive
+    actor: Actor
 
     @property
     def stations(self) -> Stations:
         """The rigs that are connected to this host."""
         return Stations.of(self.settings)
+
+    def acting(self, actor: Actor) -> Services:
+        """Return the same for somebody else."""
+        return replace(self, actor=actor)
 
 
 def initialise(home: Path | None = None, environment_file: Path | None = None) -> Settings:
@@ -84,8 +93,8 @@ def _naming(environment_file: Path | None) -> str:
 
 
 @contextmanager
-def services(home: Path | None = None) -> Iterator[Services]:
-    """Open the services of a home that `initialise` has made.
+def services(home: Path | None = None, via: str = "command") -> Iterator[Services]:
+    """Open the services of a home that `initialise` has made, for whoever runs this program.
 
     Raises
     ------
@@ -101,7 +110,7 @@ def services(home: Path | None = None) -> Iterator[Services]:
     settings = settings_file.load(home)
     _require_home(settings)
     with closing(_current_catalogue(settings)) as catalogue:
-        yield Services(settings, catalogue, _archive(settings))
+        yield Services(settings, catalogue, _archive(settings), _whoever_runs_this(settings, catalogue, via))
 
 
 @contextmanager
@@ -135,7 +144,34 @@ def renewed(home: Path | None = None, *, dry_run: bool = False) -> Iterator[tupl
             if said:
                 schema.upgrade(catalogue)
             schema.require_current(catalogue)
-            yield Services(settings, catalogue, _archive(settings)), said
+            actor = _whoever_runs_this(settings, catalogue, "command")
+            yield Services(settings, catalogue, _archive(settings), actor), said
+
+
+def _whoever_runs_this(settings: Settings, catalogue: Catalogue, via: str) -> Actor:
+    """Return the person whose account runs this program.
+
+    Until somebody has a name here, everybody who reaches the home may do everything. From then on an
+    account is the person of its name, or looks on alone. The account that owns the home
+    could change its files anyway.
+    """
+    name, host = _account(), socket.gethostname()
+    with catalogue.reading() as session:
+        if not people.anybody(session):
+            return Actor(name, Role.ADMINISTRATOR, via, host, confirmed=True)
+        row = people.find(session, name)
+    if row is not None:
+        return Actor(name, Role(row.role), via, host, confirmed=row.password is None)
+    owns = settings.home.stat().st_uid == os.getuid()
+    return Actor(name, Role.ADMINISTRATOR if owns else Role.VIEWER, via, host, confirmed=owns)
+
+
+def _account() -> str:
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name[:64]
+    except KeyError:
+        # Containers run under numbers that have no name.
+        return f"uid {os.getuid()}"
 
 
 def _require_home(settings: Settings) -> None:

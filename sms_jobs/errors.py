@@ -50,6 +50,16 @@ class Conflict(SmsError):
     exit_code = 4
 
 
+class NotAllowed(SmsError):
+    """Whoever asks may not do that."""
+
+    exit_code = 8
+
+
+class PasswordNeeded(NotAllowed):
+    """It is done only by somebody who has just given the password again."""
+
+
 class DevicesBusy(Conflict):
     """A device is in use by somebody else; it may be free later."""
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 from sms_jobs.app.progress import Step, Tell, nobody
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import upkeep
 from sms_jobs.jobs import left_frames, reindexing, retention, verification
@@ -17,6 +18,7 @@ from sms_jobs.jobs.repair import Repair
 from sms_jobs.jobs.retention import Removable
 from sms_jobs.jobs.verification import Checked, Finding
 from sms_jobs.kinds import kind_named
+from sms_jobs.records.people import Right
 
 _ENTERED = ("indexed", "incomplete")
 
@@ -30,6 +32,7 @@ class Verified:
     findings: tuple[Finding, ...]
 
 
+@use_case(Right.COMPUTE)
 def verify(
     services: Services,
     *,
@@ -102,6 +105,7 @@ class Reindexing:
         return sum(one.size_bytes for one in self.files)
 
 
+@use_case(Right.ADMINISTER)
 def reindex(services: Services, *, dry_run: bool = False, tell: Tell = nobody) -> Reindexing:
     """Enter the files of the archive that the catalogue does not know; `tell` counts files."""
     paths = reindexing.unknown_files(services.catalogue, services.archive)
@@ -122,6 +126,7 @@ class Repaired:
     undone: tuple[Repair, ...]
 
 
+@use_case(Right.ADMINISTER)
 def repair(services: Services, *, dry_run: bool = True, quick: bool = False, tell: Tell = nobody) -> Repaired:
     """Verify the archive and mend what can be mended; nothing is ever deleted.
 
@@ -158,6 +163,7 @@ class Removed:
         return sum(g.size_bytes for g in self.files) + sum(f.size_bytes for f in self.frames)
 
 
+@use_case(Right.ADMINISTER)
 def remove_old(
     services: Services, age: timedelta, kinds: Sequence[str] = (), *, dry_run: bool = True
 ) -> Removed:

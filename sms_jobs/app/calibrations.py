@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.errors import InvalidInput
@@ -20,6 +21,7 @@ from sms_jobs.jobs import acceptances
 from sms_jobs.jobs.registration import Registered, register_calibration
 from sms_jobs.metrology.geometry.lens import COEFFICIENTS
 from sms_jobs.records.campaign import Subject
+from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.shown.files import CalibrationView
 from sms_jobs.records.supplements import Supplement
@@ -34,12 +36,14 @@ DISTORTION: tuple[str, ...] = COEFFICIENTS
 """Names of a lens's coefficients, in the order of `Intrinsics.distortion`."""
 
 
+@use_case(Right.READ)
 def list_calibrations(services: Services, rig: str | None = None) -> list[CalibrationView]:
     """Return the calibrations of a rig, or all: the one that became valid last first."""
     with services.catalogue.reading() as session:
         return search.list_calibrations(session, rig)
 
 
+@use_case(Right.READ)
 def show(services: Services, number: int) -> KnownCalibration:
     """Return a calibration with what is known of it; raises `NotFound` where there is no such one."""
     from sms_jobs.jobs import calibrations
@@ -56,6 +60,7 @@ class Certified:
     calibration: Calibration
 
 
+@use_case(Right.CERTIFY, confirm=True)
 def certify(
     services: Services, session: str, valid_from: datetime | None = None, *, despite_warnings: bool = False
 ) -> Certified:
@@ -97,6 +102,7 @@ class Compared:
     tolerance_mm: float
 
 
+@use_case(Right.READ)
 def compare(services: Services, before: int, after: int, tolerance_mm: float | None = None) -> Compared:
     """Say what changed between two calibrations of a rig, and whether it matters.
 
@@ -117,6 +123,7 @@ def compare(services: Services, before: int, after: int, tolerance_mm: float | N
     return Compared(*calibrations.compare(services.catalogue, services.archive, before, after, tolerance_mm))
 
 
+@use_case(Right.COMPUTE)
 def check(
     services: Services, tuples: Sequence[str], *, baseline_mm: float = 0.01, false_alarm: float = 0.001
 ) -> list[CalibrationCheck]:
@@ -162,6 +169,7 @@ class Decision:
     new: bool
 
 
+@use_case(Right.CERTIFY)
 def decide(services: Services, number: int, campaign: str | None, *, in_use: bool) -> Decision:
     """Take a calibration into use for its rig, or for one campaign; or use it no longer.
 
@@ -187,6 +195,7 @@ class CalibrationText:
     remarks: tuple[str, ...]
 
 
+@use_case(Right.READ)
 def export(services: Services, number: int, style: str, *, pixel_pitch_um: float = 5.0) -> CalibrationText:
     """Return a calibration as a file of another program, one of `STYLES`.
 
@@ -226,6 +235,7 @@ class Imported:
     remarks: tuple[str, ...]
 
 
+@use_case(Right.COMPUTE)
 def import_files(services: Services, files: Sequence[Path], given: Supplement) -> Imported:
     """Bring in a calibration that was made elsewhere, from a file or several that complete each other.
 

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, valid_calibrations
 from sms_jobs.formats import configuration
@@ -15,6 +16,7 @@ from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.inquiry import CampaignView
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.people import Right
 
 
 def example(of: Literal["fringes", "stereo", "session"] = "fringes") -> str:
@@ -26,6 +28,7 @@ def example(of: Literal["fringes", "stereo", "session"] = "fringes") -> str:
     }[of]()
 
 
+@use_case(Right.COMPUTE)
 def create(services: Services, plan: Path) -> Campaign:
     """Create a campaign, or a calibration session, from the file of its plan.
 
@@ -56,6 +59,7 @@ class Campaigns:
     total: int
 
 
+@use_case(Right.READ)
 def list_campaigns(services: Services, limit: int = 50) -> Campaigns:
     """Return campaigns, the newest first."""
     with services.catalogue.reading() as session:
@@ -63,12 +67,14 @@ def list_campaigns(services: Services, limit: int = 50) -> Campaigns:
         return Campaigns(tuple(rows), campaigns.number_of_campaigns(session))
 
 
+@use_case(Right.READ)
 def names(services: Services) -> list[str]:
     """Return the names of all campaigns."""
     with services.catalogue.reading() as session:
         return inquiry.campaign_names(session)
 
 
+@use_case(Right.READ)
 def definition(services: Services, name: str) -> Campaign:
     """Return a campaign as it is defined; raises `NotFound` where there is none of that name."""
     with services.catalogue.reading() as session:
@@ -101,6 +107,7 @@ class CampaignStory:
     times: dict[str, datetime]
 
 
+@use_case(Right.READ)
 def show(services: Services, name: str) -> CampaignStory:
     """Return what is known of a campaign; raises `NotFound` where there is none of that name."""
     with services.catalogue.reading() as session:

@@ -11,11 +11,13 @@ from pathlib import Path
 from sms_jobs import settings as settings_file
 from sms_jobs.app import writing
 from sms_jobs.app.progress import Step, Tell, nobody
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import copying, schema, upkeep
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.jobs import backups
 from sms_jobs.jobs.backups import Progress
+from sms_jobs.records.people import Right
 
 SHARES = backups.SHARES
 """In how many backups everything that was copied before is read again, unless it is said otherwise."""
@@ -49,6 +51,7 @@ class Compared:
     differences: tuple[str, ...]
 
 
+@use_case(Right.READ)
 def check(services: Services) -> Compared:
     """Compare the catalogue's schema with what this version needs."""
     differences = schema.differences_from_models(services.catalogue)
@@ -63,6 +66,7 @@ class Copied:
     to: str
 
 
+@use_case(Right.ADMINISTER)
 def copy(services: Services, to_url: str, tell: Tell = nobody) -> Copied:
     """Copy the whole catalogue to another database, which has all rows in the end, or none.
 
@@ -120,6 +124,7 @@ class BackedUp:
     findings: tuple[Missed, ...]
 
 
+@use_case(Right.ADMINISTER)
 def back_up(
     services: Services, folder: Path, shares: int = SHARES, tell: Tell = nobody
 ) -> tuple[Path, BackedUp]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from sqlalchemy.orm import Session
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.app.waiting import Waited, Waiting, wait_for
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
@@ -20,6 +21,7 @@ from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.jobs.submission import submit_to
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 from sms_jobs.virtual_rig.sessions import calibration_session
@@ -31,6 +33,7 @@ Size: TypeAlias = Literal["small", "full"]
 """Of the simulated cameras: 512 or 1024 px square."""
 
 
+@use_case(Right.COMPUTE)
 def run(
     services: Services, size: Size, *, say: Callable[[str], None], tell: Callable[[Waiting], None]
 ) -> dict[str, Any]:

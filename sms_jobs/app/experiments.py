@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sms_jobs.app import campaigns, writing
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.people import Right
 
 if TYPE_CHECKING:
     from sms_jobs.virtual_rig.campaigns import Made, Size
@@ -29,6 +31,7 @@ EXPERIMENTS: Mapping[str, str] = {
 }
 
 
+@use_case(Right.COMPUTE)
 def simulate(services: Services, experiment: str, name: str | None, *, small: bool = False) -> list[Campaign]:
     """Create an experiment with its exact calibration: a campaign, or one for each position of the rig.
 
@@ -82,6 +85,7 @@ class ExactState:
     nodes: int
 
 
+@use_case(Right.READ)
 def exact(
     services: Services, campaign: str, folder: Path, *, step_px: int = 2, force: bool = False
 ) -> list[ExactState]:

@@ -7,12 +7,14 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from sms_jobs.app import writing
+from sms_jobs.app.rules import use_case
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.archive.repacking import repack
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.fields import Mesh, PhaseMaps
+from sms_jobs.records.people import Right
 from sms_jobs.records.quantity import quantities
 from sms_jobs.records.shown.files import FileView
 
@@ -78,6 +80,7 @@ class ExportOptions:
     force: bool = False
 
 
+@use_case(Right.READ)
 def export(services: Services, chosen: Chosen, out: Path | None, options: ExportOptions) -> list[Path]:
     """Write results for other programs, or copy sealed files out of the archive; return what was written.
 

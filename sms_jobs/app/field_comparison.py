@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.errors import InvalidInput
@@ -18,6 +19,7 @@ from sms_jobs.formats.other_fields import PointField, draw_difference, read_poin
 from sms_jobs.kinds.products import MESH
 from sms_jobs.metrology.geometry.planes import in_space
 from sms_jobs.records.fields import Mesh
+from sms_jobs.records.people import Right
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -107,6 +109,7 @@ class Difference:
         return text.getvalue().encode()
 
 
+@use_case(Right.READ)
 def difference_of(services: Services, file: str, other: str, how: How) -> Difference:
     """Subtract the displacement of a mesh file, or of another merged result, from a merged one.
 

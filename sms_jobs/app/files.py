@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import family, search
@@ -16,6 +17,7 @@ from sms_jobs.jobs import retention
 from sms_jobs.jobs.retention import Pin
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import Ancestor, FileView
 
 
@@ -42,6 +44,7 @@ class Description:
     records: dict[str, Any]
 
 
+@use_case(Right.READ)
 def describe(services: Services, key: str) -> Description:
     """Return what is known of the file of that number or archive path.
 
@@ -77,6 +80,7 @@ class Tree:
     more: bool
 
 
+@use_case(Right.READ)
 def tree(services: Services, key: str, *, down: bool = False) -> Tree:
     """Return what a file was computed from, back to what was measured; or all that was computed from it.
 
@@ -88,6 +92,7 @@ def tree(services: Services, key: str, *, down: bool = False) -> Tree:
     return Tree(view, related.inputs, related.more)
 
 
+@use_case(Right.READ)
 def picture(
     services: Services,
     key: str,
@@ -138,6 +143,7 @@ def _reference_image(services: Services, inputs: Iterable[Ancestor]) -> Any:
     return None
 
 
+@use_case(Right.COMPUTE)
 def pin(services: Services, key: str, reason: str) -> FileView:
     """Keep a file, and all that it was computed from, whatever a policy says; return it."""
     with services.catalogue.writing() as session:
@@ -146,6 +152,7 @@ def pin(services: Services, key: str, reason: str) -> FileView:
     return view
 
 
+@use_case(Right.COMPUTE)
 def unpin(services: Services, key: str) -> FileView:
     """Let a policy decide about a file again; return it."""
     with services.catalogue.writing() as session:
@@ -154,6 +161,7 @@ def unpin(services: Services, key: str) -> FileView:
     return view
 
 
+@use_case(Right.READ)
 def pins(services: Services) -> list[Pin]:
     """Return the files that are pinned, and why."""
     with services.catalogue.reading() as session:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import finding, saved_queries
 from sms_jobs.catalogue.query_fields import Vocabulary
@@ -13,6 +14,7 @@ from sms_jobs.catalogue.query_language import Query, parse
 from sms_jobs.catalogue.saved_queries import SavedQuery
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import Page
 from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
@@ -42,6 +44,7 @@ def question(
     return Question(finding.restricted(parse(text), kind=kind, campaign=campaign, state=state, view=view))
 
 
+@use_case(Right.READ)
 def saved_question(services: Services, name: str) -> Question:
     """Return a question that is kept under a name; raises `NotFound` where there is none."""
     with services.catalogue.reading() as session:
@@ -63,6 +66,7 @@ def _words() -> tuple[frozenset[str], frozenset[str]]:
     )
 
 
+@use_case(Right.READ)
 def find(
     services: Services,
     asked: Question,
@@ -101,6 +105,7 @@ def find(
             return
 
 
+@use_case(Right.COMPUTE)
 def save_query(services: Services, name: str, text: str, *, replace: bool = False) -> SavedQuery:
     """Keep a query under a name, if it can be asked.
 
@@ -115,12 +120,14 @@ def save_query(services: Services, name: str, text: str, *, replace: bool = Fals
         return saved_queries.save(session, name, text, datetime.now(UTC), vocabulary(), replace=replace)
 
 
+@use_case(Right.READ)
 def queries(services: Services) -> list[SavedQuery]:
     """Return the queries that are kept, by name."""
     with services.catalogue.reading() as session:
         return saved_queries.saved(session)
 
 
+@use_case(Right.COMPUTE)
 def remove_query(services: Services, name: str) -> None:
     """Forget a query; raises `NotFound` where there is none of that name."""
     with services.catalogue.writing() as session:

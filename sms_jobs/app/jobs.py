@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search, upkeep
 from sms_jobs.errors import Conflict, InvalidInput
@@ -20,6 +21,7 @@ from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.submission import Submission, draft, enter, while_outdated
 from sms_jobs.jobs.turns import planning_turn
 from sms_jobs.records.job import JobState
+from sms_jobs.records.people import Right
 from sms_jobs.records.shown.estimates import Estimate, Outlook
 from sms_jobs.records.shown.files import FileView
 
@@ -94,6 +96,7 @@ class Submitted:
     jobs: Chosen
 
 
+@use_case(Right.COMPUTE)
 def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitted:
     """Submit jobs and say how long they will take; with `dry_run`, say so alone.
 
@@ -125,6 +128,7 @@ def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitte
     return Submitted(done.job_ids, counted, ahead, chosen.submitted(done))
 
 
+@use_case(Right.READ)
 def list_jobs(
     services: Services,
     *,
@@ -149,6 +153,7 @@ class Remaining:
     outlook: Outlook | None
 
 
+@use_case(Right.READ)
 def remaining(services: Services, campaign: str | None = None) -> Remaining:
     """Return how the jobs of a campaign, or all, come along."""
     with services.catalogue.reading() as session:
@@ -166,6 +171,7 @@ class JobStory:
     files: tuple[FileView, ...]
 
 
+@use_case(Right.READ)
 def show(services: Services, prefix: str) -> JobStory:
     """Return the job whose id begins so, with what became of it.
 
@@ -186,6 +192,7 @@ class JobLog:
     text: str | None
 
 
+@use_case(Right.READ)
 def log(services: Services, prefix: str) -> JobLog:
     """Return the log of the job whose id begins so, whichever host has run it; raises as `show` does."""
     with services.catalogue.reading() as session:
@@ -195,6 +202,7 @@ def log(services: Services, prefix: str) -> JobLog:
     return JobLog(view, path, path.read_text("utf-8", errors="backslashreplace") if there else None)
 
 
+@use_case(Right.READ)
 def choose(services: Services, prefixes: Sequence[str], campaign: str | None) -> Chosen:
     """Choose the named jobs; if none is named, all active ones, or a campaign's."""
     with services.catalogue.reading() as session:
@@ -203,6 +211,7 @@ def choose(services: Services, prefixes: Sequence[str], campaign: str | None) ->
         return chosen.active_now(session, campaign)
 
 
+@use_case(Right.COMPUTE)
 def cancel(services: Services, prefixes: Sequence[str], campaign: str | None) -> int:
     """Cancel the named jobs, or those of a campaign, and return how many.
 
@@ -224,6 +233,7 @@ def cancel(services: Services, prefixes: Sequence[str], campaign: str | None) ->
     return cancelled
 
 
+@use_case(Right.COMPUTE)
 def retry(services: Services, prefixes: Sequence[str], campaign: str | None) -> int:
     """Give jobs that ended without success another chance, with all that was skipped for them.
 
@@ -247,6 +257,7 @@ class Explanation:
     sentences: tuple[str, ...]
 
 
+@use_case(Right.READ)
 def explain(services: Services, prefix: str) -> Explanation:
     """Say why a job waits, ran, was reused, or is stale; raises as `show` does."""
     with services.catalogue.reading() as session:

@@ -9,6 +9,7 @@ from typing import Any
 
 from sms_jobs.app import writing
 from sms_jobs.app.progress import Step, Tell, nobody
+from sms_jobs.app.rules import use_case
 from sms_jobs.archive import Checker
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
@@ -20,6 +21,7 @@ from sms_jobs.jobs.portable_import import CheckedFile
 from sms_jobs.jobs.reindexing import Reindexed
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import CalibrationView
 
 _ENTERED = ("indexed", "incomplete")
@@ -34,6 +36,7 @@ class Packed:
     resumed: int
 
 
+@use_case(Right.READ)
 def pack(
     services: Services,
     campaign: str,
@@ -135,6 +138,7 @@ class Unpacked:
         return tuple(one for one in self.files if one.outcome != "indexed")
 
 
+@use_case(Right.COMPUTE)
 def unpack(
     services: Services,
     folder: Path,
@@ -187,6 +191,7 @@ class Provenance:
         return as_text(self.document)
 
 
+@use_case(Right.READ)
 def provenance(services: Services, what: str) -> Provenance:
     """Return where a file, or all files of a campaign, come from, back to what was measured.
 

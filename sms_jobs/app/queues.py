@@ -9,19 +9,23 @@ from typing import Literal
 from sqlalchemy.orm import Session
 
 from sms_jobs.app import jobs
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs import queues as held
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.queues import QueueView
+from sms_jobs.records.people import Right
 
 
+@use_case(Right.READ)
 def list_queues(services: Services) -> list[QueueView]:
     """Return the queues, how many jobs are in them, and which are paused."""
     with services.catalogue.reading() as session:
         return held.queues(session)
 
 
+@use_case(Right.RECORD)
 def pause(services: Services, names: Sequence[str], reason: str) -> list[str]:
     """Let no more jobs of some queues begin, or of all if none is named; return which.
 
@@ -34,6 +38,7 @@ def pause(services: Services, names: Sequence[str], reason: str) -> list[str]:
     return selected
 
 
+@use_case(Right.RECORD)
 def resume(services: Services, names: Sequence[str]) -> list[str]:
     """Let the jobs of paused queues begin again, of all if none is named; return which were paused.
 
@@ -47,6 +52,7 @@ def resume(services: Services, names: Sequence[str]) -> list[str]:
     return resumed
 
 
+@use_case(Right.COMPUTE)
 def move(
     services: Services, prefixes: Sequence[str], campaign: str | None, to: Literal["front", "back"]
 ) -> int:
@@ -59,6 +65,7 @@ def move(
         return held.move(session, some, to)
 
 
+@use_case(Right.COMPUTE)
 def set_priority(services: Services, prefixes: Sequence[str], campaign: str | None, priority: int) -> int:
     """Give the named jobs, or those of a campaign, that have not begun another priority; return how many.
 

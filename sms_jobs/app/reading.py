@@ -8,12 +8,14 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Provenance
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, search
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.kinds import all_kinds
 from sms_jobs.records.campaign import Subject
+from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import FileView
 
 
@@ -37,6 +39,7 @@ class StoredRecord:
     provenance: Provenance
 
 
+@use_case(Right.READ)
 def newest(services: Services, subject: str, what: str) -> StoredRecord:
     """Read the newest record of a name, or the main one of a kind, about a subject.
 
@@ -87,6 +90,7 @@ def _with_record(name: str) -> set[str]:
     }
 
 
+@use_case(Right.READ)
 def of_file(services: Services, key: str, name: str | None = None) -> StoredRecord:
     """Read a record of the file of that number or archive path; the first if it is not named.
 

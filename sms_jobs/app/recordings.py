@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 
 from sqlalchemy.orm import Session
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.app.waiting import Waited, Waiting, wait_for
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row, definition
@@ -24,6 +25,7 @@ from sms_jobs.jobs.submission import submit_to
 from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.job import SHORT_ID, JobState
+from sms_jobs.records.people import Right
 from sms_jobs.records.shown.rehearsals import DryRun
 from sms_jobs.records.shown.state_progress import StateProgress
 
@@ -51,6 +53,7 @@ class Plan:
         return recordings.turns(self.states)
 
 
+@use_case(Right.READ)
 def plan(services: Services, campaign: str, states: Sequence[str] = (), *, missing: bool = False) -> Plan:
     """Return some states of a campaign, or all; of these, with `missing`, those that are not recorded yet.
 
@@ -65,6 +68,7 @@ def plan(services: Services, campaign: str, states: Sequence[str] = (), *, missi
     return Plan(found, tuple(chosen))
 
 
+@use_case(Right.READ)
 def rehearse(services: Services, plan: Plan) -> DryRun:
     """Return what recording some states would take, and what is missing for it.
 
@@ -89,6 +93,7 @@ class Begun:
     jobs: Chosen
 
 
+@use_case(Right.RECORD)
 def record(
     services: Services, campaign: str, states: tuple[str, ...], *, ask: bool = False, process: bool = False
 ) -> Begun:
@@ -108,6 +113,7 @@ def record(
     return Begun(done.job_ids, done.kinds.count(KIND.name), submitted(done, KIND.name))
 
 
+@use_case(Right.COMPUTE)
 def process(services: Services, campaign: str) -> int:
     """Submit what follows from the recordings of a campaign, and return how many jobs that is."""
     return len(submit_to(services.catalogue, campaign, [Request(PIPELINE)], datetime.now(UTC)).job_ids)
@@ -121,6 +127,7 @@ class Recorded:
     verdicts: tuple[PairVerdict, ...]
 
 
+@use_case(Right.READ)
 def wait_for_recordings(
     services: Services, begun: Begun, tell: Callable[[Waiting], None] = lambda waiting: None
 ) -> Recorded:
@@ -142,6 +149,7 @@ class NextState:
         return state_value(self.state, channel)
 
 
+@use_case(Right.READ)
 def next_state(services: Services, campaign: str) -> NextState | None:
     """Return the first state that is neither recorded nor waits; None where there is none."""
     with services.catalogue.reading() as session:
@@ -150,6 +158,7 @@ def next_state(services: Services, campaign: str) -> NextState | None:
     return None if state is None else NextState(state, rig)
 
 
+@use_case(Right.READ)
 def wait_for_hold(
     services: Services, rig: str, channel: str, target: float, tolerance: float, seconds: float
 ) -> None:
@@ -162,12 +171,14 @@ def wait_for_hold(
             time.sleep(_LOOK_EVERY_S)
 
 
+@use_case(Right.READ)
 def open_recordings(services: Services) -> list[OpenRecording]:
     """Return the recordings that run, or wait for an operator."""
     with services.catalogue.reading() as session:
         return recordings.open_recordings(session, services.settings.spool_folder)
 
 
+@use_case(Right.RECORD)
 def resume(services: Services, prefix: str, *, retake: bool = False) -> Begun:
     """Go on with a recording that was interrupted: what is there is kept, the rest is recorded.
 
@@ -196,6 +207,7 @@ def resume(services: Services, prefix: str, *, retake: bool = False) -> Begun:
         return Begun((row.id,), 1, named([row.id]))
 
 
+@use_case(Right.RECORD)
 def abort(services: Services, prefix: str | None = None) -> list[str]:
     """Stop a recording, or all, now, and return the ids of their jobs; complete frames stay.
 
@@ -213,6 +225,7 @@ def abort(services: Services, prefix: str | None = None) -> list[str]:
     return stopped
 
 
+@use_case(Right.READ)
 def progress(services: Services, campaign: str) -> list[StateProgress]:
     """Return what is recorded of each state, how good it is, and what is known of it already."""
     with services.catalogue.reading() as session:

@@ -15,11 +15,13 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.jobs import locks
 from sms_jobs.jobs.locks import HeldDevice
 from sms_jobs.kinds.kind import rig_queue
 from sms_jobs.records.optical_instruments import RigFile
+from sms_jobs.records.people import Right
 
 if TYPE_CHECKING:
     from sms_jobs.instruments.checking import RigCheck
@@ -37,6 +39,7 @@ def example() -> str:
     return example_rig()
 
 
+@use_case(Right.RECORD)
 def add(services: Services, file: Path, *, replace: bool = False) -> RigFile:
     """Connect the rig that a file describes to this host.
 
@@ -50,11 +53,13 @@ def add(services: Services, file: Path, *, replace: bool = False) -> RigFile:
     return services.stations.add(file, replace)
 
 
+@use_case(Right.READ)
 def list_rigs(services: Services) -> list[RigFile]:
     """Return the rigs that are connected to this host."""
     return [services.stations.rig(name) for name in services.stations.names()]
 
 
+@use_case(Right.READ)
 def file_text(services: Services, rig: str) -> str:
     """Return the file of a rig; raises `NotFound` where it is not connected to this host."""
     services.stations.rig(rig)
@@ -70,6 +75,7 @@ class Checked:
     units: Mapping[str, str]
 
 
+@use_case(Right.RECORD)
 def check(services: Services, rig: str) -> Checked:
     """Talk to every instrument of a rig, and light every projector in turn.
 
@@ -90,6 +96,7 @@ def check(services: Services, rig: str) -> Checked:
         return Checked(described, check, {name: channel.unit for name, channel in found.channels.items()})
 
 
+@use_case(Right.RECORD)
 def home_stage(services: Services, rig: str) -> None:
     """Bring a rig's stage home, the way it came; raises as `check` does."""
     from sms_jobs.instruments.connection import connected_stage
@@ -98,6 +105,7 @@ def home_stage(services: Services, rig: str) -> None:
         stage.home()
 
 
+@use_case(Right.RECORD)
 def move_stage(services: Services, rig: str, pan_rad: float, tilt_rad: float) -> tuple[float, float]:
     """Bring a rig's stage to a pose, and return where it stands then; raises as `check` does."""
     from sms_jobs.instruments.connection import connected_stage
@@ -108,6 +116,7 @@ def move_stage(services: Services, rig: str, pan_rad: float, tilt_rad: float) ->
         return stage.angles()
 
 
+@use_case(Right.RECORD)
 def stop(services: Services, rig: str) -> list[str]:
     """Stop a rig's stages at once, whoever uses them, and return which."""
     from sms_jobs.instruments.clock import RealClock
@@ -116,6 +125,7 @@ def stop(services: Services, rig: str) -> list[str]:
     return list(emergency_stop(services.stations.rig(rig).serial.stages, RealClock()))
 
 
+@use_case(Right.RECORD)
 def simulation(services: Services, rig: str, folder: Path | None) -> SimulatedPorts:
     """Put simulators of a rig's serial instruments on pseudo-terminals, with links to them in a folder."""
     from sms_jobs.instruments.simulated.serial.simulation import simulate
@@ -131,6 +141,7 @@ class Lent:
     key_file: Path
 
 
+@use_case(Right.RECORD)
 def lend(services: Services, rig: str, listen: str, key_file: Path | None = None) -> Lent:
     """Lend the cameras and projectors of a scanner to a client at a time, once its server serves.
 
@@ -174,12 +185,14 @@ def _held(services: Services, rig: str, doing: str) -> Iterator[RigFile]:
             locks.release(session, holder=holder)
 
 
+@use_case(Right.READ)
 def held_devices(services: Services) -> list[HeldDevice]:
     """Return which devices are held, by whom and since when."""
     with services.catalogue.reading() as session:
         return locks.held(session, datetime.now(UTC))
 
 
+@use_case(Right.RECORD)
 def release(services: Services, device: str) -> HeldDevice:
     """Forget a lock whose holder is gone, and return it.
 

@@ -7,12 +7,15 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from sms_jobs.app.jobs import Work
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.jobs import schedules
 from sms_jobs.jobs.fire_times import parse_expression
 from sms_jobs.jobs.schedules import MissedFire, Order, ScheduleView
+from sms_jobs.records.people import Right
 
 
+@use_case(Right.RECORD)
 def add(
     services: Services,
     name: str,
@@ -53,24 +56,28 @@ def add(
         return schedules.first_fire(session, name, now)
 
 
+@use_case(Right.READ)
 def list_schedules(services: Services) -> list[ScheduleView]:
     """Return the schedules, what became of them last, and when they fire next."""
     with services.catalogue.reading() as session:
         return schedules.schedules(session, datetime.now(UTC))
 
 
+@use_case(Right.READ)
 def coming(services: Services, name: str, count: int) -> list[datetime]:
     """Return the next times of a schedule; raises `NotFound` where there is none of that name."""
     with services.catalogue.reading() as session:
         return schedules.coming(session, name, datetime.now(UTC), count)
 
 
+@use_case(Right.RECORD)
 def set_paused(services: Services, name: str, paused: bool) -> None:
     """Hold a schedule back, or let it go on; times that passed meanwhile count as missed."""
     with services.catalogue.writing() as session:
         schedules.set_paused(session, name, paused)
 
 
+@use_case(Right.RECORD)
 def remove(services: Services, name: str) -> None:
     """Remove a schedule; jobs that it submitted stay."""
     with services.catalogue.writing() as session:

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sms_jobs.app import jobs
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
 from sms_jobs.errors import InvalidInput, NotFound, SmsError
 from sms_jobs.jobs import inquiry, recovery
 from sms_jobs.jobs.inquiry import WorkerView
 from sms_jobs.records.job import ALIVE_WITHIN
+from sms_jobs.records.people import Right
 from sms_jobs.records.shown.estimates import Outlook
 
 if TYPE_CHECKING:
@@ -53,6 +55,7 @@ class Status:
     outlook: Outlook | None
 
 
+@use_case(Right.READ)
 def status(services: Services) -> Status:
     """Return how a home stands."""
     ahead = jobs.remaining(services).outlook
@@ -69,6 +72,7 @@ def status(services: Services) -> Status:
         )
 
 
+@use_case(Right.ADMINISTER)
 def supervisor(services: Services, queues: Sequence[str] | None = None) -> Supervisor:
     """Return a supervisor of jobs on this host, which serves once its `run` is called.
 
@@ -91,12 +95,14 @@ def supervisor(services: Services, queues: Sequence[str] | None = None) -> Super
     return Supervisor(services, selected)
 
 
+@use_case(Right.READ)
 def workers(services: Services) -> list[WorkerView]:
     """Return the workers that have lately given a sign of life."""
     with services.catalogue.reading() as session:
         return inquiry.workers(session, datetime.now(UTC) - _SHOWN_FOR)
 
 
+@use_case(Right.ADMINISTER)
 def drain(services: Services, worker: str) -> str:
     """Let the worker whose id begins so finish what it runs and claim nothing more; return its id.
 
@@ -111,6 +117,7 @@ def drain(services: Services, worker: str) -> str:
     return matching[0]
 
 
+@use_case(Right.READ)
 def metrics(services: Services) -> str:
     """Return the numbers of a home as Prometheus reads them; one says whether the catalogue answers."""
     from sms_jobs.jobs.metrics import Metric, as_text, gather

@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from sms_jobs.app.field_comparison import How, difference_of
+from sms_jobs.app.rules import use_case
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, search
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats.state_differences import StateDifference, draw_states, written_table
 from sms_jobs.records.campaign import LoadState, Subject
+from sms_jobs.records.people import Right
 from sms_jobs.records.recording import as_recorded
 
 _STATE = "{state}"
@@ -34,6 +36,7 @@ class StateDifferences:
         return written_table(self.states)
 
 
+@use_case(Right.READ)
 def compare_states(services: Services, campaign: str, other: str, kind: str, how: How) -> StateDifferences:
     """Subtract another displacement from the merged one at every state that has both, but the first.
 

@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, family, search
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.gauges import GaugeReadings
+from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import Ancestor, FileView
 
 if TYPE_CHECKING:
@@ -67,6 +69,7 @@ def microstrain(strain: float | None) -> str | None:
     return None if strain is None else f"{_MICROSTRAIN * strain:.1f}"
 
 
+@use_case(Right.READ)
 def gauges(
     services: Services, campaign: str, *, readings: Path | None = None, view: str | None = None
 ) -> Gauges:
@@ -181,6 +184,7 @@ class Section:
         return text.getvalue()
 
 
+@use_case(Right.READ)
 def section(
     services: Services,
     file: str,

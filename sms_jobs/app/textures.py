@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.people import Right
 
 if TYPE_CHECKING:
     from sms_jobs.metrology.images.texture_quality import Texture
@@ -106,6 +108,7 @@ def image_file(path: Path) -> Image:
     return Image(str(path), levels, float(np.iinfo(levels.dtype).max), None)
 
 
+@use_case(Right.READ)
 def measured_image(services: Services, key: str) -> Image:
     """Return the texture of a measurement, with the noise that its camera is known to have.
 

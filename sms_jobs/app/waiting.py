@@ -6,12 +6,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import JobFailed, WaitTimedOut
 from sms_jobs.jobs import inquiry
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.estimates import outlook
 from sms_jobs.records.job import UNSUCCESSFUL, JobState
+from sms_jobs.records.people import Right
 from sms_jobs.records.shown.estimates import Outlook
 
 _EVERY_S = 0.25
@@ -71,6 +73,7 @@ class Waited:
             raise JobFailed(f"{self.failures} of {total} jobs did not succeed; {self.failure}")
 
 
+@use_case(Right.READ)
 def wait_for(
     services: Services,
     some: Chosen,

@@ -8,6 +8,8 @@ import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import copy
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,7 +26,7 @@ from sqlalchemy.exc import (
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
 
-from sms_jobs.catalogue import readable
+from sms_jobs.catalogue import audit, readable
 from sms_jobs.errors import (
     CatalogueBusy,
     CatalogueDamaged,
@@ -33,10 +35,12 @@ from sms_jobs.errors import (
     ConfigurationError,
     Conflict,
     InvalidInput,
+    NotAllowed,
     ServerUnreachable,
     SmsError,
     StorageFull,
 )
+from sms_jobs.records.people import Deed
 
 _WRITING = "sms_writing"
 _RETURNED = "sms_returned_at"
@@ -95,6 +99,28 @@ class Catalogue:
             # By itself each query would see what was committed before it, and two what was between.
             self._reading = self.engine.execution_options(isolation_level="REPEATABLE READ")
         self._readable = readable.file_to_read(self.engine)
+        self._deed: Deed | None = None
+        self._noted = False
+        self._reads_alone = False
+
+    def for_deed(self, deed: Deed) -> Catalogue:
+        """Return this catalogue for something that an actor does: its first change says so in the audit.
+
+        What is done within another deed is part of that.
+        """
+        if self._deed is not None:
+            return self
+        noting = copy(self)
+        noting._deed, noting._reads_alone = deed, False
+        return noting
+
+    def for_reading(self) -> Catalogue:
+        """Return this catalogue for what changes nothing, unless it is part of a deed."""
+        if self._deed is not None:
+            return self
+        reading = copy(self)
+        reading._reads_alone = True
+        return reading
 
     @property
     def dialect(self) -> str:
@@ -125,19 +151,26 @@ class Catalogue:
 
         Raises
         ------
+        NotAllowed
+            This is a catalogue for reading.
         CatalogueBusy
             On SQLite others have been writing all the time.
         CommitInDoubt
             The server went away while it committed.
         """
+        if self._reads_alone:
+            raise NotAllowed("something that was declared to read alone tried to change the catalogue")
         if self._readable is not None:
             raise Conflict(
                 f"this account may only read the catalogue {self.describe()}; do this as its owner"
             )
         with self._explained(), Session(self._writing, expire_on_commit=False) as session:
             yield session
+            if self._deed is not None and not self._noted:
+                audit.append(session, self._deed, datetime.now(UTC))
             try:
                 session.commit()
+                self._noted = True
             except DBAPIError as error:
                 if not error.connection_invalidated:
                     raise

@@ -303,6 +303,8 @@ class JobRow(Table):
     use_cache: Mapped[bool] = mapped_column(default=True)
     state: Mapped[JobState]
     submitted_at: Mapped[datetime]
+    submitted_by: Mapped[str] = mapped_column(String(80), default="", server_default="")
+    """The person, account or schedule that asked for it."""
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]
     attempts: Mapped[int] = mapped_column(default=0)
@@ -337,16 +339,21 @@ class DependencyRow(Table):
 
 
 class EventRow(Table):
-    """A change of a job's state; rows are only ever added."""
+    """A change of a job's state; rows are only ever added, and sealed by the chain of `AuditRow`."""
 
     __tablename__ = "event"
-    __table_args__ = (Index(None, "job_id", "id"),)
+    __table_args__ = (
+        Index(None, "job_id", "id"),
+        Index("ix_event_seal", "seal_id", "id"),
+    )
     id: Mapped[int] = mapped_column(BigId, primary_key=True)
     job_id: Mapped[str] = mapped_column(ForeignKey("job.id"))
     at: Mapped[datetime]
     state: Mapped[JobState]
     attempt: Mapped[int]
     message: Mapped[str] = mapped_column(MessageText, default="")
+    seal_id: Mapped[int | None] = mapped_column(BigInteger)
+    """The link of the chain whose digest holds this row; None until the service has come to it."""
 
 
 class OutboxRow(Table):

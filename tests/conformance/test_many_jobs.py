@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 from support.jobs import NOW, claim, events
+from support.people import SOMEBODY
 from support.statements import heard
 
 from sms_jobs.app.waiting import wait_for
@@ -60,7 +61,9 @@ def waited_for(catalogue: Catalogue) -> None:
     with catalogue.reading() as session:
         some = chosen.active_now(session, CAMPAIGN_NAME)
     with pytest.raises(WaitTimedOut, match=f"{MANY} of {MANY} jobs"):
-        wait_for(Services(Settings(home=Path(), workers=2), catalogue, Archive(MemoryStore())), some, 0.0)
+        wait_for(
+            Services(Settings(home=Path(), workers=2), catalogue, Archive(MemoryStore()), SOMEBODY), some, 0.0
+        )
 
 
 def recovered(catalogue: Catalogue) -> None:

@@ -16,6 +16,7 @@ from sms_jobs.app.importing.image_entry import (
 )
 from sms_jobs.app.importing.outcomes import Outcome, existing_campaign
 from sms_jobs.app.progress import Tell, nobody
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.importers import boards as board_images
@@ -24,6 +25,7 @@ from sms_jobs.formats.importers.frames import Arrangement
 from sms_jobs.formats.importers.image_sets import named_cameras
 from sms_jobs.records.artefacts import Artefact
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import Box, SensorFormat
 
 
@@ -79,6 +81,7 @@ class Arranged:
     existing: Campaign | None
 
 
+@use_case(Right.READ)
 def arrange_boards(services: Services, task: Task) -> Arranged:
     """Say which pose and camera each image is of.
 
@@ -94,6 +97,7 @@ def arrange_boards(services: Services, task: Task) -> Arranged:
     return Arranged(task, listing, text, arrangement, described, existing)
 
 
+@use_case(Right.COMPUTE)
 def enter(
     services: Services,
     found: Arranged,

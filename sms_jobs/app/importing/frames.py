@@ -12,6 +12,7 @@ from typing import Any
 from sms_jobs.app.importing.image_entry import Counted
 from sms_jobs.app.importing.outcomes import Outcome, TupleOutcome, existing_campaign, outcome_of
 from sms_jobs.app.progress import Tell, nobody
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.errors import Conflict, InvalidInput
@@ -32,6 +33,7 @@ from sms_jobs.formats.importers.layout import FrameLayout, layout_of, load_layou
 from sms_jobs.jobs.importing import amend_campaign, import_measurement, known_of, with_states
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.views import view_of
 
@@ -90,6 +92,7 @@ class Guessed:
         return self.guess.as_toml()
 
 
+@use_case(Right.READ)
 def guess(services: Services, task: Task) -> Guessed:
     """Say what the files of a folder may be, where it is not given.
 
@@ -135,6 +138,7 @@ class Arranged:
         return Example(complete.state, complete.view, tuple(role_descriptions(self.layout, complete)))
 
 
+@use_case(Right.READ)
 def arrange_frames(services: Services, guessed: Guessed) -> Arranged:
     """Say what each file is taken for, and for which campaign.
 
@@ -148,6 +152,7 @@ def arrange_frames(services: Services, guessed: Guessed) -> Arranged:
     return Arranged(guessed, layout, arrangement, plan, run.definition(arrangement))
 
 
+@use_case(Right.COMPUTE)
 def enter(services: Services, found: Arranged, *, dry_run: bool = False, tell: Tell = nobody) -> Outcome:
     """Read everything, then enter what has no fault, and say what became of each tuple.
 

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 from sms_jobs.app.importing.outcomes import Outcome, TupleOutcome, outcome_of
 from sms_jobs.app.progress import Step, Tell
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.importers.folders import Listing, NamePattern
@@ -25,6 +26,7 @@ from sms_jobs.formats.importers.inspection import Inspected, full_scale_of, insp
 from sms_jobs.jobs.importing import amend_campaign, import_measurement, known_of
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.people import Right
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,7 @@ class Counted:
         self._tell(Step(self._doing, self._done, self._total))
 
 
+@use_case(Right.COMPUTE)
 def make_campaign(services: Services, existing: Campaign | None, definition: Campaign) -> None:
     """Register a campaign that is not there yet, or give it what it does not have."""
     now = datetime.now(UTC)

@@ -29,6 +29,7 @@ from sms_jobs.app.importing.image_views import (
 )
 from sms_jobs.app.importing.outcomes import Outcome, existing_campaign
 from sms_jobs.app.progress import Tell, nobody
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import valid_calibrations
 from sms_jobs.catalogue.campaigns import campaign_id
@@ -40,6 +41,7 @@ from sms_jobs.formats.importers.image_sets import named_cameras
 from sms_jobs.jobs.calibrations import known_calibration
 from sms_jobs.jobs.importing import measured_tuples, with_states
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen
+from sms_jobs.records.people import Right
 from sms_jobs.records.views import is_view, view_of
 
 
@@ -131,6 +133,7 @@ class Arranged:
     calibrations: tuple[Held, ...]
 
 
+@use_case(Right.READ)
 def arrange_images(services: Services, task: Task) -> Arranged:
     """Say what each image is taken for, and for which campaign.
 
@@ -156,6 +159,7 @@ def arrange_images(services: Services, task: Task) -> Arranged:
     )
 
 
+@use_case(Right.COMPUTE)
 def enter(
     services: Services,
     found: Arranged,

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
 from sms_jobs.errors import NotFound
 from sms_jobs.formats.importers.folders import LeftOut
 from sms_jobs.formats.importers.inspection import Inspected
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.people import Right
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,7 @@ class Outcome:
         return any(one.outcome == "refused" for one in self.tuples)
 
 
+@use_case(Right.READ)
 def existing_campaign(services: Services, name: str) -> Campaign | None:
     """Return a campaign; None where there is none of that name."""
     with services.catalogue.reading() as session:

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sms_jobs.app.importing.outcomes import existing_campaign
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.importers.board_points import read_points
@@ -16,6 +17,7 @@ from sms_jobs.jobs.importing import import_observations
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.artefacts import Chessboard
 from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
+from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import SensorFormat
 from sms_jobs.records.views import view_of
 
@@ -57,6 +59,7 @@ class ImportedPoints:
     counts: dict[str, int]
 
 
+@use_case(Right.COMPUTE)
 def import_points(services: Services, task: Task, *, dry_run: bool = False) -> ImportedPoints:
     """Enter points as a session of their own, where observing the board's images would have put them.
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
 from sms_jobs.errors import InvalidInput
@@ -23,6 +24,7 @@ from sms_jobs.formats.importers.readings import (
 )
 from sms_jobs.jobs.importing import amend_campaign, measured_at, with_readings
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.people import Right
 
 _STATE_NAMES = ("state", "label", "step", "load step")
 _TIME_NAMES = ("time", "timestamp", "date", "datetime")
@@ -91,6 +93,7 @@ class Arranged:
     after: Campaign
 
 
+@use_case(Right.READ)
 def arrange_readings(services: Services, task: Task) -> Arranged:
     """Find the states of a table's rows, and say what would change.
 
@@ -131,6 +134,7 @@ def arrange_readings(services: Services, task: Task) -> Arranged:
     )
 
 
+@use_case(Right.COMPUTE)
 def enter(services: Services, found: Arranged) -> None:
     """Give the campaign what the table says of its states: all of it or nothing."""
     if found.changes:

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.jobs.surfaces import register_surface
+from sms_jobs.records.people import Right
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class ImportedSurface:
     size_mm: tuple[float, float, float]
 
 
+@use_case(Right.COMPUTE)
 def import_surface(
     services: Services, campaign: str, file: Path, *, unit: str = "mm", turn_over: bool = False
 ) -> ImportedSurface:
