@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import make_url, select
 from support.archives import Clock, registered, runner
+from support.people import SOMEBODY
 from support.places import SmallDisk, Wire, mounted
 from support.servers import PostgresqlServer, postgresql_programs
 
@@ -81,7 +82,7 @@ def disk(tmp_path: Path) -> Iterator[SmallDisk]:
 
 
 def watch(home: Path, catalogue: Catalogue, archive: Archive) -> ArchiveWatch:
-    return ArchiveWatch(Services(Settings(home=home, least_room_mb=0.0), catalogue, archive), "w1")
+    return ArchiveWatch(Services(Settings(home=home, least_room_mb=0.0), catalogue, archive, SOMEBODY), "w1")
 
 
 def test_a_read_only_archive_begins_no_job(home: Path, embedded: Catalogue, disk: SmallDisk) -> None:
