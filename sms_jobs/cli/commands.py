@@ -87,6 +87,11 @@ COMMANDS: Mapping[str, Command] = {
         "cli.service",
         "up",
     ),
+    "serve": Command(
+        "Serve the console to browsers and the interface /api/v1 to programs, until Ctrl-C.",
+        "cli.serve",
+        "serve",
+    ),
     "status": Command("Show campaigns, jobs by state, workers and disk.", "cli.service", "status"),
     "doctor": Command(
         "Check catalogue, archive, messages, workers, clock and disk; say what to do about each finding.",

@@ -9,7 +9,6 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, is_dataclass
 from datetime import datetime
 from enum import Enum
 from pathlib import Path
@@ -33,10 +32,8 @@ from rich.text import Text
 
 from sms_jobs.app.progress import Step, Tell
 from sms_jobs.cli.tables import fitted
+from sms_jobs.records.plain import SCHEMA, plain
 from sms_jobs.records.texts import harmless
-
-SCHEMA = 1
-"""Version of every JSON object that is printed."""
 
 Home = Annotated[
     Path | None,
@@ -73,12 +70,12 @@ def print_json(value: dict[str, Any]) -> None:
 
 def print_json_list(values: Iterable[Any]) -> None:
     """Print a JSON list; `[]` when there is nothing."""
-    print_line([_plain(v) for v in values])
+    print_line([plain(v) for v in values])
 
 
 def print_line(value: Any) -> None:
     """Print one JSON value on one line, at once."""
-    line = json.dumps(_plain(value), ensure_ascii=False)
+    line = json.dumps(plain(value), ensure_ascii=False)
     sys.stdout.write(_ESCAPED.sub(lambda found: f"\\u{ord(found[0]):04x}", line) + "\n")
     sys.stdout.flush()
 
@@ -235,19 +232,3 @@ def followed(bar: Progress) -> Iterator[Tell]:
 
     with bar:
         yield tell
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, datetime):
-        return value.isoformat()
-    if isinstance(value, Path):
-        return str(value)
-    return value

@@ -35,12 +35,13 @@ class Host:
         self._running = ExitStack()
 
     def start(self) -> str:
-        """Start the service; return the id of its worker."""
+        """Start the service; return the id of its worker once that can claim jobs."""
         process: psutil.Process = self._running.enter_context(service(self.home, self.environment))
 
         def registered() -> str | None:
             with self.catalogue.reading() as session:
-                return session.scalar(select(WorkerRow.id).where(WorkerRow.pid == process.pid))
+                ready = (WorkerRow.pid == process.pid, WorkerRow.processes > 0)
+                return session.scalar(select(WorkerRow.id).where(*ready))
 
         found: str = wait_until(registered)
         return found

@@ -1,0 +1,83 @@
+"""`sms serve`: the console and the interface over HTTP."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.app import people
+from sms_jobs.cli import output
+from sms_jobs.cli.output import Home
+from sms_jobs.errors import InvalidInput
+
+_LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+def serve(
+    listen: Annotated[
+        str, typer.Option(help="Address and port; another address than this machine's own needs TLS.")
+    ] = "127.0.0.1:8470",
+    tls_certificate: Annotated[Path | None, typer.Option(help="Certificate chain (PEM).")] = None,
+    tls_key: Annotated[Path | None, typer.Option(help="Private key of the certificate (PEM).")] = None,
+    behind_proxy: Annotated[
+        bool, typer.Option("--behind-proxy", help="A proxy before it has the TLS, and says who asks.")
+    ] = False,
+    host_name: Annotated[
+        list[str] | None, typer.Option(help="Name by which browsers ask for it; may be repeated.")
+    ] = None,
+    home: Home = None,
+) -> None:
+    """Serve the console to browsers and the interface /api/v1 to programs, until Ctrl-C.
+
+    Example: sms serve; then open http://127.0.0.1:8470
+    """
+    # Which takes a second; no other command needs it.
+    import uvicorn
+
+    from sms_jobs.web.application import application
+    from sms_jobs.web.protection import Options
+
+    address, port = _place(listen)
+    local = address in _LOOPBACK
+    if (tls_certificate is None) != (tls_key is None):
+        raise InvalidInput("TLS takes --tls-certificate and --tls-key; give both")
+    if not local and tls_certificate is None and not behind_proxy:
+        raise InvalidInput(
+            f"{address} can be reached from other machines: give --tls-certificate and --tls-key, or "
+            "--behind-proxy where a proxy before it has the TLS"
+        )
+    secure = tls_certificate is not None or behind_proxy
+    names = frozenset(host_name or ())
+    hosts = names | frozenset((*_LOOPBACK, address)) if local or names else frozenset()
+    output.log_to_stderr()
+    with bootstrap.services(home, "web") as services:
+        if not (local and not behind_proxy) and not people.anybody(services):
+            raise InvalidInput(
+                "nobody has a name here, so that everybody on the network could do everything; "
+                "'sms person add' gives the first"
+            )
+        app = application(services, Options(hosts, secure, desk=local and not behind_proxy))
+        scheme = "https" if tls_certificate is not None else "http"
+        output.say(f"serving {services.settings.home} at {scheme}://{listen}; Ctrl-C ends it")
+        uvicorn.run(
+            app,
+            host=address,
+            port=port,
+            ssl_certfile=tls_certificate,
+            ssl_keyfile=tls_key,
+            proxy_headers=behind_proxy,
+            access_log=False,
+            server_header=False,
+            log_config=None,
+            timeout_graceful_shutdown=5,
+        )
+
+
+def _place(listen: str) -> tuple[str, int]:
+    address, _, port = listen.rpartition(":")
+    if not address or not port.isdecimal() or not 0 <= int(port) < 65536:
+        raise InvalidInput(f"'{listen}' is no address and port; write it as 127.0.0.1:8470")
+    return address.strip("[]"), int(port)
