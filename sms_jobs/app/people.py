@@ -16,6 +16,7 @@ def anybody(services: Services) -> bool:
         return people.anybody(session)
 
 
+@use_case(Right.READ)
 def actor_of(services: Services, secret: str, origin: str) -> Actor:
     """Return whose token or session it is; raises `NotAllowed` where it is nobody's."""
     raise NotAllowed("this token or session is nobody's")

@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
-from fastapi import FastAPI
+from fastapi import FastAPI, HTTPException
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sms_jobs.errors import InvalidInput, NotAllowed
+from sms_jobs.errors import NotAllowed, SmsError
 from sms_jobs.web.identity import COOKIE
-from sms_jobs.web.refusals import refusal
+from sms_jobs.web.refusals import TooLarge, refusal
 
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _LARGEST_BODY = 64 << 20
+_TOO_LARGE = f"the body is larger than {_LARGEST_BODY >> 20} MB; send it in chunks"
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
     "connect-src 'self'; font-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
@@ -83,7 +84,7 @@ class _Protection:
             return
         await self._app(scope, _Bounded(receive), protected)
 
-    def _wrong(self, scope: Scope) -> NotAllowed | InvalidInput | None:
+    def _wrong(self, scope: Scope) -> SmsError | None:
         """Return why a request is not worked on; None where it is."""
         headers = Headers(scope=scope)
         host = urlsplit(f"//{headers.get('host', '')}").hostname or ""
@@ -94,7 +95,7 @@ class _Protection:
         if not _of_this_site(headers):
             return NotAllowed("a page of another site asked for a change; nothing was changed")
         if int(headers.get("content-length", "0") or 0) > _LARGEST_BODY:
-            return InvalidInput(f"the body is larger than {_LARGEST_BODY >> 20} MB; send it in chunks")
+            return TooLarge(_TOO_LARGE)
         return None
 
 
@@ -121,5 +122,5 @@ class _Bounded:
         message = await self._receive()
         self._left -= len(message.get("body", b""))
         if self._left < 0:
-            raise InvalidInput(f"the body is larger than {_LARGEST_BODY >> 20} MB; send it in chunks")
+            raise HTTPException(413, _TOO_LARGE)
         return message

@@ -74,10 +74,16 @@ class NobodyKnown(NotAllowed):
     """Nobody is logged in."""
 
 
+class TooLarge(InvalidInput):
+    """A request is larger than is received at once."""
+
+
 def status_of(error: SmsError) -> int:
     """Return the status of the answer for an error."""
     if isinstance(error, NobodyKnown):
         return 401
+    if isinstance(error, TooLarge):
+        return 413
     return next((status for kind, status in _STATUS if isinstance(error, kind)), 500)
 
 
