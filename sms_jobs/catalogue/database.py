@@ -111,7 +111,7 @@ class Catalogue:
         if self._deed is not None:
             return self
         noting = copy(self)
-        noting._deed, noting._reads_alone = deed, False
+        noting._deed, noting._noted, noting._reads_alone = deed, False, False
         return noting
 
     def for_reading(self) -> Catalogue:
