@@ -18,7 +18,8 @@ from sms_jobs.catalogue import people, renewal, schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import CatalogueDamaged, CatalogueEmpty, ConfigurationError
 from sms_jobs.jobs.stations import Stations
-from sms_jobs.records.people import Actor, Role
+from sms_jobs.records.people import Actor, Role, without_secrets
+from sms_jobs.records.texts import checked_text
 from sms_jobs.settings import Settings
 
 
@@ -39,6 +40,11 @@ class Services:
     def acting(self, actor: Actor) -> Services:
         """Return the same for somebody else."""
         return replace(self, actor=actor)
+
+    def because(self, reason: str) -> Services:
+        """Return the same for somebody who says why; raise `InvalidInput` for over 10,000 letters."""
+        reason = checked_text(without_secrets(reason.strip()), "a reason")
+        return self.acting(replace(self.actor, reason=reason))
 
 
 def initialise(home: Path | None = None, environment_file: Path | None = None) -> Settings:

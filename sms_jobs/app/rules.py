@@ -11,9 +11,11 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
+from pydantic import SecretStr
+
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import NotAllowed, PasswordNeeded
-from sms_jobs.records.people import RIGHTS, Deed, Right
+from sms_jobs.records.people import RIGHTS, Deed, Right, without_secrets
 from sms_jobs.records.texts import harmless
 
 P = ParamSpec("P")
@@ -32,23 +34,24 @@ class Rule:
     name
         Of the use case, as `jobs.cancel`.
     right
-        That the actor must have.
+        That the actor must have; None where anybody may call it, logged in or not.
     confirm
         Whether the actor must just have given the password again.
     """
 
     name: str
-    right: Right
+    right: Right | None
     confirm: bool = False
 
 
 def use_case(
-    right: Right, *, confirm: bool = False
+    right: Right | None, *, confirm: bool = False
 ) -> Callable[[Callable[Concatenate[Services, P], R]], Callable[Concatenate[Services, P], R]]:
     """Declare a function of services as a use case: refused without the right, and told where it changes.
 
     Any right but that to read makes a deed of a call: the first change of the catalogue that it commits
-    enters it into the audit, in the same transaction.
+    enters it into the audit, in the same transaction. What anybody may call enters by itself what is to be
+    kept, once it knows whose deed it is.
 
     The function then raises
     ------------------------
@@ -68,7 +71,7 @@ def use_case(
             catalogue = services.catalogue
             if right is Right.READ:
                 catalogue = catalogue.for_reading()
-            else:
+            elif right is not None:
                 given = signature.bind(services, *args, **kwargs).arguments
                 catalogue = catalogue.for_deed(Deed(services.actor, rule.name, _arguments(given)))
             services = replace(services, catalogue=catalogue)
@@ -96,7 +99,9 @@ def require(services: Services, rule: Rule) -> None:
         The password has to be given again first.
     """
     actor = services.actor
-    if not actor.may(rule.right):
+    if rule.right is not None and not actor.may(rule.right):
+        if actor.role is None:
+            raise NotAllowed(f"{rule.name} is for people who are known here; log in, or give a token")
         able = ", ".join(role.value for role, rights in RIGHTS.items() if rule.right in rights)
         raise NotAllowed(
             f"{actor.name} is {actor.role.value} and may not {rule.right.value} ({rule.name}): that is for "
@@ -120,19 +125,25 @@ def _told(value: Any) -> Any:
         return value
     if isinstance(value, float):
         return value if abs(value) < float("inf") else str(value)
+    if isinstance(value, SecretStr):
+        return None
     if isinstance(value, Path):
-        return harmless(value.name)[:_LONGEST]
+        return _text(value.name)
     if isinstance(value, str):
-        return harmless(value)[:_LONGEST]
+        return _text(value)
     if isinstance(value, datetime):
         return value.isoformat()
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: _told(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
-        return {harmless(str(k)): _told(v) for k, v in list(value.items())[:_MOST]}
+        return {_text(str(k)): _told(v) for k, v in list(value.items())[:_MOST]}
     if isinstance(value, list | tuple | set | frozenset):
         return _few(value)
-    return None if callable(value) else harmless(str(value))[:_LONGEST]
+    return None if callable(value) else _text(str(value))
+
+
+def _text(text: str) -> str:
+    return harmless(without_secrets(text))[:_LONGEST]
 
 
 def _few(values: Iterable[Any]) -> list[Any]:

@@ -39,7 +39,7 @@ def append(session: Session, deed: Deed, now: datetime) -> AuditRow:
         id=1 if last is None else last.id + 1,
         at=now.astimezone(UTC),
         who=deed.actor.name,
-        role=deed.actor.role.value,
+        role="" if deed.actor.role is None else deed.actor.role.value,
         via=deed.actor.via,
         origin=deed.actor.origin,
         action=deed.action,

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from datetime import datetime
+
 from sqlalchemy import select
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.people_tables import PersonRow
-from sms_jobs.errors import NotFound
+from sms_jobs.errors import Conflict, NotFound
+from sms_jobs.records.people import Role
+from sms_jobs.records.shown.people import PersonView
 
 
 def anybody(session: Session) -> bool:
@@ -14,11 +19,13 @@ def anybody(session: Session) -> bool:
     return session.scalar(select(PersonRow.id).limit(1)) is not None
 
 
-def find(session: Session, name: str) -> PersonRow | None:
-    """Return the person of that name who may come in; None where there is none."""
-    return session.scalars(
-        select(PersonRow).where(PersonRow.name == name, PersonRow.active.is_(True))
-    ).one_or_none()
+def find(session: Session, name: str, *, to_change: bool = False) -> PersonRow | None:
+    """Return the person of that name who may come in; None where there is none.
+
+    With `to_change`, others who would change the person wait.
+    """
+    query = select(PersonRow).where(PersonRow.name == name, PersonRow.active.is_(True))
+    return session.scalars(query.with_for_update() if to_change else query).one_or_none()
 
 
 def named(session: Session, name: str) -> PersonRow:
@@ -27,3 +34,44 @@ def named(session: Session, name: str) -> PersonRow:
     if row is None:
         raise NotFound(f"there is nobody called '{name}'; 'sms person list' shows who is there")
     return row
+
+
+def listed(session: Session) -> list[PersonView]:
+    """Return everybody, in order of name."""
+    return [person_view(row) for row in session.scalars(select(PersonRow).order_by(PersonRow.name))]
+
+
+def person_view(row: PersonRow) -> PersonView:
+    """Return a person as shown."""
+    return PersonView(
+        row.name, Role(row.role), row.active, row.password is not None, row.created_at, row.locked_until
+    )
+
+
+def add(session: Session, name: str, role: Role, password: str | None, now: datetime) -> PersonRow:
+    """Give somebody a name; raise `Conflict` where it is taken. `password` is hashed already."""
+    row = PersonRow(name=name, role=role.value, password=password, active=True, created_at=now)
+    session.add(row)
+    try:
+        session.flush()
+    except IntegrityError as error:
+        raise Conflict(f"there is somebody called '{name}' already; choose another name") from error
+    return row
+
+
+def require_another_administrator(session: Session, row: PersonRow) -> None:
+    """Raise `Conflict` where a person is the only administrator who may come in.
+
+    Nobody else becomes the last one meanwhile: whoever would change one waits.
+    """
+    active = (
+        select(PersonRow.name)
+        .where(PersonRow.role == Role.ADMINISTRATOR.value, PersonRow.active.is_(True))
+        .order_by(PersonRow.id)
+        .with_for_update()
+    )
+    if list(session.scalars(active)) == [row.name]:
+        raise Conflict(
+            f"{row.name} is the last active administrator; make somebody else one with 'sms person role' "
+            "first"
+        )
