@@ -70,6 +70,9 @@ class Settings(BaseSettings):
         What one job may take before it is stopped and fails; 0 for no limit.
     least_room_mb
         No job is begun with less room than this (in MB of a million bytes) on the archive's disk.
+    openid_issuer, openid_client_id, openid_client_secret
+        The identity provider by which people may log in to the console, what it calls this program, and the
+        secret that it gave to it; empty for none.
     stop_grace_s
         How long a job that is asked to stop may take to reach a checkpoint before it is ended by a signal;
         after twice this it is killed.
@@ -90,6 +93,9 @@ class Settings(BaseSettings):
     job_time_limit_s: float = Field(default=0.0, ge=0.0)
     job_memory_limit_mb: float = Field(default=0.0, ge=0.0)
     least_room_mb: float = Field(default=256.0, ge=0.0)
+    openid_issuer: str = ""
+    openid_client_id: str = ""
+    openid_client_secret: SecretStr = SecretStr("")
     stop_grace_s: float = Field(default=15.0, ge=0.1, le=3600.0)
 
     @classmethod

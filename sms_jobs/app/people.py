@@ -22,6 +22,7 @@ from sms_jobs.app.rules import Rule, require, use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import access, audit
 from sms_jobs.catalogue import people as known
+from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.people_tables import AccessRow, PersonRow
 from sms_jobs.errors import Conflict, InvalidInput, NotAllowed, NotFound
 from sms_jobs.records.campaign import checked_name
@@ -86,13 +87,21 @@ def log_in(services: Services, name: str, password: SecretStr) -> LoggedIn:
     password, a person who may not come in, and an account that is locked: for a minute after 5 wrong
     passwords, twice as long after each further one, an hour at most.
     """
-    role = _prove(services, name, password, "people.log_in")
-    secret, now = _new_secret(), datetime.now(UTC)
-    actor = replace(services.actor, name=name, role=role)
-    with services.catalogue.for_deed(Deed(actor, "people.log_in", {})).writing() as session:
+    _prove(services, name, password, "people.log_in")
+    return begin_session(services.catalogue, services.actor, name, "people.log_in")
+
+
+def begin_session(catalogue: Catalogue, asking: Actor, name: str, action: str) -> LoggedIn:
+    """Begin a session of somebody who has proved to be that person, however that was done.
+
+    Raises `NotAllowed` where the person may not come in.
+    """
+    with catalogue.reading() as session:
         person = known.find(session, name)
-        if person is None:
-            raise NotAllowed(_REFUSED)
+    if person is None:
+        raise NotAllowed(_REFUSED)
+    secret, now, role = _new_secret(), datetime.now(UTC), Role(person.role)
+    with catalogue.for_deed(Deed(replace(asking, name=name, role=role), action, {})).writing() as session:
         row = access.add(session, person, access.SESSION, "", _hash_of(secret), now, now + SESSION_ENDS)
     return LoggedIn(secret, name, role, row.expires_at)
 

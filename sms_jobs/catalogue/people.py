@@ -75,3 +75,12 @@ def require_another_administrator(session: Session, row: PersonRow) -> None:
             f"{row.name} is the last active administrator; make somebody else one with 'sms person role' "
             "first"
         )
+
+
+def of_identity(session: Session, identity: str, *, active: bool = True) -> PersonRow | None:
+    """Return whom an identity provider knows by its issuer and subject; None where that is nobody.
+
+    Without `active` also somebody who may not come in.
+    """
+    row = session.scalars(select(PersonRow).where(PersonRow.identity == identity)).one_or_none()
+    return None if row is None or (active and not row.active) else row
