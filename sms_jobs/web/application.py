@@ -12,7 +12,7 @@ from fastapi import FastAPI
 
 import sms_jobs
 from sms_jobs.bootstrap import Services
-from sms_jobs.web import api, protection, refusals
+from sms_jobs.web import api, console, protection, refusals
 from sms_jobs.web.routes import Routes
 
 API = "/api/v1"
@@ -50,5 +50,6 @@ def application(services: Services, options: protection.Options) -> FastAPI:
     for module in iter_modules(api.__path__):
         routes: Routes = import_module(f"{api.__name__}.{module.name}").ROUTES
         app.include_router(routes.router, prefix=API)
+    console.install(app)
     protection.install(app, options)
     return app

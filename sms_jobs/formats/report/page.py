@@ -23,6 +23,7 @@ from typing import IO, Any, TextIO
 
 import numpy as np
 
+from sms_jobs.formats.look import look
 from sms_jobs.formats.report.html import Markup
 
 _SCRIPTS = ("unpacking.js", "maps.js", "space.js", "following.js", "page.js")
@@ -47,7 +48,7 @@ def _resource(name: str) -> str:
 @cache
 def style() -> str:
     """Return the style of every page."""
-    return _resource("page.css")
+    return look() + _resource("page.css")
 
 
 @cache

@@ -1,0 +1,27 @@
+// Requests to this site's own interface, and what its refusals say.
+export const API = "/api/v1";
+
+/** The log-in page, with the way back to this one. */
+export function logInAgain() {
+  location.assign(`/login?next=${encodeURIComponent(location.pathname + location.search)}`);
+}
+
+/** Ask for something; returns the answer as an object, or throws an Error with the sentence of the refusal. */
+export async function ask(method, address, body) {
+  let answer;
+  try {
+    answer = await fetch(address, {
+      method,
+      headers: body === undefined ? {} : { "Content-Type": "application/json" },
+      body: body === undefined ? undefined : JSON.stringify(body),
+    });
+  } catch {
+    throw new Error("the server does not answer; nothing is known of what was asked: try again in a moment");
+  }
+  const text = await answer.text();
+  let told = {};
+  try { told = text ? JSON.parse(text) : {}; } catch { /* no JSON: the status has to do */ }
+  if (answer.status === 401) logInAgain();
+  if (!answer.ok) throw new Error(told.error ?? `the server answered ${answer.status}; try again in a moment`);
+  return told;
+}

@@ -1,0 +1,123 @@
+// Regions with data-live are fetched again when something has happened, and every data-every seconds.
+import { API, logInAgain } from "./asking.js";
+import { localTimes } from "./times.js";
+
+const GATHERED_MS = 300, LONGEST_PAUSE_MS = 15000, SILENT_MS = 40000;
+
+/** Keep the live regions of a document as the server has them. */
+export function follow(document) {
+  const regions = () => [...document.querySelectorAll("[data-live]")];
+  if (!regions().length) return;
+  let asked = 0, busy = false, again = false;
+
+  async function refresh() {
+    if (busy) { again = true; return; }
+    busy = true;
+    try {
+      const answer = await fetch(location.href, { headers: { Accept: "text/html" } });
+      if (answer.redirected && new URL(answer.url).pathname === "/login") { logInAgain(); return; }
+      if (!answer.ok) { away(answer.status >= 500 ? "The server cannot answer now" : "This page is gone"); return; }
+      const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
+      for (const old of regions()) {
+        const made = fresh.getElementById(old.id);
+        if (made) replace(old, made);
+      }
+      back();
+    } catch {
+      away("The server does not answer");
+    } finally {
+      busy = false;
+      if (again) { again = false; soon(); }
+    }
+  }
+
+  function replace(old, made) {
+    localTimes(made);
+    if (old.innerHTML === made.innerHTML || inUse(old)) return;
+    const focus = old.contains(document.activeElement) ? document.activeElement.id : "";
+    const open = [...old.querySelectorAll("details[open][id]")].map((one) => one.id);
+    const scrolled = [...old.querySelectorAll("pre.log")].map((one) => one.scrollTop + one.clientHeight >= one.scrollHeight - 8);
+    old.replaceChildren(...made.childNodes);
+    for (const id of open) document.getElementById(id)?.setAttribute("open", "");
+    old.querySelectorAll("pre.log").forEach((one, place) => { if (scrolled[place] !== false) one.scrollTop = one.scrollHeight; });
+    if (focus) document.getElementById(focus)?.focus();
+  }
+
+  // What somebody is typing into, or is asked about, stays.
+  const inUse = (region) => document.querySelector("dialog[open]") !== null
+    || region.matches(":has(input:focus, select:focus, textarea:focus, button:disabled, .problem:not(:empty))");
+
+  function soon() {
+    clearTimeout(asked);
+    asked = setTimeout(refresh, GATHERED_MS);
+  }
+
+  const line = document.getElementById("connection");
+  function away(words) {
+    const told = `${words}; what is shown may be old. Trying again by itself.`;
+    if (line.textContent !== told) line.textContent = told;
+    line.hidden = false;
+  }
+  function back() {
+    line.hidden = true;
+    line.textContent = "";
+  }
+
+  document.addEventListener("changed", soon);
+  document.addEventListener("visibilitychange", () => { if (!document.hidden) soon(); });
+  const every = Math.min(...regions().map((one) => Number(one.dataset.every ?? 30)));
+  setInterval(() => { if (!document.hidden) refresh(); }, 1000 * every);
+  const about = document.querySelector("[data-about]")?.dataset.about ?? "";
+  events((event) => {
+    if (!about || event.job === about || event.campaign === about) soon();
+  }, soon, away);
+}
+
+/** Call `heard` with every event of a job; the connection is made again whenever it ends, from where it ended. */
+export async function events(heard, connected, away) {
+  let last = "", pause = 500;
+  for (;;) {
+    if (document.hidden) {
+      // A browser makes few connections to one place: those of pages that nobody sees are given back.
+      await new Promise((done) => document.addEventListener("visibilitychange", done, { once: true }));
+      continue;
+    }
+    try {
+      const stop = new AbortController();
+      const answer = await fetch(`${API}/events`, {
+        headers: { Accept: "text/event-stream", ...(last ? { "Last-Event-ID": last } : {}) }, signal: stop.signal,
+      });
+      if (answer.status === 401) { logInAgain(); return; }
+      if (!answer.ok) throw new Error(String(answer.status));
+      if (pause > 500) connected();
+      pause = 500;
+      last = await read(answer.body.getReader(), stop, heard, last);
+    } catch (error) {
+      if (pause > 2000 && error.message !== "404") away("The server does not answer");
+    }
+    await new Promise((done) => setTimeout(done, pause));
+    pause = Math.min(2 * pause, LONGEST_PAUSE_MS);
+  }
+}
+
+async function read(reader, stop, heard, last) {
+  const decoder = new TextDecoder();
+  document.addEventListener("visibilitychange", () => stop.abort(), { once: true });
+  let rest = "", id = last;
+  for (;;) {
+    const silent = setTimeout(() => stop.abort(), SILENT_MS);
+    let part;
+    try { part = await reader.read(); } catch { return id; } finally { clearTimeout(silent); }
+    if (part.done) return id;
+    const blocks = (rest + decoder.decode(part.value, { stream: true })).split(/\r?\n\r?\n/);
+    rest = blocks.pop();
+    for (const block of blocks) {
+      let data = "";
+      for (const line of block.split(/\r?\n/)) {
+        if (line.startsWith("id:")) id = line.slice(3).trim();
+        else if (line.startsWith("data:")) data += line.slice(5).trim();
+      }
+      if (data) heard(JSON.parse(data));
+    }
+  }
+}
