@@ -136,13 +136,21 @@ def list_jobs(
     states: Sequence[JobState] = (),
     kind: str | None = None,
     limit: int = 50,
+    after: str | None = None,
 ) -> list[JobView]:
     """Return jobs, the latest first; of a campaign, in some states, of a kind.
 
-    Raises `NotFound` where there is no such campaign.
+    Parameters
+    ----------
+    after
+        Id of the last job that is known already.
+
+    Raises `NotFound` where there is no such campaign, or no such job.
     """
     with services.catalogue.reading() as session:
-        return inquiry.list_jobs(session, campaign=campaign, states=states, kind=kind, limit=limit)
+        return inquiry.list_jobs(
+            session, campaign=campaign, states=states, kind=kind, limit=limit, after=after
+        )
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 from sms_jobs.jobs.planning import PIPELINE
 from sms_jobs.kinds import all_kinds
@@ -15,11 +15,18 @@ EVERYTHING = PIPELINE
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a kind; None is the default of one that has to be given, too."""
+    """A parameter of a kind; None is the default of one that has to be given, too.
+
+    Attributes
+    ----------
+    choices
+        The words that it may be; empty where it is no choice among words.
+    """
 
     name: str
     default: Any
     meaning: str
+    choices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -71,7 +78,12 @@ def _view(kind: Kind[Any]) -> KindView:
                 name,
                 None if field.is_required() else field.get_default(call_default_factory=True),
                 field.description or "",
+                _choices(field.annotation),
             )
             for name, field in kind.parameters.model_fields.items()
         ),
     )
+
+
+def _choices(annotation: Any) -> tuple[str, ...]:
+    return tuple(map(str, get_args(annotation))) if get_origin(annotation) is Literal else ()

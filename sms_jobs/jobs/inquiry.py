@@ -107,8 +107,9 @@ def list_jobs(
     states: Collection[JobState] = (),
     kind: str | None = None,
     limit: int = 50,
+    after: str | None = None,
 ) -> list[JobView]:
-    """Return jobs, the latest submitted first."""
+    """Return jobs, the latest submitted first; those after the job whose id begins so, where it is given."""
     query = select(JobRow).order_by(JobRow.position.desc()).limit(limit)
     if campaign is not None:
         query = query.where(JobRow.campaign_id == campaigns.campaign_id(session, campaign))
@@ -116,6 +117,8 @@ def list_jobs(
         query = query.where(JobRow.state.in_(states))
     if kind is not None:
         query = query.where(JobRow.kind == kind)
+    if after is not None:
+        query = query.where(JobRow.position < find_job(session, after).position)
     return [job_view(row) for row in session.scalars(query)]
 
 

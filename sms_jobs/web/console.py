@@ -84,7 +84,7 @@ class Pages:
         return self.router.get(path, response_class=HTMLResponse, dependencies=[Depends(permitted)])
 
 
-class Asked:
+class AskedPage:
     """A page that somebody asked for.
 
     Attributes
@@ -102,7 +102,7 @@ class Asked:
         return HTMLResponse(rendered(template, **frame(self._request, self.services), **shown))
 
 
-Page = Annotated[Asked, Depends(Asked)]
+Page = Annotated[AskedPage, Depends(AskedPage)]
 """A parameter of an endpoint: the page that was asked for."""
 
 

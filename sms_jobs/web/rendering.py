@@ -61,7 +61,7 @@ def _environment() -> Environment:
 def when(moment: datetime | None) -> Markup:
     """Write a time in UTC; the browser shows it in its own zone."""
     if moment is None:
-        return Markup(NOTHING)
+        return Markup("") + NOTHING
     utc = moment.astimezone(UTC)
     shown = utc.strftime("%Y-%m-%d %H:%M:%S UTC")
     return Markup('<time datetime="{}" title="{}">{}</time>').format(utc.isoformat(), shown, shown)
