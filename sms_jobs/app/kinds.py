@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal, get_args, get_origin
 
+from sms_jobs.app.rules import use_case
+from sms_jobs.bootstrap import Services
 from sms_jobs.jobs.planning import PIPELINE
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import Kind
+from sms_jobs.records.people import Right
 
 EVERYTHING = PIPELINE
 """Instead of a kind: all that lead from measurements to the report."""
@@ -57,6 +60,12 @@ class KindView:
 def kinds() -> list[KindView]:
     """Return the job kinds, in the order in which results follow from each other."""
     return [_view(kind) for kind in all_kinds().values()]
+
+
+@use_case(Right.READ)
+def list_kinds(_services: Services) -> list[KindView]:
+    """Return the job kinds, in the order in which results follow from each other."""
+    return kinds()
 
 
 def find_kind(name: str) -> KindView | None:

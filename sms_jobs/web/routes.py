@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, get_type_hints
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import JSONResponse
@@ -22,6 +23,11 @@ def answer(value: Any, status: int = 200) -> JSONResponse:
     if isinstance(value, list | tuple):
         return JSONResponse(plain(value), status)
     return JSONResponse({"schema": SCHEMA} | plain(value), status)
+
+
+def returned(use_case: Callable[..., Any]) -> Any:
+    """Return the type of what a use case returns, as a description of an answer that repeats it."""
+    return get_type_hints(inspect.unwrap(use_case))["return"]
 
 
 class Routes:
@@ -62,6 +68,8 @@ class Routes:
         ROUTE_RULES[method, path] = rule
 
         def permitted(request: Request) -> None:
+            if rule.right is None:
+                return
             # The password, where one is asked for, comes with the body; the use case asks for it.
             require(identity.services_for(request), Rule(rule.name, rule.right))
 

@@ -1,0 +1,53 @@
+"""The home: how it stands, who works for it, what it can compute, and the schema of its catalogue."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from sms_jobs.app import database, kinds, service
+from sms_jobs.app.database import Compared
+from sms_jobs.app.kinds import KindView
+from sms_jobs.app.service import Status
+from sms_jobs.web.asked import Asked, Text
+from sms_jobs.web.identity import Acting
+from sms_jobs.web.routes import Routes, answer, returned
+
+ROUTES = Routes("home")
+
+
+@ROUTES.offer("GET", "/status", service.status, answers=Status)
+def status(services: Acting) -> Any:
+    """Return how the home stands."""
+    return answer(service.status(services))
+
+
+@ROUTES.offer("GET", "/workers", service.workers, answers=returned(service.workers))
+def workers(services: Acting) -> Any:
+    """Return the workers."""
+    return answer(service.workers(services))
+
+
+class Drained(Asked):
+    """Which worker is to end."""
+
+    worker: Annotated[Text, Field(description="Beginning of its id.")]
+
+
+@ROUTES.offer("POST", "/workers/drain", service.drain, answers=dict[str, int | str])
+def drain(services: Acting, body: Drained) -> Any:
+    """Let a worker finish what it runs."""
+    return answer({"draining": service.drain(services, body.worker)})
+
+
+@ROUTES.offer("GET", "/kinds", kinds.list_kinds, answers=list[KindView])
+def list_kinds(services: Acting) -> Any:
+    """Return the job kinds."""
+    return answer(kinds.list_kinds(services))
+
+
+@ROUTES.offer("GET", "/database", database.check, answers=Compared)
+def check(services: Acting) -> Any:
+    """Compare the catalogue's schema with what is needed."""
+    return answer(database.check(services))
