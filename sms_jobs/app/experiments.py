@@ -31,6 +31,12 @@ EXPERIMENTS: Mapping[str, str] = {
 }
 
 
+@use_case(Right.READ)
+def list_experiments(_services: Services) -> dict[str, str]:
+    """Return what each experiment is about, by its name."""
+    return dict(EXPERIMENTS)
+
+
 @use_case(Right.COMPUTE)
 def simulate(services: Services, experiment: str, name: str | None, *, small: bool = False) -> list[Campaign]:
     """Create an experiment with its exact calibration: a campaign, or one for each position of the rig.

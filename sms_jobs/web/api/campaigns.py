@@ -1,0 +1,111 @@
+"""Campaigns: made from the texts of their plans, listed and shown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from sms_jobs.app import campaigns, experiments, recordings
+from sms_jobs.app.campaigns import Campaigns
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.shown.state_progress import StateProgress
+from sms_jobs.web.asked import Asked, Limit, LongText, Name, Text
+from sms_jobs.web.identity import Acting
+from sms_jobs.web.routes import Routes, answer
+
+ROUTES = Routes("campaigns")
+
+
+@dataclass(frozen=True)
+class CampaignFacts:
+    """A campaign that was made: how many states it has, and which views."""
+
+    campaign: str
+    states: int
+    views: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class CampaignAnswer:
+    """What is known of a campaign; `campaign` is its definition as the catalogue keeps it."""
+
+    campaign: dict[str, Any]
+    created_at: datetime
+    plan: str | None
+    jobs: dict[str, int]
+    times: dict[str, datetime]
+
+
+class NewCampaign(Asked):
+    """A campaign, or a calibration session, that is to be made."""
+
+    plan: Annotated[LongText, Field(description="Text of the plan, as of `sms campaign create`.")]
+
+
+class NewExperiment(Asked):
+    """An experiment on the virtual rig that is to be made."""
+
+    experiment: Annotated[Text, Field(description="One of GET /experiments.")]
+    name: Annotated[
+        Text | None, Field(description="Of the campaign; that of the experiment if not given.")
+    ] = None
+    small: bool = False
+
+
+def _facts(made: Campaign) -> CampaignFacts:
+    return CampaignFacts(made.name, len(made.states), tuple(made.views))
+
+
+@contextmanager
+def text_as_file(text: str, name: str) -> Iterator[Path]:
+    """Lay a text that was sent into a file, as long as a use case reads it."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / name
+        file.write_text(text, encoding="utf-8")
+        yield file
+
+
+@ROUTES.offer("GET", "/campaigns", campaigns.list_campaigns, answers=Campaigns)
+def list_campaigns(services: Acting, limit: Limit = 50) -> Any:
+    """Return the newest campaigns."""
+    return answer(campaigns.list_campaigns(services, limit))
+
+
+@ROUTES.offer("POST", "/campaigns", campaigns.create, answers=CampaignFacts, status=201)
+def create(services: Acting, body: NewCampaign) -> Any:
+    """Make a campaign from the text of its plan."""
+    with text_as_file(body.plan, "plan.toml") as plan:
+        return answer(_facts(campaigns.create(services, plan)), 201)
+
+
+@ROUTES.offer("GET", "/campaigns/{name}", campaigns.show, answers=CampaignAnswer)
+def show(services: Acting, name: Name) -> Any:
+    """Return what is known of a campaign."""
+    found = campaigns.show(services, name)
+    return answer(CampaignAnswer(found.stored, found.created_at, found.plan, found.jobs, found.times))
+
+
+@ROUTES.offer("GET", "/campaigns/{name}/progress", recordings.progress, answers=list[StateProgress])
+def progress(services: Acting, name: Name) -> Any:
+    """Return what is known of each state."""
+    return answer(recordings.progress(services, name))
+
+
+@ROUTES.offer("GET", "/experiments", experiments.list_experiments, answers=dict[str, str | int])
+def list_experiments(services: Acting) -> Any:
+    """Return the experiments of the virtual rig."""
+    return answer(experiments.list_experiments(services))
+
+
+@ROUTES.offer("POST", "/experiments", experiments.simulate, answers=list[CampaignFacts], status=201)
+def simulate(services: Acting, body: NewExperiment) -> Any:
+    """Make an experiment on the virtual rig."""
+    made = experiments.simulate(services, body.experiment, body.name, small=body.small)
+    return answer([_facts(campaign) for campaign in made], 201)
