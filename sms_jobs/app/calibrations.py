@@ -12,6 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
+import numpy as np
+
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
@@ -20,9 +22,10 @@ from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.jobs import acceptances
 from sms_jobs.jobs.registration import Registered, register_calibration
 from sms_jobs.metrology.geometry.lens import COEFFICIENTS
+from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.people import Right
-from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.sensors import Box, Calibration, Sensor
 from sms_jobs.records.shown.files import CalibrationView
 from sms_jobs.records.supplements import Supplement
 
@@ -49,6 +52,92 @@ def show(services: Services, number: int) -> KnownCalibration:
     from sms_jobs.jobs import calibrations
 
     return calibrations.known_calibration(services.catalogue, services.archive, number)
+
+
+@dataclass(frozen=True)
+class Worth:
+    """The few numbers by which a calibration is judged; None for one that is not known.
+
+    Attributes
+    ----------
+    gauge
+        What fixes the world's frame.
+    residuals, parameters
+        Of the adjustment.
+    rms_by_type, rms_by_sensor
+        Root mean square of the residuals; names carry the unit.
+    refused
+        How many observations were left out, by reason.
+    warnings
+        What a person has to look at before it is used.
+    held_out_bar_rms_mm
+        Of the lengths of ball bars, each by a calibration that it took no part in.
+    expected_median_mm, expected_largest_mm
+        Deviation of a point that the calibration alone lets expect.
+    """
+
+    gauge: str
+    residuals: int
+    parameters: int
+    rms_by_type: dict[str, float | None]
+    rms_by_sensor: dict[str, float | None]
+    refused: dict[str, int]
+    warnings: tuple[str, ...]
+    held_out_bar_rms_mm: float | None
+    expected_median_mm: float | None
+    expected_largest_mm: float | None
+
+
+@dataclass(frozen=True)
+class Overview:
+    """A calibration and what it is worth; None for one that was brought in."""
+
+    calibration: int
+    rig: str
+    valid_from: datetime
+    origin: str
+    path: str
+    sensors: tuple[Sensor, ...]
+    volume: Box
+    worth: Worth | None
+
+
+@use_case(Right.READ)
+def overview(services: Services, number: int) -> Overview:
+    """Return a calibration in numbers, without its samples; raises as `show` does."""
+    known = show(services, number)
+    made, quality = known.calibration, known.quality
+    worth = None if quality is None else _worth(quality)
+    return Overview(
+        number,
+        made.rig.name,
+        made.valid_from,
+        made.origin,
+        known.path,
+        made.rig.sensors,
+        made.volume,
+        worth,
+    )
+
+
+def _worth(quality: CalibrationQuality) -> Worth:
+    expected = quality.expected_sigma[np.isfinite(quality.expected_sigma)]
+    return Worth(
+        quality.gauge,
+        quality.residuals,
+        quality.parameters,
+        {name: _known(value) for name, value in quality.rms_by_type.items()},
+        {name: _known(value) for name, value in quality.rms_by_sensor.items()},
+        dict(quality.refused),
+        quality.warnings,
+        _known(quality.held_out_bar_rms_mm()),
+        float(np.median(expected)) if expected.size else None,
+        float(expected.max()) if expected.size else None,
+    )
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 @dataclass(frozen=True)
