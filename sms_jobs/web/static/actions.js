@@ -18,6 +18,7 @@ export function bodyOf(form, submitter) {
     else if (type === "list") place(field.name, text.split(/[\s,]+/).filter(Boolean));
     else if (text === "" && "optional" in field.dataset) continue;
     else if (type === "number") place(field.name, text === "" ? null : Number(text));
+    else if (type === "values") place(field.name, text.split(",").map((one) => valueOf(one.trim())).filter((one) => one !== ""));
     else if (type === "value") place(field.name, valueOf(text));
     else if (type === "when") place(field.name, new Date(text).toISOString());
     else place(field.name, text);

@@ -1,0 +1,90 @@
+"""Campaigns: which there are, how far each is, and what is to be computed of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Query
+from fastapi.responses import HTMLResponse
+
+from sms_jobs.app import campaign_matrix, campaigns, jobs, kinds, recordings
+from sms_jobs.app.campaign_matrix import Cell
+from sms_jobs.web.console import Entry, Page, Pages
+
+PAGES = Pages("campaigns", Entry("Campaigns", "/campaigns", 10))
+
+_SHOWN = 200
+_PICTURES = 24
+_DATASET = "application/x-hdf5"
+
+
+@dataclass(frozen=True)
+class Row:
+    """What there is of a state and view, in the order of the columns; None where there is nothing."""
+
+    state: str
+    view: str
+    cells: tuple[Cell | None, ...]
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """States by views and kinds."""
+
+    kinds: tuple[str, ...]
+    rows: tuple[Row, ...]
+
+
+@PAGES.show("/campaigns", campaigns.list_campaigns)
+def list_(page: Page, limit: Annotated[int, Query(ge=1, le=10_000)] = _SHOWN) -> HTMLResponse:
+    """List the campaigns."""
+    return page.render("campaigns.html", found=campaigns.list_campaigns(page.services, limit))
+
+
+@PAGES.show("/campaigns/{name}", campaigns.show)
+def show(page: Page, name: str, kind: str = kinds.EVERYTHING) -> HTMLResponse:
+    """Show how far a campaign is; `kind` is that whose parameters can be given."""
+    services = page.services
+    story, cells = campaigns.show(services, name), campaign_matrix.matrix(services, name)
+    offered = kinds.list_kinds(services)
+    order = ["measurement", *(one.name for one in offered)]
+    states = [state.label for state in story.campaign.states]
+    pictured = [c for c in cells if c.view is not None and c.media_type == _DATASET]
+    documents = [c for c in cells if c.file is not None and c.media_type != _DATASET]
+    return page.render(
+        "campaign.html",
+        story=story,
+        campaign=story.campaign,
+        tuples=matrix([c for c in cells if c.view is not None], states, order),
+        wholes=matrix([c for c in cells if c.view is None], states, order),
+        pictures=_latest(pictured, order)[:_PICTURES],
+        documents=documents,
+        progress=recordings.progress(services, name),
+        remaining=jobs.remaining(services, name),
+        running=jobs.list_jobs(services, campaign=name, states=[jobs.JobState.RUNNING], limit=20),
+        kinds=offered,
+        everything=kinds.EVERYTHING,
+        kind=next((one for one in offered if one.name == kind), None),
+    )
+
+
+def matrix(cells: Sequence[Cell], states: Sequence[str], order: Sequence[str]) -> Matrix:
+    """Lay cells out: a row for each state and view, a column for each kind that there is anything of."""
+    columns = tuple(sorted({c.kind for c in cells}, key=lambda name: _place(name, order)))
+    found = {(c.state or "", c.view or "", c.kind): c for c in cells}
+    places = sorted(
+        {(state, view) for state, view, _ in found}, key=lambda one: (_place(one[0], states), one[1])
+    )
+    rows = [Row(state, view, tuple(found.get((state, view, k)) for k in columns)) for state, view in places]
+    return Matrix(columns, tuple(rows))
+
+
+def _latest(cells: Iterable[Cell], order: Sequence[str]) -> list[Cell]:
+    """Return those whose kind comes last in the chain first."""
+    return sorted(cells, key=lambda cell: (-_place(cell.kind, order), cell.state or "", cell.view or ""))
+
+
+def _place(name: str, order: Sequence[str]) -> int:
+    return order.index(name) if name in order else len(order)

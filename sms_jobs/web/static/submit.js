@@ -1,0 +1,22 @@
+// The form that submits work: another kind brings its own parameters, an estimate is shown before anything is done.
+const choose = document.getElementById("choose"), form = document.getElementById("submit");
+choose?.querySelector("select").addEventListener("change", () => choose.requestSubmit());
+
+const time = (seconds) => seconds < 120 ? `${Math.round(seconds)} s` : seconds < 7200 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`;
+
+form?.addEventListener("done", (event) => {
+  const { told, submitter } = event.detail, dry = submitter?.id === "estimate";
+  const counted = Object.entries(told.counted).map(([kind, count]) => `${count} ${kind}`).join(", ");
+  const ahead = told.estimate, lines = [];
+  if (!told.jobs.length) lines.push("Nothing is missing: there is nothing to compute.");
+  else {
+    lines.push(`${dry ? "Would submit" : "Submitted"} ${told.jobs.length} jobs: ${counted}.`);
+    if (ahead.reused) lines.push(`${ahead.reused} of them are reused.`);
+    lines.push(ahead.seconds === null ? "How long they take is not known."
+      : `They take about ${time(ahead.seconds)}${ahead.alive ? "" : " once the service is started"}.`);
+    const unknown = Object.keys(ahead.unknown);
+    if (unknown.length) lines.push(`Longer, as ${unknown.join(", ")} never ran here.`);
+    if (ahead.paused.length) lines.push(`Paused: ${ahead.paused.join(", ")}.`);
+  }
+  form.querySelector(".outcome").textContent = lines.join(" ");
+});
