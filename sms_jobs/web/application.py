@@ -12,7 +12,8 @@ from fastapi import FastAPI
 
 import sms_jobs
 from sms_jobs.bootstrap import Services
-from sms_jobs.web import api, console, protection, refusals
+from sms_jobs.web import api, protection, refusals
+from sms_jobs.web.following import Follower
 from sms_jobs.web.routes import Routes
 
 API = "/api/v1"
@@ -46,6 +47,7 @@ def application(services: Services, options: protection.Options) -> FastAPI:
     )
     app.state.services = services
     app.state.desk = options.desk
+    app.state.follower = Follower(services)
     refusals.install(app)
     for module in iter_modules(api.__path__):
         routes: Routes = import_module(f"{api.__name__}.{module.name}").ROUTES

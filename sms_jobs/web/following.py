@@ -1,0 +1,176 @@
+"""Follows what happens to jobs: one thread asks the catalogue for all who listen.
+
+Rows are numbered before they are committed, so that on PostgreSQL one may become visible after another with a
+higher number. Numbers that are left out are looked for again for some minutes, and a listener that
+comes back goes on before the first of them: it may be told something twice, and misses nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable, Sequence
+from itertools import groupby
+
+from sms_jobs.app import happenings
+from sms_jobs.app.happenings import Happening
+from sms_jobs.bootstrap import Services
+from sms_jobs.errors import SmsError
+
+_log = logging.getLogger(__name__)
+
+EVERY_S = 0.25
+GIVEN_UP_AFTER_S = 180.0
+"""A number that nobody has committed by then was of a transaction that was rolled back."""
+_MOST_MISSING = 20_000
+_MOST_RANGES = 100
+_LOOKED_BACK = 1000
+_MOST_WAITING = 2000
+
+
+class Order:
+    """Which numbers were seen, and which are missing among them.
+
+    Parameters
+    ----------
+    newest
+        Number up to which nothing is expected any more.
+    """
+
+    def __init__(self, newest: int) -> None:
+        self.newest = newest
+        self._missing: dict[int, float] = {}
+
+    @property
+    def safe(self) -> int:
+        """The highest number up to which nothing is missing."""
+        return min(self._missing, default=self.newest + 1) - 1
+
+    def ranges(self) -> list[tuple[int, int]]:
+        """Return what is missing: first and last of each range."""
+        numbers = sorted(self._missing)
+        runs = (list(run) for _, run in groupby(enumerate(numbers), lambda pair: pair[1] - pair[0]))
+        return [(run[0][1], run[-1][1]) for run in runs][:_MOST_RANGES]
+
+    def enter(self, numbers: Iterable[int], now: float) -> None:
+        """Note numbers that were seen, in rising order, and give up what has been missing for long."""
+        for number in numbers:
+            self._missing.pop(number, None)
+            left_out = range(max(self.newest + 1, number - _MOST_MISSING), number)
+            self._missing.update(dict.fromkeys(left_out, now))
+            self.newest = max(self.newest, number)
+        kept = list(self._missing.items())[-_MOST_MISSING:]
+        self._missing = {n: since for n, since in kept if now - since < GIVEN_UP_AFTER_S}
+
+
+class Listener:
+    """Somebody who is told what happens; for one task of an event loop."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._told: deque[tuple[int, Happening]] = deque()
+        self._ring = asyncio.Event()
+        self.dropped = False
+        """Whether so much waited for this listener that it is told nothing more."""
+
+    def tell(self, told: Sequence[tuple[int, Happening]]) -> None:
+        """Take what happened, each with where to go on after it; from any thread."""
+        if self.dropped or len(self._told) + len(told) > _MOST_WAITING:
+            self.dropped = True
+        else:
+            self._told.extend(told)
+        try:
+            self._loop.call_soon_threadsafe(self._ring.set)
+        except RuntimeError:  # the loop has ended
+            self.dropped = True
+
+    async def next(self, timeout_s: float) -> list[tuple[int, Happening]]:
+        """Return what happened since, once something has; nothing after so many seconds."""
+        try:
+            await asyncio.wait_for(self._ring.wait(), timeout_s)
+        except TimeoutError:
+            return []
+        self._ring.clear()
+        return [self._told.popleft() for _ in range(len(self._told))]
+
+
+class Follower:
+    """Asks for what happened, as long as somebody listens.
+
+    Parameters
+    ----------
+    services
+        In whose name it asks.
+    """
+
+    def __init__(self, services: Services) -> None:
+        self._services = services
+        self._lock = threading.Lock()
+        self._listeners: set[Listener] = set()
+        self._order: Order | None = None
+        self._thread: threading.Thread | None = None
+
+    def listen(self, listener: Listener) -> int:
+        """Tell a listener what happens from now on; return the number after which that is everything.
+
+        Asks the catalogue, and so does not belong into an event loop. Raises `ServerUnreachable`.
+        """
+        with self._lock:
+            if self._order is None:
+                self._order = self._begun()
+            self._listeners.add(listener)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._follow, name="follower", daemon=True)
+                self._thread.start()
+            return self._order.safe
+
+    def leave(self, listener: Listener) -> None:
+        """Tell a listener nothing more."""
+        with self._lock:
+            self._listeners.discard(listener)
+
+    def _begun(self) -> Order:
+        """Return an order that knows what is missing among the newest numbers."""
+        newest = happenings.newest(self._services)
+        order = Order(max(0, newest - _LOOKED_BACK))
+        while order.newest < newest:
+            found = happenings.happened(self._services, order.newest)
+            if not found:
+                break
+            order.enter((one.number for one in found), time.monotonic())
+        return order
+
+    def _follow(self) -> None:
+        while True:
+            began = time.monotonic()
+            try:
+                full = self._ask()
+            except SmsError as error:
+                _log.warning("what happens cannot be asked for: %s", error)
+                full = False
+            if full is None:
+                return
+            taken = time.monotonic() - began
+            time.sleep(0.0 if full else max(EVERY_S, 2 * taken))
+
+    def _ask(self) -> bool | None:
+        """Tell everybody what happened, and return whether there is more; None once nobody listens."""
+        with self._lock:
+            if not self._listeners or self._order is None:
+                self._order = self._thread = None
+                return None
+            order = self._order
+            newest, missing = order.newest, order.ranges()
+        found = happenings.happened(self._services, newest, missing)
+        with self._lock:
+            told = []
+            for one in found:
+                order.enter([one.number], time.monotonic())
+                told.append((order.safe, one))
+            order.enter([], time.monotonic())
+            for listener in self._listeners if told else ():
+                listener.tell(told)
+        return len(found) >= happenings.MOST
