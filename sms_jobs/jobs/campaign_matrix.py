@@ -1,4 +1,4 @@
-"""How far a campaign is: of every state and view, and every kind, what there is and whether it still holds."""
+"""How far a campaign is: of each state, view and kind, what there is and whether it still holds."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class _File:
 
 
 def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]:
-    """Return what there is of a campaign, with three queries however large it is.
+    """Return what there is of a campaign, in three queries however large it is.
 
     A result is stale where another version of its kind would compute it now, or another calibration holds
     for what it was computed from.
