@@ -107,7 +107,7 @@ def overview(services: Services, number: int) -> Overview:
     """Return a calibration in numbers, without its samples; raises as `show` does."""
     known = show(services, number)
     made, quality = known.calibration, known.quality
-    worth = None if quality is None else _worth(quality)
+    worth = None if quality is None else worth_of(quality)
     return Overview(
         number,
         made.rig.name,
@@ -120,7 +120,8 @@ def overview(services: Services, number: int) -> Overview:
     )
 
 
-def _worth(quality: CalibrationQuality) -> Worth:
+def worth_of(quality: CalibrationQuality) -> Worth:
+    """Return the few numbers by which a calibration is judged."""
     expected = quality.expected_sigma[np.isfinite(quality.expected_sigma)]
     return Worth(
         quality.gauge,

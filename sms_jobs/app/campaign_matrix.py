@@ -8,8 +8,8 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row
 from sms_jobs.jobs import campaign_matrix
-from sms_jobs.jobs.campaign_matrix import Cell
 from sms_jobs.records.people import Right
+from sms_jobs.records.shown.cells import Cell
 
 
 @use_case(Right.READ)

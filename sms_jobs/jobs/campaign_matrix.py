@@ -22,38 +22,10 @@ from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import ACTIVE, JobState
+from sms_jobs.records.shown.cells import Cell
 
 _Place: TypeAlias = tuple[str | None, str | None, str]
 """State, view and kind."""
-
-
-@dataclass(frozen=True)
-class Cell:
-    """What there is of a kind for a state and view.
-
-    Attributes
-    ----------
-    state, view
-        None for a result of the campaign, or of a state, as a whole.
-    kind
-        Of job, or `measurement`.
-    condition
-        `measured`, `computed` or `stale`; or the state of the newest job where that has not succeeded.
-    file
-        Number of the newest file; None where there is none.
-    media_type
-        Of that file; empty without one.
-    job
-        The newest job; None where there was none.
-    """
-
-    state: str | None
-    view: str | None
-    kind: str
-    condition: str
-    file: int | None
-    media_type: str
-    job: str | None
 
 
 @dataclass(frozen=True)
@@ -122,7 +94,10 @@ def _files(session: Session, campaign_id: int) -> dict[_Place, _File]:
         .where(FileRow.campaign_id == campaign_id)
         .order_by(FileRow.id)
     )
-    return {(label, view, source): _File(*rest) for label, view, source, *rest in rows}
+    return {
+        (label, view, source): _File(number, media_type, version)
+        for label, view, source, number, media_type, version in rows
+    }
 
 
 def _jobs(session: Session, campaign: CampaignRow) -> dict[_Place, tuple[str, JobState]]:

@@ -10,7 +10,8 @@ from fastapi import Query
 from fastapi.responses import HTMLResponse
 
 from sms_jobs.app import campaign_matrix, campaigns, jobs, kinds, recordings
-from sms_jobs.app.campaign_matrix import Cell
+from sms_jobs.records.job import JobState
+from sms_jobs.records.shown.cells import Cell
 from sms_jobs.web.console import Entry, Page, Pages
 
 PAGES = Pages("campaigns", Entry("Campaigns", "/campaigns", 10))
@@ -63,7 +64,7 @@ def show(page: Page, name: str, kind: str = kinds.EVERYTHING) -> HTMLResponse:
         documents=documents,
         progress=recordings.progress(services, name),
         remaining=jobs.remaining(services, name),
-        running=jobs.list_jobs(services, campaign=name, states=[jobs.JobState.RUNNING], limit=20),
+        running=jobs.list_jobs(services, campaign=name, states=[JobState.RUNNING], limit=20),
         kinds=offered,
         everything=kinds.EVERYTHING,
         kind=next((one for one in offered if one.name == kind), None),

@@ -7,7 +7,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
-from pydantic import ValidationError
+from pydantic import SecretStr, ValidationError
 
 from sms_jobs.errors import NotAllowed
 from sms_jobs.web.api import session
@@ -37,7 +37,9 @@ def log_in(request: Request, form: Form) -> Response:
     """Log in and go where somebody wanted to go; say so beside the name where that is refused."""
     name, back = form.get("name", ""), form.get("next", "/")
     try:
-        begun = session.log_in(request, session.Credentials(name=name, password=form.get("password", "")))
+        begun = session.log_in(
+            request, session.Credentials(name=name, password=SecretStr(form.get("password", "")))
+        )
     except NotAllowed as error:
         return _shown(request, back, name, str(error), 403)
     except ValidationError:

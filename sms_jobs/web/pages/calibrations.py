@@ -1,0 +1,41 @@
+"""Calibrations: what each is worth and used for, and which a person takes into use."""
+
+from __future__ import annotations
+
+from fastapi.responses import HTMLResponse
+from markupsafe import Markup
+
+from sms_jobs.app import calibration_worth, calibrations
+from sms_jobs.web.console import Entry, Page, Pages
+
+PAGES = Pages("calibrations", Entry("Calibrations", "/calibrations", 40))
+
+
+@PAGES.show("/calibrations", calibrations.list_calibrations)
+def list_(page: Page) -> HTMLResponse:
+    """List the calibrations, with the drift of each rig."""
+    found = calibrations.list_calibrations(page.services)
+    rigs = dict.fromkeys(one.rig for one in found)
+    drift = {rig: Markup(calibration_worth.drift_chart(page.services, rig)) for rig in rigs}  # noqa: S704
+    return page.render("calibrations.html", found=found, drift=drift)
+
+
+@PAGES.show("/calibrations/{number}", calibrations.overview)
+def show(page: Page, number: int) -> HTMLResponse:
+    """Show a calibration and what speaks for and against it."""
+    overview = calibrations.overview(page.services, number)
+    return page.render(
+        "calibration.html",
+        calibration=overview,
+        view=next(
+            one for one in calibrations.list_calibrations(page.services, overview.rig) if one.id == number
+        ),
+        distortion=calibrations.DISTORTION,
+        styles=calibrations.STYLES,
+    )
+
+
+@PAGES.show("/certify/{session}", calibrations.certify)
+def certify(page: Page, session: str) -> HTMLResponse:
+    """Show what a session gave, and ask whether it is taken into use."""
+    return page.render("certify.html", candidate=calibration_worth.candidate(page.services, session))
