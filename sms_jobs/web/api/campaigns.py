@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -19,6 +15,7 @@ from sms_jobs.records.shown.state_progress import StateProgress
 from sms_jobs.web.asked import Asked, Limit, LongText, Name, Text
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer
+from sms_jobs.web.sent_texts import text_as_file
 
 ROUTES = Routes("campaigns")
 
@@ -61,15 +58,6 @@ class NewExperiment(Asked):
 
 def _facts(made: Campaign) -> CampaignFacts:
     return CampaignFacts(made.name, len(made.states), tuple(made.views))
-
-
-@contextmanager
-def text_as_file(text: str, name: str) -> Iterator[Path]:
-    """Lay a text that was sent into a file, as long as a use case reads it."""
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / name
-        file.write_text(text, encoding="utf-8")
-        yield file
 
 
 @ROUTES.offer("GET", "/campaigns", campaigns.list_campaigns, answers=Campaigns)
