@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager
 from importlib import import_module
 from pkgutil import iter_modules
 
+import anyio
 import anyio.to_thread
 from fastapi import FastAPI
 
@@ -14,6 +15,7 @@ import sms_jobs
 from sms_jobs.bootstrap import Services
 from sms_jobs.web import api, protection, refusals
 from sms_jobs.web.following import Follower
+from sms_jobs.web.long_work import AT_A_TIME
 from sms_jobs.web.routes import Routes
 
 API = "/api/v1"
@@ -47,6 +49,7 @@ def application(services: Services, options: protection.Options) -> FastAPI:
     )
     app.state.services = services
     app.state.desk = options.desk
+    app.state.long_work = anyio.CapacityLimiter(AT_A_TIME)
     app.state.follower = Follower(services)
     refusals.install(app)
     for module in iter_modules(api.__path__):

@@ -92,13 +92,17 @@ def refusal(error: SmsError) -> JSONResponse:
     headers = {"WWW-Authenticate": "Bearer"} if isinstance(error, NobodyKnown) else {}
     if error.retryable:
         headers["Retry-After"] = "5"
-    body = {
+    return JSONResponse(refused(error), status_of(error), headers)
+
+
+def refused(error: SmsError) -> dict[str, Any]:
+    """Return what is said of an error."""
+    return {
         "error": harmless(str(error)),
         "kind": type(error).__name__,
         "exit_code": error.exit_code,
         "retryable": error.retryable,
     }
-    return JSONResponse(body, status_of(error), headers)
 
 
 def install(app: FastAPI) -> None:
