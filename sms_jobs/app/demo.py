@@ -111,7 +111,8 @@ def _register(services: Services, campaign: Campaign) -> None:
 
 
 def _submit(services: Services, campaign: str, requests: list[Request]) -> tuple[str, ...]:
-    return submit_to(services.catalogue, campaign, requests, datetime.now(UTC)).job_ids
+    now, by = datetime.now(UTC), services.actor.name
+    return submit_to(services.catalogue, campaign, requests, now, by=by).job_ids
 
 
 def _succeed(services: Services, ids: Sequence[str], tell: Callable[[Waiting], None]) -> None:

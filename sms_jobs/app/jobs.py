@@ -112,7 +112,13 @@ def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitte
     def attempt() -> tuple[Submission, Estimate]:
         with services.catalogue.reading() as session:
             planned = draft(
-                session, work.campaign, requests, now, priority=work.priority, use_cache=work.use_cache
+                session,
+                work.campaign,
+                requests,
+                now,
+                priority=work.priority,
+                use_cache=work.use_cache,
+                by=services.actor.name,
             )
             ahead = estimate_planned(session, planned, now, services.settings.workers)
         if dry_run:
@@ -235,7 +241,7 @@ def cancel(services: Services, prefixes: Sequence[str], campaign: str | None) ->
     if not prefixes and campaign is None:
         raise InvalidInput("name the jobs to cancel, or a campaign with --campaign")
     some = choose(services, prefixes, campaign)
-    cancelled = crowds.cancel(services.catalogue, some, datetime.now(UTC))
+    cancelled = crowds.cancel(services.catalogue, some, datetime.now(UTC), services.actor.name)
     if prefixes and not cancelled:
         raise Conflict("these jobs have ended already; nothing was cancelled")
     return cancelled
@@ -249,12 +255,12 @@ def retry(services: Services, prefixes: Sequence[str], campaign: str | None) -> 
     """
     if not prefixes and campaign is None:
         raise InvalidInput("name the jobs to retry, or a campaign with --campaign")
-    now = datetime.now(UTC)
+    now, by = datetime.now(UTC), services.actor.name
     if campaign is not None and not prefixes:
-        return crowds.retry(services.catalogue, campaign, now)
+        return crowds.retry(services.catalogue, campaign, now, by)
     with services.catalogue.writing() as session:
         ids = inquiry.find_jobs(session, prefixes)
-        return sum(orders.retry(session, job_id, now) for job_id in ids)
+        return sum(orders.retry(session, job_id, now, by) for job_id in ids)
 
 
 @dataclass(frozen=True)

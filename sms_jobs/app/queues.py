@@ -29,12 +29,14 @@ def list_queues(services: Services) -> list[QueueView]:
 def pause(services: Services, names: Sequence[str], reason: str) -> list[str]:
     """Let no more jobs of some queues begin, or of all if none is named; return which.
 
+    Whoever asks why is told the reason or, if that is empty, who did it.
+
     Raises `InvalidInput` for a queue that is not there.
     """
     with services.catalogue.writing() as session:
         selected = _checked(session, names)
         for name in selected:
-            held.pause(session, name, reason, datetime.now(UTC))
+            held.pause(session, name, reason or f"paused by {services.actor.name}", datetime.now(UTC))
     return selected
 
 

@@ -109,14 +109,15 @@ def record(
     requests = [Request(KIND.name, {"doubtful": "ask" if ask else "keep"}, states)]
     if process:
         requests.append(Request(PIPELINE, {}, states))
-    done = submit_to(services.catalogue, campaign, requests, datetime.now(UTC))
+    done = submit_to(services.catalogue, campaign, requests, datetime.now(UTC), by=services.actor.name)
     return Begun(done.job_ids, done.kinds.count(KIND.name), submitted(done, KIND.name))
 
 
 @use_case(Right.COMPUTE)
 def process(services: Services, campaign: str) -> int:
     """Submit what follows from the recordings of a campaign, and return how many jobs that is."""
-    return len(submit_to(services.catalogue, campaign, [Request(PIPELINE)], datetime.now(UTC)).job_ids)
+    now, by = datetime.now(UTC), services.actor.name
+    return len(submit_to(services.catalogue, campaign, [Request(PIPELINE)], now, by=by).job_ids)
 
 
 @dataclass(frozen=True)
@@ -203,7 +204,7 @@ def resume(services: Services, prefix: str, *, retake: bool = False) -> Begun:
         if retake and not recordings.forget_doubtful(services.stations.spool_of(row.id)):
             short = row.id[:SHORT_ID]
             raise Conflict(f"job {short} has no doubtful set to record again; leave out --retake")
-        orders.retry(session, row.id, datetime.now(UTC))
+        orders.retry(session, row.id, datetime.now(UTC), services.actor.name)
         return Begun((row.id,), 1, named([row.id]))
 
 
@@ -219,7 +220,8 @@ def abort(services: Services, prefix: str | None = None) -> list[str]:
         else:
             found = recordings.open_recordings(session, services.settings.spool_folder)
             ids = [r.job_id for r in found if r.state in (JobState.QUEUED, JobState.RUNNING)]
-        stopped = [i for i in ids if orders.cancel(session, i, datetime.now(UTC))]
+        now, by = datetime.now(UTC), services.actor.name
+        stopped = [i for i in ids if orders.cancel(session, i, now, by)]
     if not stopped:
         raise Conflict("no recording runs; nothing was stopped")
     return stopped

@@ -165,12 +165,13 @@ def list_(
             return
         left = None if campaign is None else jobs_.remaining(services, campaign)
     output.print_table(
-        ["job", "kind", "subject", "state", "%", "seconds", "message"],
+        ["job", "kind", "subject", "by", "state", "%", "seconds", "message"],
         [
             (
                 j.id[:SHORT_ID],
                 j.kind,
                 j.subject,
+                j.submitted_by,
                 j.state,
                 f"{100 * j.progress:.0f}",
                 j.seconds,
@@ -201,6 +202,7 @@ def show(job: JobId, home: Home = None, as_json: Json = False) -> None:
             "job": view.id,
             "kind": view.kind,
             "subject": view.subject,
+            "submitted by": view.submitted_by,
             "state": view.state,
             "message": view.message,
             "parameters": ", ".join(f"{n}={v}" for n, v in view.parameters.items()),

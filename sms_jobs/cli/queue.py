@@ -40,7 +40,7 @@ def list_(home: Home = None, as_json: Json = False) -> None:
 @app.command()
 def pause(
     names: Names = None,
-    reason: Annotated[str, typer.Option(help="Why; shown to everybody who asks.")] = "paused by an operator",
+    reason: Annotated[str, typer.Option(help="Why; shown to everybody who asks.")] = "",
     home: Home = None,
 ) -> None:
     """Let no more jobs of some queues begin; what runs goes on.

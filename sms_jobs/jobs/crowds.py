@@ -15,16 +15,16 @@ from sms_jobs.catalogue.models import DependencyRow, JobRow
 from sms_jobs.errors import Conflict
 from sms_jobs.jobs import chosen, lifecycle
 from sms_jobs.jobs.chosen import Chosen
+from sms_jobs.jobs.orders import SOMEBODY
 from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState, origins
 
-_BY_AN_OPERATOR = "cancelled by an operator"
 _PAUSE_S = 0.05
 _PART = 200
 """Jobs in one transaction, which others wait for: some ten milliseconds."""
 _RETRYABLE = UNSUCCESSFUL - {JobState.SKIPPED}
 
 
-def cancel(catalogue: Catalogue, some: Chosen, now: datetime) -> int:
+def cancel(catalogue: Catalogue, some: Chosen, now: datetime, by: str = SOMEBODY) -> int:
     """Cancel jobs that do not run, and ask running ones to stop; return how many there were.
 
     Those that were named by what they have in common are cancelled one and all. What needs a job that was
@@ -40,12 +40,11 @@ def cancel(catalogue: Catalogue, some: Chosen, now: datetime) -> int:
     last = None
     while True:
         with catalogue.writing() as session:
-            asked = _ask_to_stop(session, some, now)
+            asked = _ask_to_stop(session, some, now, f"cancelled by {by}")
             part = _part(session, (*some.where, JobRow.state.in_(states)), last, newest_first=True)
             ids = [job_id for job_id, _ in part]
-            done = lifecycle.change_some(
-                session, ids, JobState.CANCELLED, now, "cancelled before it ran", finished_at=now
-            )
+            message = f"cancelled by {by} before it ran"
+            done = lifecycle.change_some(session, ids, JobState.CANCELLED, now, message, finished_at=now)
             lifecycle.skip_dependents(session, done, "a job that it needs is cancelled", now)
         count += asked + len(done)
         last = part[-1][1] if part else None
@@ -57,11 +56,11 @@ def cancel(catalogue: Catalogue, some: Chosen, now: datetime) -> int:
         time.sleep(_PAUSE_S)  # somebody else has it in hand
 
 
-def _ask_to_stop(session: Session, some: Chosen, now: datetime) -> int:
+def _ask_to_stop(session: Session, some: Chosen, now: datetime, reason: str) -> int:
     asked = session.execute(
         update(JobRow)
         .where(*some.where, JobRow.state == JobState.RUNNING, JobRow.stop_as.is_(None))
-        .values(stop_asked_at=now, stop_as=JobState.CANCELLED, stop_reason=_BY_AN_OPERATOR)
+        .values(stop_asked_at=now, stop_as=JobState.CANCELLED, stop_reason=reason)
         .execution_options(synchronize_session=False)
     )
     return cast(CursorResult[Any], asked).rowcount
@@ -88,7 +87,7 @@ def _part(
     return [(job_id, position) for job_id, position in rows]
 
 
-def retry(catalogue: Catalogue, campaign: str, now: datetime) -> int:
+def retry(catalogue: Catalogue, campaign: str, now: datetime, by: str = SOMEBODY) -> int:
     """Give the jobs of a campaign that ended without success another chance, with all skipped for them.
 
     Returns
@@ -104,7 +103,7 @@ def retry(catalogue: Catalogue, campaign: str, now: datetime) -> int:
         some = chosen.of_campaign(session, campaign)
     count = 0
     # A job is tried again after those that it needs, in the next round if not in this one.
-    while found := _retry_round(catalogue, some, now):
+    while found := _retry_round(catalogue, some, now, f"retried by {by}"):
         count += found
     with catalogue.reading() as session:
         left = session.scalar(select(JobRow.id).where(*some.where, JobRow.state.in_(_RETRYABLE)).limit(1))
@@ -115,7 +114,7 @@ def retry(catalogue: Catalogue, campaign: str, now: datetime) -> int:
     return count
 
 
-def _retry_round(catalogue: Catalogue, some: Chosen, now: datetime) -> int:
+def _retry_round(catalogue: Catalogue, some: Chosen, now: datetime, message: str) -> int:
     producer = aliased(JobRow)
     needs = (DependencyRow.job_id == JobRow.id, producer.id == DependencyRow.producer_id)
     hopeless = exists().where(*needs, producer.state.in_(UNSUCCESSFUL))
@@ -139,7 +138,6 @@ def _retry_round(catalogue: Catalogue, some: Chosen, now: datetime) -> int:
             done: list[str] = []
             for target in (JobState.WAITING, JobState.QUEUED):
                 those = [i for i in ids if (i in waiting) is (target is JobState.WAITING)]
-                message = "retried by an operator"
                 done += lifecycle.change_some(session, those, target, now, message, **afresh)
             count += len(done) + lifecycle.revive_dependents(session, done, now)
         if not done:

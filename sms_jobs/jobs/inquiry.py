@@ -48,6 +48,7 @@ class JobView:
     attempts: int
     priority: int
     submitted_at: datetime
+    submitted_by: str
     started_at: datetime | None
     finished_at: datetime | None
     seconds: float | None
@@ -69,6 +70,7 @@ def job_view(row: JobRow) -> JobView:
         attempts=row.attempts,
         priority=row.priority,
         submitted_at=row.submitted_at,
+        submitted_by=row.submitted_by,
         started_at=begun,
         finished_at=ended,
         seconds=(ended - begun).total_seconds() if begun and ended and ended >= begun else None,

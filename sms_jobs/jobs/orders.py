@@ -12,12 +12,15 @@ from sms_jobs.errors import Conflict
 from sms_jobs.jobs import lifecycle
 from sms_jobs.records.job import UNSUCCESSFUL, JobState
 
+SOMEBODY = "an operator"
+"""Who asks, where no name is given."""
 
-def cancel(session: Session, job_id: str, now: datetime) -> bool:
+
+def cancel(session: Session, job_id: str, now: datetime, by: str = SOMEBODY) -> bool:
     """Cancel a job that does not run, or ask a running one to stop; False when it has ended already."""
-    if ask_to_stop(session, job_id, JobState.CANCELLED, now, "cancelled by an operator"):
+    if ask_to_stop(session, job_id, JobState.CANCELLED, now, f"cancelled by {by}"):
         return True
-    message = "cancelled before it ran"
+    message = f"cancelled by {by} before it ran"
     return lifecycle.change(session, job_id, JobState.CANCELLED, now, message, finished_at=now)
 
 
@@ -35,7 +38,7 @@ def ask_to_stop(session: Session, job_id: str, end: JobState, now: datetime, rea
     return session.scalar(runs) is not None
 
 
-def retry(session: Session, job_id: str, now: datetime) -> int:
+def retry(session: Session, job_id: str, now: datetime, by: str = SOMEBODY) -> int:
     """Give a job that ended without success another chance, and with it all that was skipped for it alone.
 
     What needs another job besides that did not succeed stays skipped until that one is retried too.
@@ -66,7 +69,7 @@ def retry(session: Session, job_id: str, now: datetime) -> int:
         job_id,
         JobState.QUEUED if all(s is JobState.SUCCEEDED for s in producers) else JobState.WAITING,
         now,
-        "retried by an operator",
+        f"retried by {by}",
         finished_at=None,
         crashes=0,
         tries=0,

@@ -272,7 +272,7 @@ def _fire(catalogue: Catalogue, due: _Due, now: datetime) -> str | None:
     planned: Draft | None = None
     outcome: str = due.outcome
     if due.outcome == "submit":
-        planned, outcome = _planned(catalogue, due.order, now)
+        planned, outcome = _planned(catalogue, due.schedule, due.order, now)
     with catalogue.writing() as session:
         try:
             with session.begin_nested():
@@ -286,7 +286,7 @@ def _fire(catalogue: Catalogue, due: _Due, now: datetime) -> str | None:
     return outcome
 
 
-def _planned(catalogue: Catalogue, order: Order, now: datetime) -> tuple[Draft | None, str]:
+def _planned(catalogue: Catalogue, name: str, order: Order, now: datetime) -> tuple[Draft | None, str]:
     try:
         with catalogue.reading() as session:
             planned = draft(
@@ -296,6 +296,7 @@ def _planned(catalogue: Catalogue, order: Order, now: datetime) -> tuple[Draft |
                 now,
                 priority=order.priority,
                 use_cache=order.use_cache,
+                by=f"schedule {name}",
             )
     except ServerUnreachable:
         raise

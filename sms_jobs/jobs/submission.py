@@ -96,10 +96,11 @@ def submit(
     *,
     priority: int = 0,
     use_cache: bool = True,
+    by: str = "",
 ) -> Submission:
     """Plan requests and enter their jobs in one writing session, as `submit_to` does in two."""
     return enter(
-        session, draft(session, campaign_name, requests, now, priority=priority, use_cache=use_cache)
+        session, draft(session, campaign_name, requests, now, priority=priority, use_cache=use_cache, by=by)
     )
 
 
@@ -111,6 +112,7 @@ def submit_to(
     *,
     priority: int = 0,
     use_cache: bool = True,
+    by: str = "",
 ) -> Submission:
     """Plan requests and enter their jobs; where something changes in between, plan again.
 
@@ -124,6 +126,8 @@ def submit_to(
         Higher runs earlier; equal ones run in order of submission.
     use_cache
         False to compute again what has been computed before.
+    by
+        The person, account or schedule that asks for it.
 
     Raises
     ------
@@ -135,7 +139,7 @@ def submit_to(
 
     def drafted() -> Draft:
         with catalogue.reading() as session:
-            return draft(session, campaign_name, requests, now, priority=priority, use_cache=use_cache)
+            return draft(session, campaign_name, requests, now, priority=priority, use_cache=use_cache, by=by)
 
     def entered(planned: Draft) -> Submission:
         with catalogue.writing() as session:
@@ -162,6 +166,7 @@ def draft(
     *,
     priority: int = 0,
     use_cache: bool = True,
+    by: str = "",
 ) -> Draft:
     """Plan requests, as `submit_to` does, and write nothing."""
     row = campaigns.campaign_row(session, campaign_name)
@@ -190,7 +195,7 @@ def draft(
         ids,
         jobs,
         tuple(sorted(job_id for job_id in producers if job_id is not None)),
-        tuple(_rows(row.id, campaign, jobs, ids, now, priority, use_cache)),
+        tuple(_rows(row.id, campaign, jobs, ids, now, priority, use_cache, by)),
     )
 
 
@@ -260,6 +265,7 @@ def _rows(
     now: datetime,
     priority: int,
     use_cache: bool,
+    by: str,
 ) -> Iterator[TableRows]:
     """Yield what is to be entered, table by table, where there is anything."""
     queues = [job.kind.queue_for(campaign) for job in jobs]
@@ -271,6 +277,7 @@ def _rows(
         "priority": priority,
         "use_cache": use_cache,
         "submitted_at": now,
+        "submitted_by": by,
     }
     first = int(now.timestamp() * 1e6)
     submitted = [
