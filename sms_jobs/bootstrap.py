@@ -18,7 +18,7 @@ from sms_jobs.catalogue import people, renewal, schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import CatalogueDamaged, CatalogueEmpty, ConfigurationError
 from sms_jobs.jobs.stations import Stations
-from sms_jobs.records.people import Actor, Role, without_secrets
+from sms_jobs.records.people import Actor, Deed, Role, without_secrets
 from sms_jobs.records.texts import checked_text
 from sms_jobs.settings import Settings
 
@@ -151,7 +151,16 @@ def renewed(home: Path | None = None, *, dry_run: bool = False) -> Iterator[tupl
                 schema.upgrade(catalogue)
             schema.require_current(catalogue)
             actor = _whoever_runs_this(settings, catalogue, "command")
+            if said:
+                said += "; people have no names in it, and its audit begins a new chain"
+                _begin_chain(catalogue, actor, said)
             yield Services(settings, catalogue, _archive(settings), actor), said
+
+
+def _begin_chain(catalogue: Catalogue, actor: Actor, why: str) -> None:
+    """Let the first link of a catalogue that was made anew say so."""
+    with catalogue.for_deed(Deed(replace(actor, reason=why), "audit.begin", {})).writing():
+        pass
 
 
 def _whoever_runs_this(settings: Settings, catalogue: Catalogue, via: str) -> Actor:

@@ -20,7 +20,7 @@ import psutil
 from sqlalchemy import exists, select
 
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import upkeep
+from sms_jobs.catalogue import sealing, upkeep
 from sms_jobs.catalogue.models import JobRow, WorkerRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs import limits, recovery, schedules
@@ -43,6 +43,7 @@ _BEAT_EVERY_S = ALIVE_WITHIN.total_seconds() / 3
 _ANALYSE_EVERY_S = 3600.0
 _PATIENCE_WITH_BROKER_S = 5.0
 _QUEUE_READY_EVERY_S = 30.0
+_SEAL_EVERY_S = 5.0
 _REGISTER_AGAIN_S = 1.0
 _PATIENCE_WITH_JOBS_S = 600.0
 """How long jobs that run may take to end when the service is asked to stop."""
@@ -124,7 +125,7 @@ class Supervisor:
         return True
 
     def _serve(self, until_idle: bool) -> None:
-        beat_at = recover_at = analyse_at = queue_ready_at = 0.0
+        beat_at = recover_at = analyse_at = queue_ready_at = seal_at = 0.0
         while not self._stop_asked:
             moment = time.monotonic()
             if moment >= beat_at and self._done(self._beat):
@@ -135,6 +136,9 @@ class Supervisor:
             if moment >= queue_ready_at:
                 queue_ready_at = moment + _QUEUE_READY_EVERY_S
                 self._done(self._queue_ready)
+            if moment >= seal_at:
+                seal_at = moment + _SEAL_EVERY_S
+                self._done(self._seal)
             if moment >= recover_at:
                 duties = (
                     self._look_for_rigs,
@@ -221,6 +225,9 @@ class Supervisor:
     def _analyse(self) -> None:
         upkeep.analyse(self._services.catalogue)
 
+    def _seal(self) -> None:
+        sealing.seal(self._services.catalogue, datetime.now(UTC))
+
     def _look_whether_idle(self) -> None:
         with self._services.catalogue.reading() as session:
             self._idle = not session.scalar(select(exists().where(JobRow.state.in_(ACTIVE))))
@@ -254,6 +261,7 @@ class Supervisor:
         if late:
             logger.warning("%d processes did not end and were killed; their jobs are run again", len(late))
             self._done(self._recover)
+        self._done(self._seal)
 
     def _claim_nothing(self) -> None:
         with self._services.catalogue.writing() as session:

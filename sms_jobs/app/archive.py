@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from sms_jobs.app.progress import Step, Tell, nobody
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import upkeep
+from sms_jobs.catalogue import sealing, upkeep
 from sms_jobs.jobs import left_frames, reindexing, retention, verification
 from sms_jobs.jobs import repair as repairing
 from sms_jobs.jobs.left_frames import LeftFrames
@@ -44,7 +44,8 @@ def verify(
 ) -> Verified:
     """Read every file of the archive, or of a campaign, and compare it with the catalogue.
 
-    Files that the catalogue does not know are findings too, unless only those of a campaign are looked at.
+    Unless only files of a campaign are looked at, those that the catalogue does not know are findings too,
+    and what is not as it was written in the chain that says who did what.
 
     Parameters
     ----------
@@ -68,6 +69,9 @@ def verify(
             findings.append(done.finding)
     if campaign is None:
         findings += verification.check_unknown(services.catalogue, services.archive)
+        if services.catalogue.may_write:
+            sealing.seal(services.catalogue, datetime.now(UTC))
+        findings += verification.check_audit(services.catalogue)
     return Verified(extent.files, extent.size_bytes, tuple(findings))
 
 

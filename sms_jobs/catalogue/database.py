@@ -131,6 +131,11 @@ class Catalogue:
         """Return the URL without its password, and without options, one of which may be a password too."""
         return self.engine.url.set(query={}).render_as_string(hide_password=True)
 
+    @property
+    def may_write(self) -> bool:
+        """Whether this is not a catalogue for reading, and this account may do more than read it."""
+        return not self._reads_alone and self._readable is None
+
     @contextmanager
     def reading(self) -> Iterator[Session]:
         """Open a session that sees one consistent state and writes nothing."""

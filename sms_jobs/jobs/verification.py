@@ -11,12 +11,13 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive, Checker, layout
+from sms_jobs.catalogue import audit
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, OtherFormat
 from sms_jobs.records.job import ACTIVE
 
-Problem: TypeAlias = Literal["missing", "corrupt", "too-new", "unknown", "unfinished", "stray"]
+Problem: TypeAlias = Literal["missing", "corrupt", "too-new", "unknown", "unfinished", "stray", "audit"]
 
 _AT_ONCE = 500
 
@@ -31,9 +32,10 @@ class Finding:
         missing: the catalogue knows it and the disk does not. corrupt: its contents are not those that were
         sealed, or of a document, its provenance is not. too-new: a newer version wrote it. unknown: it is
         sealed, and the catalogue does not know it. unfinished: a job that has ended was writing it. stray: it
-        is no part of the archive, or the provenance of a document that is not there.
+        is no part of the archive, or the provenance of a document that is not there. audit: the chain that
+        says who did what, or an event of a job that it holds, is not as it was written.
     path
-        In the archive.
+        In the archive; that of the catalogue where the problem is its audit.
     detail
         A sentence.
     """
@@ -110,6 +112,13 @@ def check_known(
                 finding = _of_file(archive, path, content_hash, size, None if quick else reader)
                 yield Checked(file_id, path, size, finding)
             after = rows[-1][0]
+
+
+def check_audit(catalogue: Catalogue) -> Iterator[Finding]:
+    """Find where the chain that says who did what is not as it was written."""
+    with catalogue.reading() as session:
+        for sentence in audit.breaks(session):
+            yield Finding("audit", "(catalogue)", sentence)
 
 
 def _of_file(

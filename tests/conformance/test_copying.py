@@ -135,7 +135,7 @@ def test_a_database_of_something_else_is_refused(other: Catalogue) -> None:
 def test_another_schema_is_refused(other: Catalogue) -> None:
     schema.upgrade(other)
     with other.writing() as session:
-        session.execute(text("UPDATE alembic_version SET version_num = '0101'"))
+        session.execute(text("UPDATE alembic_version SET version_num = '0999'"))
     with pytest.raises(OtherFormat, match="newer"):
         copying.prepare(other)
     with other.writing() as session:
