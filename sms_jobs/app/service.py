@@ -12,7 +12,7 @@ from sms_jobs.app import jobs
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
-from sms_jobs.errors import InvalidInput, NotFound, SmsError
+from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.jobs import inquiry, recovery
 from sms_jobs.jobs.inquiry import WorkerView
 from sms_jobs.records.job import ALIVE_WITHIN
@@ -120,13 +120,9 @@ def drain(services: Services, worker: str) -> str:
 @use_case(Right.READ)
 def metrics(services: Services) -> str:
     """Return the numbers of a home as Prometheus reads them; one says whether the catalogue answers."""
-    from sms_jobs.jobs.metrics import Metric, as_text, gather
+    # Of all commands this one alone needs them.
+    from prometheus_client import generate_latest
 
-    up = Metric("sms_catalogue_up", "1 when the catalogue answers.")
-    try:
-        with services.catalogue.reading() as session:
-            found = gather(session, services.archive, datetime.now(UTC))
-    except (SmsError, OSError):
-        found = []
-    up.add(bool(found))
-    return as_text([up, *found])
+    from sms_jobs.jobs.metrics import Numbers
+
+    return generate_latest(Numbers(services.catalogue, services.archive)).decode()

@@ -9,6 +9,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Annotated
 
 import typer
+from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 
 from sms_jobs import bootstrap
 from sms_jobs.app import service
@@ -87,7 +88,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         body = service.metrics(self.server.services).encode()
         self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", "text/plain; version=0.0.4; charset=utf-8")
+        self.send_header("Content-Type", CONTENT_TYPE_PLAIN_0_0_4)
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         self.wfile.write(body)
