@@ -77,6 +77,7 @@ def upgrade() -> None:
         sa.Column("id", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), nullable=False),
         sa.Column("subscription_id", sa.Integer(), nullable=False),
         sa.Column("topic", sa.String(length=32), nullable=False),
+        sa.Column("campaign", sa.String(length=64), nullable=False),
         sa.Column("key", sa.String(length=128), nullable=False),
         sa.Column("subject", sa.Text(), nullable=False),
         sa.Column("text", sa.Text(), nullable=False),
@@ -97,6 +98,19 @@ def upgrade() -> None:
     op.create_index(
         op.f("ix_notification_sent_at_next_try_at"), "notification", ["sent_at", "next_try_at"], unique=False
     )
+    op.create_table(
+        "occurrence",
+        sa.Column("id", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), nullable=False),
+        sa.Column("topic", sa.String(length=32), nullable=False),
+        sa.Column("campaign", sa.String(length=64), nullable=False),
+        sa.Column("about", sa.Text(), nullable=False),
+        sa.Column("at", sa.DateTime(timezone=True), nullable=False),
+        sa.Column("message", sa.Text(), nullable=False),
+        sa.PrimaryKeyConstraint("id", name=op.f("pk_occurrence")),
+    )
+    op.create_index(
+        op.f("ix_occurrence_topic_campaign_at"), "occurrence", ["topic", "campaign", "at"], unique=False
+    )
     op.add_column("event", sa.Column("seal_id", sa.BigInteger(), nullable=True))
     op.create_index("ix_event_seal", "event", ["seal_id", "id"], unique=False)
     op.add_column("job", sa.Column("submitted_by", sa.String(length=80), server_default="", nullable=False))
@@ -107,5 +121,5 @@ def downgrade() -> None:
     op.drop_column("job", "submitted_by")
     op.drop_index("ix_event_seal", table_name="event")
     op.drop_column("event", "seal_id")
-    for table in ("notification", "subscription", "access", "person", "audit"):
+    for table in ("occurrence", "notification", "subscription", "access", "person", "audit"):
         op.drop_table(table)

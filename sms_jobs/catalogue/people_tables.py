@@ -83,6 +83,23 @@ class SubscriptionRow(Table):
     created_at: Mapped[datetime]
 
 
+class OccurrenceRow(Table):
+    """Something that happened and that subscribers are to be told, entered with the change that it is.
+
+    It is gone in the transaction that makes `NotificationRow`s of it and of others like it.
+    """
+
+    __tablename__ = "occurrence"
+    __table_args__ = (Index(None, "topic", "campaign", "at"),)
+    id: Mapped[int] = mapped_column(BigId, primary_key=True)
+    topic: Mapped[str] = mapped_column(String(32))
+    campaign: Mapped[str] = mapped_column(String(64))
+    about: Mapped[str] = mapped_column(Text)
+    """Which job or schedule, as people are told."""
+    at: Mapped[datetime]
+    message: Mapped[str] = mapped_column(MessageText)
+
+
 class NotificationRow(Table):
     """Something that a subscriber is told once; its key makes a second one impossible."""
 
@@ -94,6 +111,8 @@ class NotificationRow(Table):
     id: Mapped[int] = mapped_column(BigId, primary_key=True)
     subscription_id: Mapped[int] = mapped_column(ForeignKey("subscription.id", ondelete="CASCADE"))
     topic: Mapped[str] = mapped_column(String(32))
+    campaign: Mapped[str] = mapped_column(String(64))
+    """Name of the campaign that it is about; empty for what is about none."""
     key: Mapped[str] = mapped_column(String(128))
     """What is told: the same thing has the same key."""
     subject: Mapped[str] = mapped_column(Text)

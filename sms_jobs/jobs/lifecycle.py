@@ -30,7 +30,7 @@ from sms_jobs.catalogue.models import (
 )
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import Cancelled, LeaseLost, OverLimit
-from sms_jobs.jobs import locks
+from sms_jobs.jobs import locks, occurrences
 from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import UNSUCCESSFUL, JobState, origins
 
@@ -109,6 +109,7 @@ def change(
     if (loaded := session.identity_map.get(identity_key(JobRow, job_id))) is not None:
         session.expire(loaded)
     _tell(session, job_id, target, now, changed.attempts, message)
+    occurrences.of_jobs(session, [job_id], target, now, message)
     if target is JobState.QUEUED:
         session.execute(_OUTBOX, {"job_id": job_id, "queue": changed.queue})
     if target in UNSUCCESSFUL:
@@ -145,6 +146,7 @@ def change_some(
             session.expire(loaded)
     event = {"at": now, "state": target, "message": message}
     session.execute(_EVENT, [{"job_id": row.id, "attempt": row.attempts, **event} for row in changed])
+    occurrences.of_jobs(session, [row.id for row in changed], target, now, message)
     if target is JobState.QUEUED:
         session.execute(_OUTBOX, [{"job_id": row.id, "queue": row.queue} for row in changed])
     return [row.id for row in changed]

@@ -16,11 +16,13 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow, ScheduleFireRow, ScheduleRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, ServerUnreachable, SmsError
+from sms_jobs.jobs import occurrences
 from sms_jobs.jobs.fire_times import Expression, next_times, parse_expression, times_until
 from sms_jobs.jobs.planning import Existing, Request, plan
 from sms_jobs.jobs.submission import Draft, draft, enter, while_outdated
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.job import ACTIVE
+from sms_jobs.records.notifications import Topic
 
 MissedFire: TypeAlias = Literal["skip", "once", "all"]
 """What becomes of fire times that nobody looked at in time: none, the last one, or each of them."""
@@ -283,6 +285,9 @@ def _fire(catalogue: Catalogue, due: _Due, now: datetime) -> str | None:
             return None
         if planned is not None:
             enter(session, planned)
+        else:
+            what = f"schedule {due.schedule}, {due.moment.isoformat(timespec='minutes')}"
+            occurrences.enter(session, Topic.SCHEDULE_MISSED, due.order.campaign, what, now, outcome)
     return outcome
 
 

@@ -1,0 +1,39 @@
+"""Notes what subscribers are to be told, in the transaction of the change: neither is without the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+
+from sqlalchemy import func, insert, literal, select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.columns import MessageText, UtcDateTime
+from sms_jobs.catalogue.models import CampaignRow, JobRow
+from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.people_tables import OccurrenceRow
+from sms_jobs.records.job import SHORT_ID, JobState
+from sms_jobs.records.notifications import OF_STATES, Topic
+
+
+def of_jobs(session: Session, job_ids: Sequence[str], state: JobState, now: datetime, message: str) -> None:
+    """Note that jobs have come to a state, if it is one that is told."""
+    topic = OF_STATES.get(state)
+    if topic is None:
+        return
+    about = JobRow.kind.concat(" ").concat(JobRow.subject).concat(", job ")
+    told = select(
+        literal(topic.value),
+        CampaignRow.name,
+        about.concat(func.substr(JobRow.id, 1, SHORT_ID)),
+        literal(now, UtcDateTime()),
+        literal(message, MessageText()),
+    ).join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
+    columns = ["topic", "campaign", "about", "at", "message"]
+    for some in parts(job_ids):
+        session.execute(insert(OccurrenceRow).from_select(columns, told.where(JobRow.id.in_(some))))
+
+
+def enter(session: Session, topic: Topic, campaign: str, about: str, now: datetime, message: str) -> None:
+    """Note something else that has happened."""
+    session.add(OccurrenceRow(topic=topic.value, campaign=campaign, about=about, at=now, message=message))
