@@ -103,6 +103,10 @@ class ServerUnreachable(SmsError):
     retryable = True
 
 
+class NotDelivered(ServerUnreachable):
+    """A mail server or webhook does not take a notification."""
+
+
 class CatalogueBusy(ServerUnreachable):
     """Others have been writing to the catalogue for longer than is waited for; it may be free later."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, SecretStr, ValidationError
 from pydantic_settings import (
@@ -76,6 +76,14 @@ class Settings(BaseSettings):
     stop_grace_s
         How long a job that is asked to stop may take to reach a checkpoint before it is ended by a signal;
         after twice this it is killed.
+    console_url
+        Of the web console, as people reach it, for notifications to lead there; empty for none.
+    smtp_host, smtp_port, smtp_user, smtp_password
+        Of the mail server that notifications go through; without a user nobody is logged in.
+    smtp_from
+        Address that they come from.
+    smtp_security
+        `starttls`, `tls` from the first byte on, or `none`, which is for servers that need no password.
     """
 
     model_config = SettingsConfigDict(env_prefix=_PREFIX, frozen=True, extra="forbid")
@@ -97,6 +105,13 @@ class Settings(BaseSettings):
     openid_client_id: str = ""
     openid_client_secret: SecretStr = SecretStr("")
     stop_grace_s: float = Field(default=15.0, ge=0.1, le=3600.0)
+    console_url: str = ""
+    smtp_host: str = ""
+    smtp_port: int = Field(default=587, ge=1, le=65535)
+    smtp_user: str = ""
+    smtp_password: SecretStr = SecretStr("")
+    smtp_from: str = ""
+    smtp_security: Literal["starttls", "tls", "none"] = "starttls"
 
     @classmethod
     def settings_customise_sources(

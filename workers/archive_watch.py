@@ -1,21 +1,29 @@
-"""Lets work go on that was held back for the sake of the archive's disk or share, once that is in order."""
+"""Lets work go on that was held back for the sake of the archive's disk or share, once that is in order.
+
+It also says when little room is left, before work has to be held back.
+"""
 
 from __future__ import annotations
 
 import logging
 import threading
+import time
+from datetime import UTC, datetime
 
 from sqlalchemy import select
 
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import WorkerRow
 from sms_jobs.errors import SmsError, StorageFull, StorageUnusable
-from sms_jobs.jobs import queues, recovery
+from sms_jobs.jobs import notices, queues, recovery
 from sms_jobs.records.campaign import Subject
 
 logger = logging.getLogger(__name__)
 
 _EVERY_S = 1.0
+_WARN_EVERY_S = 60.0
+_WARNED_BELOW = 4.0
+"""Times the room with which no job is begun."""
 
 
 class ArchiveWatch(threading.Thread):
@@ -33,9 +41,13 @@ class ArchiveWatch(threading.Thread):
 
     def run(self) -> None:
         """Look until asked to stop; outlive a database that is away."""
+        warn_at = 0.0
         while not self._stop_asked.wait(_EVERY_S):
             try:
                 self.look()
+                if time.monotonic() >= warn_at:
+                    warn_at = time.monotonic() + _WARN_EVERY_S
+                    self.warn()
             except SmsError as error:
                 logger.warning("%s", error)
             except Exception:
@@ -64,3 +76,12 @@ class ArchiveWatch(threading.Thread):
             recovery.release(session, self._worker_id)
         going_on = [*resumed, *([] if held is None else [f"worker {self._worker_id}"])]
         logger.info("the archive is in order again: %s go on", ", ".join(going_on))
+
+    def warn(self) -> None:
+        """Tell subscribers where little room is left, or queues wait for it."""
+        free_mb = self._services.archive.room().free_bytes / 1e6
+        if free_mb >= _WARNED_BELOW * self._services.settings.least_room_mb:
+            with self._services.catalogue.reading() as session:
+                if not queues.are_held_for_room(session):
+                    return
+        notices.tell_disk_low(self._services.catalogue, free_mb, datetime.now(UTC))

@@ -31,6 +31,7 @@ from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN
 from sms_jobs.settings import Settings
 from sms_jobs.workers.archive_watch import ArchiveWatch
 from sms_jobs.workers.celery_app import ALL_QUEUES, WORKER_ID, WORKER_QUEUES, make_app
+from sms_jobs.workers.notifier import Notifier
 from sms_jobs.workers.places import Places
 from sms_jobs.workers.publisher import Publisher
 
@@ -90,13 +91,16 @@ class Supervisor:
                 return
         publisher = Publisher(self._app, self._services.catalogue, self._settings.workers)
         watch = ArchiveWatch(self._services, self.worker_id)
+        notifier = Notifier(self._services)
         publisher.start()
         watch.start()
+        notifier.start()
         self._places.start()
         try:
             self._serve(until_idle)
         finally:
             watch.stop()
+            notifier.stop()
             publisher.stop()
             self._stop()
             publisher.join(timeout=_PATIENCE_WITH_BROKER_S)
