@@ -119,6 +119,7 @@ COMMANDS: Mapping[str, Command] = {
     "rig": Command("Rigs: the instruments that are connected to this host.", "cli.rig"),
     "queue": Command("Queues: what may begin, and in which order.", "cli.queue"),
     "schedule": Command("Schedules: jobs that are submitted at their time.", "cli.schedule"),
+    "notify": Command("Notifications by mail and webhook.", "cli.notify"),
     "lock": Command("Devices that a job or a person holds.", "cli.lock"),
     "data": Command("Measurements and results in the archive.", "cli.data"),
     "import": Command(
