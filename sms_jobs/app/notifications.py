@@ -75,8 +75,8 @@ def _checked(secret: SecretStr | None) -> SecretStr:
     length = len(secret.get_secret_value())
     if not SHORTEST_SECRET <= length <= _LONGEST_SECRET:
         raise InvalidInput(
-            f"the secret has {length} letters; give one of {SHORTEST_SECRET} to {_LONGEST_SECRET}, or let one "
-            "be made"
+            f"the secret has {length} letters; give one of {SHORTEST_SECRET} to {_LONGEST_SECRET}, or let "
+            "one be made"
         )
     return secret
 

@@ -94,7 +94,7 @@ def tell_queue_done(catalogue: Catalogue, now: datetime) -> None:
         if since == last.id:
             return
         changes = select(EventRow.state, func.count()).where(EventRow.id > since, EventRow.id <= last.id)
-        counted = Counter[JobState](dict(session.execute(changes.group_by(EventRow.state)).tuples().all()))
+        counted = Counter[JobState](dict(session.execute(changes.group_by(EventRow.state)).all()))
     if not counted[JobState.RUNNING]:
         return  # somebody has cancelled what had stopped anyway
     ended = [f"{counted[state]:,} {state.value}" for state in JobState if state in _ENDED and counted[state]]
