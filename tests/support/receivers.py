@@ -75,10 +75,7 @@ class MailServer(socketserver.ThreadingTCPServer):
 
     def __init__(self, certificate: Path | None = None, password: str = "") -> None:
         super().__init__(("127.0.0.1", 0), _Mail)
-        self.context: ssl.SSLContext | None = None
-        if certificate is not None:
-            self.context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-            self.context.load_cert_chain(certificate)
+        self.context = None if certificate is None else tls(certificate)
         self.password = password
         self.letters: list[EmailMessage] = []
         self.in_clear: list[bytes] = []
@@ -158,6 +155,13 @@ def webhook(*statuses: int) -> Iterator[WebhookServer]:
     server = WebhookServer(*statuses)
     with running(server):
         yield server
+
+
+def tls(certificate: Path) -> ssl.SSLContext:
+    """Return what a server with a certificate speaks."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate)
+    return context
 
 
 def certificate(folder: Path) -> Path:
