@@ -79,7 +79,10 @@ class ArchiveWatch(threading.Thread):
 
     def warn(self) -> None:
         """Tell subscribers where little room is left, or queues wait for it."""
-        free_mb = self._services.archive.room().free_bytes / 1e6
+        try:
+            free_mb = self._services.archive.room().free_bytes / 1e6
+        except OSError:
+            return  # a share that is gone holds work back, and says so there
         if free_mb >= _WARNED_BELOW * self._services.settings.least_room_mb:
             with self._services.catalogue.reading() as session:
                 if not queues.are_held_for_room(session):

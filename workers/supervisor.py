@@ -43,6 +43,8 @@ _BEAT_EVERY_S = ALIVE_WITHIN.total_seconds() / 3
 """Or more often, where leases are shorter."""
 _ANALYSE_EVERY_S = 3600.0
 _PATIENCE_WITH_BROKER_S = 5.0
+_PATIENCE_WITH_RECEIVERS_S = 5.0
+"""What is being sent then may be sent again by the next supervisor."""
 _QUEUE_READY_EVERY_S = 30.0
 _SEAL_EVERY_S = 5.0
 _REGISTER_AGAIN_S = 1.0
@@ -104,6 +106,7 @@ class Supervisor:
             publisher.stop()
             self._stop()
             publisher.join(timeout=_PATIENCE_WITH_BROKER_S)
+            notifier.join(timeout=_PATIENCE_WITH_RECEIVERS_S)
 
     def _registered(self) -> bool:
         """Enter this worker; False where that may go better later. What does not pass ends the service."""

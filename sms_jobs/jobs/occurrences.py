@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
+from functools import cache
+from typing import cast
 
-from sqlalchemy import func, insert, literal, select
+from sqlalchemy import Insert, String, Table, bindparam, func, insert, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.columns import MessageText, UtcDateTime
@@ -21,17 +23,23 @@ def of_jobs(session: Session, job_ids: Sequence[str], state: JobState, now: date
     topic = OF_STATES.get(state)
     if topic is None:
         return
+    for some in parts(job_ids):
+        session.execute(_noting(), {"jobs": some, "topic": topic.value, "now": now, "said": message})
+
+
+@cache
+def _noting() -> Insert:
     about = JobRow.kind.concat(" ").concat(JobRow.subject).concat(", job ")
     told = select(
-        literal(topic.value),
+        bindparam("topic", type_=String()),
         CampaignRow.name,
         about.concat(func.substr(JobRow.id, 1, SHORT_ID)),
-        literal(now, UtcDateTime()),
-        literal(message, MessageText()),
+        bindparam("now", type_=UtcDateTime()),
+        bindparam("said", type_=MessageText()),
     ).join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
+    told = told.where(JobRow.id.in_(bindparam("jobs", expanding=True)))
     columns = ["topic", "campaign", "about", "at", "message"]
-    for some in parts(job_ids):
-        session.execute(insert(OccurrenceRow).from_select(columns, told.where(JobRow.id.in_(some))))
+    return insert(cast(Table, OccurrenceRow.__table__)).from_select(columns, told)
 
 
 def enter(session: Session, topic: Topic, campaign: str, about: str, now: datetime, message: str) -> None:

@@ -22,7 +22,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.people_tables import NotificationRow, OccurrenceRow, SubscriptionRow
-from sms_jobs.jobs import deliveries, lifecycle, notices, schedules
+from sms_jobs.jobs import deliveries, lifecycle, notices, queues, schedules
 from sms_jobs.jobs.deliveries import Delivery
 from sms_jobs.jobs.fire_times import parse_expression
 from sms_jobs.jobs.planning import Request
@@ -30,6 +30,7 @@ from sms_jobs.jobs.schedules import Order
 from sms_jobs.records.job import JobState
 from sms_jobs.records.notifications import Address, SentView, Topic
 from sms_jobs.settings import Settings
+from sms_jobs.workers.archive_watch import ArchiveWatch
 from sms_jobs.workers.notifier import Notifier
 
 MINUTE = timedelta(minutes=1)
@@ -192,6 +193,22 @@ def test_a_low_disk_is_told_once_a_day(catalogue: Catalogue) -> None:
         notices.tell_disk_low(catalogue, 512.3, NOW + timedelta(hours=hours))
     assert [s.created_at for s in told(catalogue)] == [NOW + timedelta(hours=12), NOW]
     assert texts(catalogue)[0].startswith("There are 512 MB left.")
+
+
+@pytest.mark.parametrize(("least_mb", "paused", "count"), [(1.0, False, 0), (1e9, False, 1), (1.0, True, 1)])
+def test_a_supervisor_sees_that_the_disk_is_low(
+    deployment: Deployment, catalogue: Catalogue, archive: Archive, least_mb: float, paused: bool, count: int
+) -> None:
+    subscribe(catalogue, "night")
+    archive.room()
+    if paused:
+        with catalogue.writing() as session:
+            queues.pause(session, "cpu", "the disk is full", NOW, for_room=True)
+    settings = Settings(home=deployment.home, least_room_mb=least_mb)
+    watch = ArchiveWatch(Services(settings, catalogue, archive, SOMEBODY), "w1")
+    watch.warn()
+    watch.warn()
+    assert [s.topic for s in told(catalogue)] == ["disk-low"] * count
 
 
 def due_now(catalogue: Catalogue, name: str, count: int) -> None:
