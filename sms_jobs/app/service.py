@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -93,6 +94,20 @@ def supervisor(services: Services, queues: Sequence[str] | None = None) -> Super
     if unknown:
         raise InvalidInput(f"there is no queue '{unknown[0]}' here; choose among {', '.join(served)}")
     return Supervisor(services, selected)
+
+
+@use_case(Right.ADMINISTER)
+@contextmanager
+def served(services: Services, listen: str) -> Iterator[None]:
+    """Serve the console in a process of its own meanwhile, which is begun again when it dies."""
+    from sms_jobs.workers.web_process import WebProcess
+
+    process = WebProcess(services.settings.home, listen)
+    process.start()
+    try:
+        yield
+    finally:
+        process.stop()
 
 
 @use_case(Right.READ)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
 from pathlib import Path
 from typing import Annotated
 
@@ -28,6 +31,9 @@ def serve(
     host_name: Annotated[
         list[str] | None, typer.Option(help="Name by which browsers ask for it; may be repeated.")
     ] = None,
+    until_eof: Annotated[
+        bool, typer.Option("--until-eof", hidden=True, help="End when stdin ends, as when its parent dies.")
+    ] = False,
     home: Home = None,
 ) -> None:
     """Serve the console to browsers and the interface /api/v1 to programs, until Ctrl-C.
@@ -62,6 +68,8 @@ def serve(
         app = application(services, Options(hosts, secure, desk=local and not behind_proxy))
         scheme = "https" if tls_certificate is not None else "http"
         output.say(f"serving {services.settings.home} at {scheme}://{listen}; Ctrl-C ends it")
+        if until_eof:
+            threading.Thread(target=_end_with_stdin, name="stdin", daemon=True).start()
         uvicorn.run(
             app,
             host=address,
@@ -74,6 +82,12 @@ def serve(
             log_config=None,
             timeout_graceful_shutdown=5,
         )
+
+
+def _end_with_stdin() -> None:
+    while os.read(0, 1024):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _place(listen: str) -> tuple[str, int]:

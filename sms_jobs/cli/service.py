@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -40,10 +41,14 @@ def up(
     until_idle: Annotated[
         bool, typer.Option("--until-idle", help="End when no job is left that can run.")
     ] = False,
+    web: Annotated[bool, typer.Option("--web", help="Serve the console, too, as 'sms serve' does.")] = False,
+    listen: Annotated[
+        str, typer.Option(help="Address and port of the console, as of 'sms serve'.")
+    ] = "127.0.0.1:8470",
 ) -> None:
     """Serve: run queued jobs until Ctrl-C, which lets running jobs finish; twice kills them.
 
-    Example: sms up --home /data/sms
+    Example: sms up --home /data/sms --web
     """
     output.log_to_stderr()
     with bootstrap.services(home) as services:
@@ -52,7 +57,8 @@ def up(
             f"worker {supervisor.worker_id} serves {services.settings.home} with "
             f"{services.settings.workers} jobs at a time; Ctrl-C ends it"
         )
-        supervisor.run(until_idle=until_idle)
+        with service.served(services, listen) if web else nullcontext():
+            supervisor.run(until_idle=until_idle)
 
 
 def status(home: Home = None, as_json: Json = False) -> None:
