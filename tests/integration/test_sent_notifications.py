@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pydantic import SecretStr
@@ -82,6 +83,22 @@ def test_a_webhook_is_sent_signed_json() -> None:
         "created_at": LETTER.created_at.isoformat(),
         "links": {"console": "https://sms.lab.example"},
     }
+
+
+def test_a_receiver_that_judges_as_the_page_says_takes_what_is_genuine_alone() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "notifications.md").read_text(encoding="utf-8")
+    told: dict[str, Any] = {}
+    exec(page.partition("```python\n")[2].partition("```")[0], told)
+    with webhook() as server:
+        call(server.url)
+    (got,) = server.requests
+    assert told["is_genuine"](SECRET, got.headers, got.body)
+    assert not told["is_genuine"]("another", got.headers, got.body)
+    assert not told["is_genuine"](SECRET, got.headers, got.body + b" ")
+    old = got.headers | {"Sms-Timestamp": str(int(got.headers["Sms-Timestamp"]) - 400)}
+    assert not told["is_genuine"](SECRET, old, got.body)
+    signed = sending.signature(SECRET, old["Sms-Timestamp"], got.body)
+    assert not told["is_genuine"](SECRET, old | {"Sms-Signature": signed}, got.body)  # sent again by somebody
 
 
 @pytest.mark.parametrize("status", [301, 302, 307, 308, 404, 500])

@@ -9,7 +9,7 @@ import socketserver
 import ssl
 import subprocess
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from email import message_from_bytes, policy
@@ -24,7 +24,7 @@ class Request:
     """What a webhook was sent."""
 
     path: str
-    headers: Mapping[str, str]
+    headers: dict[str, str]
     body: bytes
 
     @property

@@ -11,6 +11,7 @@ from support.documents import complaint, disagreements, figure_tables, quoted
 
 from sms_jobs.bench.groups import all_groups
 from sms_jobs.bench.studies import all_studies
+from sms_jobs.records.notifications import TOPICS
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [
@@ -84,3 +85,9 @@ def test_a_figure_that_is_not_the_studys_is_noticed(tmp_path: Path) -> None:
         assert (disagreements(table, tmp_path) == []) is agrees
     (table,) = figure_tables(text.replace("rms;", "error;"))
     assert "has no column 'error'" in disagreements(table, tmp_path)[0]
+
+
+def test_every_topic_of_notifications_is_told() -> None:
+    text = (ROOT / "docs" / "notifications.md").read_text(encoding="utf-8")
+    for topic, told in TOPICS.items():
+        assert f"| `{topic.value}` | {told.meaning} |" in text
