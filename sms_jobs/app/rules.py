@@ -125,7 +125,7 @@ def _told(value: Any) -> Any:
         return value
     if isinstance(value, float):
         return value if abs(value) < float("inf") else str(value)
-    if isinstance(value, SecretStr):
+    if isinstance(value, SecretStr | bytes | memoryview):
         return None
     if isinstance(value, Path):
         return _text(value.name)

@@ -14,8 +14,7 @@ from sms_jobs.web.identity import COOKIE
 from sms_jobs.web.refusals import TooLarge, refusal
 
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
-_LARGEST_BODY = 64 << 20
-_TOO_LARGE = f"the body is larger than {_LARGEST_BODY >> 20} MB; send it in chunks"
+_LARGEST_BODY = 16 << 20
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
     "connect-src 'self'; font-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
