@@ -5,16 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
-from fastapi import FastAPI, HTTPException
+import anyio
+from fastapi import FastAPI
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from sms_jobs.errors import NotAllowed, SmsError
 from sms_jobs.web.identity import COOKIE
-from sms_jobs.web.refusals import TooLarge, refusal
+from sms_jobs.web.refusals import TooSlow, refusal
 
+_API = "/api/"
+_STREAM = "/api/v1/events"
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _LARGEST_BODY = 16 << 20
+_RECEIVED_WITHIN_S = 30.0
+_SLOWEST_BYTES_PER_S = 16 << 10
+"""At which a body may come, beyond the time that any request has."""
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
     "connect-src 'self'; font-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
@@ -66,7 +72,11 @@ class _Protection:
             await self._app(scope, receive, send)
             return
 
+        head = scope["method"] == "HEAD" and scope["path"].startswith(_API) and scope["path"] != _STREAM
+
         async def protected(message: Message) -> None:
+            if head and message["type"] == "http.response.body":
+                message = {**message, "body": b""}
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 for name, value in _HEADERS.items():
@@ -81,7 +91,8 @@ class _Protection:
         if wrong is not None:
             await refusal(wrong)(scope, receive, protected)
             return
-        await self._app(scope, _Bounded(receive), protected)
+        asked = {**scope, "method": "GET"} if head else scope
+        await self._app(asked, _Bounded(receive), protected)
 
     def _wrong(self, scope: Scope) -> SmsError | None:
         """Return why a request is not worked on; None where it is."""
@@ -111,14 +122,26 @@ def _of_this_site(headers: Headers) -> bool:
 
 
 class _Bounded:
-    """Receives a body of at most so many bytes, whatever was announced."""
+    """Receives a body of at most so many bytes, whatever was announced, and in bounded time."""
 
     def __init__(self, receive: Receive) -> None:
         self._receive = receive
         self._left = _LARGEST_BODY
+        self._until = anyio.current_time() + _RECEIVED_WITHIN_S
+        self._whole = False
 
     async def __call__(self) -> Message:
-        message = await self._receive()
+        if self._whole:
+            # What comes after the body is that the client has gone.
+            return await self._receive()
+        try:
+            with anyio.fail_at(self._until):
+                message = await self._receive()
+        except TimeoutError:
+            self._whole = True
+            raise TooSlow("the body of the request comes too slowly; send it in smaller chunks") from None
+        self._whole = not message.get("more_body", False)
+        self._until += len(message.get("body", b"")) / _SLOWEST_BYTES_PER_S
         self._left -= len(message.get("body", b""))
         if self._left < 0:
             raise HTTPException(413, _TOO_LARGE)

@@ -60,6 +60,7 @@ DESCRIBED: dict[int | str, dict[str, Any]] = {
         401: "Nobody is logged in",
         403: "Whoever asks may not do that",
         404: "There is no such thing",
+        408: "The request came too slowly",
         409: "It exists already, is held, or is in a state that forbids it",
         413: "The body is too large",
         422: "A value cannot be used",
@@ -74,16 +75,16 @@ class NobodyKnown(NotAllowed):
     """Nobody is logged in."""
 
 
-class TooLarge(InvalidInput):
-    """A request is larger than is received at once."""
+class TooSlow(InvalidInput):
+    """A request that came too slowly to be worked on."""
 
 
 def status_of(error: SmsError) -> int:
     """Return the status of the answer for an error."""
     if isinstance(error, NobodyKnown):
         return 401
-    if isinstance(error, TooLarge):
-        return 413
+    if isinstance(error, TooSlow):
+        return 408
     return next((status for kind, status in _STATUS if isinstance(error, kind)), 500)
 
 
@@ -120,5 +121,8 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     def _other(_request: Request, error: HTTPException) -> JSONResponse:
+        if isinstance(error.__cause__, SmsError):
+            # The body was refused while it came.
+            return refusal(error.__cause__)
         body = {"error": error.detail, "kind": "HTTP", "exit_code": 2, "retryable": False}
         return JSONResponse(body, error.status_code, error.headers)

@@ -297,8 +297,9 @@ def _outcome(pattern: str, done: Outcome) -> dict[str, Any]:
 
 def _frames(folder: Path, body: Frames, lay: Lay) -> frames.Task:
     own = body.model_dump(
-        include={"campaign", "only", "rig", "specimen", "given", "recorded_at", "add_states", "newer"}
+        include={"campaign", "only", "rig", "specimen", "recorded_at", "add_states", "newer"}
     )
+    own["given"] = {n: tuple(v) if isinstance(v, list) else v for n, v in body.given.items()}
     return frames.Task(
         folder, plan=lay(body.plan, "plan.toml"), layout=lay(body.layout, "layout.toml"), **own
     )
