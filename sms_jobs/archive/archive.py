@@ -11,13 +11,8 @@ from typing import Any
 
 from sms_jobs.archive import hdf5, layout
 from sms_jobs.archive.checking import Checker
-from sms_jobs.archive.dataset import (
-    DATASET_MEDIA_TYPE,
-    ArchivedDataset,
-    altered,
-    open_dataset,
-    write_dataset,
-)
+from sms_jobs.archive.damage import altered
+from sms_jobs.archive.dataset import DATASET_MEDIA_TYPE, ArchivedDataset, open_dataset, write_dataset
 from sms_jobs.archive.limits import LARGEST_TEXT_BYTES
 from sms_jobs.archive.provenance import (
     Found,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -15,38 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.archive import hdf5
+from sms_jobs.archive.arrays import StoredArray, stored_array
+from sms_jobs.archive.blocks import Grid
 from sms_jobs.archive.codec import class_named, layout_of, record_from_parts
+from sms_jobs.archive.damage import altered, differs, readable
 from sms_jobs.archive.hashing import ArrayDigest, RecordDigest, SlabHash, block_checks, manifest_from
 from sms_jobs.archive.limits import refuse_excess
 from sms_jobs.archive.provenance import Provenance, Sealed, digest, provenance_from_json
 from sms_jobs.archive.sealing import safe_file, sha256_of, sync
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, NotFound
 from sms_jobs.records.campaign import Subject
+from sms_jobs.records.quantity import components_of
 
 R = TypeVar("R")
 
 DATASET_MEDIA_TYPE = "application/x-hdf5"
-
-_BROKEN = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, MemoryError)
-"""What h5py raises, or the code that follows it, when the bytes of a file make no sense."""
-
-
-@contextmanager
-def readable(where: str) -> Iterator[None]:
-    """Turn what h5py raises on damaged files into `ArchiveCorrupt`."""
-    try:
-        yield
-    except _BROKEN as error:
-        reason = re.sub(r"\s+", " ", str(error))[:200]
-        raise ArchiveCorrupt(f"{where} cannot be read ({reason}); restore it from a backup") from error
-
-
-def altered(where: str, what: str, found: str, recorded: str) -> ArchiveCorrupt:
-    """Say that something of a file is not what was sealed, and what to do about it."""
-    return ArchiveCorrupt(
-        f"{where} is not what was sealed: {what} {found}, but {recorded} is on record; 'sms archive repair' "
-        "says whether a job makes it again, otherwise restore it from a backup"
-    )
 
 
 @dataclass(frozen=True)
@@ -73,6 +55,11 @@ class StoredFrames:
         """uint8 or uint16."""
         dtype: np.dtype[Any] = self._dataset.dtype
         return dtype
+
+    def as_array(self, where: str) -> StoredArray:
+        """Return the same as an array of which any part is read."""
+        grid = Grid(self.shape, (*self._block, self.shape[2]))
+        return StoredArray(self._dataset, where, grid, lambda: self._checks[..., np.newaxis])
 
     def frame(self, index: int) -> NDArray[Any]:
         """Return one frame, (rows, columns)."""
@@ -172,7 +159,7 @@ class ArchivedDataset:
             group = opened["entry"][name]
             plain = hdf5.read_text(group[hdf5.FIELDS])
         if plain != self._manifest[name]["fields"]:
-            raise _differs(f"{self.path}:{name}", plain, self._manifest[name]["fields"])
+            raise differs(f"{self.path}:{name}", plain, self._manifest[name]["fields"])
         return group
 
     def record_class(self, name: str) -> type:
@@ -182,23 +169,61 @@ class ArchivedDataset:
         return class_named(self._manifest[name]["record"], self.path)
 
     def describe(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Return shape, unit and meaning of every array, by record and field, without reading any."""
+        """Return what is known of every array, by record and field, without reading any."""
         about: dict[str, dict[str, dict[str, Any]]] = {}
         for name in self.names:
             arrays = layout_of(self.record_class(name)).arrays
-            units = {array["name"]: array["unit"] for array in self._manifest[name]["arrays"]}
+            stated = {array["name"]: array for array in self._manifest[name]["arrays"]}
             with ExitStack() as briefly, readable(self.path):
                 group = self._group(name, briefly)
                 about[name] = {
                     field_name: {
                         "shape": list(group[field_name].shape),
-                        "unit": units[field_name],
+                        "dtype": stated[field_name]["dtype"],
+                        "unit": stated[field_name]["unit"],
+                        "axes": list(field.quantity.axes),
+                        "components": list(components_of(field.quantity, group[field_name].shape)),
                         "meaning": field.quantity.meaning,
                     }
                     for field_name, field in arrays.items()
                     if field_name in group
                 }
         return about
+
+    def parts_of(self, name: str) -> tuple[str, str]:
+        """Return the class of a record and its plain fields as JSON; raise `NotFound` where there is none."""
+        if name not in self.names:
+            raise self._no_record(name)
+        return self._manifest[name]["record"], self._manifest[name]["fields"]
+
+    @contextmanager
+    def array(self, record: str, name: str) -> Iterator[StoredArray]:
+        """Give an array of a record, of which parts are read and verified; frames too.
+
+        Raises
+        ------
+        NotFound
+            The file has no such record, or the record no such array.
+        ArchiveCorrupt
+            It cannot be read, or is not what was sealed.
+        """
+        where = f"{self.path}:{record}"
+        with ExitStack() as until:
+            group = self._group(record, until)
+            present = {one["name"]: one for one in self._manifest[record]["arrays"]}
+            if name not in present:
+                raise NotFound(f"{where} has no array '{name}'; it has {', '.join(present)}")
+            stated = present[name]
+            with readable(where):
+                dataset = group[name]
+                form = [dataset.dtype.str, *dataset.shape]
+                if form != [stated["dtype"], *stated["shape"]]:
+                    raise differs(f"{where}.{name}", form, [stated["dtype"], *stated["shape"]])
+                if "blocks" in stated:
+                    found = _frames(dataset, stated, where).as_array(f"{where}.{name}")
+                else:
+                    found = stored_array(dataset, stated, f"{where}.{name}")
+            yield found
 
     def read(self, name: str, record: type[R]) -> R:
         """Read one record; frame stacks stay in the file and are streamed.
@@ -233,7 +258,7 @@ class ArchivedDataset:
                     raise ArchiveCorrupt(f"{where}.{field_name} is {dataset.dtype}, not {field.dtype}")
                 form = [dataset.dtype.str, *dataset.shape]
                 if form != [stated["dtype"], *stated["shape"]]:
-                    raise _differs(f"{where}.{field_name}", form, [stated["dtype"], *stated["shape"]])
+                    raise differs(f"{where}.{field_name}", form, [stated["dtype"], *stated["shape"]])
                 if field.streamed:
                     arrays[field_name] = _frames(dataset, stated, where)
                 else:
@@ -250,18 +275,13 @@ class ArchivedDataset:
         return record_from_parts(record, entry["fields"], arrays, where)
 
 
-def _differs(where: str, found: object, recorded: object) -> ArchiveCorrupt:
-    first, second = (digest(str(one))[:12] for one in (found, recorded))
-    return altered(where, "what it says of itself hashes to", f"{first}...", f"{second}...")
-
-
 def _frames(dataset: Any, stated: ArrayDigest, where: str) -> StoredFrames:
     block = hdf5.frames_in_blocks(dataset)
     if block is None:
         raise ArchiveCorrupt(f"the frames of {where} have no checks; was it written by another version?")
     checks = dataset.attrs[hdf5.BLOCK_CHECKS]
     if hdf5.table_digest(block, checks) != stated.get("blocks"):
-        raise _differs(where, checks, "the checks of its frames")
+        raise differs(where, checks, "the checks of its frames")
     return StoredFrames(dataset, where, block, checks)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import h5py
 
 from sms_jobs.archive import hdf5
-from sms_jobs.archive.dataset import readable
+from sms_jobs.archive.damage import readable
 from sms_jobs.archive.sealing import safe_file, sync
 
 GZIP_LEVEL = 4

@@ -72,10 +72,11 @@ def quantities_of(record: Any) -> dict[str, Quantity]:
         values = getattr(record, name)
         if values is not None:
             unit = quantity.unit.replace(UNIT, getattr(record, "unit", ""))
-            found[name] = replace(quantity, unit=unit, components=_components(quantity, values.shape))
+            found[name] = replace(quantity, unit=unit, components=components_of(quantity, values.shape))
     return found
 
 
-def _components(quantity: Quantity, shape: tuple[int, ...]) -> tuple[str, ...]:
+def components_of(quantity: Quantity, shape: tuple[int, ...]) -> tuple[str, ...]:
+    """Return the names along the component axis of an array of that shape."""
     flat = quantity.in_plane and shape[quantity.axes.index("component")] == len(quantity.in_plane)
     return quantity.in_plane if flat else quantity.components

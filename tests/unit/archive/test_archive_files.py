@@ -86,7 +86,10 @@ def test_a_file_describes_its_arrays_without_reading_them(archive: Archive, seal
         about = dataset.describe()
     assert about["measurement"]["frames"] == {
         "shape": [6, 150, 90],
+        "dtype": "<u2",
         "unit": "count",
+        "axes": ["frame", "row", "column"],
+        "components": [],
         "meaning": "fringe frames",
     }
     assert list(about["measurement"]) == ["texture", "frames"]
