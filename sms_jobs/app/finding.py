@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import PurePosixPath
+from typing import Any
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
@@ -12,12 +14,27 @@ from sms_jobs.catalogue import finding, saved_queries
 from sms_jobs.catalogue.query_fields import Vocabulary
 from sms_jobs.catalogue.query_language import Query, parse
 from sms_jobs.catalogue.saved_queries import SavedQuery
+from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.records.people import Right
-from sms_jobs.records.shown.files import Page
+from sms_jobs.records.shown.files import FileView, Found, Page
+from sms_jobs.records.sizes import size
 from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
+OF_FILE: dict[str, Callable[[FileView], Any]] = {
+    "file": lambda f: f.id,
+    "kind": lambda f: f.source,
+    "subject": lambda f: f.subject,
+    "type": lambda f: PurePosixPath(f.path).suffix,
+    "size": lambda f: size(f.size_bytes),
+    "created": lambda f: f.created_at,
+    "path": lambda f: f.path,
+    "size_bytes": lambda f: f.size_bytes,
+    "content_hash": lambda f: f.content_hash,
+    "job": lambda f: f.job_id,
+}
+"""Columns that every file has."""
 _PAGE = 1000
 """Files that are fetched at once, however many are asked for."""
 
@@ -80,7 +97,8 @@ def find(
     Parameters
     ----------
     columns
-        What to tell of each file besides the file; what the question compares if it is None.
+        What to tell of each file: names of the query language, or of `OF_FILE`; what the question compares
+        if it is None.
     after
         `Page.next` of the last page that is known already.
     limit
@@ -94,15 +112,33 @@ def find(
         There is no such campaign or calibration.
     """
     names = vocabulary()
+    extra = None if columns is None else [name for name in columns if name not in OF_FILE]
     while True:
         with services.catalogue.reading() as session:
             page = finding.find_page(
-                session, asked.query, names, columns=columns, after=after, limit=min(limit, _PAGE)
+                session, asked.query, names, columns=extra, after=after, limit=min(limit, _PAGE)
             )
-        yield page
+        yield page if columns is None else _with_columns(page, columns)
         limit, after = limit - len(page.found), page.next
         if limit <= 0 or after is None:
             return
+
+
+def column_names(text: str) -> list[str]:
+    """Return the names of columns that are written with commas between; `InvalidInput` for an empty one."""
+    names = list(dict.fromkeys(name.strip() for name in text.split(",")))
+    if not all(names):
+        raise InvalidInput(f"--columns '{text}' has an empty name; write them like file,subject,load_kN")
+    return names
+
+
+def _with_columns(page: Page, columns: Sequence[str]) -> Page:
+    """Return a page that tells of each file what was asked for, in that order."""
+    found = (
+        Found(one.file, {n: OF_FILE[n](one.file) if n in OF_FILE else one.values[n] for n in columns})
+        for one in page.found
+    )
+    return Page(tuple(columns), tuple(found), page.next)
 
 
 @use_case(Right.COMPUTE)

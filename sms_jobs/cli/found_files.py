@@ -7,19 +7,18 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from itertools import chain
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app import finding, writing
-from sms_jobs.app.finding import Question
+from sms_jobs.app.finding import OF_FILE, Question, column_names
 from sms_jobs.app.row_tables import write_csv, write_parquet
 from sms_jobs.cli import output
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.shown.files import FileView, Found, Page
-from sms_jobs.records.sizes import size
+from sms_jobs.records.shown.files import Found, Page
 
 
 class Format(StrEnum):
@@ -50,18 +49,6 @@ As = Annotated[
 Out = Annotated[Path | None, typer.Option("--out", "-o", help="File to write; the screen if not given.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
 
-_OF_FILE: dict[str, Callable[[FileView], Any]] = {
-    "file": lambda f: f.id,
-    "kind": lambda f: f.source,
-    "subject": lambda f: f.subject,
-    "type": lambda f: PurePosixPath(f.path).suffix,
-    "size": lambda f: size(f.size_bytes),
-    "created": lambda f: f.created_at,
-    "path": lambda f: f.path,
-    "size_bytes": lambda f: f.size_bytes,
-    "content_hash": lambda f: f.content_hash,
-    "job": lambda f: f.job_id,
-}
 _SHOWN = ("file", "kind", "subject", "type", "size", "created")
 _WRITTEN = ("file", "kind", "subject", "path", "size_bytes", "content_hash", "created", "job")
 
@@ -82,10 +69,9 @@ class FindOptions:
 def tell(home: Path | None, ask: Callable[[bootstrap.Services], Question], options: FindOptions) -> None:
     """Find files and print or write them."""
     _refuse(options)
-    names = None if options.columns is None else _split(options.columns)
-    extra = None if names is None else [name for name in names if name not in _OF_FILE]
+    names = None if options.columns is None else column_names(options.columns)
     with bootstrap.services(home) as services:
-        pages = finding.find(services, ask(services), columns=extra, after=options.after, limit=options.limit)
+        pages = finding.find(services, ask(services), columns=names, after=options.after, limit=options.limit)
         first = next(pages)
         found = chain([first], pages)
         _tell(first, found, names, options)
@@ -149,15 +135,8 @@ def _refuse(options: FindOptions) -> None:
     writing.check_new_file(options.out, options.force)
 
 
-def _split(columns: str) -> list[str]:
-    names = list(dict.fromkeys(name.strip() for name in columns.split(",")))
-    if not all(names):
-        raise InvalidInput(f"--columns '{columns}' has an empty name; write them like file,subject,load_kN")
-    return names
-
-
 def _value(one: Found, name: str) -> Any:
-    return one.values[name] if name in one.values else _OF_FILE[name](one.file)
+    return one.values[name] if name in one.values else OF_FILE[name](one.file)
 
 
 def _row(one: Found, columns: Sequence[str]) -> list[Any]:
