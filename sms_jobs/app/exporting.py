@@ -46,6 +46,12 @@ def formats() -> list[Format]:
     return sorted([*found, Format(_PLAIN_HDF5, ".h5", _ABOUT_PLAIN_HDF5)], key=lambda f: f.name)
 
 
+@use_case(Right.READ)
+def list_formats(services: Services) -> list[Format]:
+    """Return the formats that results are written in, by name."""
+    return formats()
+
+
 @dataclass(frozen=True)
 class Chosen:
     """Which files: one by its number or path, or the newest of a kind of each subject of a campaign."""
