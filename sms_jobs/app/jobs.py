@@ -95,6 +95,11 @@ class Submitted:
     estimate: Estimate
     jobs: Chosen
 
+    @classmethod
+    def told(cls, job_ids: Sequence[str], counted: dict[str, int], estimate: Estimate) -> Submitted:
+        """Return jobs that a server tells of: they are known by their ids."""
+        return cls(tuple(job_ids), counted, estimate, Chosen(tuple(job_ids)))
+
 
 @use_case(Right.COMPUTE)
 def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitted:

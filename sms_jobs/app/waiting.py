@@ -73,6 +73,14 @@ class Waited:
             raise JobFailed(f"{self.failures} of {total} jobs did not succeed; {self.failure}")
 
 
+def timed_out(active: int, counted: dict[str, int], timeout_s: float) -> WaitTimedOut:
+    """Say that jobs have not ended in time."""
+    return WaitTimedOut(
+        f"{active} of {sum(counted.values())} jobs have not ended after {timeout_s:g} s; they go on; "
+        "see 'sms job list'"
+    )
+
+
 @use_case(Right.READ)
 def wait_for(
     services: Services,
@@ -113,10 +121,7 @@ def wait_for(
         if not active:
             break
         if deadline is not None and time.monotonic() > deadline:
-            raise WaitTimedOut(
-                f"{active} of {sum(counted.values())} jobs have not ended after {timeout_s:g} s; they go on; "
-                "see 'sms job list'"
-            )
+            raise timed_out(active, counted, timeout_s or 0.0)
         taken = time.monotonic() - looked
         time.sleep(min(max(_EVERY_S, taken), _OUTLOOK_EVERY_S))
     done = Waited(counted)

@@ -1,43 +1,43 @@
 """The Python interface: a home in a notebook, with fields as xarray and tables as pandas.
 
-It calls the use cases of `sms_jobs.app` and computes nothing itself. xarray and pandas are those of the extra
-`notebook`; they are imported where they are needed.
+It calls the use cases of `sms_jobs.app`, here or at a server, and computes nothing itself. xarray and pandas
+are those of the extra `notebook`; they are imported where they are needed.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import weakref
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
-from dataclasses import asdict, dataclass, fields, is_dataclass
-from pathlib import Path
+from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from sms_jobs import bootstrap
-from sms_jobs.app import finding, jobs, reading, waiting
 from sms_jobs.app.jobs import Submitted, Work
-from sms_jobs.app.reading import StoredRecord
 from sms_jobs.app.waiting import Waited
 from sms_jobs.errors import ConfigurationError
-from sms_jobs.records.quantity import Quantity, quantities, quantities_of
-from sms_jobs.records.reasons import Reason
+from sms_jobs.lab.datasets import MISSING, dataset_of
+from sms_jobs.lab.source import Home, Source
 from sms_jobs.records.shown.files import FileView, Found
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
-_MISSING = "{package} is not installed: run \"pip install 'sms-jobs[notebook]'\""
-_UNCERTAINTY = ("sigma", "covariance", "reason")
-"""Arrays that say how well the others are known, or why they are not."""
-
-
 _OF_EVERY_FILE = ("file", "kind", "subject", "created")
+
+
+def open_home(home: str | os.PathLike[str] | None) -> Lab:
+    """Open a home of this machine; see `sms_jobs.open`."""
+    return Lab(Home(home))
+
+
+def connect(url: str, token: str | None) -> Lab:
+    """Open a home that a server offers; see `sms_jobs.connect`."""
+    # Not loaded by those who open a home of their own.
+    from sms_jobs.lab.server import Server
+
+    return Lab(Server(url, token))
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class FoundFiles:
         try:
             import pandas
         except ImportError as error:
-            raise ConfigurationError(_MISSING.format(package="pandas")) from error
+            raise ConfigurationError(MISSING.format(package="pandas")) from error
         rows = [
             {
                 "file": f.file.id,
@@ -76,26 +76,20 @@ class FoundFiles:
 
 
 class Lab:
-    """A home that is open; `close` it, or use it in a `with` statement.
+    """A home that is open, here or at a server; `close` it, or use it in a `with` statement.
 
     Parameters
     ----------
-    home
-        Its folder; the usual one if it is None.
-
-    Raises
-    ------
-    ConfigurationError
-        There is no home, or its catalogue is older than this version needs.
+    source
+        What it asks.
     """
 
-    def __init__(self, home: str | os.PathLike[str] | None = None) -> None:
-        stack = ExitStack()
-        self._services = stack.enter_context(bootstrap.services(None if home is None else Path(home)))
-        self.close = weakref.finalize(self, stack.close)
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self.close = weakref.finalize(self, source.close)
 
     def __repr__(self) -> str:
-        return f"<sms_jobs home {self._services.settings.home}>"
+        return f"<sms_jobs {self._source.name}>"
 
     def __enter__(self) -> Lab:
         return self
@@ -124,7 +118,7 @@ class Lab:
         NotFound
             It names a campaign or calibration that is not there.
         """
-        pages = list(finding.find(self._services, finding.question(query), columns=columns, limit=limit))
+        pages = list(self._source.find(query, columns, limit))
         return FoundFiles(pages[0].columns, tuple(found for page in pages for found in page.found))
 
     def read(self, what_of: str | int, what: str | None = None) -> xarray.Dataset:
@@ -156,8 +150,8 @@ class Lab:
             xarray is not installed.
         """
         if isinstance(what_of, int) or what is None:
-            return _dataset(reading.of_file(self._services, str(what_of), what))
-        return _dataset(reading.newest(self._services, what_of, what))
+            return dataset_of(self._source.of_file(str(what_of), what))
+        return dataset_of(self._source.newest(what_of, what))
 
     def submit(
         self,
@@ -189,7 +183,7 @@ class Lab:
             A parameter, state or view is not one of them.
         """
         work = Work(campaign, (kind,), parameters, tuple(states), tuple(views))
-        return jobs.submit(self._services, work, dry_run=dry_run)
+        return self._source.submit(work, dry_run)
 
     def wait(self, job: Submitted | str, timeout_s: float | None = None) -> Waited:
         """Wait for what was submitted, or for the job whose id begins so; a service has to run in the home.
@@ -205,8 +199,7 @@ class Lab:
         NotFound
             There is no such job.
         """
-        some = job.jobs if isinstance(job, Submitted) else jobs.choose(self._services, [job], None)
-        waited = waiting.wait_for(self._services, some, timeout_s)
+        waited = self._source.wait(job, timeout_s)
         waited.require_success()
         return waited
 
@@ -215,95 +208,4 @@ class Lab:
 
         Raises `NotFound` where there is none.
         """
-        return "\n".join(jobs.explain(self._services, job).sentences)
-
-
-def _dataset(stored: StoredRecord) -> xarray.Dataset:
-    """Return a record as a dataset whose attributes say where it comes from."""
-    try:
-        import xarray
-    except ImportError as error:
-        raise ConfigurationError(_MISSING.format(package="xarray")) from error
-    record = stored.record
-    declared = {
-        name: quantity
-        for name, quantity in quantities_of(record).items()
-        if isinstance(getattr(record, name), np.ndarray)
-    }
-    dimensions = _dimensions(declared)
-    aside = [name for name in _UNCERTAINTY if name in declared]
-    variables = {}
-    for name, quantity in declared.items():
-        attributes: dict[str, Any] = {"units": quantity.unit, "long_name": quantity.meaning}
-        if quantity.unit == "bit":
-            attributes |= _flags()
-        if name not in aside and aside:
-            attributes["ancillary_variables"] = " ".join(aside)
-        variables[name] = (dimensions[name], getattr(record, name), attributes)
-    labels = {
-        dimensions[name][quantity.axes.index("component")]: list(quantity.components)
-        for name, quantity in declared.items()
-        if quantity.components
-    }
-    return xarray.Dataset(variables, labels, {**_scalars(record), **_provenance(stored)})
-
-
-def _dimensions(declared: dict[str, Quantity]) -> dict[str, tuple[str, ...]]:
-    """Return the axes of each array; components that differ are named by the first array with them."""
-    kinds: dict[tuple[str, ...], str] = {}
-    for name, quantity in declared.items():
-        if "component" in quantity.axes:
-            kinds.setdefault(quantity.components, name)
-    alike = len(kinds) <= 1
-    return {
-        name: tuple(
-            f"{kinds[quantity.components]}_component" if axis == "component" and not alike else axis
-            for axis in quantity.axes
-        )
-        for name, quantity in declared.items()
-    }
-
-
-def _flags() -> dict[str, Any]:
-    """Return what the bits of a reason mean, as the CF conventions write it."""
-    bits = [reason for reason in Reason if reason]
-    return {
-        "flag_masks": np.array([reason.value for reason in bits], np.uint32),
-        "flag_meanings": " ".join(str(reason.name).lower() for reason in bits),
-    }
-
-
-def _scalars(record: Any) -> dict[str, Any]:
-    """Return what a record says besides its arrays; what is no number or text, as JSON."""
-    arrays = quantities(type(record))
-    given = {f.name: getattr(record, f.name) for f in fields(record) if f.name not in arrays}
-    return {
-        name: value if type(value) in (str, int, float) else _as_json(value)
-        for name, value in given.items()
-        if value is not None
-    }
-
-
-def _provenance(stored: StoredRecord) -> dict[str, Any]:
-    file, made = stored.file, stored.provenance
-    return {
-        "subject": file.subject,
-        "record": stored.name,
-        "kind": made.kind,
-        "kind_version": made.kind_version,
-        "job": made.job_id,
-        "parameters": _as_json(dict(made.parameters)),
-        "inputs": _as_json([asdict(one) for one in made.inputs]),
-        "created": made.created_at.isoformat(),
-        "program_version": made.program_version,
-        "file": file.id,
-        "path": file.path,
-        "content_hash": file.content_hash,
-    }
-
-
-def _as_json(value: Any) -> str:
-    def plain(one: Any) -> Any:
-        return asdict(one) if is_dataclass(one) and not isinstance(one, type) else str(one)
-
-    return json.dumps(value, default=plain, ensure_ascii=False)
+        return "\n".join(self._source.explain(job).sentences)

@@ -1,4 +1,4 @@
-"""A home in Python: what docs/python.md shows runs, and says what the archive holds."""
+"""A home in Python, here and at a server: what docs/python.md shows runs, and says what the archive holds."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.archives import Clock, registered, run_jobs, runner, work_again
+from support.serving import serving
 
 import sms_jobs
 from sms_jobs import bootstrap
@@ -46,9 +47,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def lab(folder: Path) -> Iterator[Lab]:
-    with sms_jobs.open(folder / "sms-demo") as lab:
+@pytest.fixture(scope="module")
+def address(folder: Path) -> Iterator[str]:
+    with serving(folder / "sms-demo") as url:
+        yield url
+
+
+@pytest.fixture(params=["home", "server"])
+def lab(folder: Path, request: pytest.FixtureRequest) -> Iterator[Lab]:
+    """The same home twice, in which the same has to be found."""
+    if request.param == "home":
+        opened = sms_jobs.open(folder / "sms-demo")
+    else:
+        opened = sms_jobs.connect(request.getfixturevalue("address"))
+    with opened as lab:
         yield lab
 
 
@@ -72,13 +84,25 @@ def served(home: Path) -> Iterator[None]:
         thread.join()
 
 
-def test_the_page_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_runs(folder: Path, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     assert len(BLOCKS) >= 8
     names: dict[str, object] = {}
     with served(folder / "sms-demo"):
         for block in BLOCKS:
-            exec(compile(block, "docs/python.md", "exec"), names)
+            here = block.replace("http://127.0.0.1:8470", address)
+            exec(compile(here, "docs/python.md", "exec"), names)
+
+
+def test_a_server_gives_what_the_home_holds(folder: Path, address: str) -> None:
+    with sms_jobs.open(folder / "sms-demo") as here, sms_jobs.connect(address) as there:
+        for what in ("strain", "displacement", "surface", "phase", "measurement"):
+            assert there.read(ADDRESS, what).identical(here.read(ADDRESS, what))
+        columns = ["created", "size", "state", "load_N", "median_sigma_strain"]
+        tables = [lab.find(columns=columns).table() for lab in (here, there)]
+        assert len(tables[0]) > 3
+        assert tables[0].equals(tables[1])
+        assert list(here.find("strain")) == list(there.find("strain"))
 
 
 def test_what_is_found_is_walked_through_and_tabled(lab: Lab) -> None:

@@ -1,0 +1,149 @@
+"""How a server answers what the Python interface asks."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from datetime import datetime
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+
+from sms_jobs.app import reading
+from sms_jobs.app.jobs import Explanation, Submitted, Work
+from sms_jobs.app.reading import RecordParts, StoredRecord
+from sms_jobs.app.waiting import Waited, timed_out
+from sms_jobs.lab.connection import Connection
+from sms_jobs.records.shown.estimates import Estimate
+from sms_jobs.records.shown.files import FileView, Found, Page
+
+_PAGE = 1000
+_WAIT_S = 25.0
+"""A server is asked again so often for jobs that are waited for."""
+_AT_ONCE = 200
+"""Jobs that are named in one request."""
+
+_FILE = TypeAdapter(FileView)
+_PARTS = TypeAdapter(RecordParts)
+_ESTIMATE = TypeAdapter(Estimate)
+
+
+class Server:
+    """A home at a server.
+
+    Parameters
+    ----------
+    url
+        Where `sms serve` runs.
+    token
+        Of the person in whose name it is asked.
+
+    Raises as `sms_jobs.connect` does.
+    """
+
+    def __init__(self, url: str, token: str | None) -> None:
+        self._connection = Connection(url, token)
+        try:
+            self._connection.get("/session" if token is not None else "/status")
+        except BaseException:
+            self._connection.close()
+            raise
+
+    @property
+    def name(self) -> str:
+        """What it is, for people."""
+        return f"server {self._connection.url}"
+
+    def find(self, query: str, columns: Sequence[str] | None, limit: int) -> Iterator[Page]:
+        """Yield the files that meet a query, page by page; at least one page."""
+        asked: dict[str, Any] = {"query": query}
+        if columns is not None:
+            asked["columns"] = ",".join(columns)
+        while True:
+            page = _page(self._connection.get("/data/find", asked | {"limit": min(limit, _PAGE)}))
+            yield page
+            limit -= len(page.found)
+            if limit <= 0 or page.next is None:
+                return
+            asked["after"] = page.next
+
+    def newest(self, subject: str, what: str) -> StoredRecord:
+        """Return the newest record of a name, or of a kind, about a subject."""
+        found = self._connection.get("/data/newest", {"subject": subject, "what": what})
+        return self.of_file(str(found["file"]["id"]), found["record"])
+
+    def of_file(self, key: str, name: str | None) -> StoredRecord:
+        """Return a record of a file."""
+        asked = {} if name is None else {"name": name}
+        parts = _PARTS.validate_python(self._connection.get(f"/data/{quote(key, safe='')}/record", asked))
+
+        def read(array: str) -> NDArray[Any]:
+            where = f"/data/{parts.file.id}/arrays/{quote(parts.name, safe='')}/{quote(array, safe='')}"
+            values: NDArray[Any] = np.load(io.BytesIO(self._connection.get_bytes(where)), allow_pickle=False)
+            return values
+
+        return reading.assembled(parts, read)
+
+    def submit(self, work: Work, dry_run: bool) -> Submitted:
+        """Submit jobs."""
+        body = {
+            "campaign": work.campaign,
+            "kinds": work.kinds,
+            "parameters": work.parameters,
+            "states": work.states,
+            "views": work.views,
+            "priority": work.priority,
+            "use_cache": work.use_cache,
+            "dry_run": dry_run,
+        }
+        done = self._connection.post("/jobs", body)
+        return Submitted.told(done["jobs"], done["counted"], _ESTIMATE.validate_python(done["estimate"]))
+
+    def wait(self, job: Submitted | str, timeout_s: float | None) -> Waited:
+        """Return how jobs ended, once all have."""
+        ids = job.job_ids if isinstance(job, Submitted) else (job,)
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        counted: Counter[str] = Counter()
+        active, failure = 0, ""
+        for first in range(0, len(ids), _AT_ONCE):
+            looked = self._ended(ids[first : first + _AT_ONCE], deadline)
+            counted.update(looked["jobs"])
+            active += looked["active"]
+            failure = looked["failure"] or failure
+        if active and timeout_s is not None:
+            raise timed_out(active, dict(counted), timeout_s)
+        return Waited(dict(counted), failure)
+
+    def explain(self, job: str) -> Explanation:
+        """Say why a job stands where it does."""
+        told = self._connection.get(f"/jobs/{quote(job, safe='')}/explain")
+        return Explanation(told["job_id"], tuple(told["sentences"]))
+
+    def close(self) -> None:
+        """Close all connections."""
+        self._connection.close()
+
+    def _ended(self, ids: Sequence[str], deadline: float | None) -> dict[str, Any]:
+        """Return how some jobs stand once they have ended, or nobody waits any more."""
+        while True:
+            left = _WAIT_S if deadline is None else min(_WAIT_S, max(deadline - time.monotonic(), 0.0))
+            looked: dict[str, Any] = self._connection.get("/jobs/wait", {"job": ids, "seconds": left})
+            if looked["ended"] or (deadline is not None and time.monotonic() >= deadline):
+                return looked
+
+
+def _page(told: dict[str, Any]) -> Page:
+    times = set(told["times"])
+    found = []
+    for one in told["files"]:
+        values = {
+            name: datetime.fromisoformat(value) if name in times and value is not None else value
+            for name, value in one["values"].items()
+        }
+        found.append(Found(_FILE.validate_python(one), values))
+    return Page(tuple(told["columns"]), tuple(found), told["next"])

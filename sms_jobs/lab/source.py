@@ -1,0 +1,99 @@
+"""What the Python interface asks, and how a home of this machine answers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Protocol
+
+from sms_jobs import bootstrap
+from sms_jobs.app import finding, jobs, reading, waiting
+from sms_jobs.app.jobs import Explanation, Submitted, Work
+from sms_jobs.app.reading import StoredRecord
+from sms_jobs.app.waiting import Waited
+from sms_jobs.records.shown.files import Page
+
+
+class Source(Protocol):
+    """The use cases of the Python interface, wherever they run; they raise what the use cases do."""
+
+    @property
+    def name(self) -> str:
+        """What it is, for people."""
+
+    def find(self, query: str, columns: Sequence[str] | None, limit: int) -> Iterable[Page]:
+        """Yield the files that meet a query, page by page; at least one page."""
+
+    def newest(self, subject: str, what: str) -> StoredRecord:
+        """Return the newest record of a name, or of a kind, about a subject."""
+
+    def of_file(self, key: str, name: str | None) -> StoredRecord:
+        """Return a record of a file."""
+
+    def submit(self, work: Work, dry_run: bool) -> Submitted:
+        """Submit jobs."""
+
+    def wait(self, job: Submitted | str, timeout_s: float | None) -> Waited:
+        """Return how jobs ended, once all have."""
+
+    def explain(self, job: str) -> Explanation:
+        """Say why a job stands where it does."""
+
+    def close(self) -> None:
+        """Let go what is open."""
+
+
+class Home:
+    """A home of this machine.
+
+    Parameters
+    ----------
+    home
+        Its folder; the usual one if it is None.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no home, or its catalogue is older than this version needs.
+    """
+
+    def __init__(self, home: str | os.PathLike[str] | None) -> None:
+        self._stack = ExitStack()
+        path = None if home is None else Path(home)
+        self._services = self._stack.enter_context(bootstrap.services(path, "python"))
+
+    @property
+    def name(self) -> str:
+        """What it is, for people."""
+        return f"home {self._services.settings.home}"
+
+    def find(self, query: str, columns: Sequence[str] | None, limit: int) -> Iterable[Page]:
+        """Yield the files that meet a query, page by page; at least one page."""
+        return finding.find(self._services, finding.question(query), columns=columns, limit=limit)
+
+    def newest(self, subject: str, what: str) -> StoredRecord:
+        """Return the newest record of a name, or of a kind, about a subject."""
+        return reading.newest(self._services, subject, what)
+
+    def of_file(self, key: str, name: str | None) -> StoredRecord:
+        """Return a record of a file."""
+        return reading.of_file(self._services, key, name)
+
+    def submit(self, work: Work, dry_run: bool) -> Submitted:
+        """Submit jobs."""
+        return jobs.submit(self._services, work, dry_run=dry_run)
+
+    def wait(self, job: Submitted | str, timeout_s: float | None) -> Waited:
+        """Return how jobs ended, once all have."""
+        some = job.jobs if isinstance(job, Submitted) else jobs.choose(self._services, [job], None)
+        return waiting.wait_for(self._services, some, timeout_s)
+
+    def explain(self, job: str) -> Explanation:
+        """Say why a job stands where it does."""
+        return jobs.explain(self._services, job)
+
+    def close(self) -> None:
+        """Close the catalogue."""
+        self._stack.close()
