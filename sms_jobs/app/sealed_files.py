@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.archive import Archive
@@ -35,8 +36,12 @@ class SealedFile:
         return f"sha-256=:{base64.b64encode(bytes.fromhex(self.file.sha256)).decode()}:"
 
     def read(self, start: int, stop: int) -> Iterator[bytes]:
-        """Yield the bytes from `start` up to `stop`; raises `ArchiveCorrupt` as late as at the last ones."""
-        return read_bytes(self._archive, self.file, start, stop)
+        """Return the bytes from `start` up to `stop`, a MiB at a time.
+
+        Raises `ArchiveCorrupt`, and for more than a MiB the iterator does, at its last bytes at the latest.
+        """
+        blocks = read_bytes(self._archive, self.file, start, stop)
+        return chain([next(blocks, b"")], blocks)
 
 
 @use_case(Right.READ)

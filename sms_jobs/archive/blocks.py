@@ -46,7 +46,7 @@ class Grid:
     def bounds(self, index: Sequence[int]) -> Part:
         """Return where a block lies."""
         each = zip(index, self.block, self.shape, strict=True)
-        return tuple(slice(i * b, min((i + 1) * b, n)) for i, b, n in each)
+        return tuple(slice(i * b, min((i + 1) * b, n), 1) for i, b, n in each)
 
     def touched(self, part: Part) -> Iterator[Shape]:
         """Yield the blocks that a part touches, in C order."""

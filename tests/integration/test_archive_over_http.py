@@ -1,0 +1,314 @@
+"""The archive over HTTP: what is given is what was sealed, and nothing else of the machine."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import zipfile
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import h5py
+import httpx
+import numpy as np
+import pytest
+import zarr
+from support.archives import Clock, registered, run_jobs, work_again
+from support.serving import serving
+from zarr.abc.store import OffsetByteRequest, RangeByteRequest, Store
+from zarr.core.buffer import Buffer, BufferPrototype
+
+from sms_jobs import bootstrap
+from sms_jobs.archive import Archive, FolderStore
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.jobs.planning import Request
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A home with a measurement, its surface and its displacement, all at two states."""
+    home = tmp_path_factory.mktemp("archive") / "home"
+    bootstrap.initialise(home)
+    clock, archive = Clock(), Archive(FolderStore(home / "archive"))
+    with closing(Catalogue(f"sqlite:///{home / 'catalogue.sqlite'}")) as catalogue:
+        work_again(catalogue, clock)
+        registered(catalogue, archive, clock)
+        kinds = ("simulate", "reconstruct", "correlate", "strain", "merge")
+        run_jobs(catalogue, archive, clock, [Request(kind) for kind in kinds])
+    return home
+
+
+@pytest.fixture(scope="module")
+def web(home: Path) -> Iterator[httpx.Client]:
+    with serving(home) as url, httpx.Client(base_url=f"{url}/api/v1", timeout=60.0) as client:
+        yield client
+
+
+def newest(web: httpx.Client, query: str) -> dict[str, Any]:
+    """Return the newest file that meets a query."""
+    found: dict[str, Any] = web.get("/data/find", params={"query": query, "limit": 1}).json()["files"][0]
+    return found
+
+
+def refused(answer: httpx.Response, status: int, words: str) -> None:
+    assert (answer.status_code, words in answer.json()["error"]) == (status, True), answer.text
+
+
+def test_files_are_found_page_by_page(web: httpx.Client) -> None:
+    asked = {"columns": "kind,load_N", "limit": 2}
+    first = web.get("/data/find", params=asked).json()
+    rest = web.get("/data/find", params=asked | {"after": first["next"], "limit": 1000}).json()
+    assert first["columns"] == ["kind", "load_N"]
+    assert len(first["files"]) == 2
+    assert rest["next"] is None
+    numbers = [one["id"] for one in first["files"] + rest["files"]]
+    assert numbers == sorted(numbers, reverse=True)
+    assert {one["values"]["kind"] for one in rest["files"]} >= {"measurement", "calibration"}
+    refused(web.get("/data/find", params={"query": "strain where"}), 422, "character")
+    refused(web.get("/data/find", params={"query": "where campaign = nobody"}), 404, "nobody")
+
+
+def test_a_query_is_kept_asked_and_forgotten(web: httpx.Client) -> None:
+    kept = web.post("/data/queries", json={"name": "all-strain", "text": "strain"})
+    assert kept.json()["text"] == "strain"
+    assert [one["name"] for one in web.get("/data/queries").json()] == ["all-strain"]
+    assert {one["source"] for one in web.get("/data/queries/all-strain").json()["files"]} == {"strain"}
+    assert web.delete("/data/queries/all-strain").is_success
+    refused(web.get("/data/queries/all-strain"), 404, "all-strain")
+
+
+def test_a_file_is_described_drawn_and_traced(web: httpx.Client) -> None:
+    file = newest(web, "strain")
+    about = web.get(f"/data/{file['id']}").json()
+    assert about["records"]["strain"]["strain"]["axes"] == ["component", "row", "column"]
+    assert about["file"]["content_hash"] == file["content_hash"]
+    picture = web.get(f"/data/{file['id']}/picture.png", params={"field": "strain", "component": "xx"})
+    assert picture.content.startswith(b"\x89PNG")
+    roots = web.get(f"/data/{file['id']}/tree").json()["inputs"]
+    assert (
+        "displacement" in {one["role"] for one in roots} | {one["file"]["source"] for one in roots} or roots
+    )
+    assert web.post(f"/data/{file['id']}/pin", json={"reason": "paper"}).is_success
+    assert [one["reason"] for one in web.get("/data/pins").json()] == ["paper"]
+    assert web.delete(f"/data/{file['id']}/pin").is_success
+    refused(web.get("/data/999999"), 404, "there is no file")
+
+
+def test_a_sealed_file_is_given_as_it_lies_there(web: httpx.Client, home: Path) -> None:
+    file = newest(web, "strain")
+    where = f"/data/{file['id']}/file"
+    whole = web.get(where)
+    assert whole.content == (home / "archive" / file["path"]).read_bytes()
+    digest = base64.b64encode(hashlib.sha256(whole.content).digest()).decode()
+    assert whole.headers["Repr-Digest"] == f"sha-256=:{digest}:"
+    assert whole.headers["Content-Disposition"].startswith("attachment")
+    head = web.head(where)
+    assert int(head.headers["Content-Length"]) == len(whole.content)
+    tag = head.headers["ETag"]
+    assert web.get(where, headers={"If-None-Match": tag}).status_code == 304
+    with h5py.File(io.BytesIO(whole.content)) as opened:
+        assert "strain" in opened["entry"]
+
+
+@pytest.mark.parametrize(
+    ("header", "part"),
+    [
+        ("bytes=0-99", slice(0, 100)),
+        ("bytes=100-", slice(100, None)),
+        ("bytes=-7", slice(-7, None)),
+        ("bytes=10-99999999999", slice(10, None)),
+    ],
+)
+def test_a_range_is_a_part_of_the_file(web: httpx.Client, header: str, part: slice) -> None:
+    where = f"/data/{newest(web, 'strain')['id']}/file"
+    whole = web.get(where)
+    found = web.get(where, headers={"Range": header})
+    assert (found.status_code, found.content) == (206, whole.content[part])
+    start, stop, _ = part.indices(len(whole.content))
+    assert found.headers["Content-Range"] == f"bytes {start}-{stop - 1}/{len(whole.content)}"
+    of_another = web.get(where, headers={"Range": header, "If-Range": '"another"'})
+    assert (of_another.status_code, of_another.content) == (200, whole.content)
+    of_this = web.get(where, headers={"Range": header, "If-Range": whole.headers["ETag"]})
+    assert of_this.status_code == 206
+
+
+@pytest.mark.parametrize("header", ["bytes=99999999999-", "bytes=-0"])
+def test_a_range_beyond_the_file_is_refused(web: httpx.Client, header: str) -> None:
+    file = newest(web, "strain")
+    found = web.get(f"/data/{file['id']}/file", headers={"Range": header})
+    assert found.status_code == 416
+    assert found.headers["Content-Range"] == f"bytes */{file['size_bytes']}"
+
+
+@pytest.mark.parametrize("header", ["bytes=0-9,20-29", "lines=1-2", "bytes=-", "bytes=9-3"])
+def test_what_is_no_single_range_gives_the_whole(web: httpx.Client, header: str) -> None:
+    file = newest(web, "strain")
+    found = web.get(f"/data/{file['id']}/file", headers={"Range": header})
+    assert (found.status_code, len(found.content)) == (200, file["size_bytes"])
+
+
+def array(web: httpx.Client, file: int, name: str, part: str) -> Any:
+    found = web.get(f"/data/{file}/arrays/{name}", params={"slice": part})
+    assert found.is_success, found.text
+    return np.load(io.BytesIO(found.content), allow_pickle=False)
+
+
+def test_a_part_of_an_array_is_read(web: httpx.Client, home: Path) -> None:
+    file = newest(web, "strain")
+    with h5py.File(home / "archive" / file["path"]) as opened:
+        whole = opened["entry/strain/strain"][...]
+    number = file["id"]
+    np.testing.assert_array_equal(array(web, number, "strain/strain", ""), whole)
+    part = array(web, number, "strain/strain", "1,10:60,::4")
+    np.testing.assert_array_equal(part, whole[1, 10:60, ::4])
+    lines = web.get(
+        f"/data/{number}/arrays/strain/strain", params={"slice": "0:2,30,40:43", "format": "csv"}
+    ).text.splitlines()
+    assert lines[0] == "component,row,column,strain [1]"
+    assert len(lines) == 7
+    assert lines[4].startswith("1,30,40,")
+    frames = newest(web, "measurement")
+    with h5py.File(home / "archive" / frames["path"]) as opened:
+        stack = opened["entry/measurement/frames"][1:6:2, 5:9]
+    np.testing.assert_array_equal(array(web, frames["id"], "measurement/frames", "1:6:2,5:9"), stack)
+
+
+@pytest.mark.parametrize("part", ["0,0,0,0", "x", "::0", "9", "-1", "0:1e9", ",,," + "9" * 50])
+def test_a_part_that_is_none_is_refused(web: httpx.Client, part: str) -> None:
+    file = newest(web, "strain")["id"]
+    found = web.get(f"/data/{file}/arrays/strain/strain", params={"slice": part})
+    assert found.status_code == 422, found.text
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/data/{file}/arrays/strain/..%2F..%2Fprocess",
+        "/data/{file}/arrays/..%2F..%2Fetc/passwd",
+        "/data/{file}/zarr/../../../settings.toml",
+        "/data/{file}/zarr/..%2F..%2Fsettings.toml",
+        "/data/{file}/zarr/process/provenance/c",
+        "/data/{file}/zarr/strain/strain/c/0/0/99",
+        "/data/..%2F..%2Fsettings.toml/file",
+        "/data/%2Fetc%2Fpasswd",
+    ],
+)
+def test_nothing_leads_out_of_a_file_or_the_archive(web: httpx.Client, path: str) -> None:
+    answer = web.get(path.format(file=newest(web, "strain")["id"]))
+    assert answer.status_code == 404
+
+
+def test_no_file_of_the_server_is_compared_or_written(web: httpx.Client, tmp_path: Path) -> None:
+    merged = newest(web, "merge")["id"]
+    assert web.get(f"/data/{merged}/compare", params={"with": "/etc/passwd"}).status_code == 422
+    refused(
+        web.get("/campaigns/plate/compare", params={"with": f"{tmp_path}/{{state}}.vtu"}), 422, "campaign"
+    )
+
+
+def test_displacements_and_sections_come_as_numbers_and_pictures(web: httpx.Client) -> None:
+    merged = newest(web, "merge")["id"]
+    same = web.get(f"/data/{merged}/compare", params={"with": merged}).json()
+    assert same["points"] > 100
+    assert same["rms_mm"] == pytest.approx(0.0, abs=1e-6)
+    line = {"x0": -20, "y0": 0, "x1": 20, "y1": 0, "field": "strain"}
+    strain = newest(web, "strain")["id"]
+    assert web.get(f"/data/{strain}/section", params=line).json()["columns"][0] == "distance_mm"
+    drawn = web.get(f"/data/{strain}/section", params=line | {"format": "png"})
+    assert drawn.content.startswith(b"\x89PNG")
+
+
+def test_a_result_is_exported(web: httpx.Client) -> None:
+    merged = newest(web, "merge")["id"]
+    assert "ply" in {one["name"] for one in web.get("/formats").json()}
+    made = web.get(f"/data/{merged}/export", params={"format": "ply"})
+    content = made.content
+    if "zip" in made.headers["Content-Disposition"]:
+        with zipfile.ZipFile(io.BytesIO(content)) as packed:
+            content = packed.read(packed.namelist()[0])
+    assert content.startswith(b"ply\n")
+    refused(web.get(f"/data/{merged}/export", params={"format": "nonsense"}), 422, "no export format")
+
+
+class OverHttp(Store):
+    """The Zarr group of a file, as any reader of Zarr sees it."""
+
+    supports_writes = supports_deletes = supports_listing = False
+
+    def __init__(self, web: httpx.Client, file: int) -> None:
+        super().__init__(read_only=True)
+        self._web, self._file = web, file
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    async def get(self, key: str, prototype: BufferPrototype, byte_range: Any = None) -> Buffer | None:
+        found = self._web.get(f"/data/{self._file}/zarr/{key}")
+        if found.status_code == 404:
+            return None
+        content = found.raise_for_status().content
+        if isinstance(byte_range, RangeByteRequest):
+            content = content[byte_range.start : byte_range.end]
+        elif isinstance(byte_range, OffsetByteRequest):
+            content = content[byte_range.offset :]
+        return prototype.buffer.from_bytes(content)
+
+    async def get_partial_values(self, prototype: BufferPrototype, key_ranges: Any) -> list[Buffer | None]:
+        return [await self.get(key, prototype, wanted) for key, wanted in key_ranges]
+
+    async def exists(self, key: str) -> bool:
+        return self._web.get(f"/data/{self._file}/zarr/{key}").is_success
+
+    async def set(self, key: str, value: Buffer) -> None:
+        raise AssertionError(key)
+
+    async def delete(self, key: str) -> None:
+        raise AssertionError(key)
+
+    async def list(self) -> Any:
+        return
+        yield
+
+    async def list_prefix(self, prefix: str) -> Any:
+        return
+        yield
+
+    async def list_dir(self, prefix: str) -> Any:
+        return
+        yield
+
+
+@pytest.mark.parametrize("query", ["strain", "measurement", "merge", "calibration"])
+def test_zarr_reads_what_the_archive_holds(web: httpx.Client, home: Path, query: str) -> None:
+    file = newest(web, query)
+    group = zarr.open_group(OverHttp(web, file["id"]), mode="r")
+    about = web.get(f"/data/{file['id']}/arrays").json()["records"]
+    assert {name for name, _ in group.groups()} == set(about)
+    with h5py.File(home / "archive" / file["path"]) as opened:
+        for record, arrays in about.items():
+            for name in arrays:
+                found = group[f"{record}/{name}"]
+                np.testing.assert_array_equal(found[...], opened[f"entry/{record}/{name}"][...])
+                assert found.attrs["units"] == arrays[name]["unit"]
+                assert list(found.metadata.dimension_names) == arrays[name]["axes"]
+
+
+def test_a_damaged_file_is_not_given_out(web: httpx.Client, home: Path) -> None:
+    file = newest(web, "reconstruct where state = S00")
+    path = home / "archive" / file["path"]
+    kept = path.read_bytes()
+    path.chmod(0o644)
+    try:
+        with path.open("r+b") as stream:
+            stream.seek(len(kept) // 2)
+            stream.write(bytes(64))
+        # The last block is held back.
+        with pytest.raises(httpx.RemoteProtocolError, match="1048576 bytes"):
+            web.get(f"/data/{file['id']}/file")
+        # A part is not compared; whoever puts it together has the digest of the whole.
+        assert web.get(f"/data/{file['id']}/file", headers={"Range": "bytes=0-9"}).status_code == 206
+    finally:
+        path.write_bytes(kept)
