@@ -27,7 +27,7 @@ function start() {
     for (const view of views) if (view.values) view.refresh();
   });
   for (const section of sections) {
-    views.push(new View(section));
+    views.push(new View(section, EMBEDDED));
     near.observe(section);
   }
 }

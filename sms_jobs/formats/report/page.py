@@ -21,14 +21,10 @@ from tempfile import TemporaryFile
 from types import TracebackType
 from typing import IO, Any, TextIO
 
-import numpy as np
-
-from sms_jobs.formats.look import look
+from sms_jobs.formats.drawing.assets import drawing_script, drawing_style
 from sms_jobs.formats.report.html import Markup
 
-_SCRIPTS = ("unpacking.js", "maps.js", "space.js", "following.js", "page.js")
 _COPIED = 1 << 20
-_COLOURS = 256
 
 
 @dataclass(frozen=True)
@@ -48,31 +44,13 @@ def _resource(name: str) -> str:
 @cache
 def style() -> str:
     """Return the style of every page."""
-    return look() + _resource("page.css")
-
-
-@cache
-def _colour_maps() -> str:
-    """Return the colours of maps, six letters each, for the script."""
-    import matplotlib
-
-    numbers = np.linspace(0.0, 1.0, _COLOURS)
-    found = {
-        name: matplotlib.colormaps[given](numbers, bytes=True)[:, :3].tobytes().hex()
-        for name, given in (("viridis", "viridis"), ("bluered", "coolwarm"), ("grey", "gray"))
-    }
-    # The first is of what is valid.
-    found["groups"] = (
-        "ebebeb" + matplotlib.colormaps["tab20"](np.arange(20), bytes=True)[:, :3].tobytes().hex()
-    )
-    return json.dumps(found)
+    return f"{drawing_style()}\n{_resource('page.css')}"
 
 
 @cache
 def script() -> str:
     """Return the script of every page."""
-    parts = "\n".join([f"const COLOUR_MAPS = {_colour_maps()};", *map(_resource, _SCRIPTS)])
-    return f'"use strict";\n(() => {{\n{parts}\n}})();\n'
+    return f'"use strict";\n(() => {{\n{drawing_script()}\n{_resource("page.js")}\n}})();\n'
 
 
 def _digest(text: str) -> str:

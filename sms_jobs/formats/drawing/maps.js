@@ -11,10 +11,10 @@ const LARGEST_ZOOM = 64;
 function paletteOf(name) { return PALETTES[name] || PALETTES.viridis; }
 
 class View {
-  constructor(section) {
+  constructor(section, source) {
     this.section = section;
     this.about = JSON.parse(section.querySelector("script.about").textContent);
-    this.fields = new Fields(this.about);
+    this.fields = new Fields(this.about, source);
     this.chosen = 0;
     this.ofSigma = false;
     this.limits = null;
@@ -94,7 +94,7 @@ class View {
       move: (x, y) => this.point(this.sampleAt(x, y)),
       leave: () => {},
       drag: (dx, dy) => this.pan(dx, dy),
-      click: (x, y) => { this.point(this.sampleAt(x, y)); this.follow(); },
+      click: (x, y) => this.pick(this.sampleAt(x, y)),
       zoom: (factor, x, y) => this.zoomBy(factor, x, y),
       free: () => this.zoom > 1,
     });
@@ -111,7 +111,7 @@ class View {
     } else if (event.key === "+" || event.key === "=") this.zoomBy(1.6);
     else if (event.key === "-") this.zoomBy(1 / 1.6);
     else if (event.key === "0") this.whole();
-    else if (event.key === "Enter") this.follow();
+    else if (event.key === "Enter") { if (this.cursor) this.pick(this.cursor); }
     else return;
     event.preventDefault();
   }
@@ -146,8 +146,11 @@ class View {
   }
 
   async renew() {
-    const field = this.field, part = this.part;
+    const field = this.field;
     this.select.value = String(this.chosen);
+    await this.fields.described(field);
+    if (this.field !== field) return;
+    const part = this.part;
     this.spread.disabled = !field.sigma;
     this.spread.setAttribute("aria-pressed", String(part !== field));
     const limits = this.shown;
@@ -180,8 +183,7 @@ class View {
     if (this.about.position || this.field.unit === "count" || this.field.categories) return null;
     const other = views.find((view) => view.about.key === this.about.key && view.fields.named("texture"));
     if (!other) return null;
-    const { limits, ...texture } = other.fields.named("texture");
-    const levels = await other.fields.values(texture);
+    const texture = other.fields.named("texture"), levels = await other.fields.values(texture), { limits } = texture;
     return levels.map((level) => 255 * Math.min(Math.max((level - limits[0]) / (limits[1] - limits[0]), 0), 1));
   }
 
@@ -231,6 +233,7 @@ class View {
     context.imageSmoothingEnabled = false;
     const [left, top] = this.toScreen(-0.5, -0.5), size = this.pitch * this.fields.step;
     context.drawImage(this.image, left, top, size * this.fields.columns, size * this.fields.rows);
+    this.paintOver(context);
     if (this.cursor) {
       const [x, y] = this.toScreen(...this.pixelOf(this.cursor));
       for (const [colour, line] of [["#ffffff", 4], ["#d0021b", 2]]) {
@@ -284,6 +287,9 @@ class View {
     this.zoom = 1;
     this.pan(0, 0);
   }
+
+  // What is drawn over the map, by whoever has something to draw.
+  paintOver() {}
 
   // Read all that is known at a sample.
   async point(sample) {
@@ -361,7 +367,8 @@ class View {
       `Colours of ${name} from ${written(limits[0])} to ${written(limits[1])} ${field.unit}`);
   }
 
-  follow() { if (this.cursor) followPoint(this, this.cursor); }
+  // A place was chosen: it is followed over the states.
+  pick(sample) { this.point(sample); followPoint(this, this.cursor); }
 
   toggleSpace() { if (this.space) closeSpace(); else openSpace(this); }
 }

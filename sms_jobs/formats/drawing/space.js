@@ -79,7 +79,7 @@ class Space {
   listen() {
     new Pointing(this.canvas, {
       move: (x, y) => this.touch(x, y),
-      click: (x, y) => { this.touch(x, y); this.view.follow(); },
+      click: (x, y) => { this.touch(x, y); if (this.view.cursor) this.view.pick(this.view.cursor); },
       drag: (dx, dy, event) => {
         if (event.shiftKey || event.buttons === 2) this.shift(dx, dy);
         else this.rotate(dx / 120, dy / 120);

@@ -2,8 +2,15 @@
 
 const views = [];
 
-async function inflated(id) {
-  const letters = atob(document.getElementById(id).textContent);
+// Where the values of a page come from that holds them itself. A source says what is known of a field before it
+// is drawn, and gives the text that `packed` stands for.
+const EMBEDDED = {
+  described: (field) => Promise.resolve(field),
+  text: (packed) => document.getElementById(packed.data).textContent,
+};
+
+async function inflated(text) {
+  const letters = atob(text);
   const bytes = new Uint8Array(letters.length);
   for (let i = 0; i < letters.length; i++) bytes[i] = letters.charCodeAt(i);
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -11,8 +18,8 @@ async function inflated(id) {
 }
 
 // Values of a field over the samples, NaN for none.
-async function unpacked(packed, rows, columns) {
-  const bytes = await inflated(packed.data);
+async function unpacked(packed, text, rows, columns) {
+  const bytes = await inflated(text);
   const count = rows * columns;
   const values = new Float64Array(count);
   for (let row = 0, place = 0; row < rows; row++) {
@@ -26,8 +33,8 @@ async function unpacked(packed, rows, columns) {
 }
 
 // Standard deviations over the samples, NaN for none.
-async function unpackedSigma(packed, rows, columns) {
-  const bytes = await inflated(packed.data);
+async function unpackedSigma(packed, text, rows, columns) {
+  const bytes = await inflated(text);
   const values = new Float64Array(rows * columns);
   for (let row = 0, place = 0; row < rows; row++) {
     let number = 0;
@@ -41,8 +48,9 @@ async function unpackedSigma(packed, rows, columns) {
 
 // The fields of one view, unpacked when they are asked for.
 class Fields {
-  constructor(about) {
+  constructor(about, source) {
     this.about = about;
+    this.source = source;
     this.step = about.step;
     this.half = Math.floor(about.step / 2);
     this.rows = Math.ceil((about.rows - this.half) / about.step);
@@ -52,11 +60,13 @@ class Fields {
 
   named(name) { return this.about.fields.find((field) => field.name === name); }
 
-  values(field) { return this.once(field.data, () => unpacked(field, this.rows, this.columns)); }
+  described(field) { return this.source.described(field); }
+
+  values(field) { return this.once(field, "", () => unpacked(field, this.source.text(field), this.rows, this.columns)); }
 
   sigma(field) {
-    if (!field.sigma) return Promise.resolve(null);
-    return this.once(field.sigma.data, () => unpackedSigma(field.sigma, this.rows, this.columns));
+    return this.once(field, "sigma", () => field.sigma &&
+      unpackedSigma(field.sigma, this.source.text(field.sigma), this.rows, this.columns));
   }
 
   vectors(names) {
@@ -64,8 +74,9 @@ class Fields {
     return Promise.all(names.map((name) => this.values(this.named(name))));
   }
 
-  once(id, make) {
-    if (!this.waiting.has(id)) this.waiting.set(id, make());
+  once(field, part, make) {
+    const id = `${field.name} ${part}`;
+    if (!this.waiting.has(id)) this.waiting.set(id, this.described(field).then(make));
     return this.waiting.get(id);
   }
 }

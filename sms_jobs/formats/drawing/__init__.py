@@ -1,0 +1,1 @@
+"""What draws fields in a browser, for the report and for the console: scripts, and the style of theirs."""
