@@ -44,7 +44,7 @@ def _resource(name: str) -> str:
 @cache
 def style() -> str:
     """Return the style of every page."""
-    return f"{drawing_style()}\n{_resource('page.css')}"
+    return f"{look()}{drawing_style()}{_resource('page.css')}"
 
 
 @cache
