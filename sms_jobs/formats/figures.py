@@ -161,6 +161,20 @@ def draw_map(image: Map, width_px: int = 640) -> bytes:
     return as_png(figure)
 
 
+def colours_as_png(values: NDArray[Any], unit: str) -> bytes:
+    """Return a scalar (rows, columns) as PNG with a pixel for each value: missing ones grey, no frame."""
+    import matplotlib
+    from PIL import Image
+
+    low, high = robust_limits(values)
+    colours = matplotlib.colormaps[GREY_LEVELS if unit == "count" else COLOUR_MAP]
+    shown = colours((values - low) / (high - low), bytes=True)[..., :3]
+    shown[~np.isfinite(values)] = round(255 * float(MISSING_COLOUR))
+    out = io.BytesIO()
+    Image.fromarray(shown).save(out, format="PNG")
+    return out.getvalue()
+
+
 def _draw_borders(axes: Axes, labels: NDArray[Any], size: tuple[int, int]) -> None:
     """Draw a line around every label, 0 excepted."""
     x = (np.arange(labels.shape[1]) + 0.5) * size[1] / labels.shape[1] - 0.5

@@ -33,9 +33,9 @@ def view_markup(view: View, number: int, state: str, still_px: int, level: int =
         yield Markup(f'<p class="notes">{escape(note)}</p>')
     about = []
     for place, field in enumerate(view.fields):
-        description, blocks = _packed(field, f"{name}-{place}")
+        description = packed_field(field)
+        yield from _blocks(description, f"{name}-{place}")
         about.append(description)
-        yield from blocks
     yield json_block(
         {
             "key": view.key,
@@ -78,29 +78,27 @@ def _lean(png: bytes) -> bytes:
     return out.getvalue()
 
 
-def _packed(field: Field, name: str) -> tuple[dict[str, Any], list[Markup]]:
-    """Return a field's description for the script, and the blocks that hold its values."""
+def packed_field(field: Field) -> dict[str, Any]:
+    """Return what the script has to know of a field, with its values as text, and its standard deviations."""
     if field.categories is not None:
-        return _packed_categories(field, name)
+        return _packed_categories(field)
     packed = pack(field.values, field.sigma, field.grain)
-    description = {
+    description: dict[str, Any] = {
         "name": field.name,
         "unit": field.unit,
         "low": packed.low,
         "step": packed.step,
-        "data": name,
+        "text": packed.text,
         "limits": robust_limits(field.values),
     }
-    blocks = [_block(name, packed.text)]
     if field.sigma is not None:
         spread = pack_sigma(field.sigma)
         limits = robust_limits(field.sigma)
-        description["sigma"] = {"low": spread.low, "step": spread.step, "data": f"{name}s", "limits": limits}
-        blocks.append(_block(f"{name}s", spread.text))
-    return description, blocks
+        description["sigma"] = {"low": spread.low, "step": spread.step, "text": spread.text, "limits": limits}
+    return description
 
 
-def _packed_categories(field: Field, name: str) -> tuple[dict[str, Any], list[Markup]]:
+def _packed_categories(field: Field) -> dict[str, Any]:
     """Return flags as numbers of a list of meanings, the most frequent first."""
     found, counts = np.unique(field.values[np.isfinite(field.values)].astype(np.int64), return_counts=True)
     order = np.argsort(-counts, kind="stable")
@@ -113,23 +111,26 @@ def _packed_categories(field: Field, name: str) -> tuple[dict[str, Any], list[Ma
     meanings = [words.get(flags, str(flags)) for flags in listed]
     # Coloured by the first of several reasons, as there are too many combinations to tell apart.
     firsts = list(dict.fromkeys([VALID, *map(_first, meanings)]))
-    description = {
+    return {
         "name": field.name,
         "unit": field.unit,
         "low": packed.low,
         "step": packed.step,
-        "data": name,
+        "text": packed.text,
         "limits": (0.0, float(max(1, len(listed) - 1))),
         "categories": meanings,
         "names": firsts,
         "groups": [firsts.index(_first(words)) for words in meanings],
     }
-    return description, [_block(name, packed.text)]
 
 
 def _first(words: str) -> str:
     return words.partition(",")[0]
 
 
-def _block(name: str, packed: str) -> Markup:
-    return Markup(f'<script type="text/plain" id="{name}">{packed}</script>')
+def _blocks(description: dict[str, Any], name: str) -> Iterator[Markup]:
+    """Yield the texts of a packed field as blocks of the page, which its description then names."""
+    for part, suffix in ((description, ""), (description.get("sigma"), "s")):
+        if part is not None:
+            part["data"] = f"{name}{suffix}"
+            yield Markup(f'<script type="text/plain" id="{part["data"]}">{part.pop("text")}</script>')

@@ -113,7 +113,7 @@ def deformed_view(
     gauges: GaugeReadings | None = None,
 ) -> View:
     """Return the displacement of a camera's view, and strain and gauge readings of one view."""
-    length, length_sigma = _length(merged)
+    length, length_sigma = displacement_length(merged.displacement, merged.covariance)
     deep = merged.has_depth
     title = f"{merged.camera} (displacement {', '.join(merged.views)}; strain {view})"
     fields = [
@@ -168,14 +168,16 @@ def _method(strain: StrainField, mm_per_px: float | None) -> str:
     return f"Strain: {measure}, over a gauge length of {length}."
 
 
-def _length(merged: MergedField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the length of the displacement and its standard deviation, along the displacement.
+def displacement_length(
+    displacement: NDArray[np.float64], covariance: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the length of a displacement and its standard deviation, along the displacement.
 
     Of a displacement d with covariance C the length has the variance d' C d / d' d, to first order; where
     nothing moves that has no direction, and the largest that it can be is taken, the trace of C.
     """
-    d = in_space(merged.displacement)
-    c = dict(zip(SYMMETRIC, covariance_in_space(merged.covariance.astype(np.float64)), strict=True))
+    d = in_space(displacement)
+    c = dict(zip(SYMMETRIC, covariance_in_space(covariance.astype(np.float64)), strict=True))
     squared = np.sum(d**2, axis=0)
     along = (
         c["XX"] * d[0] ** 2

@@ -187,7 +187,7 @@ class Sampler:
         """Return a field of why pixels have no value, (rows, columns) of `Reason` bits."""
         step = self.step_px
         sampled = reason[step // 2 :: step, step // 2 :: step]
-        present = {int(bits): _in_words(int(bits)) for bits in np.unique(sampled)}
+        present = {int(bits): in_words(int(bits)) for bits in np.unique(sampled)}
         return Field(name, "", sampled.astype(np.float32), categories=present)
 
     def _sampled(self, values: ImageValues) -> Values:
@@ -195,7 +195,8 @@ class Sampler:
         return values[step // 2 :: step, step // 2 :: step].astype(np.float32)
 
 
-def _in_words(bits: int) -> str:
+def in_words(bits: int) -> str:
+    """Write `Reason` bits as words."""
     if not bits:
         return VALID
     return ", ".join(

@@ -32,7 +32,7 @@ from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.metrology.geometry.transforms import turn_covariance
 from sms_jobs.records.campaign import Campaign, Subject
-from sms_jobs.records.fields import StrainMeasure, Surface
+from sms_jobs.records.fields import DisplacementField, Regions, StrainMeasure, Surface
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import AT_ORIGIN
@@ -82,7 +82,7 @@ def _needs(campaign: Campaign, subject: Subject, parameters: GaugesParameters) -
     yield _REFERENCE.of(campaign, replace(subject, state=campaign.reference.label))
 
 
-def _frame_of_gauges(campaign: Campaign, subject: Subject) -> Pose:
+def frame_of_gauges(campaign: Campaign, subject: Subject) -> Pose:
     """Return what brings the gauges' frame into that of the surface: the specimen's, where it is known."""
     known = campaign.scene is not None and view_of(subject.view).measures_shape
     return campaign.scene.placement if known and campaign.scene is not None else AT_ORIGIN
@@ -93,11 +93,30 @@ def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Ite
     moved = inputs.read(_MOVED, DISPLACEMENT)
     regions = inputs.read(_MOVED, REGIONS)
     surface = inputs.read(_REFERENCE.port, SURFACE)
+    readings = read_gauges(moved, regions, surface, inputs.context, parameters, progress)
+    finite = np.isfinite(readings.strain)
+    statistics = {"gauges": float(len(readings.names)), "gauges_read": float(finite.sum())}
+    if finite.any():
+        statistics["largest_gauge_strain"] = float(readings.strain[finite].max())
+    yield DatasetOutput(inputs.subject, {GAUGES: readings}, statistics)
+
+
+def read_gauges(
+    moved: DisplacementField,
+    regions: Regions,
+    surface: Surface,
+    frame: Pose,
+    parameters: GaugesParameters,
+    progress: Progress,
+) -> GaugeReadings:
+    """Return what gauges read; `frame` brings theirs into that of the surface.
+
+    Raises `InvalidInput` where a place says nothing on the surface.
+    """
     places = [_place_on(surface, text) for text in parameters.gauge]
     labels = np.where(moved.reason == Reason.VALID, regions.labels, 0).astype(np.int32)
     position = in_space(surface.position)
     pitch = pixel_pitch(position, labels, 0.5)
-    frame: Pose = inputs.context
     turn = frame.matrix().T
     position = np.einsum("ij,jrc->irc", turn, position - np.array(frame.translation)[:, None, None])
     displacement = np.einsum("ij,jrc->irc", turn, in_space(moved.displacement))
@@ -122,12 +141,7 @@ def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Ite
             )
         )
         progress(number / len(places), f"read {number} of {len(places)} gauges")
-    readings = _readings(found, surface, parameters)
-    finite = np.isfinite(readings.strain)
-    statistics = {"gauges": float(len(places)), "gauges_read": float(finite.sum())}
-    if finite.any():
-        statistics["largest_gauge_strain"] = float(readings.strain[finite].max())
-    yield DatasetOutput(inputs.subject, {GAUGES: readings}, statistics)
+    return _readings(found, surface, parameters)
 
 
 def _place_on(surface: Surface, text: str) -> GaugePlace:
@@ -179,6 +193,6 @@ KIND = Kind(
     needs=_needs,
     run=run,
     subjects=deformed_views,
-    context=_frame_of_gauges,
+    context=frame_of_gauges,
     in_pipeline=False,
 )

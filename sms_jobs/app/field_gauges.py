@@ -1,0 +1,111 @@
+"""A virtual gauge at a place that somebody points at, read from the stored displacement of one state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from sqlalchemy.orm import Session
+
+from sms_jobs.app.rules import use_case
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import campaigns, family, search
+from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.gauge_descriptions import described_gauge
+from sms_jobs.kinds.deformation.gauges import GaugesParameters, frame_of_gauges, read_gauges
+from sms_jobs.kinds.products import DISPLACEMENT, REGIONS, SURFACE
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.people import Right
+from sms_jobs.records.shown.files import FileView
+from sms_jobs.records.views import view_of
+
+_MOVED = "correlate"
+
+
+@dataclass(frozen=True)
+class GaugeAt:
+    """What a virtual gauge reads at a state.
+
+    Attributes
+    ----------
+    gauge
+        As jobs of the kind gauges take it.
+    strain, sigma
+        Ratios; None where fewer than twelve pixels lie under the grid.
+    pixels
+        How many do.
+    """
+
+    file: int
+    state: str
+    view: str
+    gauge: str
+    strain: float | None
+    sigma: float | None
+    pixels: int
+
+
+@use_case(Right.READ)
+def gauge_at(services: Services, key: str, gauge: str, *, part: str | None = None) -> GaugeAt:
+    """Return what a virtual gauge reads, as a job of the kind gauges would, and keep nothing of it.
+
+    Parameters
+    ----------
+    key
+        A displacement, or what was computed from it.
+    gauge
+        As 'G1 x=10 y=-20 length=6 width=3 angle=45', in mm in the specimen's frame; of a camera alone in its
+        reference image, also in pixels, as x=100px.
+    part
+        Camera whose displacement is taken, of a result of several.
+
+    Raises
+    ------
+    NotFound
+        There is no such file.
+    InvalidInput
+        It was not computed from a displacement, or the gauge cannot be understood or says nothing there.
+    ArchiveCorrupt
+        A file is not what was sealed.
+    """
+    described_gauge(gauge)
+    parameters = GaugesParameters(gauge=(gauge,))
+    with services.catalogue.reading() as session:
+        moved, shape = _displacement(session, search.file_view(session, key), part or "")
+        subject = Subject.parse(moved.subject)
+        campaign = campaigns.definition(campaigns.campaign_row(session, subject.campaign))
+    with services.archive.open(moved) as dataset, services.archive.open(shape) as at_rest:
+        found = read_gauges(
+            dataset.read(DISPLACEMENT.stored_as, DISPLACEMENT.record),
+            dataset.read(REGIONS.stored_as, REGIONS.record),
+            at_rest.read(SURFACE.stored_as, SURFACE.record),
+            frame_of_gauges(campaign, subject),
+            parameters,
+            lambda fraction, message="": None,
+        )
+    strain, sigma = float(found.strain[0]), float(found.sigma[0])
+    known = bool(np.isfinite(strain))
+    return GaugeAt(
+        moved.id,
+        subject.state or "",
+        subject.view or "",
+        gauge,
+        strain if known else None,
+        sigma if known else None,
+        int(found.pixels[0]),
+    )
+
+
+def _displacement(session: Session, file: FileView, camera: str) -> tuple[FileView, FileView]:
+    """Return the displacement that a file is or was computed from, and the shape that it started from."""
+    moved = [file] if file.source == _MOVED else []
+    moved += [one.file for one in family.ancestry(session, file).inputs if one.file.source == _MOVED]
+    for one in moved:
+        if camera in ("", view_of(one.subject.rpartition("/")[2]).camera):
+            shape = [i.file for i in family.ancestry(session, one).inputs if i.role == "reference"]
+            if shape:
+                return one, shape[0]
+    raise InvalidInput(
+        f"file {file.id} is a {file.source} that was computed from no displacement; choose a displacement, a "
+        "strain or a merged result"
+    )

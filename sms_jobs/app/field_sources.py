@@ -1,0 +1,173 @@
+"""Where the fields of a file are: what can be shown of it, and samples of that."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.archive import DATASET_MEDIA_TYPE
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import family, search
+from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.records.shown.files import FileView
+
+if TYPE_CHECKING:
+    from sms_jobs.formats.drawing.quantities import Reading, Shown
+
+_OF_SHAPE = ("reference", "shape")
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A quantity, the file that it is in, and (rows, columns) of its image."""
+
+    file: FileView
+    shown: Shown
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Fields:
+    """What can be shown of a file.
+
+    Attributes
+    ----------
+    file
+        Of the archive.
+    part, parts
+        Which of the groups of records, each over one camera's image, and all there are.
+    placed
+        Its own quantities, the most telling first, then where its pixels are and how they moved.
+    """
+
+    file: FileView
+    part: str
+    parts: tuple[str, ...]
+    placed: tuple[Placed, ...]
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of all quantities."""
+        return frozenset(one.shown.name for one in self.placed)
+
+    @property
+    def position(self) -> tuple[str, ...] | None:
+        """Names of the quantities that are X, Y, Z of the surface; None where it has none in space."""
+        return self._three("position")
+
+    @property
+    def movement(self) -> tuple[str, ...] | None:
+        """Names of the quantities that are its displacement along X, Y, Z; None without."""
+        return self._three("displacement")
+
+    def _three(self, stem: str) -> tuple[str, ...] | None:
+        found = tuple(f"{stem} {axis}" for axis in "XYZ")
+        return found if self.names.issuperset(found) else None
+
+    def named(self, name: str) -> Placed:
+        """Return a quantity; raise `NotFound` where there is none of that name."""
+        found = next((one for one in self.placed if one.shown.name == name), None)
+        if found is None:
+            known = ", ".join(one.shown.name for one in self.placed)
+            raise NotFound(f"file {self.file.id} has no quantity '{name}' over an image; it has {known}")
+        return found
+
+
+def fields_of(services: Services, key: str, part: str | None = None) -> Fields:
+    """Return what can be shown of a file, without reading any of it.
+
+    Raises
+    ------
+    NotFound
+        There is no such file, or it has no such part.
+    InvalidInput
+        It has no field over an image.
+    """
+    with services.catalogue.reading() as session:
+        file = search.file_view(session, key)
+        near = family.ancestry(session, file).inputs
+    inputs = {one.role.partition(" ")[0]: one.file for one in reversed(near)}
+    if file.media_type != DATASET_MEDIA_TYPE:
+        raise InvalidInput(f"file {key} is a {file.media_type} document and has no fields; open it as it is")
+    parts = _parts(services, file)
+    if not parts:
+        raise InvalidInput(
+            f"file {key} is a {file.source} and has no field over an image; choose a measurement or a result"
+        )
+    if part and part not in parts:
+        raise NotFound(f"file {key} has no part '{part}'; it has {', '.join(parts)}")
+    chosen = part or next(iter(parts))
+    placed = parts[chosen]
+    shape = next((inputs[role] for role in _OF_SHAPE if role in inputs), None)
+    for stem, other in (("position", shape), ("displacement", inputs.get("displacement"))):
+        if other is not None and f"{stem} X" not in {one.shown.name for one in placed}:
+            placed = [*placed, *_lent(services, other, stem, placed)]
+    return Fields(file, chosen, tuple(parts), tuple(placed))
+
+
+def _lent(services: Services, other: FileView, stem: str, placed: list[Placed]) -> list[Placed]:
+    """Return what another file says of the same pixels."""
+    if other.media_type != DATASET_MEDIA_TYPE:
+        return []
+    own = {one.shown.name for one in placed}
+    found = [one for part in _parts(services, other).values() for one in part]
+    return [
+        one
+        for one in found
+        if one.shown.name.startswith(f"{stem} ") and one.size == placed[0].size and one.shown.name not in own
+    ]
+
+
+def _parts(services: Services, file: FileView) -> dict[str, list[Placed]]:
+    """Return what can be shown of a file, by camera where its records are of several."""
+    from sms_jobs.formats.drawing.quantities import shown_of
+
+    with services.archive.open(file) as dataset:
+        described = dataset.describe()
+    parts: dict[str, list[Placed]] = {}
+    sizes: dict[str, tuple[int, int]] = {}
+    for record, arrays in described.items():
+        part = record.partition("_")[2]
+        for shown in shown_of(record, arrays):
+            array = arrays[shown.values.sources[0][0]]
+            size = (array["shape"][-2], array["shape"][-1])
+            taken = {one.shown.name for one in parts.get(part, ())}
+            if sizes.setdefault(part, size) == size and shown.name not in taken:
+                parts.setdefault(part, []).append(Placed(file, shown, size))
+    return parts
+
+
+def step_of(size: tuple[int, int], samples: int) -> int:
+    """Return every how many pixels is sampled for so many along the longer side."""
+    return max(1, ceil(max(size) / samples))
+
+
+def sampled(
+    services: Services, one: Placed, reading: Reading, step: int, *, glance: bool = False
+) -> NDArray[Any]:
+    """Return every `step`th pixel of what a reading makes, each the middle one; `glance` compares nothing."""
+    half = step // 2
+    rows, columns = one.size
+    return read(services, one, reading, slice(half, rows, step), slice(half, columns, step), glance=glance)
+
+
+def read(
+    services: Services, one: Placed, reading: Reading, rows: slice, columns: slice, *, glance: bool = False
+) -> NDArray[Any]:
+    """Return what a reading makes of some rows and columns.
+
+    Raises `ArchiveCorrupt` where the file is not what was sealed.
+    """
+    shape = tuple(len(range(s.start, s.stop, s.step)) for s in (rows, columns))
+    images = []
+    with services.archive.open(one.file) as dataset:
+        for array, component in reading.sources:
+            plane = () if component is None else (slice(component, component + 1, 1),)
+            with dataset.array(one.shown.record, array) as stored:
+                taken = (stored.glance if glance else stored.read)((*plane, rows, columns))
+            images.append(taken.reshape(shape))
+    return np.asarray(reading.compute(*images))
