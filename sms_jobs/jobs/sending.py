@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from email.message import EmailMessage
 from email.utils import format_datetime
 
-import httpx
+import httpx2
 
 from sms_jobs.errors import ConfigurationError, NotDelivered
 from sms_jobs.jobs.deliveries import Delivery
@@ -26,7 +26,7 @@ _PATIENCE_S = 10.0
 _LONGEST_REASON = 200
 
 # It tells every address that it calls, and those of webhooks often are passwords.
-for _teller in ("httpx", "httpcore"):
+for _teller in ("httpx2", "httpcore2"):
     logging.getLogger(_teller).setLevel(logging.WARNING)
 
 
@@ -103,7 +103,7 @@ def _call(settings: Settings, delivery: Delivery, now: datetime) -> None:
     try:
         # Neither proxies nor passwords of the environment: nobody but the receiver is called.
         with (
-            httpx.Client(
+            httpx2.Client(
                 timeout=_PATIENCE_S,
                 follow_redirects=False,
                 trust_env=False,
@@ -112,9 +112,9 @@ def _call(settings: Settings, delivery: Delivery, now: datetime) -> None:
             client.stream("POST", where.whole.get_secret_value(), content=body, headers=headers) as answer,
         ):
             status = answer.status_code
-    except httpx.TimeoutException as error:
+    except httpx2.TimeoutException as error:
         raise NotDelivered(f"{where.shown} did not answer within {_PATIENCE_S:g} s") from error
-    except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
+    except (httpx2.HTTPError, httpx2.InvalidURL, OSError) as error:
         raise NotDelivered(f"{where.shown} cannot be reached: {_reason(str(error), where)}") from None
     if 300 <= status < 400:
         raise NotDelivered(

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
-import httpx
+import httpx2
 
 import sms_jobs.errors
 from sms_jobs.errors import (
@@ -26,7 +26,7 @@ _PATIENCE_S = 60.0
 """How long a server that is away, or too busy, is waited for."""
 _PAUSE_S = 0.2
 _LONGEST_PAUSE_S = 5.0
-_TIMEOUT = httpx.Timeout(90.0, connect=10.0)
+_TIMEOUT = httpx2.Timeout(90.0, connect=10.0)
 """Whoever waits for jobs is answered within a minute."""
 _AWAY = frozenset({429, 502, 503, 504})
 _KINDS = {
@@ -48,7 +48,7 @@ class Connection:
     def __init__(self, url: str, token: str | None) -> None:
         self.url = checked_url(url)
         headers = {} if token is None else {"Authorization": f"Bearer {checked_token(token)}"}
-        self._client = httpx.Client(base_url=self.url, headers=headers, timeout=_TIMEOUT)
+        self._client = httpx2.Client(base_url=self.url, headers=headers, timeout=_TIMEOUT)
 
     def get(self, path: str, asked: Mapping[str, Any] | None = None) -> Any:
         """Return the JSON of an address."""
@@ -62,9 +62,9 @@ class Connection:
         """Ask for a change, once; raises `CommitInDoubt` where nobody knows whether it was made."""
         try:
             return _require_success(self._client.post(f"{_API}{path}", json=body)).json()
-        except (httpx.ConnectError, httpx.ConnectTimeout) as error:
+        except (httpx2.ConnectError, httpx2.ConnectTimeout) as error:
             raise self._unreachable(error) from error
-        except httpx.HTTPError as error:
+        except httpx2.HTTPError as error:
             raise CommitInDoubt(
                 f"the connection to {self.url} broke ({type(error).__name__}) while something was asked for, "
                 "which may be done or not; look before you try again"
@@ -74,13 +74,13 @@ class Connection:
         """Close all connections."""
         self._client.close()
 
-    def _read(self, path: str, asked: Mapping[str, Any] | None) -> httpx.Response:
+    def _read(self, path: str, asked: Mapping[str, Any] | None) -> httpx2.Response:
         """Ask until there is an answer; not longer than `_PATIENCE_S` where the server is away."""
         deadline, pause = time.monotonic() + _PATIENCE_S, _PAUSE_S
         while True:
             try:
                 answer = self._client.get(f"{_API}{path}", params=asked)
-            except httpx.HTTPError as error:
+            except httpx2.HTTPError as error:
                 if time.monotonic() + pause > deadline or _untrusted(error) is not None:
                     raise self._unreachable(error) from error
             else:
@@ -89,7 +89,7 @@ class Connection:
             time.sleep(pause)
             pause = min(2 * pause, _LONGEST_PAUSE_S)
 
-    def _unreachable(self, error: httpx.HTTPError) -> SmsError:
+    def _unreachable(self, error: httpx2.HTTPError) -> SmsError:
         untrusted = _untrusted(error)
         if untrusted is not None:
             return ConfigurationError(
@@ -142,7 +142,7 @@ def _untrusted(error: BaseException | None) -> ssl.SSLCertVerificationError | No
     return error
 
 
-def _require_success(answer: httpx.Response) -> httpx.Response:
+def _require_success(answer: httpx2.Response) -> httpx2.Response:
     """Return an answer; raise what it says went wrong, as the same class with the same words."""
     if answer.is_success:
         return answer

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-import httpx
+import httpx2
 import numpy as np
 import pytest
 import zarr
@@ -42,22 +42,22 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def web(home: Path) -> Iterator[httpx.Client]:
-    with serving(home) as url, httpx.Client(base_url=f"{url}/api/v1", timeout=60.0) as client:
+def web(home: Path) -> Iterator[httpx2.Client]:
+    with serving(home) as url, httpx2.Client(base_url=f"{url}/api/v1", timeout=60.0) as client:
         yield client
 
 
-def newest(web: httpx.Client, query: str) -> dict[str, Any]:
+def newest(web: httpx2.Client, query: str) -> dict[str, Any]:
     """Return the newest file that meets a query."""
     found: dict[str, Any] = web.get("/data/find", params={"query": query, "limit": 1}).json()["files"][0]
     return found
 
 
-def refused(answer: httpx.Response, status: int, words: str) -> None:
+def refused(answer: httpx2.Response, status: int, words: str) -> None:
     assert (answer.status_code, words in answer.json()["error"]) == (status, True), answer.text
 
 
-def test_files_are_found_page_by_page(web: httpx.Client) -> None:
+def test_files_are_found_page_by_page(web: httpx2.Client) -> None:
     asked = {"columns": "kind,load_N", "limit": 2}
     first = web.get("/data/find", params=asked).json()
     rest = web.get("/data/find", params=asked | {"after": first["next"], "limit": 1000}).json()
@@ -71,7 +71,7 @@ def test_files_are_found_page_by_page(web: httpx.Client) -> None:
     refused(web.get("/data/find", params={"query": "where campaign = nobody"}), 404, "nobody")
 
 
-def test_a_query_is_kept_asked_and_forgotten(web: httpx.Client) -> None:
+def test_a_query_is_kept_asked_and_forgotten(web: httpx2.Client) -> None:
     kept = web.post("/data/queries", json={"name": "all-strain", "text": "strain"})
     assert kept.json()["text"] == "strain"
     assert [one["name"] for one in web.get("/data/queries").json()] == ["all-strain"]
@@ -80,7 +80,7 @@ def test_a_query_is_kept_asked_and_forgotten(web: httpx.Client) -> None:
     refused(web.get("/data/queries/all-strain"), 404, "all-strain")
 
 
-def test_a_file_is_described_drawn_and_traced(web: httpx.Client) -> None:
+def test_a_file_is_described_drawn_and_traced(web: httpx2.Client) -> None:
     file = newest(web, "strain")
     about = web.get(f"/data/{file['id']}").json()
     assert about["records"]["strain"]["strain"]["axes"] == ["component", "row", "column"]
@@ -97,7 +97,7 @@ def test_a_file_is_described_drawn_and_traced(web: httpx.Client) -> None:
     refused(web.get("/data/999999"), 404, "there is no file")
 
 
-def test_a_sealed_file_is_given_as_it_lies_there(web: httpx.Client, home: Path) -> None:
+def test_a_sealed_file_is_given_as_it_lies_there(web: httpx2.Client, home: Path) -> None:
     file = newest(web, "strain")
     where = f"/data/{file['id']}/file"
     whole = web.get(where)
@@ -122,7 +122,7 @@ def test_a_sealed_file_is_given_as_it_lies_there(web: httpx.Client, home: Path) 
         ("bytes=10-99999999999", slice(10, None)),
     ],
 )
-def test_a_range_is_a_part_of_the_file(web: httpx.Client, header: str, part: slice) -> None:
+def test_a_range_is_a_part_of_the_file(web: httpx2.Client, header: str, part: slice) -> None:
     where = f"/data/{newest(web, 'strain')['id']}/file"
     whole = web.get(where)
     found = web.get(where, headers={"Range": header})
@@ -136,7 +136,7 @@ def test_a_range_is_a_part_of_the_file(web: httpx.Client, header: str, part: sli
 
 
 @pytest.mark.parametrize("header", ["bytes=99999999999-", "bytes=-0"])
-def test_a_range_beyond_the_file_is_refused(web: httpx.Client, header: str) -> None:
+def test_a_range_beyond_the_file_is_refused(web: httpx2.Client, header: str) -> None:
     file = newest(web, "strain")
     found = web.get(f"/data/{file['id']}/file", headers={"Range": header})
     assert found.status_code == 416
@@ -144,19 +144,19 @@ def test_a_range_beyond_the_file_is_refused(web: httpx.Client, header: str) -> N
 
 
 @pytest.mark.parametrize("header", ["bytes=0-9,20-29", "lines=1-2", "bytes=-", "bytes=9-3"])
-def test_what_is_no_single_range_gives_the_whole(web: httpx.Client, header: str) -> None:
+def test_what_is_no_single_range_gives_the_whole(web: httpx2.Client, header: str) -> None:
     file = newest(web, "strain")
     found = web.get(f"/data/{file['id']}/file", headers={"Range": header})
     assert (found.status_code, len(found.content)) == (200, file["size_bytes"])
 
 
-def array(web: httpx.Client, file: int, name: str, part: str) -> Any:
+def array(web: httpx2.Client, file: int, name: str, part: str) -> Any:
     found = web.get(f"/data/{file}/arrays/{name}", params={"slice": part})
     assert found.is_success, found.text
     return np.load(io.BytesIO(found.content), allow_pickle=False)
 
 
-def test_a_part_of_an_array_is_read(web: httpx.Client, home: Path) -> None:
+def test_a_part_of_an_array_is_read(web: httpx2.Client, home: Path) -> None:
     file = newest(web, "strain")
     with h5py.File(home / "archive" / file["path"]) as opened:
         whole = opened["entry/strain/strain"][...]
@@ -177,7 +177,7 @@ def test_a_part_of_an_array_is_read(web: httpx.Client, home: Path) -> None:
 
 
 @pytest.mark.parametrize("part", ["0,0,0,0", "x", "::0", "9", "-1", "0:1e9", ",,," + "9" * 50])
-def test_a_part_that_is_none_is_refused(web: httpx.Client, part: str) -> None:
+def test_a_part_that_is_none_is_refused(web: httpx2.Client, part: str) -> None:
     file = newest(web, "strain")["id"]
     found = web.get(f"/data/{file}/arrays/strain/strain", params={"slice": part})
     assert found.status_code == 422, found.text
@@ -196,12 +196,12 @@ def test_a_part_that_is_none_is_refused(web: httpx.Client, part: str) -> None:
         "/data/%2Fetc%2Fpasswd",
     ],
 )
-def test_nothing_leads_out_of_a_file_or_the_archive(web: httpx.Client, path: str) -> None:
+def test_nothing_leads_out_of_a_file_or_the_archive(web: httpx2.Client, path: str) -> None:
     answer = web.get(path.format(file=newest(web, "strain")["id"]))
     assert answer.status_code == 404
 
 
-def test_no_file_of_the_server_is_compared_or_written(web: httpx.Client, tmp_path: Path) -> None:
+def test_no_file_of_the_server_is_compared_or_written(web: httpx2.Client, tmp_path: Path) -> None:
     merged = newest(web, "merge")["id"]
     assert web.get(f"/data/{merged}/compare", params={"with": "/etc/passwd"}).status_code == 422
     refused(
@@ -209,7 +209,7 @@ def test_no_file_of_the_server_is_compared_or_written(web: httpx.Client, tmp_pat
     )
 
 
-def test_displacements_and_sections_come_as_numbers_and_pictures(web: httpx.Client) -> None:
+def test_displacements_and_sections_come_as_numbers_and_pictures(web: httpx2.Client) -> None:
     merged = newest(web, "merge")["id"]
     same = web.get(f"/data/{merged}/compare", params={"with": merged}).json()
     assert same["points"] > 100
@@ -221,7 +221,7 @@ def test_displacements_and_sections_come_as_numbers_and_pictures(web: httpx.Clie
     assert drawn.content.startswith(b"\x89PNG")
 
 
-def test_a_result_is_exported(web: httpx.Client) -> None:
+def test_a_result_is_exported(web: httpx2.Client) -> None:
     merged = newest(web, "merge")["id"]
     assert "ply" in {one["name"] for one in web.get("/formats").json()}
     made = web.get(f"/data/{merged}/export", params={"format": "ply"})
@@ -238,7 +238,7 @@ class OverHttp(Store):
 
     supports_writes = supports_deletes = supports_listing = False
 
-    def __init__(self, web: httpx.Client, file: int) -> None:
+    def __init__(self, web: httpx2.Client, file: int) -> None:
         super().__init__(read_only=True)
         self._web, self._file = web, file
 
@@ -282,7 +282,7 @@ class OverHttp(Store):
 
 
 @pytest.mark.parametrize("query", ["strain", "measurement", "merge", "calibration"])
-def test_zarr_reads_what_the_archive_holds(web: httpx.Client, home: Path, query: str) -> None:
+def test_zarr_reads_what_the_archive_holds(web: httpx2.Client, home: Path, query: str) -> None:
     file = newest(web, query)
     group = zarr.open_group(OverHttp(web, file["id"]), mode="r")
     about = web.get(f"/data/{file['id']}/arrays").json()["records"]
@@ -296,7 +296,7 @@ def test_zarr_reads_what_the_archive_holds(web: httpx.Client, home: Path, query:
                 assert list(found.metadata.dimension_names) == arrays[name]["axes"]
 
 
-def test_a_damaged_file_is_not_given_out(web: httpx.Client, home: Path) -> None:
+def test_a_damaged_file_is_not_given_out(web: httpx2.Client, home: Path) -> None:
     file = newest(web, "reconstruct where state = S00")
     path = home / "archive" / file["path"]
     kept = path.read_bytes()
@@ -306,7 +306,7 @@ def test_a_damaged_file_is_not_given_out(web: httpx.Client, home: Path) -> None:
             stream.seek(len(kept) // 2)
             stream.write(bytes(64))
         # The last block is held back.
-        with pytest.raises(httpx.RemoteProtocolError, match="1048576 bytes"):
+        with pytest.raises(httpx2.RemoteProtocolError, match="1048576 bytes"):
             web.get(f"/data/{file['id']}/file")
         # A part is not compared; whoever puts it together has the digest of the whole.
         assert web.get(f"/data/{file['id']}/file", headers={"Range": "bytes=0-9"}).status_code == 206
