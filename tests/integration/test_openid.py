@@ -8,6 +8,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import httpx2
 import pytest
+from fastapi.testclient import TestClient
 from joserfc.jwk import RSAKey
 from pydantic import SecretStr
 from support.identity_provider import CLIENT, SECRET, Provider, provider
@@ -19,6 +20,8 @@ from sms_jobs.app.people import LoggedIn
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import ConfigurationError, Conflict, NotAllowed, ServerUnreachable
 from sms_jobs.records.people import Role
+from sms_jobs.web.application import application
+from sms_jobs.web.protection import Options
 
 BACK = "http://testserver/login/openid/return"
 
@@ -112,6 +115,21 @@ def test_a_subject_is_one_person(services: Services) -> None:
     openid.set_identity(services, "anna", None)
     openid.set_identity(services, "boss", "sub-anna")
     assert log_in(services).name == "boss"
+
+
+def test_a_browser_goes_there_and_comes_back(services: Services) -> None:
+    app = application(services, Options(frozenset({"testserver"}), secure=False, desk=True))
+    with TestClient(app, follow_redirects=False) as browser:
+        assert "/login/openid?next=" in browser.get("/login?next=/jobs").text
+        to_provider = browser.get("/login/openid?next=/jobs")
+        back = httpx2.get(to_provider.headers["Location"], follow_redirects=False).headers["Location"]
+        with TestClient(app) as other:
+            assert other.get(back).status_code == 403  # another browser has begun nothing
+        came = browser.get(back)
+        assert came.headers["Refresh"] == "0; url=/jobs"
+        assert "SameSite=strict" in came.headers["Set-Cookie"]
+        assert browser.get("/api/v1/session").json()["name"] == "anna"
+        assert browser.get(back).status_code == 403  # once
 
 
 def test_a_provider_that_is_away_or_another_is_named(services: Services, idp: Provider) -> None:

@@ -13,6 +13,7 @@ from pydantic import Field
 from sms_jobs.app import identity as identities
 from sms_jobs.app import people
 from sms_jobs.app.identity import Identity
+from sms_jobs.app.people import LoggedIn
 from sms_jobs.bootstrap import Services
 from sms_jobs.records.people import ANONYMOUS
 from sms_jobs.web.asked import Asked, Text
@@ -42,17 +43,9 @@ class SessionBegun:
 @ROUTES.offer("POST", "/session", people.log_in, answers=SessionBegun)
 def log_in(request: Request, body: Credentials) -> Any:
     """Log in, and get the cookie of a session."""
-    done = people.log_in(_of_nobody(request), body.name, body.password)
+    done = people.log_in(of_nobody(request), body.name, body.password)
     response = answer(SessionBegun(done.name, done.role.value, done.expires_at))
-    response.set_cookie(
-        COOKIE,
-        done.secret,
-        expires=done.expires_at,
-        path="/",
-        httponly=True,
-        samesite="strict",
-        secure=request.app.state.secure,
-    )
+    keep(request, response, done)
     return response
 
 
@@ -61,7 +54,7 @@ def log_out(request: Request) -> Response:
     """Log out: end the session of the cookie, and forget it."""
     secret = request.cookies.get(COOKIE)
     if secret is not None:
-        people.log_out(_of_nobody(request), secret)
+        people.log_out(of_nobody(request), secret)
     response = Response(status_code=204)
     response.delete_cookie(
         COOKIE, path="/", httponly=True, samesite="strict", secure=request.app.state.secure
@@ -75,7 +68,20 @@ def who(services: Acting) -> JSONResponse:
     return answer(identities.who(services))
 
 
-def _of_nobody(request: Request) -> Services:
+def keep(request: Request, response: Response, session: LoggedIn) -> None:
+    """Let the browser keep a session that was begun."""
+    response.set_cookie(
+        COOKIE,
+        session.secret,
+        expires=session.expires_at,
+        path="/",
+        httponly=True,
+        samesite="strict",
+        secure=request.app.state.secure,
+    )
+
+
+def of_nobody(request: Request) -> Services:
     """Return the services in the name of somebody who has not said who it is yet."""
     own: Services = request.app.state.services
     return own.acting(replace(ANONYMOUS, origin=origin_of(request)))

@@ -9,6 +9,7 @@ from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 from pydantic import SecretStr, ValidationError
 
+from sms_jobs.app import openid
 from sms_jobs.errors import NotAllowed
 from sms_jobs.web.api import session
 from sms_jobs.web.console import LOGIN, Pages, frame
@@ -44,7 +45,7 @@ def log_in(request: Request, form: Form) -> Response:
         return _shown(request, back, name, str(error), 403)
     except ValidationError:
         return _shown(request, back, name[:64], "the name or the password is too long, or no text", 422)
-    answer = RedirectResponse(_here(back), 303)
+    answer = RedirectResponse(here(back), 303)
     answer.headers["Set-Cookie"] = begun.headers["Set-Cookie"]
     return answer
 
@@ -59,11 +60,19 @@ def log_out(request: Request) -> Response:
 
 
 def _shown(request: Request, back: str, name: str = "", problem: str = "", status: int = 200) -> HTMLResponse:
-    page = rendered("login.html", **frame(request, None), next=_here(back), name=name, problem=problem)
+    openid_offered = openid.is_offered(session.of_nobody(request))
+    page = rendered(
+        "login.html",
+        **frame(request, None),
+        next=here(back),
+        name=name,
+        problem=problem,
+        openid_offered=openid_offered,
+    )
     return HTMLResponse(page, status)
 
 
-def _here(address: str) -> str:
+def here(address: str) -> str:
     """Return an address of this site; the start in place of any other."""
     parts = urlsplit(address)
     inside = not parts.scheme and not parts.netloc and address.startswith("/") and "\\" not in address

@@ -1,0 +1,108 @@
+"""Fields of a file for whoever draws them: samples, single pixels, sections, gauges, differences."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import Path, Query
+from fastapi.responses import Response
+
+from sms_jobs.app import field_comparison, field_gauges, field_pages, field_values, surface_fields
+from sms_jobs.app.field_comparison import How
+from sms_jobs.web.identity import Acting
+from sms_jobs.web.routes import Routes, answer
+
+ROUTES = Routes("drawn fields")
+
+File = Annotated[int, Path(ge=1, description="Number of the file.")]
+Part = Annotated[str | None, Query(description="Which of several groups of records, as C1.")]
+Name = Annotated[str, Query(description="Of the quantity, as 'strain xx'.")]
+Pixel = Annotated[int, Query(ge=0)]
+Coordinate = Annotated[float, Query(allow_inf_nan=False)]
+Length = Annotated[float, Query(gt=0.0, allow_inf_nan=False)]
+
+
+@ROUTES.offer("GET", "/fields/{file}", field_pages.field_page)
+def field_page(services: Acting, file: File, part: Part = None) -> Any:
+    """Return what can be shown."""
+    return answer(field_pages.field_page(services, str(file), part))
+
+
+@ROUTES.offer("GET", "/fields/{file}/values", field_values.values)
+def values(
+    services: Acting,
+    file: File,
+    name: Name,
+    part: Part = None,
+    samples: Annotated[int, Query(ge=16, le=field_values.MOST_SAMPLES)] = field_values.SAMPLES,
+) -> Any:
+    """Return packed samples."""
+    return answer(field_values.values(services, str(file), name, part=part, samples=samples))
+
+
+@ROUTES.offer("GET", "/fields/{file}/first.png", field_values.first_picture, media=["image/png"])
+def first_picture(
+    services: Acting, file: File, part: Part = None, name: Annotated[str | None, Query()] = None
+) -> Response:
+    """Return a small picture."""
+    return Response(
+        field_values.first_picture(services, str(file), part=part, name=name), media_type="image/png"
+    )
+
+
+@ROUTES.offer("GET", "/fields/{file}/at", field_values.value_at)
+def value_at(services: Acting, file: File, name: Name, column: Pixel, row: Pixel, part: Part = None) -> Any:
+    """Return a pixel."""
+    return answer(field_values.value_at(services, str(file), name, column, row, part=part))
+
+
+@ROUTES.offer("GET", "/fields/{file}/gauge", field_gauges.gauge_at)
+def gauge(
+    services: Acting,
+    file: File,
+    gauge: Annotated[str, Query(description="As 'G1 x=10 y=-20 length=6'.", max_length=200)],
+    part: Part = None,
+) -> Any:
+    """Return what a gauge reads."""
+    return answer(field_gauges.gauge_at(services, str(file), gauge, part=part))
+
+
+@ROUTES.offer("GET", "/fields/{file}/section", surface_fields.section)
+def section(
+    services: Acting,
+    file: File,
+    x0: Coordinate,
+    y0: Coordinate,
+    x1: Coordinate,
+    y1: Coordinate,
+    record: Annotated[str | None, Query()] = None,
+    field: Annotated[str | None, Query()] = None,
+    step: Length = 2.0,
+    width: Length = 4.0,
+) -> Any:
+    """Return a field along a line, with its scatter over the strip."""
+    found = surface_fields.section(
+        services, str(file), ((x0, y0), (x1, y1)), record=record, field=field, step=step, width=width
+    )
+    return answer(
+        {
+            "file": found.file,
+            "columns": found.columns,
+            "rows": found.rows,
+            "unit": found.unit,
+            "scatter": found.profile.scatter.tolist(),
+        }
+    )
+
+
+Other = Annotated[int, Query(ge=1, description="Number of another merged or combined result.")]
+Within = Annotated[float, Query(gt=0.0, allow_inf_nan=False, description="Points with nothing near, mm.")]
+
+
+@ROUTES.offer("GET", "/fields/{file}/difference", field_comparison.difference_of)
+def difference(
+    services: Acting, file: File, other: Other, free: bool = False, within_mm: Within = 5.0
+) -> Any:
+    """Return by how much two displacements differ."""
+    how = How(None, 1.0, align=False, free=free, within_mm=within_mm)
+    return answer(field_comparison.difference_of(services, str(file), str(other), how).facts())
