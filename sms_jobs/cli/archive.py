@@ -12,6 +12,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app import archive
 from sms_jobs.cli import completion, output
+from sms_jobs.cli.asking import Reason, because
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.sizes import size
@@ -38,10 +39,11 @@ def verify(
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Read every file of the archive and compare it with the catalogue.
+    """Read every file of the archive and compare it with the catalogue, whose audit is verified too.
 
     Files that are missing, damaged, unknown to the catalogue, left behind by a job that has ended, or no part
-    of an archive are listed; the exit code is then 6. It may be interrupted, and says how to go on.
+    of an archive are listed, and where the chain of 'sms audit' is not as it was written; the exit code is
+    then 6. It may be interrupted, and says how to go on.
 
     Example: sms archive verify --campaign wing-fatigue
     """
@@ -85,7 +87,8 @@ def reindex(
     A catalogue that is empty or gone is made anew; one on SQLite that is damaged is set aside before.
 
     Campaigns, states, rigs, calibrations, measurements, results with their statistics and provenance, and the
-    jobs that made them are restored from the files; queues, schedules, pins and failed jobs are not. Every
+    jobs that made them are restored from the files; queues, schedules, pins, failed jobs and people are not,
+    and the audit begins a new chain. Every
     file is read as a whole. Those that could not be entered are listed with the reason; the exit code is then
     6. It may be interrupted and run again, and goes on.
 
@@ -164,6 +167,7 @@ def gc(
         ),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do it; without, only say what would go.")] = False,
+    reason: Reason = None,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
@@ -177,6 +181,8 @@ def gc(
     """
     age = _age(older_than)
     with bootstrap.services(home) as services:
+        if yes:
+            services = because(services, reason)
         gone = archive.remove_old(services, age, kind or (), dry_run=not yes)
     freed = gone.size_bytes
     if as_json:

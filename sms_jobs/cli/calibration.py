@@ -11,6 +11,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app import calibrations
 from sms_jobs.cli import calibration_acceptance, calibration_files, completion, output
+from sms_jobs.cli.asking import PasswordStdin, Reason, because, confirming
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.sensors import Calibration
@@ -133,19 +134,26 @@ def certify(
     despite_warnings: Annotated[
         bool, typer.Option("--despite-warnings", help="Take it into use though it has warnings.")
     ] = False,
+    reason: Reason = None,
+    password_stdin: PasswordStdin = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
     """Take the calibration that a session gave into use.
 
     Measurements of the rig from that time on are computed with it; results that were computed with an
-    older one show as stale in 'sms job explain', and are computed again when they are submitted.
+    older one show as stale in 'sms job explain', and are computed again when they are submitted. Whoever has
+    a password here is asked for it.
 
     Example: sms calibration certify hall-3-june --valid-from 2026-06-01T08:00:00+01:00
     """
     since = None if valid_from is None else _time(valid_from)
     with bootstrap.services(home) as services:
-        done = calibrations.certify(services, session, since, despite_warnings=despite_warnings)
+        done = confirming(
+            because(services, reason),
+            password_stdin,
+            lambda who: calibrations.certify(who, session, since, despite_warnings=despite_warnings),
+        )
     number, calibration = done.number, done.calibration
     if as_json:
         output.print_json({"calibration": number, "new": done.new, "valid_from": calibration.valid_from})

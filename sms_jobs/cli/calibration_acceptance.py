@@ -11,6 +11,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app import calibrations
 from sms_jobs.cli import completion, output
+from sms_jobs.cli.asking import Reason, because
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.shown.files import CalibrationView
 
@@ -26,7 +27,9 @@ Of = Annotated[
 ]
 
 
-def accept(number: Number, campaign: Of = None, home: Home = None, as_json: Json = False) -> None:
+def accept(
+    number: Number, campaign: Of = None, reason: Reason = None, home: Home = None, as_json: Json = False
+) -> None:
     """Take a calibration into use that came from elsewhere.
 
     What is imported for a rig that has a calibration, or comes with a packed folder, changes nothing before
@@ -36,20 +39,24 @@ def accept(number: Number, campaign: Of = None, home: Home = None, as_json: Json
 
     Example: sms calibration accept 3; sms calibration accept 4 --campaign wing-fatigue
     """
-    _decide(number, campaign, home, as_json, in_use=True)
+    _decide(number, campaign, reason, home, as_json, in_use=True)
 
 
-def withdraw(number: Number, campaign: Of = None, home: Home = None, as_json: Json = False) -> None:
+def withdraw(
+    number: Number, campaign: Of = None, reason: Reason = None, home: Home = None, as_json: Json = False
+) -> None:
     """Use a calibration no longer; it stays in the archive, with all that was computed with it.
 
     Example: sms calibration withdraw 3
     """
-    _decide(number, campaign, home, as_json, in_use=False)
+    _decide(number, campaign, reason, home, as_json, in_use=False)
 
 
-def _decide(number: int, campaign: str | None, home: Path | None, as_json: bool, *, in_use: bool) -> None:
+def _decide(
+    number: int, campaign: str | None, reason: str | None, home: Path | None, as_json: bool, *, in_use: bool
+) -> None:
     with bootstrap.services(home) as services:
-        done = calibrations.decide(services, number, campaign, in_use=in_use)
+        done = calibrations.decide(because(services, reason), number, campaign, in_use=in_use)
     if as_json:
         output.print_json({"calibration": number, "campaign": campaign, "in_use": in_use, "new": done.new})
         return

@@ -128,6 +128,9 @@ COMMANDS: Mapping[str, Command] = {
     "speckle": Command("Speckle patterns for specimens.", "cli.speckle"),
     "archive": Command("The archive: is everything there, and as it was sealed?", "cli.archive"),
     "calibration": Command("Calibrations of rigs.", "cli.calibration"),
+    "person": Command("People: their names, roles and passwords.", "cli.person"),
+    "token": Command("Tokens: what lets programs in for a person.", "cli.token"),
+    "audit": Command("The audit: who did what, and is it as it was written?", "cli.audit"),
     "worker": Command("Workers on this and other hosts.", "cli.worker"),
     "db": Command("The catalogue's database, and backups.", "cli.db"),
 }

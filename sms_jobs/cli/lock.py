@@ -9,6 +9,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app import rigs
 from sms_jobs.cli import output
+from sms_jobs.cli.asking import Reason, because
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.job import SHORT_ID
 
@@ -47,6 +48,7 @@ def list_(home: Home = None, as_json: Json = False) -> None:
 @app.command()
 def release(
     device: Annotated[str, typer.Argument(help="Name of a device; see 'sms lock list'.")],
+    reason: Reason = None,
     home: Home = None,
 ) -> None:
     """Forget a lock whose holder is gone; one that is alive keeps its device.
@@ -56,5 +58,5 @@ def release(
     Example: sms lock release rig-1/camera-C1
     """
     with bootstrap.services(home) as services:
-        gone = rigs.release(services, device)
+        gone = rigs.release(because(services, reason), device)
     output.say(f"released {gone}")

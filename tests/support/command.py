@@ -40,9 +40,12 @@ def sms(
 
 
 def inside(
-    *arguments: str, environment: Mapping[str, str] | None = None, timeout: float = 300.0
+    *arguments: str, environment: Mapping[str, str] | None = None, timeout: float = 300.0, given: str = ""
 ) -> subprocess.CompletedProcess[str]:
-    """Run one command to its end in this process, as its entry point does: errors and exit code included."""
+    """Run one command to its end in this process, as its entry point does: errors and exit code included.
+
+    What is `given` stands on its standard input.
+    """
     printed, told, code = io.StringIO(), io.StringIO(), 0
     with (
         pytest.MonkeyPatch.context() as patch,
@@ -51,7 +54,7 @@ def inside(
         redirect_stderr(told),
     ):
         patch.setattr(sys, "argv", ["sms", *arguments])
-        patch.setattr(sys, "stdin", io.StringIO())
+        patch.setattr(sys, "stdin", io.StringIO(given))
         for name, value in {"COLUMNS": "200", **(environment or {})}.items():
             patch.setenv(name, value)
         try:
