@@ -8,6 +8,8 @@ import os
 import pty
 import pwd
 import re
+import select
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -189,14 +191,14 @@ def test_on_a_terminal_passwords_and_reasons_are_asked_for_and_passwords_not_sho
     shown, code = typed(
         [*SMS, "person", "add", "ben", "--role", "viewer", "--home", str(made)],
         [
-            ("New password of ben:", MINE),
-            ("again:", "another one altogether"),
-            ("New password of ben:", MINE),
-            ("again:", MINE),
+            ("New password of ben: ", MINE),
+            ("again: ", "another one altogether"),
+            ("New password of ben: ", MINE),
+            ("again: ", MINE),
         ],
     )
     assert (code, MINE in shown, "ben is viewer" in shown) == (0, False, True)
-    _, code = typed([*SMS, "person", "off", "ben", "--home", str(made)], [("Reason", "left")])
+    _, code = typed([*SMS, "person", "off", "ben", "--home", str(made)], [("(Enter for none): ", "left")])
     assert code == 0
     (last,) = asked(made, "audit", "list", "--limit", "1")
     assert (last["action"], last["reason"]) == ("people.set_active", "left")
@@ -205,19 +207,20 @@ def test_on_a_terminal_passwords_and_reasons_are_asked_for_and_passwords_not_sho
 
 
 def typed(command: list[str], answers: list[tuple[str, str]]) -> tuple[str, int]:
-    """Run a command on a terminal, answer its questions, and return all that was shown and the exit code."""
+    """Run a command on a terminal, answer its questions, and return all that was shown and the exit code.
+
+    A question ends with the space behind it: what is typed before that is thrown away.
+    """
     child, terminal = pty.fork()
     if child == 0:
         os.execv(sys.executable, command)
-    shown = b""
-    waiting = list(answers)
-    seen = 0
+    shown, seen, waiting = b"", 0, list(answers)
     while True:
+        if not select.select([terminal], [], [], 60.0)[0]:
+            os.kill(child, signal.SIGKILL)
         try:
             part = os.read(terminal, 4096)
         except OSError:  # its other end was closed
-            break
-        if not part:
             break
         shown += part
         if waiting and waiting[0][0].encode() in shown[seen:]:
