@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
 from sqlalchemy import Table, delete, func, insert, select, text, update
 from sqlalchemy.orm import Session
+from support.command import answer, service
+from support.deployments import Deployment
+from support.homes import make_home
 from support.jobs import JOBS, NOW, submit_pipeline
 
 from sms_jobs.catalogue import audit, sealing
@@ -262,6 +266,17 @@ def test_an_event_that_is_committed_while_others_are_sealed_is_left_for_later(ca
         assert sealing.seal(catalogue, NOW) == JOBS + 1
     assert sealing.seal(catalogue, NOW) == 1
     with catalogue.reading() as session:
+        assert list(audit.breaks(session)) == []
+
+
+def test_the_service_seals_what_happens_to_jobs(deployment: Deployment) -> None:
+    make_home(deployment.home, deployment.environment)
+    words = ["job", "submit", "simulate", "-c", "plate", "--wait", "--home", str(deployment.home)]
+    with service(deployment.home, deployment.environment):
+        answer(*words, environment=deployment.environment)
+    with closing(deployment.catalogue()) as catalogue, catalogue.reading() as session:
+        assert audit.extent(session)[1] > 0
+        assert not audit.unsealed(session)
         assert list(audit.breaks(session)) == []
 
 
