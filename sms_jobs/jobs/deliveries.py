@@ -14,6 +14,7 @@ from datetime import datetime, timedelta
 from typing import cast
 
 from sqlalchemy import Table, delete, func, select, update
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.database import Catalogue
@@ -63,18 +64,21 @@ def subscribe(
 ) -> None:
     """Add a subscription; raise `Conflict` where there is one of that name."""
     checked_name(name, "subscription")
-    if session.scalar(select(SubscriptionRow.id).where(SubscriptionRow.name == name)) is not None:
-        raise Conflict(f"there is a subscription '{name}' already; remove it, or choose another name")
-    session.add(
-        SubscriptionRow(
-            name=name,
-            channel=address.channel,
-            address=address.whole.get_secret_value(),
-            secret=secret,
-            topics=[topic.value for topic in topics],
-            created_at=now,
-        )
+    row = SubscriptionRow(
+        name=name,
+        channel=address.channel,
+        address=address.whole.get_secret_value(),
+        secret=secret,
+        topics=[topic.value for topic in topics],
+        created_at=now,
     )
+    try:
+        with session.begin_nested():
+            session.add(row)
+    except IntegrityError as error:
+        raise Conflict(
+            f"there is a subscription '{name}' already; remove it, or choose another name"
+        ) from error
 
 
 def unsubscribe(session: Session, name: str) -> None:

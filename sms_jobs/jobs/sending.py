@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import hmac
 import json
@@ -101,20 +102,10 @@ def _call(settings: Settings, delivery: Delivery, now: datetime) -> None:
     }
     where = delivery.address
     try:
-        # Neither proxies nor passwords of the environment: nobody but the receiver is called.
-        with (
-            httpx2.Client(
-                timeout=_PATIENCE_S,
-                follow_redirects=False,
-                trust_env=False,
-                verify=ssl.create_default_context(),
-            ) as client,
-            client.stream("POST", where.whole.get_secret_value(), content=body, headers=headers) as answer,
-        ):
-            status = answer.status_code
-    except httpx2.TimeoutException as error:
-        raise NotDelivered(f"{where.shown} did not answer within {_PATIENCE_S:g} s") from error
-    except (httpx2.HTTPError, httpx2.InvalidURL, OSError) as error:
+        status = asyncio.run(_posted(where.whole.get_secret_value(), body, headers))
+    except (TimeoutError, httpx.TimeoutException):
+        raise NotDelivered(f"{where.shown} did not answer within {_PATIENCE_S:g} s") from None
+    except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
         raise NotDelivered(f"{where.shown} cannot be reached: {_reason(str(error), where)}") from None
     if 300 <= status < 400:
         raise NotDelivered(
@@ -123,6 +114,21 @@ def _call(settings: Settings, delivery: Delivery, now: datetime) -> None:
         )
     if not 200 <= status < 300:
         raise NotDelivered(f"{where.shown} answered {status}")
+
+
+async def _posted(url: str, body: bytes, headers: dict[str, str]) -> int:
+    """Return the status that a server answers; raise `TimeoutError` when all of it takes too long."""
+    # Neither proxies nor passwords of the environment: nobody but the receiver is called.
+    client = httpx.AsyncClient(
+        timeout=_PATIENCE_S, follow_redirects=False, trust_env=False, verify=ssl.create_default_context()
+    )
+    # One limit for everything: that of the client begins anew with every byte.
+    async with (
+        asyncio.timeout(_PATIENCE_S),
+        client,
+        client.stream("POST", url, content=body, headers=headers) as answer,
+    ):
+        return answer.status_code
 
 
 def _mail(settings: Settings, delivery: Delivery, now: datetime) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import hmac
 import logging
+import socketserver
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -112,6 +113,24 @@ def test_a_webhook_that_does_not_take_it_is_called_once_and_no_other(status: int
             )
         assert [r.path for r in server.requests] == [PATH]
     assert "sesame" not in str(refused.value)
+
+
+class _Dripping(socketserver.BaseRequestHandler):
+    """Answers for ever, a letter at a time."""
+
+    def handle(self) -> None:
+        self.request.sendall(b"HTTP/1.1 200 OK\r\nLong: ")
+        with suppress(OSError):
+            while True:
+                self.request.sendall(b"a")
+                time.sleep(0.05)
+
+
+def test_a_webhook_that_never_ends_its_answer_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sending, "_PATIENCE_S", 0.5)
+    server = socketserver.ThreadingTCPServer(("127.0.0.1", 0), _Dripping)
+    with running(server), pytest.raises(NotDelivered, match=r"did not answer within 0\.5 s"):
+        call(f"http://127.0.0.1:{server.server_address[1]}/")
 
 
 def test_neither_a_proxy_nor_a_password_of_the_environment_is_used(
