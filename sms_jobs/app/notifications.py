@@ -15,7 +15,7 @@ from sms_jobs.jobs import deliveries
 from sms_jobs.records.notifications import MAIL, WEBHOOK, Address, SentView, SubscriptionView, Topic
 from sms_jobs.records.people import Right
 
-SHORTEST_SECRET = 16
+_SHORTEST_SECRET = 16
 _LONGEST_SECRET = 200
 
 
@@ -73,9 +73,9 @@ def _checked(secret: SecretStr | None) -> SecretStr:
     if secret is None:
         return SecretStr(secrets.token_urlsafe(32))
     length = len(secret.get_secret_value())
-    if not SHORTEST_SECRET <= length <= _LONGEST_SECRET:
+    if not _SHORTEST_SECRET <= length <= _LONGEST_SECRET:
         raise InvalidInput(
-            f"the secret has {length} letters; give one of {SHORTEST_SECRET} to {_LONGEST_SECRET}, or let "
+            f"the secret has {length} letters; give one of {_SHORTEST_SECRET} to {_LONGEST_SECRET}, or let "
             "one be made"
         )
     return secret

@@ -200,7 +200,6 @@ def test_a_supervisor_sees_that_the_disk_is_low(
     deployment: Deployment, catalogue: Catalogue, archive: Archive, least_mb: float, paused: bool, count: int
 ) -> None:
     subscribe(catalogue, "night")
-    archive.room()
     if paused:
         with catalogue.writing() as session:
             queues.pause(session, "cpu", "the disk is full", NOW, for_room=True)
