@@ -105,7 +105,7 @@ def _call(settings: Settings, delivery: Delivery, now: datetime) -> None:
         status = asyncio.run(_posted(where.whole.get_secret_value(), body, headers))
     except (TimeoutError, httpx.TimeoutException):
         raise NotDelivered(f"{where.shown} did not answer within {_PATIENCE_S:g} s") from None
-    except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
+    except (httpx.HTTPError, httpx.InvalidURL, OSError, UnicodeError) as error:
         raise NotDelivered(f"{where.shown} cannot be reached: {_reason(str(error), where)}") from None
     if 300 <= status < 400:
         raise NotDelivered(
@@ -150,7 +150,7 @@ def _mail(settings: Settings, delivery: Delivery, now: datetime) -> None:
         raise NotDelivered(
             f"{server} refused the recipient: {code} {_reason(said, delivery.address)}"
         ) from None
-    except (smtplib.SMTPException, OSError) as error:
+    except (smtplib.SMTPException, OSError, UnicodeError) as error:
         raise NotDelivered(f"{server} did not take it: {_reason(str(error), delivery.address)}") from None
 
 

@@ -24,6 +24,7 @@ TEST: Final = "test"
 
 _LONGEST_URL = 2_000
 _LONGEST_MAIL = 254
+_HOST = re.compile(r"[a-z0-9]([a-z0-9._-]{0,251}[a-z0-9])?|[0-9a-f:]+")
 _MAIL = re.compile(r"[A-Za-z0-9_+][A-Za-z0-9._%+-]{0,63}@[A-Za-z0-9-]+(\.[A-Za-z0-9-]+)*")
 
 
@@ -150,14 +151,16 @@ class Address:
                 f"the webhook's address at {host} holds a name or password; leave them out: what is sent is "
                 "signed"
             )
-        if not host or not (parts.scheme == "https" or (parts.scheme == "http" and _is_this_host(host))):
+        if not _HOST.fullmatch(host):
+            raise InvalidInput(f"the webhook's host '{host[:NAME_LETTERS]}' is none; write https://HOST/PATH")
+        if not (parts.scheme == "https" or (parts.scheme == "http" and _is_this_host(host))):
             raise InvalidInput(
                 f"a webhook at '{parts.scheme}://{host}' would be told in the clear; give an address that "
                 "begins with https://, or with http://127.0.0.1 on this host"
             )
         place = f"[{host}]" if ":" in host else host
         more = "/..." if parts.path.strip("/") or parts.query else ""
-        shown = f"{parts.scheme}://{place}" + (f":{port}" if port else "") + more
+        shown = f"{parts.scheme}://{place}" + ("" if port is None else f":{port}") + more
         return cls(WEBHOOK, shown, SecretStr(url))
 
     @classmethod

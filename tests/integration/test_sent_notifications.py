@@ -133,6 +133,11 @@ def test_a_webhook_that_never_ends_its_answer_is_left(monkeypatch: pytest.Monkey
         call(f"http://127.0.0.1:{server.server_address[1]}/")
 
 
+def test_a_name_that_no_host_can_have_is_one_that_does_not_answer() -> None:
+    with pytest.raises(NotDelivered, match="https://xn--a cannot be reached"):
+        call("https://xn--a/")
+
+
 def test_neither_a_proxy_nor_a_password_of_the_environment_is_used(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -238,6 +243,9 @@ def test_an_address_is_shown_without_what_is_secret(url: str, shown: str) -> Non
         "file:///etc/sesame",
         "gopher://127.0.0.1/sesame",
         "https:///sesame",
+        "https://host\\other/sesame",
+        "https://[::1%eth0]/sesame",
+        "http://127.0.0.1\\@hooks.example/sesame",
         "https://hooks.example/sesame\r\nHost: other",
         "https://hooks.example:port/sesame",
         "https://hooks.example/sesame" + "e" * 2000,
