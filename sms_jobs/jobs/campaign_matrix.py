@@ -36,7 +36,7 @@ class _File:
 
 
 def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]:
-    """Return what there is of a campaign, in three queries however large it is.
+    """Return what there is of a campaign, the oldest first, in three queries however large it is.
 
     A result is stale where another version of its kind would compute it now, or another calibration holds
     for what it was computed from.

@@ -12,7 +12,7 @@ from sms_jobs.app.files import Tree
 from sms_jobs.records.shown.files import Ancestor, FileView
 
 _WIDTH, _HEIGHT, _ACROSS, _DOWN, _EDGE = 190, 40, 240, 54, 6
-_LETTERS = 27
+_LETTERS = 26
 _MOST = 60
 """Files that are drawn; a page is no place for hundreds."""
 

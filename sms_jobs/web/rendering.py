@@ -19,6 +19,8 @@ NOTHING = "–"
 _STATES = {
     "succeeded": "good",
     "recorded": "good",
+    "measured": "good",
+    "computed": "good",
     "running": "busy",
     "queued": "waits",
     "waiting": "waits",

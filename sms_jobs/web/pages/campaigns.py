@@ -50,7 +50,7 @@ def show(page: Page, name: str, kind: str = kinds.EVERYTHING) -> HTMLResponse:
     services = page.services
     story, cells = campaigns.show(services, name), campaign_matrix.matrix(services, name)
     offered = kinds.list_kinds(services)
-    order = ["measurement", *(one.name for one in offered)]
+    order = list(dict.fromkeys(cell.kind for cell in cells))
     states = [state.label for state in story.campaign.states]
     pictured = [c for c in cells if c.view is not None and c.media_type == _DATASET]
     documents = [c for c in cells if c.file is not None and c.media_type != _DATASET]
