@@ -216,6 +216,11 @@ def _draw_reasons(reasons: NDArray[Any], title: str, width_px: int) -> bytes:
 
 def _draw_points(record: Any, values: NDArray[Any], title: str, unit: str, width_px: int) -> bytes:
     """Draw values at points of an image, or of a mesh seen along Z."""
+    if not (hasattr(record, "vertices") or hasattr(record, "x")):
+        raise InvalidInput(
+            f"a {type(record).__name__} is neither an image nor a mesh, and cannot be plotted; "
+            "'sms data show' tells what it holds"
+        )
     figure = new_figure(width_px / DOTS_PER_INCH, 0.8 * width_px / DOTS_PER_INCH)
     axes = figure.add_subplot()
     low, high = robust_limits(values)

@@ -138,12 +138,16 @@ class _Files(StaticFiles):
         return response
 
 
-def install(app: FastAPI) -> None:
-    """Add the pages to an application, and let them say what is wrong as pages."""
+def subjects() -> list[Pages]:
+    """Return the pages of every subject."""
     from sms_jobs.web import pages
 
-    for module in iter_modules(pages.__path__):
-        found: Pages = import_module(f"{pages.__name__}.{module.name}").PAGES
+    return [import_module(f"{pages.__name__}.{one.name}").PAGES for one in iter_modules(pages.__path__)]
+
+
+def install(app: FastAPI) -> None:
+    """Add the pages to an application, and let them say what is wrong as pages."""
+    for found in subjects():
         app.include_router(found.router)
 
     @app.get("/static/look.css", include_in_schema=False)

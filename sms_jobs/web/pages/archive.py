@@ -15,7 +15,10 @@ from sms_jobs.web.lineage import drawn
 
 PAGES = Pages("archive", Entry("Archive", "/archive", 50))
 
-_DATASET = "application/x-hdf5"
+PICTURED = frozenset(
+    {"measurement", "surface", "displacement", "strain", "assessment", "merged", "deviation"}
+)
+"""Records that are images, by the name that files keep them under."""
 
 
 @PAGES.show("/archive", finding.find)
@@ -55,7 +58,7 @@ def show(page: Page, key: int) -> HTMLResponse:
         "file.html",
         file=described.file,
         described=described,
-        is_dataset=described.file.media_type == _DATASET,
+        pictured=any(name.partition("_")[0] in PICTURED for name in described.records),
         lineage=drawn(files.tree(services, str(key))),
         down=files.tree(services, str(key), down=True).inputs,
     )

@@ -13,6 +13,7 @@ from sms_jobs.app import campaign_matrix, campaigns, jobs, kinds, recordings
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.cells import Cell
 from sms_jobs.web.console import Entry, Page, Pages
+from sms_jobs.web.pages.archive import PICTURED
 
 PAGES = Pages("campaigns", Entry("Campaigns", "/campaigns", 10))
 
@@ -52,7 +53,8 @@ def show(page: Page, name: str, kind: str = kinds.EVERYTHING) -> HTMLResponse:
     offered = kinds.list_kinds(services)
     order = list(dict.fromkeys(cell.kind for cell in cells))
     states = [state.label for state in story.campaign.states]
-    pictured = [c for c in cells if c.view is not None and c.media_type == _DATASET]
+    images = {"measurement", *(k.name for k in offered if any(o["name"] in PICTURED for o in k.outputs))}
+    pictured = [c for c in cells if c.view is not None and c.file is not None and c.kind in images]
     documents = [c for c in cells if c.file is not None and c.media_type != _DATASET]
     return page.render(
         "campaign.html",

@@ -1,0 +1,162 @@
+"""Pages of the console: what they show, to whom, and how they refuse."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from pydantic import SecretStr
+from support.homes import make_home
+from support.over_http import app_of, served
+
+from sms_jobs import bootstrap
+from sms_jobs.app import jobs, people
+from sms_jobs.app.jobs import Work
+from sms_jobs.records.people import RIGHTS, Role
+from sms_jobs.web.console import PAGE_RULES, subjects
+
+PASSWORD = "correct horse battery"
+assert subjects()  # whose rules are tried below
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A home with the small plate, whose pipeline waits."""
+    home = tmp_path_factory.mktemp("console") / "home"
+    make_home(home, {})
+    with bootstrap.services(home) as services:
+        jobs.submit(services, Work("plate", ("simulate", "pipeline")))
+    return home
+
+
+@pytest.fixture(scope="module")
+def desk(home: Path) -> Iterator[httpx.Client]:
+    """Whoever sits at the machine, before anybody has a name."""
+    with bootstrap.services(home, "web") as services, served(app_of(services)) as client:
+        client.base_url = httpx.URL(str(client.base_url).removesuffix("/api/v1/"))
+        yield client
+
+
+@pytest.fixture(scope="module")
+def named(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
+    """A browser at a home with a person of each role."""
+    home = tmp_path_factory.mktemp("named") / "home"
+    make_home(home, {})
+    with bootstrap.services(home, "web") as services, served(app_of(services)) as client:
+        for role in (Role.ADMINISTRATOR, *(r for r in Role if r is not Role.ADMINISTRATOR)):
+            people.add(services, role.value, role, SecretStr(PASSWORD))
+        client.base_url = httpx.URL(str(client.base_url).removesuffix("/api/v1/"))
+        yield client
+
+
+def log_in(client: httpx.Client, name: str, password: str = PASSWORD, back: str = "/") -> httpx.Response:
+    client.cookies.clear()
+    return client.post("/login", data={"name": name, "password": password, "next": back})
+
+
+@pytest.mark.parametrize("path", sorted(p for p in PAGE_RULES if "{" not in p))
+def test_every_page_is_shown_with_one_heading_and_what_it_is_called(desk: httpx.Client, path: str) -> None:
+    page = desk.get(path)
+    assert page.status_code == 200, page.text
+    assert len(re.findall("<h1>", page.text)) == 1
+    assert "<style" not in page.text
+    assert not re.search(r"<script(?![^>]* src=)|\son\w+=|\sstyle=", page.text)
+    named = set(re.findall(r'<label for="([^"]+)"', page.text))
+    assert named <= set(re.findall(r'\sid="([^"]+)"', page.text))
+
+
+def test_a_campaign_shows_each_state_and_view_with_the_job_that_is_in_the_way(desk: httpx.Client) -> None:
+    page = desk.get("/campaigns/plate").text
+    assert page.count('id="tuples-S01-C1P2-') == 4  # reconstruct, assess, correlate, strain
+    assert "waiting" in page
+    assert 'name="parameters:' not in page
+    chosen = desk.get("/campaigns/plate", params={"kind": "correlate"}).text
+    assert 'name="parameters:subset_radius_px"' in chosen
+    assert "<option>gauss-newton</option>" in chosen
+
+
+def test_jobs_are_listed_page_by_page(desk: httpx.Client) -> None:
+    seen: list[str] = []
+    after = ""
+    while True:
+        page = desk.get("/jobs", params={"limit": 5, "after": after}).text
+        found = re.findall(r'href="/jobs/([0-9a-f]{16})"', page)
+        seen += found
+        if "Older ones" not in page:
+            break
+        after = found[-1]
+    assert len(seen) == len(set(seen)) == 17
+
+
+def test_what_is_typed_stays_beside_what_is_wrong_with_it(desk: httpx.Client) -> None:
+    page = desk.get("/archive", params={"query": 'strain "<b>'})
+    assert page.status_code == 200
+    assert "strain &#34;&lt;b&gt;" in page.text
+    assert 'class="problem" id="query-problem" role="alert">Th' in page.text
+    assert "<b>" not in page.text
+
+
+@pytest.mark.parametrize(
+    ("path", "status", "words"),
+    [
+        ("/jobs/none", 404, "no job"),
+        ("/campaigns/none", 404, "no campaign"),
+        ("/nowhere", 404, "no page /nowhere"),
+        ("/jobs?limit=x", 422, "cannot be used"),
+    ],
+)
+def test_an_error_of_a_page_is_a_page(desk: httpx.Client, path: str, status: int, words: str) -> None:
+    page = desk.get(path)
+    assert (page.status_code, words in page.text, "<h1>" in page.text) == (status, True, True)
+    assert desk.get("/api/v1/jobs/none").json()["kind"] == "NotFound"
+
+
+def test_whoever_is_not_known_is_led_to_the_door_and_back(named: httpx.Client) -> None:
+    named.cookies.clear()
+    away = named.get("/jobs?kind=strain")
+    assert (away.status_code, away.headers["Location"]) == (303, "/login?next=%2Fjobs%3Fkind%3Dstrain")
+    assert 'value="/jobs?kind=strain"' in named.get(away.headers["Location"]).text
+    wrong = log_in(named, "viewer", "wrong", "/jobs")
+    assert (wrong.status_code, 'value="viewer"' in wrong.text) == (403, True)
+    assert "The name or the password is not right" in wrong.text
+    right = log_in(named, "viewer", back="/jobs?kind=strain")
+    assert (right.status_code, right.headers["Location"]) == (303, "/jobs?kind=strain")
+    assert {"HttpOnly", "SameSite=strict"} <= set(right.headers["Set-Cookie"].split("; "))
+    assert named.get("/jobs").status_code == 200
+    assert named.post("/logout", headers={"Sec-Fetch-Site": "same-origin"}).status_code == 303
+    assert named.get("/jobs").status_code == 303
+
+
+@pytest.mark.parametrize("back", ["//evil.example", "https://evil.example/", "/\\evil.example", "/login?x"])
+def test_the_way_back_never_leads_elsewhere(named: httpx.Client, back: str) -> None:
+    assert log_in(named, "viewer", back=back).headers["Location"] == "/"
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+def test_another_site_can_neither_log_in_nor_out(named: httpx.Client, site: str) -> None:
+    body = {"name": "viewer", "password": PASSWORD}
+    for path in ("/login", "/logout"):
+        answer = named.post(path, data=body, headers={"Sec-Fetch-Site": site})
+        assert (answer.status_code, "Set-Cookie" in answer.headers) == (403, False)
+
+
+@pytest.mark.parametrize("role", Role)
+def test_what_a_role_may_not_do_is_neither_offered_nor_done(named: httpx.Client, role: Role) -> None:
+    log_in(named, role.value)
+    rights = RIGHTS[role]
+    for path, rule in PAGE_RULES.items():
+        answer = named.get(path.replace("{name}", "plate").replace("{number}", "1"))
+        refused = rule.right is not None and rule.right not in rights
+        assert (answer.status_code == 403) == refused, path
+    campaign, start = named.get("/campaigns/plate").text, named.get("/").text
+    offered = {
+        "compute": 'data-action="/api/v1/jobs"' in campaign,
+        "record": 'data-action="/api/v1/queues/pause"' in start,
+        "certify": '/calibrations/1/use"' in named.get("/calibrations/1").text,
+        "administer": 'href="/people"' in start,
+    }
+    names = {right.value for right in rights}
+    assert offered == {right: right in names for right in offered}
