@@ -50,15 +50,14 @@ def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]
         file, job = files.get(place), jobs.get(place)
         if job is not None and job[1] is not JobState.SUCCEEDED and (file is None or _tells(job[1])):
             condition = job[1].value
-        elif file is None:
-            continue
+        elif file is None or (kind != MEASUREMENT and kind not in all_kinds()):
+            continue  # not made yet, or no result: the definition of the campaign
         elif kind == MEASUREMENT:
             condition = "measured"
         else:
             holding = valid.of(Subject(campaign.name, state, view))
             own = used.get(file.number, set())
-            current = all_kinds().get(kind)
-            other = current is not None and file.version not in (None, current.version)
+            other = file.version not in (None, all_kinds()[kind].version)
             withdrawn = state is not None and bool(own) and (holding is None or holding.number not in own)
             condition = "stale" if other or withdrawn else "computed"
         cells.append(

@@ -139,11 +139,37 @@ class Browser:
 
     def open(self, path: Path) -> None:
         """Open a file and wait until it is loaded."""
+        self.visit(path.as_uri())
+
+    def visit(self, address: str) -> None:
+        """Go to an address and wait until it is loaded."""
         self._happened.clear()
         self.complaints.clear()
         self.requests.clear()
-        self.call("Page.navigate", url=path.as_uri())
+        self.call("Page.navigate", url=address)
         self._until("Page.loadEventFired")
+
+    def click(self, selector: str) -> None:
+        """Press the middle of an element, which is brought into sight."""
+        self.wait_for(f"document.querySelector({json.dumps(selector)})")
+        x, y = self.run(
+            f"(() => {{ const e = document.querySelector({json.dumps(selector)}); "
+            "e.scrollIntoView({block: 'center'}); const b = e.getBoundingClientRect(); "
+            "return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+        )
+        self.press(x, y)
+
+    def leave_by(self, selector: str) -> None:
+        """Press something that leads to another page, and wait until that is loaded."""
+        self.run(f"document.querySelector({json.dumps(selector)}).scrollIntoView({{block: 'center'}})")
+        self._happened.clear()
+        self.click(selector)
+        self._until("Page.loadEventFired")
+
+    def write(self, selector: str, text: str) -> None:
+        """Write into a field."""
+        self.run(f"document.querySelector({json.dumps(selector)}).focus()")
+        self.call("Input.insertText", text=text)
 
     def run(self, script: str) -> Any:
         """Return what an expression is worth; of a promise, what it was kept with."""
@@ -151,11 +177,12 @@ class Browser:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def wait_for(self, condition: str) -> None:
+    def wait_for(self, condition: str, seconds: float = 20.0) -> None:
         """Wait until an expression is true, as it is looked at before each frame."""
         self.run(
             "new Promise((done, failed) => { const begun = performance.now(); const look = () => { "
-            f"if ({condition}) done(); else if (performance.now() - begun > 20000) failed('never: ' + "
+            f"if ({condition}) done(); "
+            f"else if (performance.now() - begun > {1000 * seconds}) failed('never: ' + "
             f"{json.dumps(condition)}); else setTimeout(look, 20); }}; look(); }})"
         )
 
