@@ -10,6 +10,7 @@ from fastapi import Depends, Request
 
 from sms_jobs.app import people
 from sms_jobs.bootstrap import Services
+from sms_jobs.errors import NotAllowed
 from sms_jobs.web.refusals import NobodyKnown
 
 COOKIE = "sms_session"
@@ -50,7 +51,10 @@ def _services_for(request: Request) -> Services:
     own: Services = request.app.state.services
     secret, origin = secret_of(request), origin_of(request)
     if secret is not None:
-        return own.acting(people.actor_of(own, secret, origin))
+        try:
+            return own.acting(people.actor_of(own, secret, origin))
+        except NotAllowed as error:
+            raise NobodyKnown(str(error)) from error
     if _at_the_desk(origin) and request.app.state.desk and not people.anybody(own):
         return own.acting(replace(own.actor, via="web", origin=origin))
     raise NobodyKnown("nobody is logged in; log in at /login, or send a token as 'Authorization: Bearer ...'")

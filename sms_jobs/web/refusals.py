@@ -66,7 +66,9 @@ DESCRIBED: dict[int | str, dict[str, Any]] = {
         422: "A value cannot be used",
         429: "Too many requests",
         500: "The archive or the program is damaged",
+        502: "An instrument does not do what it was told",
         503: "A server or disk is away; try again",
+        507: "The disk has no room",
     }.items()
 }
 
