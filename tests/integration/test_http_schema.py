@@ -1,0 +1,73 @@
+"""What the interface over HTTP says of itself holds, whatever it is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, cast
+
+import pytest
+import schemathesis
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from schemathesis import GenerationMode
+from schemathesis.config import SchemathesisConfig
+from support.homes import make_home
+from support.over_http import app_of, served
+
+from sms_jobs import bootstrap
+from sms_jobs.app import jobs
+from sms_jobs.app.jobs import Work
+from sms_jobs.bootstrap import Services
+
+_CONFIG = SchemathesisConfig.from_dict(
+    {
+        "checks": {
+            # What a schema cannot say, such as which campaigns there are, is refused too.
+            "positive_data_acceptance": {"expected-statuses": [200, 201, 204, 401, 403, 404, 409, 422, 502]},
+            # Whoever sits at the desk needs no name before anybody has one.
+            "ignored_auth": {"enabled": False},
+        }
+    }
+)
+_DESCRIPTION = app_of(cast(Services, None)).openapi()
+_ENDLESS = "/api/v1/events"
+OPERATIONS = [
+    found.ok()
+    for found in schemathesis.openapi.from_dict(_DESCRIPTION, config=_CONFIG).get_all_operations()
+    if found.ok().path != _ENDLESS
+]
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, dict[str, str]]]:
+    """Address of a home with a small campaign, whose jobs have ended, and names of what is there."""
+    home = tmp_path_factory.mktemp("home")
+    make_home(home, {})
+    with bootstrap.services(home, "web") as services:
+        submitted = jobs.submit(services, Work("plate", ("simulate", "pipeline")))
+        jobs.cancel(services, [], "plate")  # whoever waits for them does not wait
+        there = {"name": "plate", "job": submitted.job_ids[0], "number": "1"}
+        with served(app_of(services)) as client:
+            yield str(client.base_url).removesuffix("/api/v1/"), there
+
+
+@pytest.mark.parametrize("operation", OPERATIONS, ids=lambda operation: operation.label)
+def test_the_description_holds(operation: Any, home: tuple[str, dict[str, str]]) -> None:
+    address, there = home
+    asked = st.one_of(*(operation.as_strategy(generation_mode=mode) for mode in GenerationMode))
+
+    @settings(
+        max_examples=10,
+        derandomize=True,
+        deadline=None,
+        database=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(case=asked, named=st.booleans())
+    def holds(case: Any, named: bool) -> None:
+        if named and case.meta.generation.mode is GenerationMode.POSITIVE:
+            case.path_parameters.update({k: v for k, v in there.items() if k in case.path_parameters})
+        case.call_and_validate(base_url=address)
+
+    holds()
