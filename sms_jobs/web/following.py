@@ -62,8 +62,9 @@ class Order:
             left_out = range(max(self.newest + 1, number - _MOST_MISSING), number)
             self._missing.update(dict.fromkeys(left_out, now))
             self.newest = max(self.newest, number)
-        kept = list(self._missing.items())[-_MOST_MISSING:]
-        self._missing = {n: since for n, since in kept if now - since < GIVEN_UP_AFTER_S}
+        if self._missing:
+            kept = list(self._missing.items())[-_MOST_MISSING:]
+            self._missing = {n: since for n, since in kept if now - since < GIVEN_UP_AFTER_S}
 
 
 class Listener:
@@ -166,11 +167,9 @@ class Follower:
             newest, missing = order.newest, order.ranges()
         found = happenings.happened(self._services, newest, missing)
         with self._lock:
-            told = []
-            for one in found:
-                order.enter([one.number], time.monotonic())
-                told.append((order.safe, one))
-            order.enter([], time.monotonic())
+            order.enter((one.number for one in found), time.monotonic())
+            safe = order.safe
+            told = [(min(safe, one.number), one) for one in found]
             for listener in self._listeners if told else ():
                 listener.tell(told)
         return len(found) >= happenings.MOST

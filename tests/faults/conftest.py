@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.servers import PostgresqlServer, postgresql_programs
 
 
 @pytest.fixture
@@ -22,3 +24,18 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         yield folder
     finally:
         subprocess.run(["umount", "--lazy", folder], check=True)
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[PostgresqlServer]:
+    """A PostgreSQL server of this test alone."""
+    programs = postgresql_programs()
+    if programs is None:
+        pytest.skip("needs PostgreSQL to start a server of its own: install it, or run ops/test.sh")
+    folder = Path(f"/tmp/sms-place-{os.getpid()}")
+    server = PostgresqlServer(folder, programs)
+    try:
+        yield server
+    finally:
+        server.crash()
+        shutil.rmtree(folder)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import socket
 import subprocess
 import threading
@@ -16,7 +15,7 @@ from sqlalchemy import make_url, select
 from support.archives import Clock, registered, runner
 from support.people import SOMEBODY
 from support.places import SmallDisk, Wire, mounted
-from support.servers import PostgresqlServer, postgresql_programs
+from support.servers import PostgresqlServer
 
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.bootstrap import Services
@@ -133,21 +132,6 @@ def test_a_job_that_meets_a_read_only_folder_waits_for_it_at_no_cost(
         subprocess.run(["umount", folder], check=True)
     runner(embedded, archive, Clock()).run_queued()
     assert_all_done_once(embedded, archive)
-
-
-@pytest.fixture
-def server(tmp_path: Path) -> Iterator[PostgresqlServer]:
-    """A PostgreSQL server of this test alone."""
-    programs = postgresql_programs()
-    if programs is None:
-        pytest.skip("needs PostgreSQL to start a server of its own: install it, or run ops/test.sh")
-    folder = Path(f"/tmp/sms-place-{os.getpid()}")
-    server = PostgresqlServer(folder, programs)
-    try:
-        yield server
-    finally:
-        server.crash()
-        shutil.rmtree(folder)
 
 
 def test_an_outage_of_the_database_at_any_commit_ends_no_job(server: PostgresqlServer, home: Path) -> None:

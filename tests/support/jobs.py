@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow
+from sms_jobs.catalogue.models import DependencyRow, EventRow, FileRow, JobRow
 from sms_jobs.jobs import inquiry, lifecycle
 from sms_jobs.jobs.lifecycle import Claim
 from sms_jobs.jobs.planning import Existing, Request, plan
@@ -100,3 +100,12 @@ def ids(session: Session, job_id: str) -> list[str]:
         DependencyRow.job_id == job_id, DependencyRow.producer_id.is_not(None)
     )
     return [producer for producer in session.scalars(query) if producer is not None]
+
+
+def add_event(session: Session, message: str) -> int:
+    """Add an event of the first job that something happened to, and return its number."""
+    job = session.scalars(select(EventRow.job_id).order_by(EventRow.id).limit(1)).one()
+    row = EventRow(job_id=job, at=NOW, state=JobState.RUNNING, attempt=1, message=message)
+    session.add(row)
+    session.flush()
+    return row.id

@@ -6,27 +6,17 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import httpx
 import uvicorn
 from fastapi import FastAPI
-from starlette.types import ASGIApp, Receive, Scope, Send
 
 from sms_jobs.bootstrap import Services
 from sms_jobs.web.application import application
 from sms_jobs.web.protection import Options
 
-DESK = ("127.0.0.1", 50_000)
 API = "/api/v1"
-
-
-def at_the_desk(app: ASGIApp) -> ASGIApp:
-    """Return an application as whoever sits at its machine sees it."""
-
-    async def asked(scope: Scope, receive: Receive, send: Send) -> None:
-        await app({**scope, "client": DESK} if scope["type"] == "http" else scope, receive, send)
-
-    return asked
 
 
 def app_of(services: Services) -> FastAPI:
@@ -52,3 +42,24 @@ def served(app: FastAPI) -> Iterator[httpx.Client]:
     finally:
         server.should_exit = True
         thread.join(30.0)
+
+
+@contextmanager
+def listening(client: httpx.Client, **options: Any) -> Iterator[Iterator[dict[str, str]]]:
+    """Listen to events; each is its fields."""
+    with client.stream("GET", "events", **options) as answer:
+        assert answer.headers["content-type"].startswith("text/event-stream")
+        lines = answer.iter_lines()
+        assert next(lines).startswith(":")
+
+        def events() -> Iterator[dict[str, str]]:
+            fields: dict[str, str] = {}
+            for line in lines:
+                name, _, value = line.partition(": ")
+                if line and name:
+                    fields[name] = value
+                elif not line and "data" in fields:
+                    yield fields
+                    fields = {}
+
+        yield events()
