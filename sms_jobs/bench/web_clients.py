@@ -1,0 +1,134 @@
+"""A real `sms serve`, many clients of it at once, and one who listens to its events."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psutil
+
+from sms_jobs.errors import SmsError
+
+_BEGUN_WITHIN_S = 60.0
+_TIMEOUT_S = 60.0
+
+
+@dataclass(frozen=True)
+class Served:
+    """A running `sms serve`: its address, and its process."""
+
+    url: str
+    process: psutil.Process
+
+    @property
+    def rss_mb(self) -> float:
+        """Memory that it holds now."""
+        return float(self.process.memory_info().rss) / 1e6
+
+
+@contextmanager
+def served(home: Path) -> Iterator[Served]:
+    """Run `sms serve` of a home until the block ends."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [sys.executable, "-m", "sms_jobs.cli.main", "serve", "--home", str(home)]
+    with (home / "serve.log").open("ab") as log:
+        process = subprocess.Popen(
+            [*command, "--listen", f"127.0.0.1:{port}"], stdin=subprocess.DEVNULL, stdout=log, stderr=log
+        )
+    try:
+        url = f"http://127.0.0.1:{port}/api/v1"
+        _wait_for(url, home)
+        yield Served(url, psutil.Process(process.pid))
+    finally:
+        process.terminate()
+        process.wait(timeout=60)
+
+
+def _wait_for(url: str, home: Path) -> None:
+    deadline = time.monotonic() + _BEGUN_WITHIN_S
+    while time.monotonic() < deadline:
+        try:
+            httpx.get(f"{url}/status", timeout=_TIMEOUT_S).raise_for_status()
+        except httpx.TransportError:
+            time.sleep(0.1)
+        else:
+            return
+    raise SmsError(f"'sms serve' does not answer; {home / 'serve.log'} tells why")
+
+
+def crowd(url: str, addresses: Sequence[str], clients: int, pause_s: float, seconds: float) -> dict[str, Any]:
+    """Let many ask at once, each an address by chance and then nothing for a while; return ms by address."""
+    return asyncio.run(_crowd(url, addresses, clients, pause_s, seconds))
+
+
+async def _crowd(
+    url: str, addresses: Sequence[str], clients: int, pause_s: float, seconds: float
+) -> dict[str, list[float]]:
+    taken: dict[str, list[float]] = {address: [] for address in addresses}
+    ends = time.monotonic() + seconds
+    limits = httpx.Limits(max_connections=clients, max_keepalive_connections=clients)
+    async with httpx.AsyncClient(base_url=url, timeout=_TIMEOUT_S, limits=limits) as client:
+
+        async def ask(number: int) -> None:
+            chance = random.Random(number)  # noqa: S311 - the same questions every time
+            await asyncio.sleep(chance.uniform(0.0, pause_s))
+            while time.monotonic() < ends:
+                address = chance.choice(addresses)
+                began = time.perf_counter()
+                (await client.get(address)).raise_for_status()
+                taken[address].append(1e3 * (time.perf_counter() - began))
+                await asyncio.sleep(chance.uniform(0.5, 1.5) * pause_s)
+
+        await asyncio.gather(*(ask(number) for number in range(clients)))
+    return taken
+
+
+class EventEar:
+    """One who listens to events, and notes when those of a job came."""
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self._heard: dict[str, float] = {}
+        self._news = threading.Condition()
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._listen, name="event-ear", daemon=True)
+
+    def __enter__(self) -> EventEar:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._ending.set()
+
+    def heard_at(self, job: str, within_s: float) -> float:
+        """Return by `time.perf_counter` when the event of a job came; raise `SmsError` where it does not."""
+        with self._news:
+            if not self._news.wait_for(lambda: job in self._heard, within_s):
+                raise SmsError(f"the event of job {job} was not told within {within_s:g} s; report it")
+            return self._heard[job]
+
+    def _listen(self) -> None:
+        timeout = httpx.Timeout(_TIMEOUT_S)
+        with httpx.stream("GET", f"{self._url}/events", timeout=timeout) as answer:
+            for line in answer.iter_lines():
+                if self._ending.is_set():
+                    return
+                if line.startswith("data:"):
+                    job = json.loads(line[5:])["job"]
+                    with self._news:
+                        self._heard.setdefault(job, time.perf_counter())
+                        self._news.notify_all()
