@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import lru_cache
 from typing import Literal, TypeAlias
 
 from sms_jobs.errors import InvalidInput
@@ -49,16 +50,22 @@ class Subject:
     @classmethod
     def parse(cls, text: str) -> Subject:
         """Read `campaign`, `campaign/state` or `campaign/state/view`."""
-        parts = text.split("/")
-        if not 1 <= len(parts) <= 3:
-            raise InvalidInput(f"'{text}' is not campaign/state/view")
-        names = [checked_name(p, w) for p, w in zip(parts, ("campaign", "state", "view"), strict=False)]
-        return cls(*names)
+        return _parsed(text)
 
     @property
     def recordings(self) -> tuple[Subject, ...]:
         """The tuples that are recorded for a tuple: see `View.recordings`."""
         return tuple(replace(self, view=str(view)) for view in view_of(self.view).recordings)
+
+
+@lru_cache(maxsize=1 << 14)
+def _parsed(text: str) -> Subject:
+    """Return a subject; pages read those of thousands of jobs, the same ones again and again."""
+    parts = text.split("/")
+    if not 1 <= len(parts) <= 3:
+        raise InvalidInput(f"'{text}' is not campaign/state/view")
+    names = [checked_name(p, w) for p, w in zip(parts, ("campaign", "state", "view"), strict=False)]
+    return Subject(*names)
 
 
 @dataclass(frozen=True)
