@@ -114,10 +114,14 @@ def upgrade() -> None:
     op.add_column("event", sa.Column("seal_id", sa.BigInteger(), nullable=True))
     op.create_index("ix_event_seal", "event", ["seal_id", "id"], unique=False)
     op.add_column("job", sa.Column("submitted_by", sa.String(length=80), server_default="", nullable=False))
+    op.create_index(op.f("ix_job_started_at"), "job", ["started_at"], unique=False)
+    op.create_index(op.f("ix_job_finished_at"), "job", ["finished_at"], unique=False)
 
 
 def downgrade() -> None:
     """Take this step back."""
+    op.drop_index(op.f("ix_job_finished_at"), table_name="job")
+    op.drop_index(op.f("ix_job_started_at"), table_name="job")
     op.drop_column("job", "submitted_by")
     op.drop_index("ix_event_seal", table_name="event")
     op.drop_column("event", "seal_id")

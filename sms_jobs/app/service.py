@@ -9,12 +9,13 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sms_jobs.app import jobs
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.jobs import inquiry, recovery
+from sms_jobs.jobs.chosen import of_campaign
+from sms_jobs.jobs.estimates import outlook
 from sms_jobs.jobs.inquiry import WorkerView
 from sms_jobs.records.job import ALIVE_WITHIN
 from sms_jobs.records.people import Right
@@ -59,15 +60,18 @@ class Status:
 @use_case(Right.READ)
 def status(services: Services) -> Status:
     """Return how a home stands."""
-    ahead = jobs.remaining(services).outlook
     with services.catalogue.reading() as session:
+        # Among a million jobs counting is most of the work: it is done once.
+        counted = inquiry.counts(session)
+        active = inquiry.still_active(counted)
+        ahead = outlook(session, of_campaign(session, None), services.settings.workers) if active else None
         return Status(
             services.settings.home,
             services.catalogue.describe(),
             services.archive.where,
             services.archive.room().free_bytes,
             campaigns.number_of_campaigns(session),
-            inquiry.counts(session),
+            counted,
             tuple(inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)),
             ahead,
         )

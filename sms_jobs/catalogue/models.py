@@ -288,6 +288,9 @@ class JobRow(Table):
         Index(None, "campaign_id", "state", "submitted_at"),
         Index(None, "reuse_key", "state"),
         Index(None, "worker_id", "state"),
+        # How fast jobs come along is asked by every page.
+        Index(None, "started_at"),
+        Index(None, "finished_at"),
     )
     id: Mapped[str] = mapped_column(String(16), primary_key=True)
     kind: Mapped[str] = mapped_column(String(32))

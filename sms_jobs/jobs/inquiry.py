@@ -80,13 +80,17 @@ def job_view(row: JobRow) -> JobView:
 
 
 def find_job(session: Session, prefix: str) -> JobRow:
-    """Return the job whose id begins with `prefix`.
+    """Return the job of that id, or else the one whose id begins so.
 
     Raises
     ------
     NotFound, Conflict
         There is none, or more than one.
     """
+    # Pages and programs know whole ids, and an index leads to them.
+    named = session.get(JobRow, prefix)
+    if named is not None:
+        return named
     matching = session.scalars(
         select(JobRow).where(JobRow.id.startswith(prefix, autoescape=True)).limit(2)
     ).all()
