@@ -138,7 +138,8 @@ def _not_after(priority: int, position: int) -> ColumnElement[bool]:
 
 
 def _are_few(session: Session, which: ColumnElement[bool]) -> bool:
-    some = select(JobRow.id).where(which).limit(MOST + 1).subquery()
+    # The index of what comes next has the position and not the id, for which all jobs would be read.
+    some = select(JobRow.position).where(which).limit(MOST + 1).subquery()
     return (session.scalar(select(func.count()).select_from(some)) or 0) <= MOST
 
 

@@ -27,8 +27,9 @@ from sms_jobs.records.job import JobState
 _FILES, _QUICK_FILES = 1_000_000, 20_000
 _JOBS, _QUICK_JOBS = 100_000, 5_000
 _CLIENTS = 50
-_PAUSE_S = 1.0
-_SECONDS, _QUICK_SECONDS = 30.0, 5.0
+_PAUSE_S = 5.0
+"""As somebody who looks at one page after the other."""
+_SECONDS, _QUICK_SECONDS = 60.0, 10.0
 _SIDE, _QUICK_SIDE = 2048, 256
 _TILES = 3
 _EVENTS = 20
