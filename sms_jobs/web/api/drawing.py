@@ -1,4 +1,4 @@
-"""Fields of a file for whoever draws them: samples, single pixels, sections, gauges, differences."""
+"""Fields of a file for whoever draws them: samples, single pixels, sections, gauges."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from typing import Annotated, Any
 from fastapi import Path, Query
 from fastapi.responses import Response
 
-from sms_jobs.app import field_comparison, field_gauges, field_pages, field_values, surface_fields
-from sms_jobs.app.field_comparison import How
+from sms_jobs.app import field_gauges, field_pages, field_values, surface_fields
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer
 
-ROUTES = Routes("fields")
+ROUTES = Routes("drawing")
 
 File = Annotated[int, Path(ge=1, description="Number of the file.")]
 Part = Annotated[str | None, Query(description="Which of several groups of records, as C1.")]
@@ -94,13 +93,3 @@ def section(
         }
     )
 
-
-Other = Annotated[int, Query(ge=1, description="Number of another merged or combined result.")]
-Within = Annotated[float, Query(gt=0.0, allow_inf_nan=False, description="Points with nothing near, mm.")]
-
-
-@ROUTES.offer("GET", "/fields/{file}/difference", field_comparison.difference_of)
-def difference(services: Acting, file: File, other: Other, free: bool = False, within_mm: Within = 5.0) -> Any:
-    """Return by how much two displacements differ."""
-    how = How(None, 1.0, align=False, free=free, within_mm=within_mm)
-    return answer(field_comparison.difference_of(services, str(file), str(other), how).facts())
