@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sms_jobs.app.field_sources import Placed, fields_of
+from sms_jobs.app.field_sources import SAMPLES, Placed, fields_of, step_of
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, search
@@ -93,6 +93,11 @@ class FieldPage:
     def state(self) -> str:
         """Label of the state that it is about; empty where it is about none."""
         return self.file.subject.split("/")[1] if self.file.subject.count("/") else ""
+
+    @property
+    def step_px(self) -> int:
+        """Every how many pixels maps are sampled."""
+        return step_of(self.size, SAMPLES)
 
     @property
     def view(self) -> str:

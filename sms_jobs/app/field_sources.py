@@ -18,6 +18,8 @@ from sms_jobs.records.shown.files import FileView
 if TYPE_CHECKING:
     from sms_jobs.formats.drawing.quantities import Reading, Shown
 
+SAMPLES = 640
+"""Most samples of a map along its longer side, unless somebody asks for others."""
 _OF_SHAPE = ("reference", "shape")
 
 

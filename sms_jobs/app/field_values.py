@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sms_jobs.app.field_sources import Placed, fields_of, read, sampled, step_of
+from sms_jobs.app.field_sources import SAMPLES, Placed, fields_of, read, sampled, step_of
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput
@@ -16,8 +16,6 @@ from sms_jobs.records.people import Right
 if TYPE_CHECKING:
     from sms_jobs.formats.drawing.quantities import Reading
 
-SAMPLES = 640
-"""Most samples of a map along its longer side, unless somebody asks for others."""
 MOST_SAMPLES = 4096
 _GLANCE = 256
 

@@ -142,7 +142,7 @@ class Browser:
         self.visit(path.as_uri())
 
     def visit(self, address: str) -> None:
-        """Go to an address and wait until it is loaded."""
+        """Open an address and wait until it is loaded."""
         self._happened.clear()
         self.complaints.clear()
         self.requests.clear()

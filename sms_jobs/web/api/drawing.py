@@ -8,6 +8,7 @@ from fastapi import Path, Query
 from fastapi.responses import Response
 
 from sms_jobs.app import field_gauges, field_pages, field_values, surface_fields
+from sms_jobs.app.field_sources import SAMPLES
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer
 
@@ -33,7 +34,7 @@ def values(
     file: File,
     name: Name,
     part: Part = None,
-    samples: Annotated[int, Query(ge=16, le=field_values.MOST_SAMPLES)] = field_values.SAMPLES,
+    samples: Annotated[int, Query(ge=16, le=field_values.MOST_SAMPLES)] = SAMPLES,
 ) -> Any:
     """Return packed samples."""
     return answer(field_values.values(services, str(file), name, part=part, samples=samples))
@@ -92,4 +93,3 @@ def section(
             "scatter": found.profile.scatter.tolist(),
         }
     )
-

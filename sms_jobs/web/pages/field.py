@@ -1,4 +1,4 @@
-"""The fields of a file: maps to point at, sections, gauges, charts over the states, two results side by side."""
+"""The fields of a file: maps to point at, sections, gauges, charts over the states, two side by side."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from fastapi import Path, Query
 from fastapi.responses import HTMLResponse, Response
 
-from sms_jobs.app import exporting, field_pages, field_values
+from sms_jobs.app import exporting, field_pages
 from sms_jobs.app.field_pages import Alike, FieldPage
 from sms_jobs.web.console import Page, Pages
 
@@ -88,7 +88,7 @@ def _about(shown: FieldPage, name: str) -> dict[str, Any]:
         "title": f"{shown.file.source} {shown.file.subject} {shown.part}".rstrip(),
         "rows": shown.size[0],
         "columns": shown.size[1],
-        "step": field_values.step_of(shown.size, field_values.SAMPLES),
+        "step": shown.step_px,
         "fields": [
             {
                 "name": one.name,
