@@ -81,6 +81,7 @@ def _about(shown: FieldPage, name: str) -> dict[str, Any]:
         "id": name,
         "file": shown.file.id,
         "source": shown.file.source,
+        "campaign": shown.file.subject.partition("/")[0],
         "part": shown.part,
         "key": f"{shown.file.subject.partition('/')[0]} {shown.camera}",
         "state": shown.state,

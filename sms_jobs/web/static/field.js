@@ -30,8 +30,17 @@ class FieldView extends View {
   get others() { return views.filter((view) => view !== this && view.about.key === this.about.key); }
   get flags() { return this.about.fields.filter((field) => field.flags); }
 
+  // Side by side both have one range of colours, unless another was asked for.
+  get shown() {
+    const there = this.partner?.fields.named(this.field.name), part = this.part === this.field ? there : there?.sigma;
+    if (this.limits || !part?.limits) return super.shown;
+    return [Math.min(this.part.limits[0], part.limits[0]), Math.max(this.part.limits[1], part.limits[1])];
+  }
+
   async renew() {
     try {
+      const there = this.partner?.fields.named(this.field.name);
+      if (there) await this.partner.fields.described(there);
       await super.renew();
       this.section.querySelector(".first")?.remove();
       this.paint();
@@ -86,7 +95,7 @@ function remember(name) {
   for (const link of document.querySelectorAll("a[data-keep]")) link.hash = encodeURIComponent(name);
 }
 
-// What one result says more than another at the same pixels: their values subtracted, their variances added.
+// What the first result says more than the second at the same pixels: their values subtracted, their variances added.
 class DifferenceFields {
   constructor(first, second, about) {
     Object.assign(this, { first, second, about });
@@ -103,14 +112,15 @@ class DifferenceFields {
 
   async described(field) {
     const values = await this.values(field), sigma = await this.sigma(field);
-    field.limits = limitsOf(values);
+    const most = Math.max(...limitsOf(values).map(Math.abs));
+    field.limits = [-most, most];
     if (sigma) field.sigma = { limits: limitsOf(sigma) };
   }
 
   values(field) {
     return this.once(field, "", async () => {
       const [a, b] = await this.both(field, "values");
-      return a.map((value, i) => b[i] - value);
+      return a.map((value, i) => value - b[i]);
     });
   }
 
@@ -258,7 +268,7 @@ function readGauge(view) {
     const own = await read(view.about);
     if (late()) return;
     tell(own.strain === null ? `${words}: fewer than twelve pixels lie under it.`
-      : `${words}: ${written(1e6 * own.strain, 1e6 * own.sigma)} ± ${written(1e6 * own.sigma, 1e6 * own.sigma)} µε, from ${own.pixels} pixels of ${own.view}.`);
+      : `${words}: ${written(1e6 * own.strain, 1e6 * own.sigma)} ± ${written(1e6 * own.sigma, 1e6 * own.sigma)} µε, from ${own.pixels} pixels of ${own.view}. “sms job submit gauges -c ${view.about.campaign} --gauge "${words}"” keeps it.`);
     await chartOverStates(view, `gauge ${words.split(" ")[0]}`, "µε", async (one) => {
       const found = one.file === view.about.file ? own : await read(one);
       return { value: found.strain === null ? null : 1e6 * found.strain, sigma: found.sigma === null ? null : 1e6 * found.sigma };
@@ -315,6 +325,7 @@ function lineChart(points, field, unit) {
 // Two results side by side: their maps have one range, and a third shows the one minus the other.
 async function compare(first, second) {
   const differs = element("differs");
+  first.partner = second; second.partner = first;
   if (first.about.key === second.about.key && first.about.rows === second.about.rows && first.about.columns === second.about.columns) {
     const section = element("difference"), named = (f) => second.about.fields.some((g) => g.name === f.name);
     const about = { ...first.about, id: "difference", title: section.getAttribute("aria-label"),
@@ -326,13 +337,12 @@ async function compare(first, second) {
     view.colours = "bluered";
     views.push(view);
     view.chosen = Math.max(0, about.fields.findIndex((f) => f.name === first.field.name));
-    view.refresh();
   } else {
     differs.append(made("p", { class: "notes" }, "They are not over the same pixels: only displacements on a surface are subtracted."));
   }
   if (![first, second].every((view) => ["merge", "combine"].includes(view.about.source))) return;
   try {
-    const found = await asked(`/api/v1/data/${second.about.file}/compare`, { with: first.about.file });
+    const found = await asked(`/api/v1/data/${first.about.file}/compare`, { with: second.about.file });
     const rows = Object.entries(found).filter(([name]) => !["schema", "file", "other"].includes(name))
       .map(([name, value]) => made("tr", {}, made("th", { scope: "row" }, name.replace(/_mm/g, " [mm]").replace(/_/g, " ")), made("td", { class: "number" }, written(value))));
     differs.append(made("h3", {}, "Displacements on the surface"), made("table", { class: "narrow" }, made("tbody", {}, ...rows)));
@@ -355,8 +365,8 @@ function begin() {
   const repaint = () => { for (const view of views) if (view.values) view.refresh(); };
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
   new MutationObserver(repaint).observe(document.documentElement, { attributeFilter: ["data-theme"] });
-  for (const view of views) view.refresh();
   if (views.length > 1) compare(views[0], views[1]);
+  for (const view of views) view.refresh();
 }
 
 begin();
