@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE
@@ -149,27 +149,34 @@ def step_of(size: tuple[int, int], samples: int) -> int:
 
 
 def sampled(
-    services: Services, one: Placed, reading: Reading, step: int, *, glance: bool = False
-) -> NDArray[Any]:
-    """Return every `step`th pixel of what a reading makes, each the middle one; `glance` compares nothing."""
+    services: Services, one: Placed, readings: Sequence[Reading], step: int, *, glance: bool = False
+) -> list[NDArray[Any]]:
+    """Return every `step`th pixel of what readings make, the middle ones; `glance` compares nothing."""
     half = step // 2
     rows, columns = one.size
-    return read(services, one, reading, slice(half, rows, step), slice(half, columns, step), glance=glance)
+    return read(services, one, readings, slice(half, rows, step), slice(half, columns, step), glance=glance)
 
 
 def read(
-    services: Services, one: Placed, reading: Reading, rows: slice, columns: slice, *, glance: bool = False
-) -> NDArray[Any]:
-    """Return what a reading makes of some rows and columns.
+    services: Services,
+    one: Placed,
+    readings: Sequence[Reading],
+    rows: slice,
+    columns: slice,
+    *,
+    glance: bool = False,
+) -> list[NDArray[Any]]:
+    """Return what readings make of some rows and columns; what two of them need is read once.
 
     Raises `ArchiveCorrupt` where the file is not what was sealed.
     """
     shape = tuple(len(range(s.start, s.stop, s.step)) for s in (rows, columns))
-    images = []
+    images: dict[tuple[str, int | None], NDArray[Any]] = {}
     with services.archive.open(one.file) as dataset:
-        for array, component in reading.sources:
+        for source in dict.fromkeys(source for reading in readings for source in reading.sources):
+            array, component = source
             plane = () if component is None else (slice(component, component + 1, 1),)
             with dataset.array(one.shown.record, array) as stored:
                 taken = (stored.glance if glance else stored.read)((*plane, rows, columns))
-            images.append(taken.reshape(shape))
-    return np.asarray(reading.compute(*images))
+            images[source] = taken.reshape(shape)
+    return [reading.of(images) for reading in readings]

@@ -77,14 +77,14 @@ def values(
 
     one = fields_of(services, key, part).named(name)
     step = step_of(one.size, samples)
-    known = sampled(services, one, one.shown.values, step)
+    readings = [r for r in (one.shown.values, one.shown.sigma) if r is not None]
+    known, *sigma = sampled(services, one, readings, step)
     # Sampled already.
     sampler = Sampler((known.shape[0], known.shape[1]), max(known.shape), 0)
     if one.shown.flags:
         made = sampler.reasons(one.shown.name, known)
     else:
-        sigma = None if one.shown.sigma is None else sampled(services, one, one.shown.sigma, step)
-        made = sampler.field(one.shown.name, one.shown.unit, known, sigma)
+        made = sampler.field(one.shown.name, one.shown.unit, known, *sigma)
     return packed_field(made) | {"every": step}
 
 
@@ -106,7 +106,7 @@ def first_picture(services: Services, key: str, *, part: str | None = None, name
 
     fields = fields_of(services, key, part)
     one = fields.placed[0] if name is None else fields.named(name)
-    known = sampled(services, one, one.shown.values, step_of(one.size, _GLANCE), glance=True)
+    (known,) = sampled(services, one, [one.shown.values], step_of(one.size, _GLANCE), glance=True)
     return colours_as_png(known.astype(np.float32), one.shown.unit)
 
 
@@ -135,16 +135,16 @@ def value_at(
             "inside"
         )
 
-    def at(asked: Placed, reading: Reading) -> float:
-        rows, columns = slice(row, row + 1, 1), slice(column, column + 1, 1)
-        return float(read(services, asked, reading, rows, columns)[0, 0])
+    def at(asked: Placed, *readings: Reading | None) -> list[float]:
+        pixel = (slice(row, row + 1, 1), slice(column, column + 1, 1))
+        found = read(services, asked, [each for each in readings if each is not None], *pixel)
+        return [float(each[0, 0]) for each in found]
 
-    value = at(one, one.shown.values)
-    sigma = None if one.shown.sigma is None else at(one, one.shown.sigma)
+    value, *sigma = at(one, one.shown.values, one.shown.sigma)
     status = [p for p in fields.placed if p.shown.flags and p.shown.record == one.shown.record]
-    bits = int(at(status[0], status[0].shown.values)) if status else 0
+    bits = int(at(status[0], status[0].shown.values)[0]) if status else 0
     axes = [fields.named(axis) for axis in fields.position or ()]
-    place = tuple(at(axis, axis.shown.values) for axis in axes)
+    place = tuple(at(axis, axis.shown.values)[0] for axis in axes)
     return PixelValue(
         fields.file.id,
         name,
@@ -152,7 +152,7 @@ def value_at(
         column,
         row,
         _finite(value),
-        None if sigma is None else _finite(sigma),
+        _finite(sigma[0]) if sigma else None,
         in_words(bits) if bits else "",
         place if place and np.isfinite(place).all() else None,
     )

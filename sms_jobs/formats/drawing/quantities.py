@@ -39,6 +39,10 @@ class Reading:
     sources: tuple[Source, ...]
     compute: Callable[..., Values]
 
+    def of(self, images: Mapping[Source, Values]) -> Values:
+        """Return what becomes of images that were read."""
+        return np.asarray(self.compute(*(images[source] for source in self.sources)))
+
 
 @dataclass(frozen=True)
 class Shown:

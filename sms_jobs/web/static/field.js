@@ -349,7 +349,15 @@ async function compare(first, second) {
   } catch (error) { differs.append(made("p", { class: "problem" }, `${error.message}.`)); }
 }
 
-function begin() {
+// The first pictures come before anything else is asked for.
+function glanced() {
+  const pictures = [...document.querySelectorAll(".first img")].filter((picture) => !picture.complete);
+  return Promise.all(pictures.map((picture) => new Promise((done) => {
+    for (const end of ["load", "error"]) picture.addEventListener(end, done, { once: true });
+  })));
+}
+
+async function begin() {
   const sections = [...document.querySelectorAll("#maps section.view")].filter((section) => section.querySelector("script.about"));
   for (const section of sections) {
     const about = JSON.parse(section.querySelector("script.about").textContent), view = new FieldView(section, fetched(about));
@@ -365,6 +373,7 @@ function begin() {
   const repaint = () => { for (const view of views) if (view.values) view.refresh(); };
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
   new MutationObserver(repaint).observe(document.documentElement, { attributeFilter: ["data-theme"] });
+  await glanced();
   if (views.length > 1) compare(views[0], views[1]);
   for (const view of views) view.refresh();
 }
