@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import people
+from sms_jobs.app import openid, people
 from sms_jobs.cli import asking, output
 from sms_jobs.cli.asking import PasswordStdin, Reason
 from sms_jobs.cli.output import Home, Json
@@ -113,6 +113,26 @@ def password(
         given = asking.password(f"New password of {whose}", password_stdin, new=True)
         people.set_password(services, whose, given, old)
     output.say(f"{whose} has a new password; sessions that were open have ended")
+
+
+@app.command()
+def identity(
+    name: Name,
+    subject: Annotated[
+        str | None, typer.Argument(help="By which the identity provider knows the person; none to forget it.")
+    ] = None,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Say by which subject the identity provider knows somebody, who then logs in to the console by it.
+
+    Whom it knows and nobody has entered is refused with the subject that is to be entered.
+
+    Example: sms person identity anna 248289761001
+    """
+    with bootstrap.services(home) as services:
+        done = openid.set_identity(services, name, subject)
+    _tell(done, f"{name} is {subject or 'nobody'} to the identity provider", as_json)
 
 
 @app.command()

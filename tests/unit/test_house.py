@@ -122,7 +122,7 @@ def test_every_imported_package_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     requirements = [*project["dependencies"]]
-    for extra in ("notebook", "parquet", "postgresql", "projector", "genicam"):
+    for extra in ("notebook", "openid", "parquet", "postgresql", "projector", "genicam"):
         requirements += extras[extra]
     declared = {re.split(r"[\[<>=~! ;]", r)[0].lower().replace("-", "_") for r in requirements}
     # Packages that are imported under another name, or that come with one that is declared.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
+from fastapi.responses import Response
+from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from pydantic import Field
 
 from sms_jobs.app import database, kinds, service
@@ -27,6 +29,12 @@ def status(services: Acting) -> Any:
 def workers(services: Acting) -> Any:
     """Return the workers."""
     return answer(service.workers(services))
+
+
+@ROUTES.offer("GET", "/metrics", service.metrics, media=[CONTENT_TYPE_PLAIN_0_0_4])
+def metrics(services: Acting) -> Response:
+    """Return the numbers that monitoring reads, as Prometheus writes them."""
+    return Response(service.metrics(services), media_type=CONTENT_TYPE_PLAIN_0_0_4)
 
 
 class Drained(Asked):
