@@ -30,7 +30,7 @@ PNG = "image/png"
 DRAWING = Lock()
 """Matplotlib draws for one thread at a time."""
 _BLOCK_BYTES = 1 << 20
-_ANY = "application/octet-stream"
+_ANY = "*/*"
 
 
 class Reason(Asked):
@@ -108,7 +108,7 @@ def file(
     return StreamingResponse(found.read(start, stop), status, headers, found.file.media_type)
 
 
-@ROUTES.offer("HEAD", "/data/{key:int}/file", sealed_files.sealed_file)
+@ROUTES.offer("HEAD", "/data/{key:int}/file", sealed_files.sealed_file, media=(_ANY,))
 def head(services: Acting, key: Number) -> Any:
     """Return size and digest of the sealed file."""
     found = sealed_files.sealed_file(services, str(key))
@@ -139,7 +139,7 @@ def export(
                 yield block
 
     headers = {"Content-Disposition": _attached(name), "Content-Length": str(size)}
-    return StreamingResponse(blocks(), headers=headers, media_type=_ANY)
+    return StreamingResponse(blocks(), headers=headers, media_type="application/octet-stream")
 
 
 @ROUTES.offer("GET", "/formats", exporting.list_formats, answers=list[Format])
