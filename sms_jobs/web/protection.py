@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
@@ -15,7 +16,8 @@ from sms_jobs.web.identity import COOKIE
 from sms_jobs.web.refusals import TooSlow, refusal
 
 _API = "/api/"
-_STREAM = "/api/v1/events"
+_NO_HEAD_OF_GET = re.compile(r"/api/v1/(events|data/\d+/file)")
+"""What is told without end, and what may be endless and answers HEAD by itself."""
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _LARGEST_BODY = 16 << 20
 _RECEIVED_WITHIN_S = 30.0
@@ -72,7 +74,7 @@ class _Protection:
             await self._app(scope, receive, send)
             return
 
-        head = scope["method"] == "HEAD" and scope["path"].startswith(_API) and scope["path"] != _STREAM
+        head = scope["method"] == "HEAD" and _has_head_of_get(scope["path"])
 
         async def protected(message: Message) -> None:
             if head and message["type"] == "http.response.body":
@@ -107,6 +109,10 @@ class _Protection:
         if int(headers.get("content-length", "0") or 0) > _LARGEST_BODY:
             return TooLarge(_TOO_LARGE)
         return None
+
+
+def _has_head_of_get(path: str) -> bool:
+    return path.startswith(_API) and _NO_HEAD_OF_GET.fullmatch(path) is None
 
 
 def _of_this_site(headers: Headers) -> bool:

@@ -47,7 +47,7 @@ def operations(client: httpx.Client) -> Iterator[tuple[str, str, dict[str, Any]]
 def status(client: httpx.Client, method: str, path: str, token: str | None) -> tuple[int, str]:
     """Return the status of an answer, and which refusal it is; events are listened to no longer than that."""
     filled = re.sub(r"\{(upload)\}", "u" + "0" * 24, path)
-    filled = re.sub(r"\{(number)\}", "999", filled)
+    filled = re.sub(r"\{(number|key)\}", "999", filled)
     filled = re.sub(r"\{[^}]*\}", "none", filled)
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
     body = {} if method in ("get", "delete") else {"json": {}}

@@ -57,7 +57,7 @@ def test_the_description_holds(operation: Any, home: tuple[str, dict[str, str]])
     asked = st.one_of(*(operation.as_strategy(generation_mode=mode) for mode in GenerationMode))
 
     @settings(
-        max_examples=10,
+        max_examples=6,
         derandomize=True,
         deadline=None,
         database=None,
