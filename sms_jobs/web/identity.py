@@ -21,7 +21,7 @@ def services_for(request: Request) -> Services:
 
     Raises
     ------
-    NotAllowed
+    NobodyKnown
         Nobody is logged in, or the token or session has ended.
     """
     known: Services | None = getattr(request.state, "services", None)
