@@ -202,9 +202,8 @@ def test_it_is_used_without_a_mouse(page: Browser, site: str) -> None:
         if page.run("document.activeElement.textContent") == "Campaigns":
             break
     assert page.run("getComputedStyle(document.activeElement).outlineStyle") == "solid"
-    page._happened.clear()
-    press(page, "Enter", 13, "\r")
-    page._until("Page.loadEventFired")
+    with page.leaving():
+        press(page, "Enter", 13, "\r")
     assert page.run("location.pathname") == "/campaigns"
     page.visit(site)
     page.run("document.querySelector('#pause-io').focus()")
@@ -229,10 +228,10 @@ def test_a_page_says_that_the_server_is_away_and_goes_on_by_itself(page: Browser
     with serving(home, port=port):
         page.wait_for("document.querySelector('#connection').hidden", seconds=60)
         assert page.run("window.here")
-        with bootstrap.services(home) as services:
+        with page.leaving(), bootstrap.services(home) as services:
             for session in people.list_access(services, "ada"):
                 people.revoke(services, session.id)
-        page.wait_for("location.pathname === '/login'", seconds=60)
+        assert page.run("location.pathname") == "/login"
         assert page.run("new URLSearchParams(location.search).get('next')") == "/"
 
 

@@ -10,6 +10,8 @@ import select
 import shutil
 import subprocess
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -161,9 +163,14 @@ class Browser:
 
     def leave_by(self, selector: str) -> None:
         """Press something that leads to another page, and wait until that is loaded."""
-        self.run(f"document.querySelector({json.dumps(selector)}).scrollIntoView({{block: 'center'}})")
+        with self.leaving():
+            self.click(selector)
+
+    @contextmanager
+    def leaving(self) -> Iterator[None]:
+        """Wait until another page is loaded, which something done meanwhile leads to."""
         self._happened.clear()
-        self.click(selector)
+        yield
         self._until("Page.loadEventFired")
 
     def write(self, selector: str, text: str) -> None:
