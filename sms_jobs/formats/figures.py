@@ -171,7 +171,7 @@ def colours_as_png(values: NDArray[Any], unit: str) -> bytes:
     shown = colours((values - low) / (high - low), bytes=True)[..., :3]
     shown[~np.isfinite(values)] = round(255 * float(MISSING_COLOUR))
     out = io.BytesIO()
-    Image.fromarray(shown).save(out, format="PNG")
+    Image.fromarray(shown).save(out, format="PNG", compress_level=1)
     return out.getvalue()
 
 
