@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from numpy.typing import NDArray
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 SAMPLES = 640
 """Most samples of a map along its longer side, unless somebody asks for others."""
+Window: TypeAlias = tuple[int, int, int, int]
+"""First row and column of a part of an image, and how many of each."""
 _OF_SHAPE = ("reference", "shape")
 
 
@@ -149,12 +151,19 @@ def step_of(size: tuple[int, int], samples: int) -> int:
 
 
 def sampled(
-    services: Services, one: Placed, readings: Sequence[Reading], step: int, *, glance: bool = False
+    services: Services,
+    one: Placed,
+    readings: Sequence[Reading],
+    step: int,
+    *,
+    window: Window | None = None,
+    glance: bool = False,
 ) -> list[NDArray[Any]]:
     """Return every `step`th pixel of what readings make, the middle ones; `glance` compares nothing."""
     half = step // 2
-    rows, columns = one.size
-    return read(services, one, readings, slice(half, rows, step), slice(half, columns, step), glance=glance)
+    top, left, rows, columns = window or (0, 0, *one.size)
+    down, across = slice(top + half, top + rows, step), slice(left + half, left + columns, step)
+    return read(services, one, readings, down, across, glance=glance)
 
 
 def read(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sms_jobs.app.field_sources import SAMPLES, Placed, fields_of, read, sampled, step_of
+from sms_jobs.app.field_sources import SAMPLES, Placed, Window, fields_of, read, sampled, step_of
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput
@@ -55,6 +55,7 @@ def values(
     *,
     part: str | None = None,
     samples: int = SAMPLES,
+    window: Window | None = None,
 ) -> dict[str, Any]:
     """Return samples of a quantity, packed as in a report, with how to unpack and colour them.
 
@@ -64,11 +65,15 @@ def values(
         Of the quantity.
     samples
         Most along the longer side.
+    window
+        First row and column, and how many of each; the whole image if it is None.
 
     Raises
     ------
     NotFound
         There is no such file, part or quantity.
+    InvalidInput
+        The window is not inside the image.
     ArchiveCorrupt
         It is not what was sealed.
     """
@@ -76,9 +81,20 @@ def values(
     from sms_jobs.formats.report.view import Sampler
 
     one = fields_of(services, key, part).named(name)
-    step = step_of(one.size, samples)
+    top, left, rows, columns = window or (0, 0, *one.size)
+    if (
+        min(top, left) < 0
+        or min(rows, columns) < 1
+        or top + rows > one.size[0]
+        or left + columns > one.size[1]
+    ):
+        raise InvalidInput(
+            f"the window of {columns} x {rows} px from {left}, {top} is not inside the image of "
+            f"{one.size[1]} x {one.size[0]} px; choose one that is"
+        )
+    step = step_of((rows, columns), samples)
     readings = [r for r in (one.shown.values, one.shown.sigma) if r is not None]
-    known, *sigma = sampled(services, one, readings, step)
+    known, *sigma = sampled(services, one, readings, step, window=window)
     # Sampled already.
     sampler = Sampler((known.shape[0], known.shape[1]), max(known.shape), 0)
     if one.shown.flags:

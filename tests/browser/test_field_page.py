@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 from support.browser import Browser, browser_or_skip
 from support.command import answer, service
+from support.homes import stored
 from support.serving import serving
 
 from sms_jobs import bootstrap
@@ -252,6 +253,34 @@ def test_states_are_gone_through_with_the_chosen_quantity(page: Browser, served:
     assert page.run("location.pathname") == f"/field/{served.file('strain', 'plate/S02/C1P1')}"
     page.point(*place_of(page, 60, 70))
     assert readout(page, 60, 70).startswith("strain yy")
+
+
+def test_what_is_enlarged_is_shown_pixel_by_pixel(page: Browser, served: Served) -> None:
+    size, every = 1500, 3  # 640 samples at most
+    row, column = np.mgrid[0:size, 0:size].astype(np.float64)
+    strain = 1e-6 * np.stack([row, column, row + column])
+    sigma, reason = np.full((3, size, size), 1e-8, np.float32), np.zeros((size, size), np.uint32)
+    field = StrainField("small", "mm", 20.0, strain, sigma, strain[:2].copy(), strain[0].copy(), reason)
+    with bootstrap.services(served.home) as services:
+        number = stored(services, "strain", "plate/S02/C1P2", {"strain": field})
+    show(page, f"{served.address}/field/{number}")
+    page.run(f"{MAP}.querySelector('canvas').focus()")
+    for _ in range(4):
+        page.key("+", "+")
+    x, y, width, height = page.run(
+        f"(() => {{ const b = {MAP}.querySelector('canvas').getBoundingClientRect();"
+        " return [b.x, b.y, b.width, b.height]; })()"
+    )
+    found = None
+    for step in range(200):
+        page.point(x + width / 2 + step % 20, y + height / 2)
+        words = page.run(f"{MAP}.querySelector('.readout').textContent")
+        found = re.match(r"strain xx: (\S+) ± \S+ µε at x (\d+), y (\d+) px", words)
+        if found and int(found[2]) % every != every // 2:
+            break
+    assert found
+    assert int(found[2]) % every != every // 2, "the window did not come"
+    assert float(found[1]) == pytest.approx(int(found[3]), abs=0.01)
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])

@@ -231,7 +231,7 @@ class View {
     const context = this.canvas.getContext("2d");
     context.scale(ratio, ratio);
     context.imageSmoothingEnabled = false;
-    const [left, top] = this.toScreen(-0.5, -0.5), size = this.pitch * this.fields.step;
+    const [left, top] = this.toScreen(this.fields.left - 0.5, this.fields.top - 0.5), size = this.pitch * this.fields.step;
     context.drawImage(this.image, left, top, size * this.fields.columns, size * this.fields.rows);
     this.paintOver(context);
     if (this.cursor) {
@@ -256,12 +256,13 @@ class View {
   }
 
   sampleAt(x, y) {
-    const [column, row] = this.toPixel(x, y).map((p) => Math.floor((p + 0.5) / this.fields.step));
-    return { row, column };
+    const { left, top, step } = this.fields, [column, row] = this.toPixel(x, y);
+    return { row: Math.floor((row + 0.5 - top) / step), column: Math.floor((column + 0.5 - left) / step) };
   }
 
   pixelOf({ row, column }) {
-    return [column * this.fields.step + this.fields.half, row * this.fields.step + this.fields.half];
+    const { left, top, step, half } = this.fields;
+    return [left + column * step + half, top + row * step + half];
   }
 
   zoomBy(factor, x, y) {

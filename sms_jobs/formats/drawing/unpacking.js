@@ -53,8 +53,11 @@ class Fields {
     this.source = source;
     this.step = about.step;
     this.half = Math.floor(about.step / 2);
-    this.rows = Math.ceil((about.rows - this.half) / about.step);
-    this.columns = Math.ceil((about.columns - this.half) / about.step);
+    // Of a window of the image, where there is one.
+    const { left, top, rows, columns } = about.window || { left: 0, top: 0, rows: about.rows, columns: about.columns };
+    this.left = left; this.top = top;
+    this.rows = Math.ceil((rows - this.half) / about.step);
+    this.columns = Math.ceil((columns - this.half) / about.step);
     this.waiting = new Map();
   }
 

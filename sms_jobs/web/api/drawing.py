@@ -35,9 +35,14 @@ def values(
     name: Name,
     part: Part = None,
     samples: Annotated[int, Query(ge=16, le=field_values.MOST_SAMPLES)] = SAMPLES,
+    window: Annotated[
+        str | None, Query(pattern=r"^\d{1,6}(,\d{1,6}){3}$", description="As 'top,left,rows,columns'.")
+    ] = None,
 ) -> Any:
     """Return packed samples."""
-    return answer(field_values.values(services, str(file), name, part=part, samples=samples))
+    top, left, rows, columns = (int(n) for n in window.split(",")) if window else (0, 0, 0, 0)
+    asked = (top, left, rows, columns) if window else None
+    return answer(field_values.values(services, str(file), name, part=part, samples=samples, window=asked))
 
 
 @ROUTES.offer("GET", "/fields/{file}/first.png", field_values.first_picture, media=["image/png"])

@@ -1,6 +1,7 @@
 // The page of a field: maps whose values are fetched, sections, gauges, charts over the states, differences.
 
 const API = "/api/v1/fields";
+const SAMPLES = 640;
 const MARK = "#ff5a36";
 
 async function asked(address, given) {
@@ -17,8 +18,9 @@ function fetched(about) {
   return {
     described(field) {
       if (!waiting.has(field.name)) {
-        const asking = asked(`${API}/${about.file}/values`, { name: field.name, part: about.part });
-        waiting.set(field.name, asking.then((found) => Object.assign(field, found)));
+        const { window: w } = about, window = w && [w.top, w.left, w.rows, w.columns].join();
+        const asking = asked(`${API}/${about.file}/values`, { name: field.name, part: about.part, window });
+        waiting.set(field.name, asking.then((found) => Object.assign(field, found, about.limitsOf?.(field.name))));
       }
       return waiting.get(field.name);
     },
@@ -49,6 +51,48 @@ class FieldView extends View {
       this.section.querySelector(".first")?.remove();
       this.read.textContent = `${error.message}.`;
     }
+  }
+
+  // Once the map is enlarged its window is fetched in more detail, in the colours of the whole.
+  pan(dx, dy) {
+    super.pan(dx, dy);
+    clearTimeout(this.soon);
+    if (!this.partner && this.entire.step > 1) this.soon = setTimeout(() => this.detail(), 250);
+  }
+
+  get entire() { return this.kept || this.fields; }
+
+  async detail() {
+    const kept = (this.kept ??= this.fields), { about } = kept, { width, height } = this.screen;
+    const ends = [this.toPixel(0, 0), this.toPixel(width, height)], sizes = [about.columns, about.rows];
+    const [left, top] = ends[0].map((p) => Math.max(0, Math.floor(p)));
+    const [columns, rows] = ends[1].map((p, k) => Math.min(sizes[k], Math.ceil(p) + 1) - [left, top][k]);
+    const step = Math.max(1, Math.ceil(Math.max(rows, columns) / SAMPLES));
+    if (this.space || this.zoom <= 1 || step >= kept.step) return this.take(kept);
+    const limits = (name) => {
+      const { limits: own, sigma } = kept.named(name);
+      return own ? { limits: own, ...(sigma && { shownSigma: sigma.limits }) } : {};
+    };
+    const inside = { ...about, step, window: { left, top, rows, columns }, limitsOf: limits,
+      fields: about.fields.map(({ name, unit, flags, record, array, component, scale }) => ({ name, unit, flags, record, array, component, scale })) };
+    const finer = new Fields(inside, fetched(inside));
+    await finer.values(inside.fields[this.chosen]);
+    const field = inside.fields[this.chosen];
+    if (field.sigma && field.shownSigma) field.sigma.limits = field.shownSigma;
+    return this.zoom > 1 && !this.space ? this.take(finer) : null;
+  }
+
+  take(fields) {
+    if (this.fields === fields) return null;
+    const at = this.cursor && this.pixelOf(this.cursor);
+    this.fields = fields; this.about = fields.about;
+    if (at) this.cursor = this.sampleAt(...this.toScreen(...at));
+    return this.refresh();
+  }
+
+  toggleSpace() {
+    if (this.kept) this.take(this.kept);
+    super.toggleSpace();
   }
 
   async status(place) {
@@ -99,7 +143,7 @@ function remember(name) {
 class DifferenceFields {
   constructor(first, second, about) {
     Object.assign(this, { first, second, about });
-    for (const key of ["step", "half", "rows", "columns"]) this[key] = first.fields[key];
+    for (const key of ["step", "half", "left", "top", "rows", "columns"]) this[key] = first.fields[key];
     this.waiting = new Map();
   }
 
@@ -200,7 +244,7 @@ async function placeOf(view, sample, ofGauge) {
 // The pixel that lies next to a place, to draw it there.
 async function pixelAt(view, x, y, ofGauge) {
   if (!view.about.position) return [x, y];
-  const [X, Y, Z] = await view.fields.vectors(view.about.position), { turn, shift } = view.about;
+  const { entire } = view, [X, Y, Z] = await entire.vectors(view.about.position), { turn, shift } = view.about;
   let best = -1, least = Infinity;
   for (let i = 0; i < X.length; i++) {
     if (X[i] !== X[i]) continue;
@@ -208,8 +252,7 @@ async function pixelAt(view, x, y, ofGauge) {
     const away = (u - x) ** 2 + (v - y) ** 2;
     if (away < least) { least = away; best = i; }
   }
-  const columns = view.fields.columns;
-  return view.pixelOf({ row: Math.floor(best / columns), column: best % columns });
+  return [best % entire.columns, Math.floor(best / entire.columns)].map((k) => k * entire.step + entire.half);
 }
 
 // A chart of something over the states of the view, drawn further with every state that is read.
