@@ -159,6 +159,7 @@ def read_part(services: Services, key: str, record: str, name: str, part: str = 
     )
 
 
+@use_case(Right.READ)
 def dataset_view(services: Services, key: str) -> FileView:
     """Return a file that holds records; raise `NotFound`, and `InvalidInput` for a document."""
     with services.catalogue.reading() as session:

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from numpy.typing import NDArray
 
-from sms_jobs.archive import DATASET_MEDIA_TYPE
+from sms_jobs.app.rules import use_case
+from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import family, search
 from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import FileView
 
 if TYPE_CHECKING:
@@ -81,6 +83,7 @@ class Fields:
         return found
 
 
+@use_case(Right.READ)
 def fields_of(services: Services, key: str, part: str | None = None) -> Fields:
     """Return what can be shown of a file, without reading any of it.
 
@@ -151,7 +154,7 @@ def step_of(size: tuple[int, int], samples: int) -> int:
 
 
 def sampled(
-    services: Services,
+    archive: Archive,
     one: Placed,
     readings: Sequence[Reading],
     step: int,
@@ -163,11 +166,11 @@ def sampled(
     half = step // 2
     top, left, rows, columns = window or (0, 0, *one.size)
     down, across = slice(top + half, top + rows, step), slice(left + half, left + columns, step)
-    return read(services, one, readings, down, across, glance=glance)
+    return read(archive, one, readings, down, across, glance=glance)
 
 
 def read(
-    services: Services,
+    archive: Archive,
     one: Placed,
     readings: Sequence[Reading],
     rows: slice,
@@ -181,7 +184,7 @@ def read(
     """
     shape = tuple(len(range(s.start, s.stop, s.step)) for s in (rows, columns))
     images: dict[tuple[str, int | None], NDArray[Any]] = {}
-    with services.archive.open(one.file) as dataset:
+    with archive.open(one.file) as dataset:
         for source in dict.fromkeys(source for reading in readings for source in reading.sources):
             array, component = source
             plane = () if component is None else (slice(component, component + 1, 1),)

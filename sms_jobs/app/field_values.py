@@ -94,7 +94,7 @@ def values(
         )
     step = step_of((rows, columns), samples)
     readings = [r for r in (one.shown.values, one.shown.sigma) if r is not None]
-    known, *sigma = sampled(services, one, readings, step, window=window)
+    known, *sigma = sampled(services.archive, one, readings, step, window=window)
     # Sampled already.
     sampler = Sampler((known.shape[0], known.shape[1]), max(known.shape), 0)
     if one.shown.flags:
@@ -122,7 +122,7 @@ def first_picture(services: Services, key: str, *, part: str | None = None, name
 
     fields = fields_of(services, key, part)
     one = fields.placed[0] if name is None else fields.named(name)
-    (known,) = sampled(services, one, [one.shown.values], step_of(one.size, _GLANCE), glance=True)
+    (known,) = sampled(services.archive, one, [one.shown.values], step_of(one.size, _GLANCE), glance=True)
     return colours_as_png(known.astype(np.float32), one.shown.unit)
 
 
@@ -153,7 +153,7 @@ def value_at(
 
     def at(asked: Placed, *readings: Reading | None) -> list[float]:
         pixel = (slice(row, row + 1, 1), slice(column, column + 1, 1))
-        found = read(services, asked, [each for each in readings if each is not None], *pixel)
+        found = read(services.archive, asked, [each for each in readings if each is not None], *pixel)
         return [float(each[0, 0]) for each in found]
 
     value, *sigma = at(one, one.shown.values, one.shown.sigma)
