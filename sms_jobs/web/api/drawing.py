@@ -65,7 +65,7 @@ def value_at(services: Acting, file: File, name: Name, column: Pixel, row: Pixel
 def gauge(
     services: Acting,
     file: File,
-    gauge: Annotated[str, Query(description="As 'G1 x=10 y=-20 length=6'.", max_length=200)],
+    gauge: Annotated[str, Query(description="As 'G1 x=10 y=-20 length=6'.", pattern=r"\S", max_length=200)],
     part: Part = None,
 ) -> Any:
     """Return what a gauge reads."""
