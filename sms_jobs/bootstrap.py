@@ -15,10 +15,11 @@ from tempfile import TemporaryDirectory
 from sms_jobs import settings as settings_file
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import people, renewal, schema
+from sms_jobs.catalogue.audit import Deed
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import CatalogueDamaged, CatalogueEmpty, ConfigurationError
 from sms_jobs.jobs.stations import Stations
-from sms_jobs.records.people import Actor, Deed, Role, without_secrets
+from sms_jobs.records.people import Actor, Role, without_secrets
 from sms_jobs.records.texts import checked_text
 from sms_jobs.settings import Settings
 

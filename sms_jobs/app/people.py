@@ -22,11 +22,12 @@ from sms_jobs.app.rules import Rule, require, use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import access, audit
 from sms_jobs.catalogue import people as known
+from sms_jobs.catalogue.audit import Deed
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.people_tables import AccessRow, PersonRow
 from sms_jobs.errors import Conflict, InvalidInput, NotAllowed, NotFound
 from sms_jobs.records.campaign import checked_name
-from sms_jobs.records.people import NOT_FOR_PEOPLE, SECRET_PREFIX, Actor, Deed, Right, Role, without_secrets
+from sms_jobs.records.people import NOT_FOR_PEOPLE, SECRET_PREFIX, Actor, Right, Role, without_secrets
 from sms_jobs.records.shown.people import AccessView, PersonView
 from sms_jobs.records.texts import checked_text
 

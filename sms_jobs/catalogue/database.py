@@ -27,6 +27,7 @@ from sqlalchemy.orm import Session
 from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
 
 from sms_jobs.catalogue import audit, readable
+from sms_jobs.catalogue.audit import Deed
 from sms_jobs.errors import (
     CatalogueBusy,
     CatalogueDamaged,
@@ -40,7 +41,6 @@ from sms_jobs.errors import (
     SmsError,
     StorageFull,
 )
-from sms_jobs.records.people import Deed
 
 _WRITING = "sms_writing"
 _RETURNED = "sms_returned_at"

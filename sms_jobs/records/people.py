@@ -85,22 +85,3 @@ class Actor:
 
 ANONYMOUS: Final = Actor("nobody", None, "web", "")
 """Whoever has not logged in."""
-
-
-@dataclass(frozen=True)
-class Deed:
-    """Something that an actor does and that is kept.
-
-    Attributes
-    ----------
-    actor
-        Who does it.
-    action
-        Name of the use case, as `jobs.cancel`.
-    arguments
-        That were given to it, as JSON.
-    """
-
-    actor: Actor
-    action: str
-    arguments: dict[str, object]

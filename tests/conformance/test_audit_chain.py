@@ -17,11 +17,12 @@ from support.homes import make_home
 from support.jobs import JOBS, NOW, submit_pipeline
 
 from sms_jobs.catalogue import audit, sealing
+from sms_jobs.catalogue.audit import Deed
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow
 from sms_jobs.catalogue.people_tables import AuditRow
 from sms_jobs.records.job import JobState
-from sms_jobs.records.people import Actor, Deed, Role
+from sms_jobs.records.people import Actor, Role
 
 LINKS, EVENTS = 4_000, 6_000
 ANNA = Actor("anna", Role.METROLOGIST, "web", "10.0.0.7", reason="as agreed, äöü")
