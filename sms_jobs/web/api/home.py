@@ -12,17 +12,27 @@ from sms_jobs.app import database, kinds, service
 from sms_jobs.app.database import Compared
 from sms_jobs.app.kinds import KindView
 from sms_jobs.app.service import Status
+from sms_jobs.bootstrap import Services
 from sms_jobs.web.asked import Asked, Text
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer, returned
+from sms_jobs.web.sharing import Shared
 
 ROUTES = Routes("home")
+
+
+_STATUS: Shared[Status] = Shared()
+
+
+def status_of(services: Services) -> Status:
+    """Return how the home stands, or stood a moment ago, for everybody who asks."""
+    return _STATUS.of(services.settings.home, lambda: service.status(services))
 
 
 @ROUTES.offer("GET", "/status", service.status, answers=Status)
 def status(services: Acting) -> Any:
     """Return how the home stands."""
-    return answer(service.status(services))
+    return answer(status_of(services))
 
 
 @ROUTES.offer("GET", "/workers", service.workers, answers=returned(service.workers))

@@ -6,6 +6,7 @@ from fastapi.responses import HTMLResponse
 
 from sms_jobs.app import jobs, queues, recordings, rigs, service
 from sms_jobs.records.job import JobState
+from sms_jobs.web.api import home
 from sms_jobs.web.console import Entry, Page, Pages
 
 PAGES = Pages("now", Entry("Now", "/", 0))
@@ -20,7 +21,7 @@ def now(page: Page) -> HTMLResponse:
     services = page.services
     return page.render(
         "now.html",
-        status=service.status(services),
+        status=home.status_of(services),
         queues=queues.list_queues(services),
         running=jobs.list_jobs(services, states=[JobState.RUNNING], limit=_MOST),
         asking=jobs.list_jobs(services, states=_FOR_A_PERSON, limit=_MOST),
