@@ -118,13 +118,18 @@ def head(session: Session) -> tuple[int, str]:
 def listed(
     session: Session, *, who: str | None, action: str | None, since: datetime | None, limit: int
 ) -> list[Link]:
-    """Return links, the newest first: of a person, of a use case or a group of them, from a time on."""
+    """Return links, the newest first: of a person, of a use case or a group of them, from a time on.
+
+    Those that seal events, one every few seconds, are left out unless they are asked for by their action.
+    """
     query = select(AuditRow).order_by(AuditRow.id.desc()).limit(limit)
     if who is not None:
         query = query.where(AuditRow.who == who)
     if action is not None:
         group = AuditRow.action.startswith(f"{action}.", autoescape=True)
         query = query.where((AuditRow.action == action) | group)
+    else:
+        query = query.where(AuditRow.action != SEALING)
     if since is not None:
         query = query.where(AuditRow.at >= since)
     return [_link_view(row) for row in session.scalars(query)]

@@ -73,8 +73,17 @@ def number(value: float | int | None, unit: str = "") -> str:
     """Write a number with four digits and its unit; a dash for what is missing or not finite."""
     if value is None or not math.isfinite(value):
         return NOTHING
-    text = f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
-    return f"{text} {unit}".rstrip()
+    return f"{_digits(value)} {unit}".rstrip()
+
+
+def _digits(value: float | int) -> str:
+    if isinstance(value, int):
+        return f"{value:,}"
+    if value and not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.4g}"
+    after = max(0, 3 - math.floor(math.log10(abs(value)))) if value else 0
+    text = f"{value:,.{after}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def duration(seconds: float | None) -> str:
