@@ -12,8 +12,8 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput, NotDelivered, SmsError
 from sms_jobs.jobs import deliveries
-from sms_jobs.records.notifications import MAIL, WEBHOOK, Address, SentView, SubscriptionView, Topic
 from sms_jobs.records.people import Right
+from sms_jobs.records.shown.notifications import MAIL, WEBHOOK, Address, SentView, SubscriptionView, Topic
 
 _SHORTEST_SECRET = 16
 _LONGEST_SECRET = 200

@@ -122,8 +122,15 @@ class EventEar:
             return self._heard[job]
 
     def _listen(self) -> None:
-        timeout = httpx.Timeout(_TIMEOUT_S)
-        with httpx.stream("GET", f"{self._url}/events", timeout=timeout) as answer:
+        try:
+            self._listen_until_the_end()
+        except httpx2.TransportError:
+            if not self._ending.is_set():
+                raise
+
+    def _listen_until_the_end(self) -> None:
+        timeout = httpx2.Timeout(_TIMEOUT_S)
+        with httpx2.stream("GET", f"{self._url}/events", timeout=timeout) as answer:
             for line in answer.iter_lines():
                 if self._ending.is_set():
                     return

@@ -170,12 +170,14 @@ class Catalogue:
                 f"this account may only read the catalogue {self.describe()}; do this as its owner"
             )
         with self._explained(), Session(self._writing, expire_on_commit=False) as session:
+            changes = _Changes(session) if self._deed is not None and not self._noted else None
             yield session
-            if self._deed is not None and not self._noted:
+            session.flush()
+            if self._deed is not None and changes is not None and changes.some:
                 audit.append(session, self._deed, datetime.now(UTC))
             try:
                 session.commit()
-                self._noted = True
+                self._noted = self._noted or (changes is not None and changes.some)
             except DBAPIError as error:
                 if not error.connection_invalidated:
                     raise
@@ -231,6 +233,20 @@ class Catalogue:
             if isinstance(error.orig, SmsError):
                 raise error.orig from error
             raise
+
+
+class _Changes:
+    """Whether a session has changed any row."""
+
+    def __init__(self, session: Session) -> None:
+        self.some = False
+        event.listen(session.connection(), "after_cursor_execute", self._look)
+
+    def _look(
+        self, _connection: Any, cursor: Any, _statement: Any, _given: Any, context: Any, _many: Any
+    ) -> None:
+        if context.isinsert or context.isupdate or context.isdelete:
+            self.some = self.some or cursor.rowcount != 0
 
 
 def says_damaged(error: BaseException | None) -> bool:

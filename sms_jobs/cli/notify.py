@@ -12,7 +12,7 @@ from sms_jobs.app import notifications
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, SmsError
-from sms_jobs.records.notifications import TOPICS, Address, Topic
+from sms_jobs.records.shown.notifications import TOPICS, Address, Topic
 
 app = typer.Typer(help="Notifications by mail and webhook.", no_args_is_help=True)
 

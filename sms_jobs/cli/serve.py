@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import signal
 import threading
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,6 +14,9 @@ from sms_jobs.app import people
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home
 from sms_jobs.errors import InvalidInput
+
+if TYPE_CHECKING:
+    import uvicorn
 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
@@ -68,26 +70,29 @@ def serve(
         app = application(services, Options(hosts, secure, desk=local and not behind_proxy))
         scheme = "https" if tls_certificate is not None else "http"
         output.say(f"serving {services.settings.home} at {scheme}://{listen}; Ctrl-C ends it")
-        if until_eof:
-            threading.Thread(target=_end_with_stdin, name="stdin", daemon=True).start()
-        uvicorn.run(
-            app,
-            host=address,
-            port=port,
-            ssl_certfile=tls_certificate,
-            ssl_keyfile=tls_key,
-            proxy_headers=behind_proxy,
-            access_log=False,
-            server_header=False,
-            log_config=None,
-            timeout_graceful_shutdown=5,
+        server = uvicorn.Server(
+            uvicorn.Config(
+                app,
+                host=address,
+                port=port,
+                ssl_certfile=tls_certificate,
+                ssl_keyfile=tls_key,
+                proxy_headers=behind_proxy,
+                access_log=False,
+                server_header=False,
+                log_config=None,
+                timeout_graceful_shutdown=5,
+            )
         )
+        if until_eof:
+            threading.Thread(target=_end_with_stdin, args=(server,), name="stdin", daemon=True).start()
+        server.run()
 
 
-def _end_with_stdin() -> None:
+def _end_with_stdin(server: uvicorn.Server) -> None:
     while os.read(0, 1024):
         pass
-    os.kill(os.getpid(), signal.SIGTERM)
+    server.should_exit = True
 
 
 def _place(listen: str) -> tuple[str, int]:

@@ -21,7 +21,7 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.people_tables import NotificationRow, SubscriptionRow
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.records.campaign import checked_name
-from sms_jobs.records.notifications import (
+from sms_jobs.records.shown.notifications import (
     TEST,
     Address,
     Notification,

@@ -20,7 +20,7 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow, JobRow
 from sms_jobs.catalogue.people_tables import NotificationRow, OccurrenceRow, SubscriptionRow
 from sms_jobs.records.job import ACTIVE, JobState
-from sms_jobs.records.notifications import TOPICS, Topic
+from sms_jobs.records.shown.notifications import TOPICS, Topic
 from sms_jobs.records.texts import harmless
 
 GATHERED_FOR = timedelta(minutes=1)

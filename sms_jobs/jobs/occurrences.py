@@ -15,7 +15,7 @@ from sms_jobs.catalogue.models import CampaignRow, JobRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.catalogue.people_tables import OccurrenceRow
 from sms_jobs.records.job import SHORT_ID, JobState
-from sms_jobs.records.notifications import OF_STATES, Topic
+from sms_jobs.records.shown.notifications import OF_STATES, Topic
 
 
 def of_jobs(session: Session, job_ids: Sequence[str], state: JobState, now: datetime, message: str) -> None:

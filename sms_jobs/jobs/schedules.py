@@ -22,7 +22,7 @@ from sms_jobs.jobs.planning import Existing, Request, plan
 from sms_jobs.jobs.submission import Draft, draft, enter, while_outdated
 from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.job import ACTIVE
-from sms_jobs.records.notifications import Topic
+from sms_jobs.records.shown.notifications import Topic
 
 MissedFire: TypeAlias = Literal["skip", "once", "all"]
 """What becomes of fire times that nobody looked at in time: none, the last one, or each of them."""

@@ -17,7 +17,7 @@ import httpx2
 
 from sms_jobs.errors import ConfigurationError, NotDelivered
 from sms_jobs.jobs.deliveries import Delivery
-from sms_jobs.records.notifications import WEBHOOK, Address, Notification
+from sms_jobs.records.shown.notifications import WEBHOOK, Address, Notification
 from sms_jobs.records.texts import harmless
 from sms_jobs.settings import Settings
 

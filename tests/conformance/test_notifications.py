@@ -28,7 +28,7 @@ from sms_jobs.jobs.fire_times import parse_expression
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.schedules import Order
 from sms_jobs.records.job import JobState
-from sms_jobs.records.notifications import Address, SentView, Topic
+from sms_jobs.records.shown.notifications import Address, SentView, Topic
 from sms_jobs.settings import Settings
 from sms_jobs.workers.archive_watch import ArchiveWatch
 from sms_jobs.workers.notifier import Notifier

@@ -26,8 +26,8 @@ from sms_jobs.catalogue.people_tables import AuditRow
 from sms_jobs.errors import ConfigurationError, Conflict, InvalidInput, NotAllowed, NotDelivered, NotFound
 from sms_jobs.jobs import sending
 from sms_jobs.jobs.deliveries import Delivery
-from sms_jobs.records.notifications import Address, Notification, Topic
 from sms_jobs.records.people import Actor, Role
+from sms_jobs.records.shown.notifications import Address, Notification, Topic
 from sms_jobs.settings import Settings
 
 NO_HOME = Path("/nowhere")

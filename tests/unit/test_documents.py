@@ -11,7 +11,7 @@ from support.documents import complaint, disagreements, figure_tables, quoted
 
 from sms_jobs.bench.groups import all_groups
 from sms_jobs.bench.studies import all_studies
-from sms_jobs.records.notifications import TOPICS
+from sms_jobs.records.shown.notifications import TOPICS
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [

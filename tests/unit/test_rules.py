@@ -16,12 +16,12 @@ from sqlalchemy import select
 from support.people import SOMEBODY
 
 from sms_jobs import app, bootstrap
-from sms_jobs.app import finding, jobs, queues, rules
+from sms_jobs.app import finding, jobs, queues, recordings, rules
 from sms_jobs.app.rules import Rule, require, rule_of, use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import audit
 from sms_jobs.catalogue.people_tables import AuditRow
-from sms_jobs.errors import InvalidInput, NotAllowed, NotFound, PasswordNeeded
+from sms_jobs.errors import Conflict, InvalidInput, NotAllowed, NotFound, PasswordNeeded
 from sms_jobs.records.people import RIGHTS, Right, Role
 
 FIRST = "services"
@@ -130,3 +130,11 @@ def test_somebody_else_has_another_catalogue_of_the_same_database(services: Serv
     assert [who for _, who, _ in told(services)] == ["somebody", "anna"]
     with closing(services.catalogue.for_reading()) as catalogue:
         assert catalogue.describe() == services.catalogue.describe()
+
+
+def test_a_deed_that_changed_nothing_is_not_told(services: Services) -> None:
+    with pytest.raises(Conflict, match="was not paused"):
+        queues.resume(services, ["cpu"])
+    with pytest.raises(Conflict, match="no recording runs"):
+        recordings.abort(services)
+    assert told(services) == []

@@ -17,7 +17,7 @@ ENDLESS = frozenset(
 )  # fmt: skip
 """Commands that may go on until somebody interrupts them."""
 
-HEAVY = frozenset({"up", "worker start", "demo", "bench", "study"})
+HEAVY = frozenset({"up", "serve", "worker start", "demo", "bench", "study"})
 """Commands that are only tried with something that they must refuse at once."""
 
 SLOW = frozenset(

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from sms_jobs.app import notifications
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.notifications import Address, Topic
+from sms_jobs.records.shown.notifications import Address, Topic
 from sms_jobs.web.asked import Asked, Limit, Name, Text
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer, returned
