@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 import psutil
 
 from sms_jobs.errors import SmsError
@@ -62,8 +62,8 @@ def _wait_for(url: str, home: Path) -> None:
     deadline = time.monotonic() + _BEGUN_WITHIN_S
     while time.monotonic() < deadline:
         try:
-            httpx.get(f"{url}/status", timeout=_TIMEOUT_S).raise_for_status()
-        except httpx.TransportError:
+            httpx2.get(f"{url}/status", timeout=_TIMEOUT_S).raise_for_status()
+        except httpx2.TransportError:
             time.sleep(0.1)
         else:
             return
@@ -80,8 +80,8 @@ async def _crowd(
 ) -> dict[str, list[float]]:
     taken: dict[str, list[float]] = {address: [] for address in addresses}
     ends = time.monotonic() + seconds
-    limits = httpx.Limits(max_connections=clients, max_keepalive_connections=clients)
-    async with httpx.AsyncClient(base_url=url, timeout=_TIMEOUT_S, limits=limits) as client:
+    limits = httpx2.Limits(max_connections=clients, max_keepalive_connections=clients)
+    async with httpx2.AsyncClient(base_url=url, timeout=_TIMEOUT_S, limits=limits) as client:
 
         async def ask(number: int) -> None:
             chance = random.Random(number)  # noqa: S311 - the same questions every time

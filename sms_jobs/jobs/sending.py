@@ -103,9 +103,9 @@ def _call(settings: Settings, delivery: Delivery, now: datetime) -> None:
     where = delivery.address
     try:
         status = asyncio.run(_posted(where.whole.get_secret_value(), body, headers))
-    except (TimeoutError, httpx.TimeoutException):
+    except (TimeoutError, httpx2.TimeoutException):
         raise NotDelivered(f"{where.shown} did not answer within {_PATIENCE_S:g} s") from None
-    except (httpx.HTTPError, httpx.InvalidURL, OSError, UnicodeError) as error:
+    except (httpx2.HTTPError, httpx2.InvalidURL, OSError, UnicodeError) as error:
         raise NotDelivered(f"{where.shown} cannot be reached: {_reason(str(error), where)}") from None
     if 300 <= status < 400:
         raise NotDelivered(
@@ -119,7 +119,7 @@ def _call(settings: Settings, delivery: Delivery, now: datetime) -> None:
 async def _posted(url: str, body: bytes, headers: dict[str, str]) -> int:
     """Return the status that a server answers; raise `TimeoutError` when all of it takes too long."""
     # Neither proxies nor passwords of the environment: nobody but the receiver is called.
-    client = httpx.AsyncClient(
+    client = httpx2.AsyncClient(
         timeout=_PATIENCE_S, follow_redirects=False, trust_env=False, verify=ssl.create_default_context()
     )
     # One limit for everything: that of the client begins anew with every byte.

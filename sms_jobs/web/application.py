@@ -13,7 +13,7 @@ from fastapi import FastAPI
 
 import sms_jobs
 from sms_jobs.bootstrap import Services
-from sms_jobs.web import api, protection, refusals
+from sms_jobs.web import api, console, protection, refusals
 from sms_jobs.web.following import Follower
 from sms_jobs.web.long_work import AT_A_TIME
 from sms_jobs.web.routes import Routes

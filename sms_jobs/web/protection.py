@@ -7,19 +7,21 @@ from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 import anyio
-from fastapi import FastAPI
+from fastapi import FastAPI, HTTPException
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from sms_jobs.errors import NotAllowed, SmsError
 from sms_jobs.web.identity import COOKIE
-from sms_jobs.web.refusals import TooSlow, refusal
+from sms_jobs.web.refusals import TooLarge, refusal
 
 _API = "/api/"
 _NO_HEAD_OF_GET = re.compile(r"/api/v1/(events|data/\d+/file)")
 """What is told without end, and what may be endless and answers HEAD by itself."""
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _LARGEST_BODY = 16 << 20
+_TOO_LARGE = f"the body is larger than {_LARGEST_BODY >> 20} MB; send it in chunks"
+_TOO_SLOW = "the body of the request comes too slowly; send it in smaller chunks"
 _RECEIVED_WITHIN_S = 30.0
 _SLOWEST_BYTES_PER_S = 16 << 10
 """At which a body may come, beyond the time that any request has."""
@@ -145,7 +147,7 @@ class _Bounded:
                 message = await self._receive()
         except TimeoutError:
             self._whole = True
-            raise TooSlow("the body of the request comes too slowly; send it in smaller chunks") from None
+            raise HTTPException(408, _TOO_SLOW) from None
         self._whole = not message.get("more_body", False)
         self._until += len(message.get("body", b"")) / _SLOWEST_BYTES_PER_S
         self._left -= len(message.get("body", b""))

@@ -77,16 +77,16 @@ class NobodyKnown(NotAllowed):
     """Nobody is logged in."""
 
 
-class TooSlow(InvalidInput):
-    """A request that came too slowly to be worked on."""
+class TooLarge(InvalidInput):
+    """A request is larger than is received at once."""
 
 
 def status_of(error: SmsError) -> int:
     """Return the status of the answer for an error."""
     if isinstance(error, NobodyKnown):
         return 401
-    if isinstance(error, TooSlow):
-        return 408
+    if isinstance(error, TooLarge):
+        return 413
     return next((status for kind, status in _STATUS if isinstance(error, kind)), 500)
 
 

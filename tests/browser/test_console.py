@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-import httpx
+import httpx2
 import psutil
 import pytest
 from pydantic import SecretStr
@@ -256,9 +256,9 @@ def _console(up: psutil.Popen, port: int, other_than: int = 0) -> psutil.Process
     while time.monotonic() < until:
         try:
             found = [p for p in up.children() if p.pid != other_than and "serve" in p.cmdline()]
-            if found and httpx.get(f"http://127.0.0.1:{port}/login").status_code == 200:
+            if found and httpx2.get(f"http://127.0.0.1:{port}/login").status_code == 200:
                 return found[0]
-        except (httpx.TransportError, psutil.Error):
+        except (httpx2.TransportError, psutil.Error):
             pass
         time.sleep(0.2)
     raise AssertionError("the console does not answer")

@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Iterator
 
-import httpx
+import httpx2
 import pytest
 from support.deployments import Deployment
 from support.homes import make_home
@@ -74,7 +74,7 @@ def test_events_of_another_campaign_are_not_told(services: Services) -> None:
         with listening(client, params={"campaign": "plate"}, **options) as events:
             assert json.loads(next(events)["data"])["campaign"] == "plate"
         silent = listening(client, params={"campaign": "other"}, timeout=1.0, **options)
-        with silent as events, pytest.raises(httpx.ReadTimeout):
+        with silent as events, pytest.raises(httpx2.ReadTimeout):
             next(events)
 
 

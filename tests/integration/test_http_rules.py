@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-import httpx
+import httpx2
 import pytest
 from pydantic import SecretStr
 from support.homes import make_home
@@ -23,7 +23,7 @@ _PASSWORD = SecretStr("correct horse battery")
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[httpx.Client, dict[Role, str]]]:
+def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[httpx2.Client, dict[Role, str]]]:
     """A client of a home in which somebody has each role, and their tokens."""
     folder = tmp_path_factory.mktemp("home")
     make_home(folder, {})
@@ -37,14 +37,14 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[httpx.Clien
             yield client, tokens
 
 
-def operations(client: httpx.Client) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def operations(client: httpx2.Client) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield method, path below `/api/v1` and description of every address."""
     for path, methods in client.get("/openapi.json").json()["paths"].items():
         for method, described in methods.items():
             yield method, path.removeprefix(API), described
 
 
-def status(client: httpx.Client, method: str, path: str, token: str | None) -> tuple[int, str]:
+def status(client: httpx2.Client, method: str, path: str, token: str | None) -> tuple[int, str]:
     """Return the status of an answer, and which refusal it is; events are listened to no longer than that."""
     filled = re.sub(r"\{(upload)\}", "u" + "0" * 24, path)
     filled = re.sub(r"\{(number|key)\}", "999", filled)
@@ -56,14 +56,14 @@ def status(client: httpx.Client, method: str, path: str, token: str | None) -> t
         return answer.status_code, kind
 
 
-def test_every_address_has_a_rule(home: tuple[httpx.Client, dict[Role, str]]) -> None:
+def test_every_address_has_a_rule(home: tuple[httpx2.Client, dict[Role, str]]) -> None:
     without = {(method, path) for method, path, said in operations(home[0]) if "x-use-case" not in said}
     assert without == _NOTHING_OF_THE_HOME
 
 
 @pytest.mark.parametrize("role", Role)
 def test_an_address_is_for_those_with_the_right(
-    home: tuple[httpx.Client, dict[Role, str]], role: Role
+    home: tuple[httpx2.Client, dict[Role, str]], role: Role
 ) -> None:
     client, tokens = home
     found, expected = {}, {}
@@ -77,7 +77,7 @@ def test_an_address_is_for_those_with_the_right(
     assert found == expected
 
 
-def test_nobody_comes_in_without_a_token(home: tuple[httpx.Client, dict[Role, str]]) -> None:
+def test_nobody_comes_in_without_a_token(home: tuple[httpx2.Client, dict[Role, str]]) -> None:
     client, _ = home
     let_in = {
         (method, path)
@@ -88,9 +88,9 @@ def test_nobody_comes_in_without_a_token(home: tuple[httpx.Client, dict[Role, st
     assert status(client, "get", "/status", "sms_none")[0] == 401
 
 
-def test_a_session_is_begun_and_ended(home: tuple[httpx.Client, dict[Role, str]]) -> None:
+def test_a_session_is_begun_and_ended(home: tuple[httpx2.Client, dict[Role, str]]) -> None:
     client, _ = home
-    with httpx.Client(base_url=client.base_url) as browser:
+    with httpx2.Client(base_url=client.base_url) as browser:
         said = {"name": "the-analyst", "password": _PASSWORD.get_secret_value()}
         # A browser says where its pages come from.
         own = {"Origin": str(client.base_url).removesuffix(f"{API}/")}
@@ -110,11 +110,11 @@ def test_a_session_is_begun_and_ended(home: tuple[httpx.Client, dict[Role, str]]
         assert browser.get("session").status_code == 401
 
 
-def test_certifying_asks_for_the_password_again(home: tuple[httpx.Client, dict[Role, str]]) -> None:
+def test_certifying_asks_for_the_password_again(home: tuple[httpx2.Client, dict[Role, str]]) -> None:
     client, tokens = home
     headers = {"Authorization": f"Bearer {tokens[Role.METROLOGIST]}"}
 
-    def certify(**more: str) -> httpx.Response:
+    def certify(**more: str) -> httpx2.Response:
         return client.post("calibrations/certify", json={"session": "plate", **more}, headers=headers)
 
     assert certify().json()["kind"] == "PasswordNeeded"

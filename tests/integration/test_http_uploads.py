@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import httpx
+import httpx2
 import numpy as np
 import pytest
 from PIL import Image
@@ -21,14 +21,14 @@ from sms_jobs.web import protection
 
 
 @pytest.fixture
-def client(home: Path) -> Iterator[httpx.Client]:
+def client(home: Path) -> Iterator[httpx2.Client]:
     """A client of an empty home."""
     bootstrap.initialise(home)
     with bootstrap.services(home, "web") as services, served(app_of(services)) as asking:
         yield asking
 
 
-def send(client: httpx.Client, upload: str, name: str, content: bytes, offset: int = 0) -> httpx.Response:
+def send(client: httpx2.Client, upload: str, name: str, content: bytes, offset: int = 0) -> httpx2.Response:
     headers = {"X-Content-SHA256": hashlib.sha256(content).hexdigest()}
     return client.put(f"uploads/{upload}/{name}", content=content, params={"offset": offset}, headers=headers)
 
@@ -40,7 +40,7 @@ def image(rng: np.random.Generator) -> bytes:
     return written.getvalue()
 
 
-def test_images_are_sent_and_imported(client: httpx.Client, rng: np.random.Generator) -> None:
+def test_images_are_sent_and_imported(client: httpx2.Client, rng: np.random.Generator) -> None:
     upload = client.post("uploads").json()["id"]
     for number in range(2):
         content = image(rng)
@@ -60,7 +60,7 @@ def test_images_are_sent_and_imported(client: httpx.Client, rng: np.random.Gener
     assert client.delete(f"uploads/{upload}").status_code == 204
 
 
-def test_a_refusal_does_not_tell_where_the_spool_lies(client: httpx.Client, home: Path) -> None:
+def test_a_refusal_does_not_tell_where_the_spool_lies(client: httpx2.Client, home: Path) -> None:
     upload = client.post("uploads").json()["id"]
     send(client, upload, "log.csv", b"no table")
     for subject, body in (
@@ -74,7 +74,7 @@ def test_a_refusal_does_not_tell_where_the_spool_lies(client: httpx.Client, home
         assert str(home) not in refused.text
 
 
-def test_a_body_that_trickles_is_given_up(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_body_that_trickles_is_given_up(client: httpx2.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(protection, "_RECEIVED_WITHIN_S", 0.5)
     with socket.create_connection((client.base_url.host, client.base_url.port or 0), timeout=10.0) as raw:
         head = f"POST {API}/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
@@ -85,20 +85,20 @@ def test_a_body_that_trickles_is_given_up(client: httpx.Client, monkeypatch: pyt
     assert time.monotonic() - began < 5.0
 
 
-def test_a_body_without_end_is_refused(client: httpx.Client) -> None:
+def test_a_body_without_end_is_refused(client: httpx2.Client) -> None:
     def endless() -> Iterator[bytes]:
         for _ in range(40):
             yield bytes(1 << 20)
 
     try:
         answer = client.post("jobs", content=endless(), headers={"Content-Type": "application/json"})
-    except (httpx.WriteError, httpx.ReadError):
+    except (httpx2.WriteError, httpx2.ReadError):
         return  # the server hung up while it was still being sent
     assert answer.status_code == 413
     assert "larger" in answer.json()["error"]
 
 
-def test_head_is_answered_as_get_without_a_body(client: httpx.Client) -> None:
+def test_head_is_answered_as_get_without_a_body(client: httpx2.Client) -> None:
     assert client.head("status").status_code == 200
     assert client.head("status").content == b""
     assert client.head("jobs/none").status_code == 404

@@ -144,7 +144,7 @@ class Browser:
         self.visit(path.as_uri())
 
     def visit(self, address: str) -> None:
-        """Open an address and wait until it is loaded."""
+        """Go to an address and wait until it is loaded."""
         self._happened.clear()
         self.complaints.clear()
         self.requests.clear()

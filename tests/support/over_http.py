@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import httpx
+import httpx2
 import uvicorn
 from fastapi import FastAPI
 
@@ -25,7 +25,7 @@ def app_of(services: Services) -> FastAPI:
 
 
 @contextmanager
-def served(app: FastAPI) -> Iterator[httpx.Client]:
+def served(app: FastAPI) -> Iterator[httpx2.Client]:
     """Serve an application on a port of its own, to a client at its machine."""
     server = uvicorn.Server(
         uvicorn.Config(app, port=0, log_config=None, access_log=False, timeout_graceful_shutdown=1)
@@ -37,7 +37,7 @@ def served(app: FastAPI) -> Iterator[httpx.Client]:
             assert thread.is_alive()
             time.sleep(0.01)
         port = server.servers[0].sockets[0].getsockname()[1]
-        with httpx.Client(base_url=f"http://127.0.0.1:{port}{API}", timeout=30.0) as client:
+        with httpx2.Client(base_url=f"http://127.0.0.1:{port}{API}", timeout=30.0) as client:
             yield client
     finally:
         server.should_exit = True
@@ -45,7 +45,7 @@ def served(app: FastAPI) -> Iterator[httpx.Client]:
 
 
 @contextmanager
-def listening(client: httpx.Client, **options: Any) -> Iterator[Iterator[dict[str, str]]]:
+def listening(client: httpx2.Client, **options: Any) -> Iterator[Iterator[dict[str, str]]]:
     """Listen to events; each is its fields."""
     with client.stream("GET", "events", **options) as answer:
         assert answer.headers["content-type"].startswith("text/event-stream")

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import httpx
+import httpx2
 import pytest
 from pydantic import SecretStr
 from support.homes import make_home
@@ -33,32 +33,32 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def desk(home: Path) -> Iterator[httpx.Client]:
+def desk(home: Path) -> Iterator[httpx2.Client]:
     """Whoever sits at the machine, before anybody has a name."""
     with bootstrap.services(home, "web") as services, served(app_of(services)) as client:
-        client.base_url = httpx.URL(str(client.base_url).removesuffix("/api/v1/"))
+        client.base_url = httpx2.URL(str(client.base_url).removesuffix("/api/v1/"))
         yield client
 
 
 @pytest.fixture(scope="module")
-def named(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
+def named(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx2.Client]:
     """A browser at a home with a person of each role."""
     home = tmp_path_factory.mktemp("named") / "home"
     make_home(home, {})
     with bootstrap.services(home, "web") as services, served(app_of(services)) as client:
         for role in (Role.ADMINISTRATOR, *(r for r in Role if r is not Role.ADMINISTRATOR)):
             people.add(services, role.value, role, SecretStr(PASSWORD))
-        client.base_url = httpx.URL(str(client.base_url).removesuffix("/api/v1/"))
+        client.base_url = httpx2.URL(str(client.base_url).removesuffix("/api/v1/"))
         yield client
 
 
-def log_in(client: httpx.Client, name: str, password: str = PASSWORD, back: str = "/") -> httpx.Response:
+def log_in(client: httpx2.Client, name: str, password: str = PASSWORD, back: str = "/") -> httpx2.Response:
     client.cookies.clear()
     return client.post("/login", data={"name": name, "password": password, "next": back})
 
 
 @pytest.mark.parametrize("path", sorted(p for p in PAGE_RULES if "{" not in p))
-def test_every_page_is_shown_with_one_heading_and_what_it_is_called(desk: httpx.Client, path: str) -> None:
+def test_every_page_is_shown_with_one_heading_and_what_it_is_called(desk: httpx2.Client, path: str) -> None:
     page = desk.get(path)
     assert page.status_code == 200, page.text
     assert len(re.findall("<h1>", page.text)) == 1
@@ -68,7 +68,7 @@ def test_every_page_is_shown_with_one_heading_and_what_it_is_called(desk: httpx.
     assert named <= set(re.findall(r'\sid="([^"]+)"', page.text))
 
 
-def test_a_campaign_shows_each_state_and_view_with_the_job_that_is_in_the_way(desk: httpx.Client) -> None:
+def test_a_campaign_shows_each_state_and_view_with_the_job_that_is_in_the_way(desk: httpx2.Client) -> None:
     page = desk.get("/campaigns/plate").text
     assert page.count('id="tuples-S01-C1P2-') == 4  # reconstruct, assess, correlate, strain
     assert "waiting" in page
@@ -78,7 +78,7 @@ def test_a_campaign_shows_each_state_and_view_with_the_job_that_is_in_the_way(de
     assert "<option>gauss-newton</option>" in chosen
 
 
-def test_jobs_are_listed_page_by_page(desk: httpx.Client) -> None:
+def test_jobs_are_listed_page_by_page(desk: httpx2.Client) -> None:
     seen: list[str] = []
     after = ""
     while True:
@@ -91,7 +91,7 @@ def test_jobs_are_listed_page_by_page(desk: httpx.Client) -> None:
     assert len(seen) == len(set(seen)) == 17
 
 
-def test_what_is_typed_stays_beside_what_is_wrong_with_it(desk: httpx.Client) -> None:
+def test_what_is_typed_stays_beside_what_is_wrong_with_it(desk: httpx2.Client) -> None:
     page = desk.get("/archive", params={"query": 'strain "<b>'})
     assert page.status_code == 200
     assert "strain &#34;&lt;b&gt;" in page.text
@@ -108,13 +108,13 @@ def test_what_is_typed_stays_beside_what_is_wrong_with_it(desk: httpx.Client) ->
         ("/jobs?limit=x", 422, "cannot be used"),
     ],
 )
-def test_an_error_of_a_page_is_a_page(desk: httpx.Client, path: str, status: int, words: str) -> None:
+def test_an_error_of_a_page_is_a_page(desk: httpx2.Client, path: str, status: int, words: str) -> None:
     page = desk.get(path)
     assert (page.status_code, words in page.text, "<h1>" in page.text) == (status, True, True)
     assert desk.get("/api/v1/jobs/none").json()["kind"] == "NotFound"
 
 
-def test_whoever_is_not_known_is_led_to_the_door_and_back(named: httpx.Client) -> None:
+def test_whoever_is_not_known_is_led_to_the_door_and_back(named: httpx2.Client) -> None:
     named.cookies.clear()
     away = named.get("/jobs?kind=strain")
     assert (away.status_code, away.headers["Location"]) == (303, "/login?next=%2Fjobs%3Fkind%3Dstrain")
@@ -131,12 +131,12 @@ def test_whoever_is_not_known_is_led_to_the_door_and_back(named: httpx.Client) -
 
 
 @pytest.mark.parametrize("back", ["//evil.example", "https://evil.example/", "/\\evil.example", "/login?x"])
-def test_the_way_back_never_leads_elsewhere(named: httpx.Client, back: str) -> None:
+def test_the_way_back_never_leads_elsewhere(named: httpx2.Client, back: str) -> None:
     assert log_in(named, "viewer", back=back).headers["Location"] == "/"
 
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site"])
-def test_another_site_can_neither_log_in_nor_out(named: httpx.Client, site: str) -> None:
+def test_another_site_can_neither_log_in_nor_out(named: httpx2.Client, site: str) -> None:
     body = {"name": "viewer", "password": PASSWORD}
     for path in ("/login", "/logout"):
         answer = named.post(path, data=body, headers={"Sec-Fetch-Site": site})
@@ -144,7 +144,7 @@ def test_another_site_can_neither_log_in_nor_out(named: httpx.Client, site: str)
 
 
 @pytest.mark.parametrize("role", Role)
-def test_what_a_role_may_not_do_is_neither_offered_nor_done(named: httpx.Client, role: Role) -> None:
+def test_what_a_role_may_not_do_is_neither_offered_nor_done(named: httpx2.Client, role: Role) -> None:
     log_in(named, role.value)
     rights = RIGHTS[role]
     for path, rule in PAGE_RULES.items():

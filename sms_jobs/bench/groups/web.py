@@ -9,7 +9,7 @@ from pathlib import Path
 from statistics import median, quantiles
 from urllib.parse import urlencode
 
-import httpx
+import httpx2
 import numpy as np
 
 from sms_jobs import bootstrap
@@ -88,7 +88,7 @@ def _fields(services: Services, side: int) -> list[int]:
 def _first_tiles(web: Served, numbers: Sequence[int]) -> list[float]:
     """Return the ms until somebody who opens the page of a field has its first picture."""
     taken = []
-    with httpx.Client(base_url=web.url, timeout=60.0) as client:
+    with httpx2.Client(base_url=web.url, timeout=60.0) as client:
         for number in numbers:
             began = time.perf_counter()
             client.get(f"/fields/{number}/first.png").raise_for_status()
@@ -138,7 +138,7 @@ def _measured(run: Run, services: Services, home: Path, side: int, filled: str) 
         run.say("web: first tiles of fields")
         tile = median(_first_tiles(web, numbers))
         run.say(f"web: {_CLIENTS} clients")
-        with httpx.Client(base_url=web.url, timeout=60.0) as client:
+        with httpx2.Client(base_url=web.url, timeout=60.0) as client:
             for address in addresses:  # what is loaded once does not count
                 client.get(address).raise_for_status()
         taken = crowd(web.url, addresses, _CLIENTS, _PAUSE_S, seconds)

@@ -22,6 +22,7 @@ from types import TracebackType
 from typing import IO, Any, TextIO
 
 from sms_jobs.formats.drawing.assets import drawing_script, drawing_style
+from sms_jobs.formats.look import look
 from sms_jobs.formats.report.html import Markup
 
 _COPIED = 1 << 20

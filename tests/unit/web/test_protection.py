@@ -73,8 +73,8 @@ def test_another_name_is_refused(client: TestClient) -> None:
 def test_an_endless_body_is_refused(client: TestClient, services: bootstrap.Services) -> None:
     announced = client.post(PAUSE, content=b"{}", headers={"Content-Length": str(1 << 40)})
     assert announced.status_code == 413
-    assert "larger than 64 MB" in announced.json()["error"]
-    unannounced = client.post(PAUSE, content=(b" " * (1 << 20) for _ in range(70)))
+    assert "larger than 16 MB" in announced.json()["error"]
+    unannounced = client.post(PAUSE, content=(b" " * (1 << 20) for _ in range(20)))
     assert unannounced.status_code == 413
     assert paused(services) == []
 
