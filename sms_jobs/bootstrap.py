@@ -9,12 +9,13 @@ import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from sms_jobs import settings as settings_file
 from sms_jobs.archive import Archive, FolderStore
-from sms_jobs.catalogue import people, renewal, schema
+from sms_jobs.catalogue import audit, people, renewal, schema
 from sms_jobs.catalogue.audit import Deed
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import CatalogueDamaged, CatalogueEmpty, ConfigurationError
@@ -160,8 +161,8 @@ def renewed(home: Path | None = None, *, dry_run: bool = False) -> Iterator[tupl
 
 def _begin_chain(catalogue: Catalogue, actor: Actor, why: str) -> None:
     """Let the first link of a catalogue that was made anew say so."""
-    with catalogue.for_deed(Deed(replace(actor, reason=why), "audit.begin", {})).writing():
-        pass
+    with catalogue.writing() as session:
+        audit.append(session, Deed(replace(actor, reason=why), "audit.begin", {}), datetime.now(UTC))
 
 
 def _whoever_runs_this(settings: Settings, catalogue: Catalogue, via: str) -> Actor:
