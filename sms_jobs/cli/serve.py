@@ -18,6 +18,7 @@ from sms_jobs.errors import InvalidInput
 if TYPE_CHECKING:
     import uvicorn
 
+_KEPT_OPEN_S = 75
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
@@ -82,6 +83,8 @@ def serve(
                 server_header=False,
                 log_config=None,
                 timeout_graceful_shutdown=5,
+                # Somebody who reads a page for a while asks again on the same connection.
+                timeout_keep_alive=_KEPT_OPEN_S,
             )
         )
         if until_eof:
