@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import Path, Query
 from fastapi.responses import Response
 
-from sms_jobs.app import field_gauges, field_pages, field_values, surface_fields
+from sms_jobs.app import field_gauges, field_pages, field_values
 from sms_jobs.app.field_sources import SAMPLES
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer
@@ -18,8 +18,6 @@ File = Annotated[int, Path(ge=1, description="Number of the file.")]
 Part = Annotated[str | None, Query(description="Which of several groups of records, as C1.")]
 Name = Annotated[str, Query(description="Of the quantity, as 'strain xx'.")]
 Pixel = Annotated[int, Query(ge=0)]
-Coordinate = Annotated[float, Query(allow_inf_nan=False)]
-Length = Annotated[float, Query(gt=0.0, allow_inf_nan=False)]
 
 
 @ROUTES.offer("GET", "/fields/{file}", field_pages.field_page)
@@ -70,31 +68,3 @@ def gauge(
 ) -> Any:
     """Return what a gauge reads."""
     return answer(field_gauges.gauge_at(services, str(file), gauge, part=part))
-
-
-@ROUTES.offer("GET", "/fields/{file}/section", surface_fields.section)
-def section(
-    services: Acting,
-    file: File,
-    x0: Coordinate,
-    y0: Coordinate,
-    x1: Coordinate,
-    y1: Coordinate,
-    record: Annotated[str | None, Query()] = None,
-    field: Annotated[str | None, Query()] = None,
-    step: Length = 2.0,
-    width: Length = 4.0,
-) -> Any:
-    """Return a field along a line, with its scatter over the strip."""
-    found = surface_fields.section(
-        services, str(file), ((x0, y0), (x1, y1)), record=record, field=field, step=step, width=width
-    )
-    return answer(
-        {
-            "file": found.file,
-            "columns": found.columns,
-            "rows": found.rows,
-            "unit": found.unit,
-            "scatter": found.profile.scatter.tolist(),
-        }
-    )

@@ -42,11 +42,17 @@ def section(
     width: Length = 4.0,
     form: Form = "json",
 ) -> Any:
-    """Return a field along a line."""
+    """Return a field along a line; in JSON with its scatter over the strip."""
     found = surface_fields.section(
         services, str(key), ((x0, y0), (x1, y1)), record=record, field=field, step=step, width=width
     )
-    facts = {"file": found.file, "columns": found.columns, "rows": found.rows}
+    facts = {
+        "file": found.file,
+        "columns": found.columns,
+        "rows": found.rows,
+        "unit": found.unit,
+        "scatter": found.profile.scatter.tolist(),
+    }
     return _formed(form, lambda: facts, found.table, found.drawn)
 
 

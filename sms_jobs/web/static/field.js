@@ -326,7 +326,7 @@ function drawSection(view) {
     if (!field.array || !field.record) throw new Error(`A section has components that are archived; choose one of them instead of ${field.name}`);
     draw([await Promise.all([pixelAt(view, x0, y0, false), pixelAt(view, x1, y1, false)])]);
     const width = Number(element("width").value), step = width / 2;
-    const found = await asked(`${API}/${view.about.file}/section`, { x0, y0, x1, y1, record: field.record, field: field.array, width, step });
+    const found = await asked(`/api/v1/data/${view.about.file}/section`, { x0, y0, x1, y1, record: field.record, field: field.array, width, step });
     if (late()) return;
     const place = (found.unit === "mm" ? 4 : 3) + field.component;
     const points = found.rows.map((row, i) => ({ at: row[0], value: row[place] === null ? null : row[place] * field.scale,
