@@ -7,17 +7,12 @@ over `sms.toml` itself, and this over the defaults.
 from __future__ import annotations
 
 import os
+import tomllib
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, SecretStr, ValidationError
-from pydantic_settings import (
-    BaseSettings,
-    InitSettingsSource,
-    PydanticBaseSettingsSource,
-    SettingsConfigDict,
-    TomlConfigSettingsSource,
-)
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SecretStr, ValidationError
 
 from sms_jobs.errors import ConfigurationError
 
@@ -40,7 +35,7 @@ def _possible(place: Path) -> Path:
 _Place = Annotated[Path, AfterValidator(_possible)]
 
 
-class Settings(BaseSettings):
+class Settings(BaseModel):
     """Settings of one installation.
 
     Attributes
@@ -86,7 +81,7 @@ class Settings(BaseSettings):
         `starttls`, `tls` from the first byte on, or `none`, which is for servers that need no password.
     """
 
-    model_config = SettingsConfigDict(env_prefix=_PREFIX, frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     home: Path
     database_url: SecretStr = SecretStr("")
@@ -112,22 +107,6 @@ class Settings(BaseSettings):
     smtp_password: SecretStr = SecretStr("")
     smtp_from: str = ""
     smtp_security: Literal["starttls", "tls", "none"] = "starttls"
-
-    @classmethod
-    def settings_customise_sources(
-        cls,
-        settings_cls: type[BaseSettings],
-        init_settings: PydanticBaseSettingsSource,
-        env_settings: PydanticBaseSettingsSource,
-        dotenv_settings: PydanticBaseSettingsSource,
-        file_secret_settings: PydanticBaseSettingsSource,
-    ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Put the files of the home between the environment and the defaults."""
-        given = init_settings()
-        of_home = TomlConfigSettingsSource(settings_cls, Path(str(given["home"])) / FILE_NAME)
-        named = given.get("environment_file") or of_home().get("environment_file")
-        variables = {} if named is None else _environment(Path(str(named)), set(settings_cls.model_fields))
-        return (init_settings, env_settings, InitSettingsSource(settings_cls, variables), of_home)
 
     @property
     def catalogue_url(self) -> str:
@@ -177,27 +156,6 @@ def default_home() -> Path:
     return own if (own / FILE_NAME).is_file() else own / "sms-home"
 
 
-def _environment(path: Path, known: set[str]) -> dict[str, str]:
-    """Return the settings in a file of environment variables; `ConfigurationError` where it is not there."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeError) as error:
-        why = getattr(error, "strerror", None) or "it is no text"
-        raise ConfigurationError(
-            f"settings of this home are in {path}, which cannot be read ({why}): restore it, run this as an "
-            f"account that may read it, or correct 'environment_file' in {FILE_NAME}"
-        ) from error
-    found = {}
-    for line in lines:
-        name, _, value = line.strip().partition("=")
-        field = name.removeprefix(_PREFIX).lower()
-        if name.startswith(_PREFIX) and field in known - {"home", "environment_file"}:
-            value = value.strip()
-            quoted = len(value) > 1 and value[0] == value[-1] and value[0] in "\"'"
-            found[field] = value[1:-1] if quoted else value
-    return found
-
-
 def load(home: Path | None = None, environment_file: Path | None = None) -> Settings:
     """Read the settings of a home; with another environment file than it names, if one is given.
 
@@ -207,10 +165,13 @@ def load(home: Path | None = None, environment_file: Path | None = None) -> Sett
         A value cannot be used; the message names it, never a secret.
     """
     folder = (home or default_home()).expanduser().absolute()
+    given = _of_home(folder / FILE_NAME) | {"home": folder}
+    if environment_file is not None:
+        given["environment_file"] = environment_file.absolute()
+    if named := given.get("environment_file"):
+        given |= _of_environment_file(Path(str(named)))
     try:
-        if environment_file is None:
-            return Settings(home=folder)
-        return Settings(home=folder, environment_file=environment_file.absolute())
+        return Settings(**given | _settings_among(os.environ.items()))
     except ValidationError as error:
         first = error.errors(include_input=False, include_url=False)[0]
         name = ".".join(str(part) for part in first["loc"]) or "settings"
@@ -218,9 +179,42 @@ def load(home: Path | None = None, environment_file: Path | None = None) -> Sett
             f"the setting '{name}' ({folder / FILE_NAME} or SMS_{name.upper()}) "
             f"cannot be used: {first['msg']}"
         ) from error
+
+
+def _of_home(file: Path) -> dict[str, Any]:
+    try:
+        with file.open("rb") as opened:
+            return tomllib.load(opened)
+    except FileNotFoundError:
+        return {}
     except (ValueError, RecursionError) as error:
-        raise ConfigurationError(
-            f"{folder / FILE_NAME} is not valid TOML: {error or 'nested too deeply'}"
-        ) from error
+        raise ConfigurationError(f"{file} is not valid TOML: {error or 'nested too deeply'}") from error
     except OSError as error:
-        raise ConfigurationError(f"{folder / FILE_NAME} cannot be read: {error.strerror}") from error
+        raise ConfigurationError(f"{file} cannot be read: {error.strerror}") from error
+
+
+def _settings_among(variables: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Return the settings among environment variables; there may be any others."""
+    named = ((name.upper(), value) for name, value in variables)
+    found = {n.removeprefix(_PREFIX).lower(): value for n, value in named if n.startswith(_PREFIX)}
+    known = set(Settings.model_fields) - {"home", "environment_file"}
+    return {name: value for name, value in found.items() if name in known}
+
+
+def _of_environment_file(path: Path) -> dict[str, str]:
+    """Return the settings in a file of environment variables; `ConfigurationError` where it is not there."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or "it is no text"
+        raise ConfigurationError(
+            f"settings of this home are in {path}, which cannot be read ({why}): restore it, run this as an "
+            f"account that may read it, or correct 'environment_file' in {FILE_NAME}"
+        ) from error
+    pairs = (line.strip().partition("=") for line in lines)
+    return _settings_among((name, _unquoted(value.strip())) for name, _, value in pairs)
+
+
+def _unquoted(value: str) -> str:
+    quoted = len(value) > 1 and value[0] == value[-1] and value[0] in "\"'"
+    return value[1:-1] if quoted else value
