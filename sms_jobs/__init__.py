@@ -2,10 +2,9 @@
 
 import os
 from importlib import import_module
-from importlib.metadata import version
 from typing import Any
 
-__version__ = version("sms-jobs")
+__version__ = "0.1.0"
 
 
 def open(home: str | os.PathLike[str] | None = None) -> Any:  # noqa: A001 - it stands behind the package's name

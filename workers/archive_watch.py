@@ -16,7 +16,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import WorkerRow
 from sms_jobs.errors import SmsError, StorageFull, StorageUnusable
 from sms_jobs.jobs import notices, queues, recovery
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 
 logger = logging.getLogger(__name__)
 

@@ -14,9 +14,9 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.gauge_descriptions import described_gauge
 from sms_jobs.kinds.deformation.gauges import GaugesParameters, frame_of_gauges, read_gauges
 from sms_jobs.kinds.products import DISPLACEMENT, REGIONS, SURFACE
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import FileView
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 _MOVED = "correlate"

@@ -26,9 +26,9 @@ from sms_jobs.catalogue.audit import Deed
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.people_tables import AccessRow, PersonRow
 from sms_jobs.errors import Conflict, InvalidInput, NotAllowed, NotFound
-from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.people import NOT_FOR_PEOPLE, SECRET_PREFIX, Actor, Right, Role, without_secrets
 from sms_jobs.records.shown.people import AccessView, PersonView
+from sms_jobs.records.subject import checked_name
 from sms_jobs.records.texts import checked_text
 
 if TYPE_CHECKING:

@@ -19,9 +19,9 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, search
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, NotFound, OtherFormat
 from sms_jobs.kinds import all_kinds
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import FileView
+from sms_jobs.records.subject import Subject
 
 
 @dataclass(frozen=True)

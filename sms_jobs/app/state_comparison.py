@@ -14,9 +14,10 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, search
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats.state_differences import StateDifference, draw_states, written_table
-from sms_jobs.records.campaign import LoadState, Subject
+from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.people import Right
 from sms_jobs.records.recording import as_recorded
+from sms_jobs.records.subject import Subject
 
 _STATE = "{state}"
 

@@ -26,7 +26,7 @@ from sms_jobs.archive.provenance import (
 from sms_jobs.archive.sealing import copy_or_link, sha256_of
 from sms_jobs.archive.store import LocalFile, Room, Store
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, OtherFormat
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 
 _COMPARED_FIRST_BYTES = 256 << 10
 """A file of at most so much is compared as a whole before HDF5 sees it, which some damage makes spin.

@@ -23,8 +23,8 @@ from sms_jobs.archive.limits import refuse_excess
 from sms_jobs.archive.provenance import Provenance, Sealed, digest, provenance_from_json
 from sms_jobs.archive.sealing import safe_file, sha256_of, sync
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, NotFound
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.quantity import components_of
+from sms_jobs.records.subject import Subject
 
 R = TypeVar("R")
 

@@ -13,7 +13,7 @@ from datetime import UTC
 
 from sms_jobs.archive.provenance import Provenance
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.campaign import RESERVED_NAME, Subject, checked_name
+from sms_jobs.records.subject import RESERVED_NAME, Subject, checked_name
 
 CALIBRATIONS = RESERVED_NAME
 SET_ASIDE = ".set-aside"

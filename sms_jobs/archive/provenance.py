@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from pydantic import TypeAdapter, ValidationError
 
 from sms_jobs.errors import ArchiveCorrupt
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 
 
 @dataclass(frozen=True)

@@ -32,9 +32,10 @@ from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.submission import submit
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import Dataset, DatasetOutput, Inputs
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import FrameStack, Measurement
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 
 KINDS = ("reconstruct", "correlate", "strain", "merge")
 R = TypeVar("R")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Progress
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 
 R = TypeVar("R")
 

@@ -28,9 +28,9 @@ from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.metrology.geometry.triangulation import camera_rays
 from sms_jobs.metrology.phase.patterns import phase_gradient
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.sensors import Calibration, Rig
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import CAMERA_LENS, START, aimed, plate_and_mirror
 
 PIXELS = 2048

@@ -23,12 +23,12 @@ from sms_jobs.metrology.geometry.ray_pairing import CandidateReturns, PairingRul
 from sms_jobs.metrology.images.masks import outside_box
 from sms_jobs.metrology.phase.sequences import reverse_exponential
 from sms_jobs.metrology.phase.texture_error import correct_texture
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Simulation
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import START, Size, plate_and_mirror
 from sms_jobs.virtual_rig.light import SUBSAMPLES, trace
 from sms_jobs.virtual_rig.rendering import render

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from sms_jobs.bench.shelf import Shelf
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.kinds.shape import stereo
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.scene import CameraResponse, Plane, Rigid
 from sms_jobs.records.sensors import Calibration, Sensor
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import Made
 from sms_jobs.virtual_rig.stereo_campaigns import stereo_campaign, stereo_rig
 

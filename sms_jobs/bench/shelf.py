@@ -13,9 +13,10 @@ from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Parameters
 from sms_jobs.kinds.recording import simulate
 from sms_jobs.kinds.surface_ports import maker_of, textured_by
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.truth import Shape, Truth, exact_shape, exact_truth
 

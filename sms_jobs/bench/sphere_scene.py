@@ -12,8 +12,8 @@ from sms_jobs.kinds.recording.simulate import recipe
 from sms_jobs.metrology.calibration.pan_tilt_refinement import sphere_regions
 from sms_jobs.metrology.geometry.triangulation import camera_rays
 from sms_jobs.records.artefacts import BallBar
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.scene import Simulation
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.artefact_truth import true_bar
 from sms_jobs.virtual_rig.sessions import BAR, calibration_session
 from sms_jobs.virtual_rig.truth import exact_shape

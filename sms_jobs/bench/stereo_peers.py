@@ -28,9 +28,10 @@ from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.kinds.shape import stereo
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
-from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 
 Floats: TypeAlias = NDArray[np.float64]

@@ -22,7 +22,8 @@ from sms_jobs.catalogue.models import (
 )
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import Conflict, NotFound
-from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.campaign import Campaign, LoadState
+from sms_jobs.records.subject import Subject
 
 _DEFINITION = TypeAdapter(Campaign)
 KEPT_DEFINITIONS = 16

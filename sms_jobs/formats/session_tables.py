@@ -12,9 +12,10 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.record_tables import Placement, Table, Volume, flat, mapped
 from sms_jobs.metrology.geometry.stage_poses import AngleRange, uniform_poses
 from sms_jobs.records.artefacts import Artefact, BallBar, Chessboard, CircleBoard, Place
-from sms_jobs.records.campaign import CalibrationSession, LoadState, checked_name
+from sms_jobs.records.campaign import CalibrationSession, LoadState
 from sms_jobs.records.scene import PanTilt, Rigid
 from sms_jobs.records.sensors import Rig, SensorFormat
+from sms_jobs.records.subject import checked_name
 from sms_jobs.records.views import place_of, role_of, view_of
 
 LONGEST_SIDE_PX = 20_000

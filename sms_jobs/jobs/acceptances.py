@@ -20,7 +20,7 @@ from sms_jobs.jobs.indexing import ACCEPTANCE
 from sms_jobs.jobs.repository import Repository, brought_in
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.calibration import Acceptance
-from sms_jobs.records.campaign import RESERVED_NAME, Subject
+from sms_jobs.records.subject import RESERVED_NAME, Subject
 
 
 def decided(acceptance: Acceptance, path: str, at: datetime) -> Provenance:

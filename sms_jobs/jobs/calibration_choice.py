@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue import campaigns, search
 from sms_jobs.catalogue.valid_calibrations import UsedCalibration, ValidCalibrations
 from sms_jobs.errors import NotFound
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 
 
 def holding(session: Session, valid: ValidCalibrations, rig: str, subject: Subject) -> UsedCalibration | None:

@@ -23,12 +23,12 @@ from sms_jobs.metrology.calibration.comparison import CalibrationComparison, com
 from sms_jobs.metrology.calibration.drift import DriftCheck, DriftOptions, check_drift
 from sms_jobs.metrology.calibration.pair_points import Parameters
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import UNTIMED, FringeSequence
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Box, Calibration, Rig
 from sms_jobs.records.shown.files import FileView
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 _HIDDEN_BY_DRIFT = Reason.LARGE_RAY_GAP | Reason.OUT_OF_VOLUME

@@ -20,9 +20,9 @@ from sms_jobs.catalogue.models import (
 from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import ACTIVE, JobState
 from sms_jobs.records.shown.cells import Cell
+from sms_jobs.records.subject import Subject
 
 _Place: TypeAlias = tuple[str | None, str | None, str]
 """State, view and kind."""

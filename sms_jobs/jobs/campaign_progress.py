@@ -14,9 +14,10 @@ from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import FileRow, JobRow, LoadStateRow, StatisticRow
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND
-from sms_jobs.records.campaign import LoadState, Subject
+from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState
 from sms_jobs.records.shown.state_progress import StateProgress
+from sms_jobs.records.subject import Subject
 
 _BEFORE = "_before"
 _LARGEST = {"correlate": "maximum_displacement_mm", "strain": "maximum_principal_strain"}

@@ -20,7 +20,6 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.people_tables import NotificationRow, SubscriptionRow
 from sms_jobs.errors import Conflict, NotFound
-from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.shown.notifications import (
     TEST,
     Address,
@@ -29,6 +28,7 @@ from sms_jobs.records.shown.notifications import (
     SubscriptionView,
     Topic,
 )
+from sms_jobs.records.subject import checked_name
 
 _CLAIMED_FOR = timedelta(minutes=5)
 """Longer than sending takes at worst."""

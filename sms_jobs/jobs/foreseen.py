@@ -16,8 +16,9 @@ from sms_jobs.catalogue.parts import parts
 from sms_jobs.jobs.reuse import reuse_key
 from sms_jobs.jobs.submission import Draft
 from sms_jobs.kinds import all_kinds
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import JobState
+from sms_jobs.records.subject import Subject
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from sqlalchemy import func, or_, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import EventRow, JobRow
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 
 
 @dataclass(frozen=True)

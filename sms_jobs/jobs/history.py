@@ -16,9 +16,9 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue import valid_calibrations
 from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, WorkerRow
 from sms_jobs.jobs.coming import Coming
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import JobState
 from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 _REMEMBERED = 200

@@ -27,9 +27,10 @@ from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.calibration.sessions import OBSERVE_BOARD
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.products import BOARD
-from sms_jobs.records.campaign import Campaign, CampaignDefinition, LoadState, Subject
+from sms_jobs.records.campaign import Campaign, CampaignDefinition, LoadState
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.observations import BoardObservation
+from sms_jobs.records.subject import Subject
 
 SOURCE_HASH = "source_sha256"
 """The parameter of an imported file that tells what it was made from."""

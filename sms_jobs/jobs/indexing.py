@@ -30,8 +30,9 @@ from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.kinds.products import MEASURED, RECORDED
 from sms_jobs.records.calibration import Acceptance
-from sms_jobs.records.campaign import CampaignDefinition, Subject
+from sms_jobs.records.campaign import CampaignDefinition
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
 CAMPAIGN = "campaign"

@@ -30,8 +30,8 @@ from sms_jobs.jobs import calibration_choice, chosen, locks
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, SHORT_ID, UNSUCCESSFUL, JobState
+from sms_jobs.records.subject import Subject
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,8 @@ from sms_jobs.catalogue.models import (
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import Cancelled, LeaseLost, OverLimit
 from sms_jobs.jobs import locks, occurrences
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import UNSUCCESSFUL, JobState, origins
+from sms_jobs.records.subject import Subject
 
 # Statements that every job passes through are made once: that takes longer than running them.
 _JOB = cast(Table, JobRow.__table__)

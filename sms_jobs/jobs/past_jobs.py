@@ -18,8 +18,9 @@ from sms_jobs.jobs.planning import covering
 from sms_jobs.jobs.reuse import reuse_key
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import MEASUREMENT, Kind, Parameters
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import ACTIVE, JobState
+from sms_jobs.records.subject import Subject
 
 _OF_UNKNOWN_KINDS = "cpu"
 

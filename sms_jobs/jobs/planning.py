@@ -22,7 +22,8 @@ from sms_jobs.kinds.kind import (
     default_subjects,
     pipeline_subjects,
 )
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
 PIPELINE = "pipeline"

@@ -37,7 +37,7 @@ from sms_jobs.formats.research_crate import CrateFile
 from sms_jobs.jobs import lineage_documents
 from sms_jobs.jobs.indexing import CAMPAIGN
 from sms_jobs.kinds.kind import CALIBRATION
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 
 _BEGUN = ".export.json"
 _JOURNAL = ".journal"

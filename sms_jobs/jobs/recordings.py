@@ -17,8 +17,9 @@ from sms_jobs.instruments.kept_sets import forget, kept
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND, stage_angles
-from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.job import JobState
+from sms_jobs.records.subject import Subject
 
 _OPEN = (JobState.QUEUED, JobState.RUNNING, JobState.LOST, JobState.NEEDS_OPERATOR, JobState.FAILED)
 

@@ -13,8 +13,8 @@ from sms_jobs.catalogue.models import JobRow, WorkerRow
 from sms_jobs.catalogue.parts import AT_ONCE
 from sms_jobs.jobs import lifecycle, locks
 from sms_jobs.jobs.origin import Origin
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import JobState
+from sms_jobs.records.subject import Subject
 
 Living = Callable[[], Collection[int]]
 """Returns the processes in which a supervisor has jobs run, as they are at that moment."""

@@ -24,8 +24,9 @@ from sms_jobs.jobs.repository import Repository, brought_in
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.calibration import Acceptance
-from sms_jobs.records.campaign import RESERVED_NAME, Campaign, CampaignDefinition, Subject
+from sms_jobs.records.campaign import Campaign, CampaignDefinition
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import RESERVED_NAME, Subject
 
 
 def register_campaign(

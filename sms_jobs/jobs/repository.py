@@ -20,7 +20,7 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import CommitInDoubt
 from sms_jobs.jobs import indexing
 from sms_jobs.jobs.indexing import Entry
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 
 logger = logging.getLogger(__name__)
 

@@ -16,8 +16,8 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue.models import FileRow, JobRow
 from sms_jobs.errors import ArchiveCorrupt, OtherFormat
 from sms_jobs.kinds.kind import Kind
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import JobState
+from sms_jobs.records.subject import Subject
 
 _ANYTHING = TypeAdapter(Any)
 # Every job asks these: making the statements takes longer than running them, and so does what loads rows as

@@ -47,8 +47,8 @@ from sms_jobs.jobs.reuse import Earlier
 from sms_jobs.jobs.stations import Stations
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Output, Station
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import JobState
+from sms_jobs.records.subject import Subject
 
 T = TypeVar("T")
 

@@ -20,9 +20,9 @@ from sms_jobs.jobs import occurrences
 from sms_jobs.jobs.fire_times import Expression, next_times, parse_expression, times_until
 from sms_jobs.jobs.planning import Existing, Request, plan
 from sms_jobs.jobs.submission import Draft, draft, enter, while_outdated
-from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.job import ACTIVE
 from sms_jobs.records.shown.notifications import Topic
+from sms_jobs.records.subject import checked_name
 
 MissedFire: TypeAlias = Literal["skip", "once", "all"]
 """What becomes of fire times that nobody looked at in time: none, the last one, or each of them."""

@@ -10,8 +10,8 @@ from pathlib import Path
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.formats.rig_configuration import SensorRecords, load_rig
 from sms_jobs.kinds.kind import Station, rig_queue
-from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.optical_instruments import RigFile
+from sms_jobs.records.subject import checked_name
 from sms_jobs.settings import Settings
 
 EVERY_RIG = "rigs"

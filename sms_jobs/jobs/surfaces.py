@@ -9,7 +9,7 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.jobs.repository import Repository, brought_in
 from sms_jobs.kinds.products import REFERENCE_SURFACE
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.surfaces import REFERENCE_SURFACES, ReferenceSurface
 
 

@@ -15,8 +15,9 @@ from typing import Any, Generic, Protocol, TypeVar
 from pydantic import BaseModel, ConfigDict
 
 from sms_jobs.kinds.products import Product
-from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.optical_instruments import RigFile
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import View, view_of
 
 R = TypeVar("R")

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Need, Port
 from sms_jobs.kinds.products import MEASURED, PHASE, SURFACE, Product
 from sms_jobs.metrology.geometry.planes import covariance_in_space
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import View, view_of
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
-from functools import lru_cache
 from typing import Literal, TypeAlias
 
 from sms_jobs.errors import InvalidInput
@@ -14,58 +12,12 @@ from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.numbers import checked_number
 from sms_jobs.records.scene import Deformation, Rigid, Scene
 from sms_jobs.records.sensors import Box, SensorFormat
+from sms_jobs.records.subject import RESERVED_NAME, checked_name
 from sms_jobs.records.texts import NAME_LETTERS, checked_text
 from sms_jobs.records.times import checked_time
 from sms_jobs.records.views import view_of
 
 ParameterValue: TypeAlias = bool | int | float | str | tuple[str, ...]
-
-RESERVED_NAME = "calibrations"
-"""The folder of the archive that holds no campaign."""
-
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
-
-
-def checked_name(name: str, what: str) -> str:
-    """Return `name` when it can stand in a path and in `campaign/state/view`; raise `InvalidInput` if not."""
-    if not _NAME.fullmatch(name) or ".." in name:
-        raise InvalidInput(
-            f"'{name}' cannot be the name of a {what}: use at most 64 letters, digits, '.', '_' or '-', "
-            "beginning with a letter or digit"
-        )
-    return name
-
-
-@dataclass(frozen=True)
-class Subject:
-    """What a job is about: a campaign, one state of it, or one tuple `campaign/state/view`."""
-
-    campaign: str
-    state: str | None = None
-    view: str | None = None
-
-    def __str__(self) -> str:
-        return "/".join(part for part in (self.campaign, self.state, self.view) if part is not None)
-
-    @classmethod
-    def parse(cls, text: str) -> Subject:
-        """Read `campaign`, `campaign/state` or `campaign/state/view`."""
-        return _parsed(text)
-
-    @property
-    def recordings(self) -> tuple[Subject, ...]:
-        """The tuples that are recorded for a tuple: see `View.recordings`."""
-        return tuple(replace(self, view=str(view)) for view in view_of(self.view).recordings)
-
-
-@lru_cache(maxsize=1 << 14)
-def _parsed(text: str) -> Subject:
-    """Return a subject; pages read those of thousands of jobs, the same ones again and again."""
-    parts = text.split("/")
-    if not 1 <= len(parts) <= 3:
-        raise InvalidInput(f"'{text}' is not campaign/state/view")
-    names = [checked_name(p, w) for p, w in zip(parts, ("campaign", "state", "view"), strict=False)]
-    return Subject(*names)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ from math import isfinite, pi, radians
 from typing import Literal
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.serial_links import (
     LINK_FAULTS,
     SIMULATED,
@@ -34,6 +33,7 @@ from sms_jobs.records.serial_links import (
     Wire,
     check_pattern,
 )
+from sms_jobs.records.subject import checked_name
 
 REQUEST = re.compile(r"(?:[^{}]|\{output(?::0?[0-9]?[dxX])?\})*")
 """What may be replaced in a request; the file of a rig is not trusted with Python's whole format language."""

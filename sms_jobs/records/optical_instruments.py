@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.instruments import Instruments, Stage
+from sms_jobs.records.subject import checked_name
 
 SIMULATED = "simulated"
 """Name of the drivers of what is made of light rays."""

@@ -19,9 +19,10 @@ from sms_jobs.kinds.kind import DocumentOutput, Inputs, Need
 from sms_jobs.kinds.products import MERGED
 from sms_jobs.kinds.reporting import report
 from sms_jobs.kinds.reporting.report import ReportParameters
-from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.subject import Subject
 
 WHEN = datetime(2026, 1, 2, tzinfo=UTC)
 SHAPE = (60, 80)

@@ -16,9 +16,9 @@ from support.report_results import campaign, run_on_results
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.kinds.products import MERGED
 from sms_jobs.kinds.reporting import report
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import MergedField
 from sms_jobs.records.quantity import SYMMETRIC
+from sms_jobs.records.subject import Subject
 
 EVIL = "</script><img src=x onerror=\"document.title='broken into'\">"
 SIZE = (90, 120)

@@ -37,8 +37,9 @@ from sms_jobs.jobs.portable import PackOptions
 from sms_jobs.jobs.registration import Registered, register_calibration, register_campaign
 from sms_jobs.jobs.submission import submit
 from sms_jobs.jobs.verification import check_known
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 MORNING = datetime(2026, 3, 1, 8, 0, tzinfo=UTC)  # of the day at whose noon the clock of these tests begins

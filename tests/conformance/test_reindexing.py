@@ -22,7 +22,8 @@ from sms_jobs.jobs.importing import amend_campaign, with_readings, with_states
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.registration import defined, register_calibration
 from sms_jobs.jobs.reindexing import Reindexed
-from sms_jobs.records.campaign import Campaign, CampaignDefinition, Subject
+from sms_jobs.records.campaign import Campaign, CampaignDefinition
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.sessions import small_session
 

@@ -48,8 +48,8 @@ from sms_jobs.jobs.repository import Repository
 from sms_jobs.jobs.submission import submit
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import JobState
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 QUEUES = ["cpu", "io", "acquisition"]

@@ -41,8 +41,8 @@ from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.submission import submit
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import ACTIVE, TRANSITIONS, UNSUCCESSFUL, JobState
+from sms_jobs.records.subject import Subject
 
 BUDGET = 2
 """Crashes; fewer than in life, so that few steps exhaust it."""

@@ -21,10 +21,11 @@ from sms_jobs.metrology.geometry.camera import project, ray_directions
 from sms_jobs.metrology.targets.sphere_blur import sphere_image_in_projector
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.calibration import CalibrationQuality
-from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.scene import Simulation
 from sms_jobs.records.sensors import Calibration, Rig
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.artefact_truth import placed_points, true_board
 from sms_jobs.virtual_rig.artefacts import bar_centres

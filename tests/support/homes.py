@@ -15,7 +15,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.models import FileRow
 from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 WHEN = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)

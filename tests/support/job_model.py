@@ -19,8 +19,9 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow, FileRow, JobRow, OutboxRow, Table
 from sms_jobs.jobs import recovery
 from sms_jobs.jobs.lifecycle import Claim
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import TRANSITIONS, UNSUCCESSFUL, JobState
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 from support.jobs import NOW, add_calibration_file
 

@@ -17,12 +17,13 @@ from sms_jobs.kinds.products import MERGED
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.assessment import Assessment, Errors
-from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.fields import MergedField, Mesh, Region, Regions, StrainField, Surface
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.scene import HalvesApart, Plane, Scene
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 
 WHEN = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)

@@ -11,10 +11,10 @@ import numpy as np
 from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Region, Regions, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 
 JOB = "0123456789abcdef"

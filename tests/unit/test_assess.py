@@ -13,11 +13,11 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, default_subjects
 from sms_jobs.kinds.reporting.assess import KIND, AssessParameters
 from sms_jobs.records.assessment import Assessment
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import DisplacementField, StrainField, Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Simulation
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Shape, Truth, exact_shape, exact_truth

@@ -17,9 +17,9 @@ from sms_jobs.formats.configuration import (
 )
 from sms_jobs.kinds.recording.simulate import recipe
 from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.scene import PanTilt, Rigid, Simulation
 from sms_jobs.records.sensors import SensorFormat
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.artefact_truth import placed_points, true_bar, true_board
 

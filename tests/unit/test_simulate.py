@@ -12,9 +12,10 @@ from sms_jobs.archive.provenance import Provenance
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Inputs, default_subjects
 from sms_jobs.kinds.recording.simulate import KIND, UNTIMED, Recipe, SimulateParameters
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.scene import Simulation, Speckle
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.sessions import small_session
 

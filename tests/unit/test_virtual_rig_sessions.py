@@ -7,8 +7,9 @@ import pytest
 
 from sms_jobs.kinds.recording.simulate import recipe
 from sms_jobs.records.artefacts import BallBar, CircleBoard
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.scene import PanTilt, Simulation
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.artefact_truth import TrueBoard, placed_points, true_bar, true_board
 from sms_jobs.virtual_rig.artefacts import bar_centres

@@ -19,7 +19,7 @@ from sms_jobs.kinds.recording.simulate import KIND, SimulateParameters
 from sms_jobs.kinds.reporting import assess
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.records.assessment import Assessment
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Surface as MeasuredSurface
 from sms_jobs.records.measurement import UNTIMED, FringeSequence, Measurement
 from sms_jobs.records.scene import (
@@ -32,6 +32,7 @@ from sms_jobs.records.scene import (
     Simulation,
 )
 from sms_jobs.records.sensors import Rig
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.campaigns import Lens
 from sms_jobs.virtual_rig.deformations import carried_points, packed_chain

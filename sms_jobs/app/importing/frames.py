@@ -32,9 +32,10 @@ from sms_jobs.formats.importers.inspection import (
 from sms_jobs.formats.importers.layout import FrameLayout, layout_of, load_layout
 from sms_jobs.jobs.importing import amend_campaign, import_measurement, known_of, with_states
 from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 

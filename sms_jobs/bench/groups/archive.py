@@ -12,9 +12,9 @@ import numpy as np
 
 from sms_jobs.archive import Archive, FolderStore, Provenance
 from sms_jobs.bench.figures import REPEATS, Condition, Figure, Found, Group, Run
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
+from sms_jobs.records.subject import Subject
 
 ROWS, COLUMNS, FRAMES = 1024, 1280, 48
 _FRAMES_OF_50_MB = 19

@@ -34,11 +34,11 @@ from sms_jobs.bench.stereo_peers import (
 from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.kinds.shape import stereo
 from sms_jobs.kinds.surface_ports import position_covariance
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.scene import Plane
 from sms_jobs.records.scene import Surface as Shape
 from sms_jobs.records.sensors import Rig
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import Lens, Made
 from sms_jobs.virtual_rig.stereo_campaigns import (
     TELEPHOTO,

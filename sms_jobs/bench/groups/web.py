@@ -20,9 +20,9 @@ from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.web_clients import EventEar, Served, crowd, served
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import FileRow
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.job import JobState
+from sms_jobs.records.subject import Subject
 
 _FILES, _QUICK_FILES = 1_000_000, 20_000
 _JOBS, _QUICK_JOBS = 100_000, 5_000

@@ -14,8 +14,8 @@ from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.metrology.geometry.camera import project
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import DisplacementField
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.campaigns import hole_and_step_translation
 from sms_jobs.virtual_rig.truth import Truth

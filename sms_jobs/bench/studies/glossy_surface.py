@@ -17,12 +17,13 @@ from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.kinds.recording import simulate
 from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.kinds.surface_ports import position_covariance
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Cylinder, Gloss
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.truth import exact_shape
 

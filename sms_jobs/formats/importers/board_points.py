@@ -18,8 +18,8 @@ from sms_jobs.formats.importers.boards import BOARD
 from sms_jobs.formats.importers.folders import printable
 from sms_jobs.formats.interchange.text_files import read_text
 from sms_jobs.records.artefacts import Chessboard
-from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.observations import BoardObservation
+from sms_jobs.records.subject import checked_name
 from sms_jobs.records.views import view_of
 
 COLUMNS = ("state", "board_x_mm", "board_y_mm", "camera_x_px", "camera_y_px")

@@ -12,7 +12,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.importers.folders import LeftOut, Listing, natural, printable
 from sms_jobs.formats.importers.image_files import RAW_SUFFIXES, SUFFIXES
 from sms_jobs.formats.importers.layout import FrameLayout, Role
-from sms_jobs.records.campaign import checked_name
+from sms_jobs.records.subject import checked_name
 from sms_jobs.records.views import is_view, view_of
 
 _FAULTS_SHOWN = 4

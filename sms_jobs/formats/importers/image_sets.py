@@ -18,8 +18,8 @@ from sms_jobs.formats.importers.folders import LeftOut, Listing, NamePattern, na
 from sms_jobs.formats.importers.frames import Arrangement, FoundTuple, abridged, is_image
 from sms_jobs.formats.importers.image_files import RawFormat, read_image
 from sms_jobs.formats.importers.inspection import Inspected
-from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
+from sms_jobs.records.subject import checked_name
 from sms_jobs.records.views import CAMERA_PATTERN
 
 _CAMERA = re.compile(CAMERA_PATTERN)

@@ -22,8 +22,8 @@ from sms_jobs.formats.interchange.thesis_calibration import thesis_text
 from sms_jobs.metrology.geometry.camera import Camera, Pose
 from sms_jobs.metrology.geometry.common_view import common_field
 from sms_jobs.metrology.geometry.lens import distortion_jacobian, undistort
-from sms_jobs.records.campaign import checked_name
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.subject import checked_name
 from sms_jobs.records.supplements import Supplement
 from sms_jobs.records.views import Role, role_of, sensor_name
 

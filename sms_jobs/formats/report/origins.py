@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 from sms_jobs.formats.report.html import Cell, Markup, code, folded, paragraph, table
 from sms_jobs.formats.report.page import Section
 from sms_jobs.formats.report.tables import local_time
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 
 
 class Origin(Protocol):

@@ -37,7 +37,8 @@ from sms_jobs.kinds.kind import (
     Scope,
 )
 from sms_jobs.kinds.products import BAR, BOARD, CALIBRATED, QUALITY, UNCERTAINTY
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.subject import Subject
 
 
 def _subjects(campaign: Campaign) -> Iterable[Subject]:

@@ -62,8 +62,9 @@ from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
 from sms_jobs.metrology.calibration.initialisation import initialise
 from sms_jobs.metrology.geometry.lens import HELD, KEPT, LENS
 from sms_jobs.records.calibration import CalibrationQuality
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 
 LAST = Port("last", CALIBRATION, (CALIBRATED, UNCERTAINTY, QUALITY))
 """The calibration that a session on site starts from."""

@@ -30,10 +30,11 @@ from sms_jobs.kinds.shape.fringe_response import SampledResponse, SampleParamete
 from sms_jobs.metrology.geometry.camera import ray_directions
 from sms_jobs.metrology.geometry.triangulation import Projector, triangulate
 from sms_jobs.metrology.phase.response import corrected_gradient
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.diagnosis import ResponseDiagnosis
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 Floats = NDArray[np.float64]

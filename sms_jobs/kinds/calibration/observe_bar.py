@@ -58,9 +58,10 @@ from sms_jobs.metrology.targets.sphere_blur import blur_shift
 from sms_jobs.metrology.targets.sphere_layout import SphereLayout
 from sms_jobs.metrology.targets.spheres import SphereSearch, find_spheres
 from sms_jobs.records.artefacts import BallBar
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.observations import BarObservation
 from sms_jobs.records.sensors import Sensor, SensorFormat
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 _FRAMES = Port("measurement", MEASUREMENT, (MEASURED,))

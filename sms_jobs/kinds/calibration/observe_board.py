@@ -37,9 +37,10 @@ from sms_jobs.metrology.targets.chessboards import find_chessboard
 from sms_jobs.metrology.targets.patterns import BoardPoints
 from sms_jobs.metrology.targets.projector_points import ProjectorPoints, carry_to_projector
 from sms_jobs.records.artefacts import Artefact, Chessboard, CircleBoard
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.observations import BoardObservation
 from sms_jobs.records.sensors import SensorFormat
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 

@@ -11,11 +11,11 @@ from sms_jobs.kinds.kind import Progress
 from sms_jobs.kinds.shape.phase_task import PhaseParameters, PhaseTask
 from sms_jobs.kinds.shape.phases import find_phases
 from sms_jobs.metrology.geometry.projector_pixels import projector_pixels
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import SensorFormat
+from sms_jobs.records.subject import Subject
 
 
 @dataclass(frozen=True)

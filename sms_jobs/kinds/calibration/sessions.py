@@ -11,8 +11,9 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import CALIBRATION, Inputs, Need, Port
 from sms_jobs.kinds.products import BAR, BOARD, CALIBRATED, QUALITY, Product, R
 from sms_jobs.records.artefacts import Artefact, BallBar
-from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Subject
+from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState
 from sms_jobs.records.sensors import SensorFormat
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 OBSERVE_BOARD = "observe-board"

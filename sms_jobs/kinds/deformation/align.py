@@ -45,9 +45,10 @@ from sms_jobs.metrology.deformation.matching import GridSettings
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.surfaces.continuity import continuous_labels
 from sms_jobs.records.alignment import ViewAlignment
-from sms_jobs.records.campaign import Campaign, Subject, checked_name
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Vector
+from sms_jobs.records.subject import Subject, checked_name
 
 _ROUNDS = 2  # the second starts from what the first found, and so finds points at the rim of the overlap
 

@@ -27,8 +27,9 @@ from sms_jobs.metrology.deformation.joining import StrainedSurface, brought, dif
 from sms_jobs.metrology.deformation.merging import join_meshes
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.alignment import ViewAlignment
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Mesh
+from sms_jobs.records.subject import Subject
 
 Floats: TypeAlias = NDArray[np.float64]
 

@@ -45,9 +45,10 @@ from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
 from sms_jobs.metrology.deformation.splitting import Split, split_regions
 from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.metrology.images.segmentation import ContinuousRegions, in_order
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, ImageMatches, Region, Regions
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 _REFERENCE = state_ports("reference", "reference_measurement")

@@ -31,11 +31,12 @@ from sms_jobs.metrology.deformation.strain_errors import independent_equivalent
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.metrology.geometry.transforms import turn_covariance
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, Regions, StrainMeasure, Surface
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import AT_ORIGIN
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 

@@ -35,10 +35,11 @@ from sms_jobs.metrology.deformation.merging import (
 from sms_jobs.metrology.deformation.strain import principal_and_equivalent
 from sms_jobs.metrology.geometry.planes import covariance_in_plane, covariance_in_space, in_space
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import MergedField, Mesh
 from sms_jobs.records.quantity import SYMMETRIC, XYZ
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.subject import Subject
 
 Floats: TypeAlias = NDArray[np.float64]
 Mask: TypeAlias = NDArray[np.bool_]

@@ -29,10 +29,11 @@ from sms_jobs.metrology.deformation.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.strain import surface_strain
 from sms_jobs.metrology.deformation.strain_errors import independent_equivalent
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import StrainField, StrainMeasure, Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Vector
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 _USUAL_MM, _USUAL_PX = 20.0, 60.0

@@ -18,10 +18,10 @@ from sms_jobs.metrology.deformation.correlation import Noise
 from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
 from sms_jobs.metrology.images.segmentation import ContinuousRegions, label_regions, pixel_footprint
 from sms_jobs.metrology.images.texture_extent import textured_pixels
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.subject import Subject
 
 CALIBRATION_OF_SHAPE = Port("calibration", CALIBRATION, (CALIBRATED,))
 

@@ -37,9 +37,10 @@ from sms_jobs.kinds.products import INTERRUPTED, MEASURED, RECORDED
 from sms_jobs.kinds.recording.simulate import scene_at
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.artefacts import BallBar
-from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.recording import Recording
+from sms_jobs.records.subject import Subject
 
 ANGLES = ("pan_rad", "tilt_rad")
 """The channels of a state that say where a stage is to be."""

@@ -27,10 +27,11 @@ from sms_jobs.kinds.kind import (
 from sms_jobs.kinds.products import ASSESSMENT, DISPLACEMENT, MEASURED, STRAIN, SURFACE
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port, textured_by
 from sms_jobs.records.assessment import Assessment, Errors
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Simulation
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.truth import Truth, exact_shape, exact_truth
 
 Floats: TypeAlias = NDArray[np.float64]

@@ -29,8 +29,9 @@ from sms_jobs.kinds.kind import (
 )
 from sms_jobs.kinds.products import MEASURED, MERGED, MESH
 from sms_jobs.kinds.surface_ports import textured_by
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Mesh
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 USUAL = ("csv", "obj", "ply", "stl", "tecplot", "vtu")

@@ -36,8 +36,9 @@ from sms_jobs.kinds.reporting.chapter import (
 )
 from sms_jobs.records.assessment import Assessment
 from sms_jobs.records.calibration import CalibrationQuality
-from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.recording import Recording, as_recorded, mean_readings
+from sms_jobs.records.subject import Subject
 
 _INTRODUCTION = (
     "Grey in a map means that nothing could be measured there. Standard deviations are one sigma, without a "

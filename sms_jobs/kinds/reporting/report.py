@@ -30,7 +30,8 @@ from sms_jobs.kinds.reporting.chapter import (
     present,
 )
 from sms_jobs.kinds.reporting.pages import ReportPages
-from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.campaign import Campaign, LoadState
+from sms_jobs.records.subject import Subject
 
 
 class PageParameters(Parameters):

@@ -19,7 +19,8 @@ from sms_jobs.kinds.kind import (
 from sms_jobs.kinds.reporting import report
 from sms_jobs.kinds.reporting.chapter import SHOWN, Sampling, present
 from sms_jobs.kinds.reporting.pages import ReportPages
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.subject import Subject
 
 
 def two_states(campaign: Campaign, subject: Subject) -> Campaign:

@@ -22,9 +22,10 @@ from sms_jobs.kinds.reporting.chapter import (
     Sampling,
 )
 from sms_jobs.kinds.surface_ports import textured_by
-from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.fields import StrainField
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.subject import Subject
 
 
 def _needs(campaign: Campaign) -> Iterable[Need]:

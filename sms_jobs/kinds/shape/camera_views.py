@@ -13,8 +13,9 @@ from sms_jobs.kinds.products import SURFACE
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.metrology.deformation.merging import merge_by_variance
 from sms_jobs.metrology.surfaces.continuity import continuous_labels
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.subject import Subject
 
 _DIAGONAL = [0, 3, 5]
 

@@ -40,9 +40,10 @@ from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.metrology.surfaces.normals import image_normals
 from sms_jobs.metrology.surfaces.registration import MeasuredPoints, Registration, register
 from sms_jobs.metrology.surfaces.triangle_surface import TriangleSurface, triangle_surface
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.surfaces import (
     REFERENCE_SURFACES,
     DeviationField,

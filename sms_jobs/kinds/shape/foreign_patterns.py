@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.phase.gray_code import gradient_of_stripes, read_stripes
 from sms_jobs.metrology.phase.temporal_unwrapping import CoarseGradient
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.subject import Subject
 
 _DOUBT = 3.0  # standard deviations of the noise from the threshold, within which a bit may be misread
 

@@ -15,8 +15,8 @@ from sms_jobs.kinds.shape.streaming import in_best_exposure
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.response import Response, diagnose_response
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.subject import Subject
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -27,8 +27,9 @@ from sms_jobs.kinds.surface_ports import textured_by
 from sms_jobs.metrology.deformation.merging import join_meshes
 from sms_jobs.metrology.surfaces.continuity import fill_small_holes
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Mesh
+from sms_jobs.records.subject import Subject
 
 _VALUES = (("sigma of position", "mm"), ("texture", "1"), ("filled", "1"))
 

@@ -15,10 +15,10 @@ from sms_jobs.metrology.images.masks import high_phase_error, low_modulation
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.ranging.signal import Window
 from sms_jobs.metrology.phase.ripple_table import RippleTable
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Box
+from sms_jobs.records.subject import Subject
 
 Reasons = NDArray[np.uint32]
 Floats = NDArray[np.float64]

@@ -28,9 +28,10 @@ from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.geometry.planes import pixels_as_plane
 from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX
 from sms_jobs.metrology.images.texture_extent import textured_pixels
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.subject import Subject
 
 
 class PlaneParameters(Parameters):

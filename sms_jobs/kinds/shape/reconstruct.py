@@ -48,10 +48,11 @@ from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge, large_ray_gap, outside_box
 from sms_jobs.metrology.phase.response import corrected_gradient
 from sms_jobs.metrology.phase.texture_error import Blur, correct_texture
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps, Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 
 # Of good pixels 0.2 % fail by noise: four that touch each other do so once in many million images.

@@ -56,11 +56,12 @@ from sms_jobs.metrology.geometry.several_cameras import SeenPoints, meet_rays
 from sms_jobs.metrology.images.masks import outside_box
 from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX
 from sms_jobs.metrology.images.texture_extent import textured_pixels
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import ImageMatches, Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Calibration, Sensor
+from sms_jobs.records.subject import Subject
 
 Floats: TypeAlias = NDArray[np.float64]
 Mask: TypeAlias = NDArray[np.bool_]

@@ -32,9 +32,9 @@ from support.sealing import (
 
 from sms_jobs.archive import Archive, Sealed
 from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, NotFound, OtherFormat, StorageFull
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import ImageMatches, Surface
 from sms_jobs.records.measurement import ArrayStack, Measurement
+from sms_jobs.records.subject import Subject
 
 # --- sealing -----------------------------------------------------------------------------------------
 
@@ -127,7 +127,7 @@ from pathlib import Path
 import os
 import numpy as np
 from sms_jobs.archive import Archive, FolderStore, Provenance
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 
 class Stack(ArrayStack):

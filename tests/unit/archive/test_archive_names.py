@@ -13,8 +13,8 @@ from support.sealing import JOB, calibration, damaged, files_below, provenance, 
 
 from sms_jobs.archive import Archive, Provenance
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, StorageFull
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 
 # --- names -------------------------------------------------------------------------------------------------
 

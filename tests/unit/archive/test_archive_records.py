@@ -18,12 +18,13 @@ from sms_jobs.archive import Archive, FolderStore, MemoryStore, Provenance
 from sms_jobs.archive.codec import layout_of, plain_to_json, record_classes, record_from_parts
 from sms_jobs.errors import ArchiveCorrupt
 from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
-from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.measurement import ArrayStack, FrameStack, FringeSequence, Measurement
 from sms_jobs.records.numbers import LARGEST
 from sms_jobs.records.quantity import QUANTITY, Quantity
 from sms_jobs.records.scene import Cylinder, HalvesApart, Plane, Rigid, Scene, TopHat
 from sms_jobs.records.sensors import Rig, Sensor
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.texts import NAME_LETTERS, REMARK_LETTERS, harmless
 from sms_jobs.records.times import EARLIEST, LATEST
 from sms_jobs.records.views import sensor_name

@@ -11,7 +11,7 @@ from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.archive.place import probe, require_usable, says_full, says_unusable, unusable
 from sms_jobs.archive.sealing import sealing
 from sms_jobs.errors import ArchiveCorrupt, StorageFull, StorageUnusable
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 
 OF_THE_PLACE = [errno.EROFS, errno.EIO, errno.ESTALE, errno.EACCES, errno.EPERM, errno.ENOTCONN]
 

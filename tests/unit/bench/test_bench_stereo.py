@@ -17,8 +17,8 @@ from sms_jobs.bench.stereo_errors import (
 )
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.metrology.geometry.camera import project
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import DisplacementField, Surface
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.truth import Truth
 
 COLUMNS, ROWS = 96, 80

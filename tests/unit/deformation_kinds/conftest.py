@@ -10,10 +10,11 @@ import pytest
 from sms_jobs.kinds.deformation import correlate, merge, strain
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Need, Parameters
 from sms_jobs.kinds.shape import reconstruct
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.scene import HalvesApart, Rigid, Simulation
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.rendering import render

@@ -21,11 +21,12 @@ from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Parameters
 from sms_jobs.kinds.shape import plane
 from sms_jobs.kinds.shape.plane import PlaneParameters
 from sms_jobs.metrology.geometry.planes import covariance_in_space
-from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.fields import DisplacementField, StrainField, Surface
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.subject import Subject
 
 SIZE, NOISE = 160, 8.0
 ALONG, ACROSS, SHEAR = 4e-3, -1.2e-3, 1e-3

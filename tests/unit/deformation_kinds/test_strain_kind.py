@@ -10,8 +10,8 @@ import pytest
 
 from sms_jobs.kinds.deformation import strain
 from sms_jobs.kinds.deformation.strain import StrainParameters
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.subject import Subject
 
 VIEW = "C1P1"
 

@@ -20,9 +20,10 @@ from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.metrology.deformation.joining import vertex_normals
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_vector, transform
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.scene import Plane
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import placed, small_plate
 from sms_jobs.virtual_rig.deformations import carried_points, packed_chain
 

@@ -19,9 +19,10 @@ from sms_jobs.kinds.deformation import merge
 from sms_jobs.kinds.deformation.merge import MergeParameters
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.kinds.products import MERGED, MESH
-from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.fields import DisplacementField, MergedField, Mesh
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.subject import Subject
 
 SCALE = 0.05
 SHAPE = (12, 20)

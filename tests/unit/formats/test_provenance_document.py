@@ -24,7 +24,7 @@ from sms_jobs.formats.provenance_document import (
     provenance_document,
 )
 from sms_jobs.jobs import lineage_documents, reindexing
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 
 NOW = datetime(2026, 3, 1, 12, 0, 5, tzinfo=UTC)
 ENDS = {

@@ -12,10 +12,11 @@ from support.planes import SIGMA_PX, merged_in_plane, moved_in_plane, one_region
 from sms_jobs.formats.report.surface import deformed_view, reference_view
 from sms_jobs.formats.report.view import Sampler, View
 from sms_jobs.kinds.reporting import report
-from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.subject import Subject
 
 SHAPE = (48, 80)
 SAMPLER = Sampler(SHAPE, 40, 0)

@@ -16,8 +16,8 @@ from sms_jobs.cli.kind_options import split_words
 from sms_jobs.formats.report.certificate import calibration_summary, doubts, doubts_of, recordings
 from sms_jobs.formats.report.origins import commands, origins
 from sms_jobs.kinds import kind_named
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.recording import Recording, Verdict
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 
 

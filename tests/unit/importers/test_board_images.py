@@ -30,10 +30,11 @@ from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose
 from sms_jobs.records.artefacts import Chessboard, CircleBoard
 from sms_jobs.records.calibration import CalibrationQuality
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.observations import BoardObservation
 from sms_jobs.records.sensors import Calibration, SensorFormat
+from sms_jobs.records.subject import Subject
 
 ROWS, COLUMNS, FINER = 240, 320, 4
 AT = datetime(2026, 6, 1, 8, tzinfo=UTC)

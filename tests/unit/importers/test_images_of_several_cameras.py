@@ -20,8 +20,9 @@ from sms_jobs.formats.importers.image_names import guess_image_pattern
 from sms_jobs.jobs.registration import register_calibration
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 from tests.support.foreign_frames import save
 

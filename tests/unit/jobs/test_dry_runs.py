@@ -13,8 +13,9 @@ from sms_jobs.formats.rig_configuration import parse_rig
 from sms_jobs.jobs.dry_runs import dry_run
 from sms_jobs.jobs.stations import known_sensors
 from sms_jobs.kinds.recording.acquire import all_states, order
-from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.shown.rehearsals import DryRun
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.sessions import small_session
 

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from sms_jobs.kinds.recording.acquire import AcquireParameters, order
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.sessions import small_session
 from sms_jobs.virtual_rig.stereo_campaigns import stereo_campaign

@@ -20,9 +20,10 @@ from sms_jobs.kinds.calibration import calibrate
 from sms_jobs.kinds.calibration.sessions import CALIBRATE, OBSERVE_BAR, OBSERVE_BOARD, bar_states
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.calibration import CalibrationQuality
-from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.scene import PanTilt, Rigid
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.artefacts import board_points
 from sms_jobs.virtual_rig.sessions import SMALL_BOARD, small_session
 

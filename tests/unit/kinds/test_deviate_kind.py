@@ -24,10 +24,11 @@ from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, DocumentOutput, Inpu
 from sms_jobs.kinds.shape import deviate, mesh
 from sms_jobs.metrology.geometry.transforms import inverse, rotation_vector
 from sms_jobs.metrology.surfaces.deviation import Verdict
-from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.fields import Mesh, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.surfaces import (
     REFERENCE_SURFACES,
     DeviationField,

@@ -21,9 +21,9 @@ from sms_jobs.kinds.calibration.sessions import (
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Need
 from sms_jobs.metrology.targets.sphere_blur import sphere_image_in_projector
 from sms_jobs.records.calibration import CalibrationQuality
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.observations import BarObservation
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.artefact_truth import true_bar
 from sms_jobs.virtual_rig.sessions import SMALL_BAR
 

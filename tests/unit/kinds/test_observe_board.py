@@ -13,10 +13,10 @@ from sms_jobs.kinds.calibration import observe_board
 from sms_jobs.kinds.calibration.sessions import OBSERVE_BOARD, board_states, every_view
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.simulate import recipe
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.observations import BoardObservation
 from sms_jobs.records.sensors import SensorFormat
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.artefact_truth import true_board
 from sms_jobs.virtual_rig.sessions import SMALL_BOARD
 

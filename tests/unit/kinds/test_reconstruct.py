@@ -15,12 +15,13 @@ from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import DatasetOutput
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
-from sms_jobs.records.campaign import Campaign, Subject
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import CameraResponse, Simulation
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Shape, exact_shape

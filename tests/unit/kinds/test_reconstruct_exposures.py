@@ -16,12 +16,12 @@ from sms_jobs.kinds.calibration import diagnose
 from sms_jobs.kinds.deformation.textured_state import average_noise
 from sms_jobs.kinds.kind import DatasetOutput
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Cylinder, Gloss, Simulation
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import START, small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Shape, exact_shape

@@ -15,12 +15,12 @@ from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds.kind import DatasetOutput
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import ProjectorResponse, Simulation
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import START, small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Shape, exact_shape

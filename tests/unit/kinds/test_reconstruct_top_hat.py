@@ -9,12 +9,12 @@ from scipy import ndimage
 from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.metrology.images.segmentation import label_regions, pixel_footprint
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Simulation
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Shape, exact_shape

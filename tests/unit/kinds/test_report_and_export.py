@@ -20,7 +20,7 @@ from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import MEASUREMENT, DocumentOutput, Port
 from sms_jobs.kinds.reporting import export, report
 from sms_jobs.kinds.reporting import state_report as report_state
-from sms_jobs.records.campaign import Subject
+from sms_jobs.records.subject import Subject
 
 Run = Callable[..., list[tuple[DocumentOutput, Path]]]
 

@@ -23,10 +23,10 @@ from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import KEPT, LENS
 from sms_jobs.records.artefacts import BallBar, CircleBoard
 from sms_jobs.records.calibration import CalibrationQuality
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.sensors import Rig, Sensor
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import bending_rig
 from sms_jobs.virtual_rig.sessions import calibration_session, on_site_session, small_session
 

@@ -17,10 +17,10 @@ from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.kinds.shape import stereo
 from sms_jobs.kinds.surface_ports import position_covariance
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 
 AT = datetime(2026, 5, 4, tzinfo=UTC)

@@ -13,12 +13,12 @@ from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.calibration import diagnose
 from sms_jobs.kinds.kind import DatasetOutput
 from sms_jobs.kinds.shape import reconstruct
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.diagnosis import ResponseDiagnosis
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import ProjectorResponse, Simulation, Speckle
+from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import START, small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import exact_shape

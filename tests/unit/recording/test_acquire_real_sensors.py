@@ -14,9 +14,9 @@ from sms_jobs.formats.rig_configuration import example_rig, parse_rig
 from sms_jobs.jobs.stations import known_sensors
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Station
 from sms_jobs.kinds.recording.acquire import AcquireParameters, Order, run
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.recording import Recording
+from sms_jobs.records.subject import Subject
 
 SEQUENCE = FringeSequence((3, 2), 3, (0.0,), (1.0, 2.0))
 ORDER = Order(("C1P1",), SEQUENCE, None, None)
