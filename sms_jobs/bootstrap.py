@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 from sms_jobs import settings as settings_file
 from sms_jobs.archive import Archive, FolderStore
@@ -19,10 +20,12 @@ from sms_jobs.catalogue import audit, people, renewal, schema
 from sms_jobs.catalogue.audit import Deed
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import CatalogueDamaged, CatalogueEmpty, ConfigurationError
-from sms_jobs.jobs.stations import Stations
 from sms_jobs.records.people import Actor, Role, without_secrets
 from sms_jobs.records.texts import checked_text
 from sms_jobs.settings import Settings
+
+if TYPE_CHECKING:
+    from sms_jobs.jobs.stations import Stations
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,9 @@ class Services:
     @property
     def stations(self) -> Stations:
         """The rigs that are connected to this host."""
+        # Which load the instruments' records: only what works with rigs needs them.
+        from sms_jobs.jobs.stations import Stations
+
         return Stations.of(self.settings)
 
     def acting(self, actor: Actor) -> Services:

@@ -22,16 +22,16 @@ from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.jobs import acceptances
 from sms_jobs.jobs.registration import Registered, register_calibration
 from sms_jobs.metrology.geometry.lens import COEFFICIENTS
-from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import Box, Calibration, Sensor
 from sms_jobs.records.shown.files import CalibrationView
 from sms_jobs.records.subject import Subject
-from sms_jobs.records.supplements import Supplement
 
 if TYPE_CHECKING:
     from sms_jobs.jobs.calibrations import CalibrationCheck, KnownCalibration
     from sms_jobs.metrology.calibration.comparison import CalibrationComparison
+    from sms_jobs.records.calibration import CalibrationQuality
+    from sms_jobs.records.supplements import Supplement
 
 STYLES: tuple[str, ...] = get_args(Style)
 """Names of the files of other programs that calibrations are written as."""

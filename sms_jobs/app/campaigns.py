@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
@@ -15,8 +15,10 @@ from sms_jobs.jobs import inquiry
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.inquiry import CampaignView
 from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.people import Right
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
 
 
 def example(of: Literal["fringes", "stereo", "session"] = "fringes") -> str:

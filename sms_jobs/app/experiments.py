@@ -13,10 +13,10 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.people import Right
 
 if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
     from sms_jobs.virtual_rig.campaigns import Made, Size
 
 EXPERIMENTS: Mapping[str, str] = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,11 +12,13 @@ from sms_jobs.app.field_sources import SAMPLES, Placed, fields_of, step_of
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, search
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import FileView
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
 
 _MOST_FILES = 20_000
 

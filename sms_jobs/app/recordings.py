@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import TYPE_CHECKING
 
 from sqlalchemy.orm import Session
 
@@ -23,11 +24,13 @@ from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.jobs.recordings import OpenRecording, PairVerdict, Turn, state_value
 from sms_jobs.jobs.submission import submit_to
 from sms_jobs.kinds.recording.acquire import KIND
-from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.rehearsals import DryRun
 from sms_jobs.records.shown.state_progress import StateProgress
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign, LoadState
 
 _LOOK_EVERY_S = 0.2
 

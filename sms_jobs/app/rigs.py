@@ -20,13 +20,13 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.jobs import locks
 from sms_jobs.jobs.locks import HeldDevice
 from sms_jobs.kinds.kind import rig_queue
-from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.records.people import Right
 
 if TYPE_CHECKING:
     from sms_jobs.instruments.checking import RigCheck
     from sms_jobs.instruments.scanners.server import ScannerServer
     from sms_jobs.instruments.simulated.serial.simulation import SimulatedPorts
+    from sms_jobs.records.optical_instruments import RigFile
 
 _LONGEST = timedelta(minutes=5)
 """What a check or a move may take; a rig whose holder was killed is free again after it."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,10 +15,12 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, search
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats.state_differences import StateDifference, draw_states, written_table
-from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.people import Right
 from sms_jobs.records.recording import as_recorded
 from sms_jobs.records.subject import Subject
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import LoadState
 
 _STATE = "{state}"
 

@@ -2,8 +2,8 @@
 
 from sms_jobs.archive.archive import Archive
 from sms_jobs.archive.checking import Checker
-from sms_jobs.archive.dataset import DATASET_MEDIA_TYPE, ArchivedDataset
 from sms_jobs.archive.folder import FolderStore
+from sms_jobs.archive.form import DATASET_MEDIA_TYPE
 from sms_jobs.archive.memory import MemoryStore
 from sms_jobs.archive.provenance import Found, InputReference, Provenance, Recorded, Sealed
 from sms_jobs.archive.store import Store
@@ -11,7 +11,6 @@ from sms_jobs.archive.store import Store
 __all__ = [
     "DATASET_MEDIA_TYPE",
     "Archive",
-    "ArchivedDataset",
     "Checker",
     "FolderStore",
     "Found",

@@ -1,4 +1,7 @@
-"""The archive: sealed files that never change, in a store."""
+"""The archive: sealed files that never change, in a store.
+
+HDF5 is loaded where a dataset is written or opened: to ask for room, names or bytes takes none of it.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,18 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sms_jobs.archive import hdf5, layout
+from sms_jobs.archive import layout
 from sms_jobs.archive.checking import Checker
 from sms_jobs.archive.damage import altered
-from sms_jobs.archive.dataset import DATASET_MEDIA_TYPE, ArchivedDataset, open_dataset, write_dataset
-from sms_jobs.archive.limits import LARGEST_TEXT_BYTES
+from sms_jobs.archive.form import (
+    DATASET_MEDIA_TYPE,
+    FORMAT,
+    FORMAT_VERSION,
+    LARGEST_TEXT_BYTES,
+    require_version,
+)
 from sms_jobs.archive.provenance import (
     Found,
     Provenance,
@@ -27,6 +35,9 @@ from sms_jobs.archive.sealing import copy_or_link, sha256_of
 from sms_jobs.archive.store import LocalFile, Room, Store
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, OtherFormat
 from sms_jobs.records.subject import Subject
+
+if TYPE_CHECKING:
+    from sms_jobs.archive.dataset import ArchivedDataset
 
 _COMPARED_FIRST_BYTES = 256 << 10
 """A file of at most so much is compared as a whole before HDF5 sees it, which some damage makes spin.
@@ -107,6 +118,8 @@ class Archive:
         StorageFull
             When the disk is full; nothing is left behind, as on every other error.
         """
+        from sms_jobs.archive.dataset import write_dataset
+
         path = layout.dataset_path(provenance)
         with self.store.create(path, layout.identity(provenance)) as file:
             return write_dataset(file, path, records, provenance)
@@ -127,8 +140,8 @@ class Archive:
             sha256, size = sha256_of(file), file.stat().st_size
             sealed = Sealed(path, sha256, size, media_type, sha256)
             about = {
-                "format": f"{hdf5.FORMAT}-document",
-                "format_version": hdf5.FORMAT_VERSION,
+                "format": f"{FORMAT}-document",
+                "format_version": FORMAT_VERSION,
                 "filename": filename,
                 "media_type": media_type,
                 "content_hash": sealed.content_hash,
@@ -172,6 +185,8 @@ class Archive:
     def _opened(
         self, path: str, content_hash: str = "", size_bytes: int | None = None
     ) -> Iterator[ArchivedDataset]:
+        from sms_jobs.archive.dataset import open_dataset
+
         with (
             self.store.local(path) as file,
             open_dataset(file, path, content_hash, size_bytes) as dataset,
@@ -200,7 +215,7 @@ class Archive:
             raise ArchiveCorrupt(f"the provenance of {path} cannot be read; restore {beside}") from error
         if not whole:
             raise ArchiveCorrupt(f"the provenance of {path} was altered; restore {beside}")
-        hdf5.require_version(path, version)
+        require_version(path, version)
         return provenance_from_json(json.dumps(provenance), path), content_hash, media_type
 
     def verify_provenance(self, path: str, content_hash: str) -> None:

@@ -11,7 +11,6 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-from sms_jobs.archive.dataset import check_dataset
 from sms_jobs.errors import ArchiveCorrupt, OtherFormat
 
 START_SECONDS = 60.0
@@ -25,6 +24,8 @@ _SERVE = "from sms_jobs.archive.checking import serve; serve()"
 
 def serve() -> None:
     """Check the files that are named on standard input, a JSON object a line; answer each with a line."""
+    from sms_jobs.archive.dataset import check_dataset
+
     with suppress(ValueError, OSError):  # not every system has such a limit
         resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
     for line in sys.stdin:

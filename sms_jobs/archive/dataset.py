@@ -18,6 +18,7 @@ from sms_jobs.archive.arrays import StoredArray, stored_array
 from sms_jobs.archive.blocks import Grid
 from sms_jobs.archive.codec import class_named, layout_of, record_from_parts
 from sms_jobs.archive.damage import altered, differs, readable
+from sms_jobs.archive.form import DATASET_MEDIA_TYPE, FORMAT, require_version
 from sms_jobs.archive.hashing import ArrayDigest, RecordDigest, SlabHash, block_checks, manifest_from
 from sms_jobs.archive.limits import refuse_excess
 from sms_jobs.archive.provenance import Provenance, Sealed, digest, provenance_from_json
@@ -27,8 +28,6 @@ from sms_jobs.records.quantity import components_of
 from sms_jobs.records.subject import Subject
 
 R = TypeVar("R")
-
-DATASET_MEDIA_TYPE = "application/x-hdf5"
 
 
 @dataclass(frozen=True)
@@ -107,11 +106,11 @@ def _opened(file: Path, where: str) -> Iterator[h5py.File]:
         opened = h5py.File(file, "r")
     with opened:
         with readable(where):
-            ours = opened.attrs.get("format") == hdf5.FORMAT
+            ours = opened.attrs.get("format") == FORMAT
             version = int(opened.attrs.get("format_version", 0))
         if not ours:
             raise ArchiveCorrupt(f"{where} is an HDF5 file, but not one of this archive")
-        hdf5.require_version(where, version)
+        require_version(where, version)
         yield opened
 
 

@@ -17,16 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.archive.codec import ArrayField, checked_array, layout_of, plain_to_json
+from sms_jobs.archive.form import FORMAT, FORMAT_VERSION, LARGEST_TEXT_BYTES
 from sms_jobs.archive.hashing import ArrayDigest, FramesHash, RecordDigest, SlabHash, manifest_text
-from sms_jobs.archive.limits import LARGEST_TEXT_BYTES
 from sms_jobs.archive.provenance import Provenance, digest, provenance_to_json
-from sms_jobs.errors import InvalidInput, OtherFormat
+from sms_jobs.errors import InvalidInput
 from sms_jobs.records.quantity import Quantity, quantities_of
 from sms_jobs.records.reasons import Reason
 
-FORMAT = "sms-archive"
-FORMAT_VERSION = 2
-"""1 knew no views; what was written before the first release is not read."""
 LIBRARY_VERSIONS = ("v108", "v110")
 """Newer object formats cannot be read by the HDF5 1.10 and 1.12 of people's tools."""
 
@@ -40,16 +37,6 @@ BLOCK = "block"
 PROCESS = "process"
 MANIFEST = "manifest"
 _RESERVED = {PROCESS, MANIFEST, "title", "start_time", "definition"}
-
-
-def require_version(where: str, version: int) -> None:
-    """Raise `OtherFormat` for a file that another version of the program has written in another format."""
-    if version == FORMAT_VERSION:
-        return
-    mismatch = f"{where} has format version {version}, this program reads version {FORMAT_VERSION}"
-    if version > FORMAT_VERSION:
-        raise OtherFormat(f"{mismatch}; install a newer sms_jobs")
-    raise OtherFormat(f"{mismatch}: it is from before the first release; import or compute it again")
 
 
 def chunk_shape(shape: tuple[int, ...], itemsize: int, streamed: bool) -> tuple[int, ...]:

@@ -11,12 +11,13 @@ from typing import Any
 
 import h5py
 
+from sms_jobs.archive.form import LARGEST_TEXT_BYTES
+
 MIB = 1 << 20
 MOST_OBJECTS = 10_000
 MOST_AXES = 8
 MOST_ATTRIBUTES = 64
 """Of one object; they are stored as they are, so that the file's size limits theirs."""
-LARGEST_TEXT_BYTES = 64 * MIB
 LARGEST_CHUNK_BYTES = 64 * MIB
 LARGEST_SLAB_BYTES = 1024 * MIB
 """Of what is in memory at a time while an array is read piece by piece."""

@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import cache
 from math import isfinite
 from typing import Any, Protocol
 
@@ -123,18 +124,20 @@ class Found:
     provenance: Provenance
 
 
-_JSON = TypeAdapter(Provenance)
+@cache
+def _json() -> TypeAdapter[Provenance]:
+    return TypeAdapter(Provenance)
 
 
 def provenance_to_json(provenance: Provenance) -> str:
     """Write a provenance as JSON."""
-    return json.dumps(_JSON.dump_python(provenance, mode="json", warnings="error"), ensure_ascii=False)
+    return json.dumps(_json().dump_python(provenance, mode="json", warnings="error"), ensure_ascii=False)
 
 
 def provenance_from_json(text: str | bytes, path: str) -> Provenance:
     """Read a provenance from JSON; raise `ArchiveCorrupt`, naming the file at `path`, if it is none."""
     try:
-        provenance = _JSON.validate_json(text, strict=True)
+        provenance = _json().validate_json(text, strict=True)
     except ValidationError as error:
         raise ArchiveCorrupt(
             f"{path} has no readable provenance ({error.error_count()} errors); restore it from a backup"

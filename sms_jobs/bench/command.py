@@ -95,7 +95,7 @@ def _print_wide(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         table.add_column(column, no_wrap=True)
     for row in rows:
         table.add_row(*(output.shown(cell) for cell in row))
-    wide = Console(width=max(output.answer.width, _WIDE), highlight=False, markup=False, emoji=False)
+    wide = Console(width=max(output.answer().width, _WIDE), highlight=False, markup=False, emoji=False)
     wide.print(table, soft_wrap=True)
 
 

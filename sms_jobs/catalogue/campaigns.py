@@ -6,7 +6,8 @@ import hashlib
 import json
 from collections.abc import Collection
 from datetime import datetime
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter
 from sqlalchemy import func, insert, select
@@ -22,10 +23,11 @@ from sms_jobs.catalogue.models import (
 )
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import Conflict, NotFound
-from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.subject import Subject
 
-_DEFINITION = TypeAdapter(Campaign)
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign, LoadState
+
 KEPT_DEFINITIONS = 16
 
 
@@ -147,9 +149,17 @@ def campaign_row(session: Session, name: str) -> CampaignRow:
     return session.get_one(CampaignRow, campaign_id(session, name))
 
 
+@cache
+def _definition() -> TypeAdapter[Campaign]:
+    # Scenes and sensors, which nobody who only names campaigns should wait for.
+    from sms_jobs.records.campaign import Campaign
+
+    return TypeAdapter(Campaign)
+
+
 def definition(row: CampaignRow) -> Campaign:
     """Return the `Campaign` record of a row."""
-    return _DEFINITION.validate_python(row.definition)
+    return _definition().validate_python(row.definition)
 
 
 def define(row: CampaignRow, campaign: Campaign) -> None:
@@ -181,7 +191,7 @@ class Definitions:
 
 def as_json(campaign: Campaign) -> dict[str, Any]:
     """Return what a row keeps of a campaign."""
-    kept: dict[str, Any] = _DEFINITION.dump_python(campaign, mode="json")
+    kept: dict[str, Any] = _definition().dump_python(campaign, mode="json")
     return kept
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import and_, func, select
 from sqlalchemy.orm import Session
@@ -21,10 +21,12 @@ from sms_jobs.catalogue.models import (
     ProvenanceRow,
     RigRow,
 )
-from sms_jobs.records.calibration import Acceptance
-from sms_jobs.records.measurement import UNTIMED
-from sms_jobs.records.sensors import Calibration, Rig
 from sms_jobs.records.subject import Subject
+from sms_jobs.records.times import UNTIMED
+
+if TYPE_CHECKING:
+    from sms_jobs.records.calibration import Acceptance
+    from sms_jobs.records.sensors import Calibration, Rig
 
 Sensors = Mapping[str, Mapping[str, Any]]
 """Role, columns and rows of sensors, by name."""

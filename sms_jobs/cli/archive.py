@@ -11,7 +11,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app import archive
-from sms_jobs.cli import completion, output
+from sms_jobs.cli import bars, completion, output
 from sms_jobs.cli.asking import Reason, because
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
@@ -55,7 +55,7 @@ def verify(
 
     with bootstrap.services(home) as services:
         try:
-            with output.followed(output.byte_bar()) as tell:
+            with bars.followed(bars.byte_bar()) as tell:
                 done = archive.verify(
                     services, campaign=campaign, quick=quick, after=after, tell=tell, passed=passed
                 )
@@ -98,7 +98,7 @@ def reindex(
     with bootstrap.renewed(home, dry_run=dry_run) as (services, renewal):
         if renewal:
             output.say(renewal)
-        with output.followed(output.progress_bar()) as tell:
+        with bars.followed(bars.progress_bar()) as tell:
             done = archive.reindex(services, dry_run=dry_run, tell=tell)
     bad = done.not_well
     took = time.monotonic() - started
@@ -140,7 +140,7 @@ def repair(
 
     Example: sms archive repair; sms archive repair --yes
     """
-    with bootstrap.services(home) as services, output.followed(output.byte_bar()) as tell:
+    with bootstrap.services(home) as services, bars.followed(bars.byte_bar()) as tell:
         done = archive.repair(services, dry_run=not yes, quick=quick, tell=tell)
     repairs, undone = done.repairs, done.undone
     if as_json:

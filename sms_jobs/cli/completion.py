@@ -7,15 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import SmsError
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import SHORT_ID
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
 
 _JOBS_OFFERED = 200
 

@@ -154,7 +154,7 @@ def tree(
         return
     root = Tree(f"{found.file.source} {found.file.subject} ({found.file.id})")
     _grow(root, found.inputs, whole)
-    output.answer.print(root)
+    output.answer().print(root)
     if found.more:
         output.say(f"the tree ends at {files.MOST_RELATED} entries; ask for that of a file in it")
 

@@ -10,7 +10,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app import database
 from sms_jobs.app.database import SHARES, BackedUp
-from sms_jobs.cli import output
+from sms_jobs.cli import bars, output
 from sms_jobs.cli.output import Home, Json
 
 app = typer.Typer(help="The catalogue's database, and backups.", no_args_is_help=True)
@@ -66,7 +66,7 @@ def copy(
 
     Example: sms db copy postgresql+psycopg://sms@db.example/sms
     """
-    with bootstrap.services(home) as services, output.followed(output.progress_bar()) as tell:
+    with bootstrap.services(home) as services, bars.followed(bars.progress_bar()) as tell:
         done = database.copy(services, to_url, tell)
     if as_json:
         output.print_json({"rows": done.rows, "to": done.to})
@@ -94,7 +94,7 @@ def backup(
 
     Example: sms db backup /mnt/backup/sms
     """
-    with bootstrap.services(home) as services, output.followed(output.byte_bar()) as tell:
+    with bootstrap.services(home) as services, bars.followed(bars.byte_bar()) as tell:
         snapshot, done = database.back_up(services, folder, shares, tell)
     _tell({"snapshot": str(snapshot)}, done, as_json)
 
@@ -119,7 +119,7 @@ def restore(
     Example: sms db restore /mnt/backup/sms /data/sms-restored
     """
     home = home.expanduser().absolute()
-    with output.followed(output.byte_bar()) as tell:
+    with bars.followed(bars.byte_bar()) as tell:
         done = database.restore(folder, home, snapshot, host, tell)
     _tell({"home": str(home)}, done, as_json)
 

@@ -9,7 +9,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.importing.boards import Arranged, Task, arrange_boards, enter
-from sms_jobs.cli import output
+from sms_jobs.cli import bars, output
 from sms_jobs.cli.import_options import (
     AddStates,
     Cameras,
@@ -92,7 +92,7 @@ def boards(
         _preview(found)
         if pattern is None and not (yes or dry_run):
             confirm("Is this right?")
-        with output.followed(output.progress_bar()) as tell:
+        with bars.followed(bars.progress_bar()) as tell:
             outcome = enter(services, found, recorded_at=at, newer=newer, dry_run=dry_run, tell=tell)
     tell_outcome(outcome, as_json=as_json, dry_run=dry_run, campaign=campaign, then="pipeline")
 

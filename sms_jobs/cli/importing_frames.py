@@ -9,7 +9,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.importing.frames import Arranged, Task, arrange_frames, enter, guess
-from sms_jobs.cli import output
+from sms_jobs.cli import bars, output
 from sms_jobs.cli.import_options import (
     AddStates,
     CampaignName,
@@ -139,7 +139,7 @@ def frames(
         _preview(arranged)
         if not (yes or dry_run or layout is not None):
             confirm("Is this right?")
-        with output.followed(output.progress_bar()) as tell:
+        with bars.followed(bars.progress_bar()) as tell:
             outcome = enter(services, arranged, dry_run=dry_run, tell=tell)
     tell_outcome(outcome, as_json=as_json, dry_run=dry_run, campaign=campaign, then="pipeline")
 

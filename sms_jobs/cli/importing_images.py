@@ -10,7 +10,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.importing.images import Arranged, Camera, Task, arrange_images, enter
-from sms_jobs.cli import output
+from sms_jobs.cli import bars, output
 from sms_jobs.cli.import_options import (
     AddStates,
     Cameras,
@@ -93,7 +93,7 @@ def images(
         _preview(found)
         if pattern is None and not (yes or dry_run):
             confirm("Is this right?")
-        with output.followed(output.progress_bar()) as tell:
+        with bars.followed(bars.progress_bar()) as tell:
             outcome = enter(services, found, recorded_at=at, newer=newer, dry_run=dry_run, tell=tell)
     if as_json:
         outcome = replace(outcome, remarks=(*found.remarks, *outcome.remarks))

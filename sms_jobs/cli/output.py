@@ -7,33 +7,21 @@ import logging
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from datetime import datetime
 from enum import Enum
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    DownloadColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-    TransferSpeedColumn,
-)
-from rich.table import Table
-from rich.text import Text
 
-from sms_jobs.app.progress import Step, Tell
-from sms_jobs.cli.tables import fitted
 from sms_jobs.records.plain import SCHEMA, plain
 from sms_jobs.records.texts import harmless
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
 
 Home = Annotated[
     Path | None,
@@ -55,9 +43,16 @@ def _width() -> int | None:
     return None if watched else _AS_WIDE_AS_IT_IS
 
 
-answer = Console(soft_wrap=False, highlight=False, markup=False, emoji=False, width=_width())
-remarks = Console(stderr=True, highlight=False, markup=False, emoji=False)
-"""Neither takes anything in a text for an instruction: names are given by people, and files by strangers."""
+@cache
+def answer() -> Console:
+    """Return what tables and trees are printed on.
+
+    It takes nothing in a text for an instruction: names are given by people, and files by strangers.
+    """
+    from rich.console import Console
+
+    return Console(soft_wrap=False, highlight=False, markup=False, emoji=False, width=_width())
+
 
 _LONGEST_REFUSAL = 2_000
 _ESCAPED = re.compile("[\x7f-\x9f\ud800-\udfff\u2028\u2029\u202a-\u202e\u2066-\u2069]")
@@ -87,21 +82,23 @@ def print_text(text: str) -> None:
 
 def print_sentence(text: str) -> None:
     """Print one line of an answer that is no table."""
-    answer.print(harmless(text), soft_wrap=True)
+    typer.echo(harmless(text))
 
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, empty: str) -> None:
     """Print a table that fits the terminal, or say on stderr that there is nothing."""
     texts = [[shown(cell) for cell in row] for row in rows]
     if texts:
-        answer.print(table_of(columns, texts))
+        answer().print(table_of(columns, texts))
     else:
         say(empty)
 
 
 def table_of(columns: Sequence[str], texts: Sequence[Sequence[str]]) -> Table:
     """Return a table that fits the terminal, of which nothing is cut off."""
-    return fitted([shown(column) for column in columns], texts, answer.width)
+    from sms_jobs.cli.tables import fitted
+
+    return fitted([shown(column) for column in columns], texts, answer().width)
 
 
 def print_facts(facts: dict[str, Any]) -> None:
@@ -109,14 +106,12 @@ def print_facts(facts: dict[str, Any]) -> None:
     width = max(map(len, facts))
     for name, value in facts.items():
         # Not folded: paths and hashes are copied from here.
-        answer.print(
-            Text.assemble((harmless(f"{name:<{width}}"), "bold"), "  ", shown(value)), soft_wrap=True
-        )
+        typer.echo(f"{_styled(harmless(f'{name:<{width}}'), bold=True)}  {shown(value)}")
 
 
 def say(text: str) -> None:
     """Tell the person something that is not the answer."""
-    remarks.print(harmless(text), soft_wrap=True)
+    typer.echo(harmless(text), err=True)
 
 
 def say_error(text: str) -> None:
@@ -124,7 +119,12 @@ def say_error(text: str) -> None:
     if len(text) > _LONGEST_REFUSAL:
         half = _LONGEST_REFUSAL // 2
         text = f"{text[:half]} ... ({len(text)} letters) ... {text[-half:]}"
-    remarks.print(Text.assemble(("error:", "red"), " ", harmless(text)), soft_wrap=True)
+    typer.echo(f"{_styled('error:', fg='red')} {harmless(text)}", err=True)
+
+
+def _styled(text: str, **style: Any) -> str:
+    """Return a text in its style, which only a terminal is given."""
+    return text if os.environ.get("NO_COLOR") else typer.style(text, **style)
 
 
 def log_to_stderr() -> None:
@@ -177,58 +177,3 @@ def clock(at: datetime, now: datetime) -> str:
     """Return a local time, with its day where that is not today's."""
     local, today = at.astimezone(), now.astimezone().date()
     return local.strftime("%H:%M" if local.date() == today else "%Y-%m-%d %H:%M")
-
-
-def progress_bar() -> Progress:
-    """Return a progress bar on stderr, with counts and time left; silent when nobody watches."""
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=remarks,
-        disable=not remarks.is_terminal,
-    )
-
-
-def job_bar() -> Progress:
-    """Return a progress bar on stderr whose task's field `pace` says rate and time left."""
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[pace]}", markup=False),
-        console=remarks,
-        disable=not remarks.is_terminal,
-    )
-
-
-def byte_bar() -> Progress:
-    """Return a progress bar on stderr, with bytes, rate and time left; silent when nobody watches."""
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        DownloadColumn(),
-        TransferSpeedColumn(),
-        TimeRemainingColumn(),
-        console=remarks,
-        disable=not remarks.is_terminal,
-    )
-
-
-@contextmanager
-def followed(bar: Progress) -> Iterator[Tell]:
-    """Show on a bar how far a use case has come: a line for each of the things that it does."""
-    lines: dict[str, TaskID] = {}
-
-    def tell(step: Step) -> None:
-        total = None if step.total is None else max(step.total, 1)
-        if step.doing not in lines:
-            lines[step.doing] = bar.add_task(step.doing, total=total)
-        description = f"{step.doing} {step.detail}" if step.detail else step.doing
-        bar.update(lines[step.doing], description=description, completed=step.done, total=total)
-
-    with bar:
-        yield tell

@@ -10,7 +10,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app import packing, writing
 from sms_jobs.app.packing import CheckedFolder
-from sms_jobs.cli import completion, output
+from sms_jobs.cli import bars, completion, output
 from sms_jobs.cli.calibration_acceptance import used_for
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.sizes import size
@@ -57,7 +57,7 @@ def pack(
 
     Example: sms data pack -c wing-fatigue --to /media/stick/wing
     """
-    with bootstrap.services(home) as services, output.followed(output.byte_bar()) as tell:
+    with bootstrap.services(home) as services, bars.followed(bars.byte_bar()) as tell:
         done = packing.pack(
             services,
             campaign,
@@ -120,7 +120,7 @@ def unpack(
         _print_faults(checked, "")
         output.say("nothing was unpacked; get the folder again from where it was packed")
         raise typer.Exit(_FINDINGS)
-    with bootstrap.services(home) as services, output.followed(output.byte_bar()) as tell:
+    with bootstrap.services(home) as services, bars.followed(bars.byte_bar()) as tell:
         done = packing.unpack(services, folder, checked, dry_run=dry_run, link=link, tell=tell)
     if as_json:
         output.print_json(
@@ -175,7 +175,7 @@ def provenance(
 
 
 def _checked(folder: Path) -> CheckedFolder:
-    with output.followed(output.byte_bar()) as tell:
+    with bars.followed(bars.byte_bar()) as tell:
         return packing.check(folder, tell)
 
 

@@ -50,7 +50,7 @@ def show(
 
 
 def _watch(services: Services, campaign: str) -> None:
-    with suppress(KeyboardInterrupt), Live(console=output.answer, auto_refresh=False) as live:
+    with suppress(KeyboardInterrupt), Live(console=output.answer(), auto_refresh=False) as live:
         while True:
             live.update(_table(map(_row, recordings.progress(services, campaign))), refresh=True)
             time.sleep(_EVERY_S)

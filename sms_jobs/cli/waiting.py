@@ -8,13 +8,15 @@ from datetime import UTC, datetime
 from typing import Any
 
 from sms_jobs.app.waiting import Waiting
-from sms_jobs.cli.output import clock, duration, job_bar
+from sms_jobs.cli.output import clock, duration
 from sms_jobs.records.shown.estimates import Estimate, Outlook
 
 
 @contextmanager
 def followed() -> Iterator[Callable[[Waiting], None]]:
     """Show on a bar how the jobs come along that are waited for."""
+    from sms_jobs.cli.bars import job_bar
+
     with job_bar() as bar:
         task = bar.add_task("jobs", total=None, pace="")
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from sqlalchemy.orm import Session
 
-from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, ArchivedDataset, InputReference
+from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, InputReference
+from sms_jobs.archive.dataset import ArchivedDataset
 from sms_jobs.catalogue import campaigns, search, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
@@ -24,11 +25,12 @@ from sms_jobs.metrology.calibration.drift import DriftCheck, DriftOptions, check
 from sms_jobs.metrology.calibration.pair_points import Parameters
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.fields import PhaseMaps, Surface
-from sms_jobs.records.measurement import UNTIMED, FringeSequence
+from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Box, Calibration, Rig
 from sms_jobs.records.shown.files import FileView
 from sms_jobs.records.subject import Subject
+from sms_jobs.records.times import UNTIMED
 from sms_jobs.records.views import view_of
 
 _HIDDEN_BY_DRIFT = Reason.LARGE_RAY_GAP | Reason.OUT_OF_VOLUME

@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -14,10 +15,12 @@ from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import FileRow, JobRow, LoadStateRow, StatisticRow
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND
-from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState
 from sms_jobs.records.shown.state_progress import StateProgress
 from sms_jobs.records.subject import Subject
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import LoadState
 
 _BEFORE = "_before"
 _LARGEST = {"correlate": "maximum_displacement_mm", "strain": "maximum_principal_strain"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
@@ -12,8 +13,10 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import InvalidInput
-from sms_jobs.jobs.submission import Submission
 from sms_jobs.records.job import ACTIVE
+
+if TYPE_CHECKING:
+    from sms_jobs.jobs.submission import Submission
 
 MOST_NAMED = 1000
 """Jobs that may be named one by one: the number of values of a statement is limited."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from graphlib import TopologicalSorter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import ColumnElement, Row, Select, and_, false, func, or_, select
 from sqlalchemy.orm import Session
@@ -15,9 +15,11 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue.models import DependencyRow, JobRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.jobs.chosen import Chosen
-from sms_jobs.jobs.submission import Draft
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.records.job import ACTIVE, JobState
+
+if TYPE_CHECKING:
+    from sms_jobs.jobs.submission import Draft
 
 MOST = 2000
 """Jobs of the catalogue that are looked at one by one; of more a sample is."""

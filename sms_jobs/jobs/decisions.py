@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -12,10 +13,12 @@ from sms_jobs.catalogue.models import AcceptanceRow, CalibrationRow, FileRow, Pr
 from sms_jobs.catalogue.valid_calibrations import Sensors
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.kinds.kind import CALIBRATION
-from sms_jobs.records.calibration import Acceptance
-from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.sensors import Rig
 from sms_jobs.records.views import role_of, view_of
+
+if TYPE_CHECKING:
+    from sms_jobs.records.calibration import Acceptance
+    from sms_jobs.records.campaign import Campaign
+    from sms_jobs.records.sensors import Rig
 
 
 def decide(session: Session, acceptance: Acceptance, at: datetime, file_id: int) -> None:

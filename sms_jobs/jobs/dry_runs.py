@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -21,10 +22,12 @@ from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import ANGLES, KIND, AcquireParameters, stage_angles
 from sms_jobs.metrology.geometry.stage_poses import StagePose
-from sms_jobs.records.campaign import Campaign, LoadState
-from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.records.shown.rehearsals import DryRun, StateRehearsal
 from sms_jobs.records.views import view_of
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign, LoadState
+    from sms_jobs.records.optical_instruments import RigFile
 
 _RECENT = 50
 """So many of the rig's last measurements tell how well its frames are packed."""

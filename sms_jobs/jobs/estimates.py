@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from math import isfinite
 from statistics import fmean
+from typing import TYPE_CHECKING
 
 from sqlalchemy import and_, exists, func, select
 from sqlalchemy.orm import Session
@@ -18,10 +19,12 @@ from sms_jobs.jobs.coming import Coming, Graph, Sample, coming, coming_with
 from sms_jobs.jobs.foreseen import foreseen_reuse
 from sms_jobs.jobs.history import History
 from sms_jobs.jobs.makespan import Places, Task, makespan, shared
-from sms_jobs.jobs.submission import Draft
 from sms_jobs.kinds.kind import Queue
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, JobState
 from sms_jobs.records.shown.estimates import Estimate, Outlook
+
+if TYPE_CHECKING:
+    from sms_jobs.jobs.submission import Draft
 
 _PACE_OVER = timedelta(minutes=10)
 _BELIEVED_PROGRESS = 0.05

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session, aliased
@@ -14,11 +15,13 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.models import CampaignRow, DependencyRow, FileRow, JobRow, LoadStateRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.jobs.reuse import reuse_key
-from sms_jobs.jobs.submission import Draft
 from sms_jobs.kinds import all_kinds
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import JobState
 from sms_jobs.records.subject import Subject
+
+if TYPE_CHECKING:
+    from sms_jobs.jobs.submission import Draft
+    from sms_jobs.records.campaign import Campaign
 
 
 @dataclass(frozen=True)

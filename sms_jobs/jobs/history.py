@@ -17,13 +17,11 @@ from sms_jobs.catalogue import valid_calibrations
 from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, WorkerRow
 from sms_jobs.jobs.coming import Coming
 from sms_jobs.records.job import JobState
-from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 _REMEMBERED = 200
 """Jobs of a kind, the latest, that an estimate looks back on."""
-_SEQUENCE = TypeAdapter(FringeSequence)
 
 
 @dataclass(frozen=True)
@@ -147,8 +145,14 @@ def _images(session: Session, campaign_id: int) -> _Images | None:
         for name, sensor in used.sensors.items()
     }
     states = session.scalar(select(func.count()).where(LoadStateRow.campaign_id == campaign_id)) or 0
-    frames = _SEQUENCE.validate_python(sequence).frames
+    frames = _frames(sequence)
     return _Images({view: pixels.get(view_of(view).camera, 0) for view in views}, frames, states)
+
+
+def _frames(sequence: dict[str, Any]) -> int:
+    from sms_jobs.records.measurement import FringeSequence
+
+    return TypeAdapter(FringeSequence).validate_python(sequence).frames
 
 
 def _between(begun: datetime | None, ended: datetime | None) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
@@ -28,9 +28,11 @@ from sms_jobs.kinds.calibration.sessions import OBSERVE_BOARD
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.products import BOARD
 from sms_jobs.records.campaign import Campaign, CampaignDefinition, LoadState
-from sms_jobs.records.measurement import Measurement
-from sms_jobs.records.observations import BoardObservation
 from sms_jobs.records.subject import Subject
+
+if TYPE_CHECKING:
+    from sms_jobs.records.measurement import Measurement
+    from sms_jobs.records.observations import BoardObservation
 
 SOURCE_HASH = "source_sha256"
 """The parameter of an imported file that tells what it was made from."""

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from importlib import import_module
 from typing import Any
 
 from sqlalchemy import ColumnElement, and_, delete, exists, func, or_, select, update
-from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session, aliased
 
 from sms_jobs.catalogue.models import JobDeviceRow, JobRow, LockRow
@@ -175,7 +175,7 @@ def _take(session: Session, names: Collection[str], now: datetime, **owner: Any)
     requested = sorted(set(names))
     if not requested:
         return
-    dialect: Any = postgresql if session.get_bind().dialect.name == "postgresql" else sqlite
+    dialect = import_module(f"sqlalchemy.dialects.{session.get_bind().dialect.name}")
     # Makes the rows that are missing, as those of free devices, and locks the others, in this order.
     rows = dialect.insert(LockRow.__table__).values([{"device": name} for name in requested])
     session.execute(

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from math import inf
-
-import numpy as np
-from numpy.typing import NDArray
+from operator import itemgetter
 
 
 @dataclass(frozen=True)
@@ -52,20 +51,19 @@ def makespan(tasks: Sequence[Task], places: Sequence[Places]) -> float:
     if not any(task.requested for task in tasks):
         return 0.0
     heads, tails, leads = _around(tasks)
-    seconds = np.array([task.seconds for task in tasks])
-    queues = np.array([task.queue for task in tasks])
-    latest = float(np.max((heads + seconds)[leads]))
-    groups = [(np.ones(len(tasks), bool), sum(p.count for p in places))]
-    groups += [
-        (queues == queue, sum(p.count for p in places if queue in p.queues))
-        for queue in {task.queue for task in tasks if task.requested}
-    ]
-    for chosen, count in groups:
+    latest = max(
+        head + task.seconds for task, head, leading in zip(tasks, heads, leads, strict=True) if leading
+    )
+    everything: list[str | None] = [None]
+    for queue in everything + sorted({task.queue for task in tasks if task.requested}):
+        count = sum(p.count for p in places if queue is None or queue in p.queues)
         if count == 0:
             return inf
+        chosen = [n for n, task in enumerate(tasks) if queue is None or task.queue == queue]
         # What does not lead to the end only takes time: it counts with all that has yet to be done.
-        latest = max(latest, _shared(tails[chosen], seconds[chosen], count))
-        latest = max(latest, _shared(heads[chosen & leads], seconds[chosen & leads], count))
+        behind = [(tails[n], tasks[n].seconds) for n in chosen]
+        before = [(heads[n], tasks[n].seconds) for n in chosen if leads[n]]
+        latest = max(latest, _shared(behind, count), _shared(before, count))
     return latest
 
 
@@ -90,12 +88,10 @@ def shared(seconds: Mapping[str, float], requested: Collection[str], places: Seq
     return max(sum(seconds.get(queue, 0.0) for queue in queues) / count for queues, count in groups)
 
 
-def _around(
-    tasks: Sequence[Task],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+def _around(tasks: Sequence[Task]) -> tuple[list[float], list[float], list[bool]]:
     """Return the longest chains before and behind each task, and whether a requested one depends on it."""
-    heads, tails = np.zeros(len(tasks)), np.zeros(len(tasks))
-    leads = np.array([task.requested for task in tasks])
+    heads, tails = [0.0] * len(tasks), [0.0] * len(tasks)
+    leads = [task.requested for task in tasks]
     for place, task in enumerate(tasks):
         heads[place] = max((heads[n] + tasks[n].seconds for n in task.needs), default=0.0)
     for place in reversed(range(len(tasks))):
@@ -105,9 +101,13 @@ def _around(
     return heads, tails, leads
 
 
-def _shared(apart: NDArray[np.float64], seconds: NDArray[np.float64], count: int) -> float:
-    """Return the greatest sum of a distance from one end and the shared work that lies at least so far."""
-    if not len(apart):
-        return 0.0
-    order = np.argsort(-apart, kind="stable")
-    return float(np.max(apart[order] + np.cumsum(seconds[order]) / count))
+def _shared(tasks: Sequence[tuple[float, float]], count: int) -> float:
+    """Return the greatest sum of a distance from one end and the shared work that lies at least so far.
+
+    Each task is given as its distance and its seconds.
+    """
+    farthest_first = sorted(tasks, key=itemgetter(0), reverse=True)
+    work = accumulate(seconds for _, seconds in farthest_first)
+    return max(
+        (apart + so_far / count for (apart, _), so_far in zip(farthest_first, work, strict=True)), default=0.0
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 from sqlalchemy import func, select
@@ -18,9 +18,11 @@ from sms_jobs.jobs.planning import covering
 from sms_jobs.jobs.reuse import reuse_key
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import MEASUREMENT, Kind, Parameters
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import ACTIVE, JobState
 from sms_jobs.records.subject import Subject
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
 
 _OF_UNKNOWN_KINDS = "cpu"
 

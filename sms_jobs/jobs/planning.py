@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
@@ -22,9 +22,11 @@ from sms_jobs.kinds.kind import (
     default_subjects,
     pipeline_subjects,
 )
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.surfaces import REFERENCE_SURFACES
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
 
 PIPELINE = "pipeline"
 

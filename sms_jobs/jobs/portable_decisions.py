@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 from sqlalchemy import select
 
@@ -20,8 +21,10 @@ from sms_jobs.errors import SmsError
 from sms_jobs.jobs import acceptances, reindexing
 from sms_jobs.jobs.indexing import ACCEPTANCE, CAMPAIGN
 from sms_jobs.jobs.repository import Repository
-from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import Campaign, CampaignDefinition
+
+if TYPE_CHECKING:
+    from sms_jobs.records.calibration import Acceptance
 
 
 @dataclass(frozen=True)

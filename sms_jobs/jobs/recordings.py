@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -17,9 +18,11 @@ from sms_jobs.instruments.kept_sets import forget, kept
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND, stage_angles
-from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.job import JobState
 from sms_jobs.records.subject import Subject
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign, LoadState
 
 _OPEN = (JobState.QUEUED, JobState.RUNNING, JobState.LOST, JobState.NEEDS_OPERATOR, JobState.FAILED)
 

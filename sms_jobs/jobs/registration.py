@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import select
 
@@ -25,8 +25,10 @@ from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import Campaign, CampaignDefinition
-from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import RESERVED_NAME, Subject
+
+if TYPE_CHECKING:
+    from sms_jobs.records.sensors import Calibration
 
 
 def register_campaign(

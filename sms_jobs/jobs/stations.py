@@ -6,13 +6,16 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.formats.rig_configuration import SensorRecords, load_rig
 from sms_jobs.kinds.kind import Station, rig_queue
-from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.records.subject import checked_name
 from sms_jobs.settings import Settings
+
+if TYPE_CHECKING:
+    from sms_jobs.records.optical_instruments import RigFile
 
 EVERY_RIG = "rigs"
 """Among the queues that a worker is to serve: those of every rig of its host, whenever it is connected."""

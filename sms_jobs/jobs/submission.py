@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
 
 from sqlalchemy import Table, insert, select
 from sqlalchemy.exc import IntegrityError
@@ -29,8 +29,10 @@ from sms_jobs.jobs import calibration_choice
 from sms_jobs.jobs.planning import Existing, PlannedInput, PlannedJob, Request, covering, plan
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, Kind, Need
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import ACTIVE, JobState
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
 
 T = TypeVar("T")
 TableRows: TypeAlias = tuple[type[Any], list[dict[str, Any]]]

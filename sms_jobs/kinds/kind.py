@@ -10,15 +10,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
-from sms_jobs.kinds.products import Product
-from sms_jobs.records.campaign import Campaign, LoadState
-from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import View, view_of
+
+if TYPE_CHECKING:
+    from sms_jobs.kinds.products import Product
+    from sms_jobs.records.campaign import Campaign, LoadState
+    from sms_jobs.records.optical_instruments import RigFile
 
 R = TypeVar("R")
 

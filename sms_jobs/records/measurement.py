@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from math import inf, pi
 from typing import Any, Literal, Protocol
 
@@ -15,9 +15,6 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.records.quantity import array
 from sms_jobs.records.scene import Simulation
-
-UNTIMED = datetime(2000, 1, 1, tzinfo=UTC)
-"""What a simulated measurement bears whose state has no time: a clock would make every run differ."""
 
 
 @dataclass(frozen=True)

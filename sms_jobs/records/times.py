@@ -10,6 +10,8 @@ from sms_jobs.errors import InvalidInput
 EARLIEST: Final = datetime(1900, 1, 1, tzinfo=UTC)
 LATEST: Final = datetime(2200, 1, 1, tzinfo=UTC)
 """Within both, a time of any zone can be brought into any other."""
+UNTIMED: Final = datetime(2000, 1, 1, tzinfo=UTC)
+"""What a simulated measurement bears whose state has no time: a clock would make every run differ."""
 
 
 def checked_time(moment: datetime, what: str) -> datetime:

@@ -21,7 +21,7 @@ from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.records.assessment import Assessment
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Surface as MeasuredSurface
-from sms_jobs.records.measurement import UNTIMED, FringeSequence, Measurement
+from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.scene import (
     CameraResponse,
     Gloss,
@@ -33,6 +33,7 @@ from sms_jobs.records.scene import (
 )
 from sms_jobs.records.sensors import Rig
 from sms_jobs.records.subject import Subject
+from sms_jobs.records.times import UNTIMED
 from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.campaigns import Lens
 from sms_jobs.virtual_rig.deformations import carried_points, packed_chain

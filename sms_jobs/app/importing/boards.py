@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sms_jobs.app.importing.image_entry import (
     EnteredImages,
@@ -24,9 +25,11 @@ from sms_jobs.formats.importers.folders import Listing, list_folder
 from sms_jobs.formats.importers.frames import Arrangement
 from sms_jobs.formats.importers.image_sets import named_cameras
 from sms_jobs.records.artefacts import Artefact
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.people import Right
-from sms_jobs.records.sensors import Box, SensorFormat
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
+    from sms_jobs.records.sensors import Box, SensorFormat
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import TYPE_CHECKING
 
 from sms_jobs.app.importing.outcomes import Outcome, TupleOutcome, outcome_of
 from sms_jobs.app.progress import Step, Tell
@@ -25,9 +26,11 @@ from sms_jobs.formats.importers.image_sets import (
 from sms_jobs.formats.importers.inspection import Inspected, full_scale_of, inspect, usual_noise
 from sms_jobs.jobs.importing import amend_campaign, import_measurement, known_of
 from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.people import Right
 from sms_jobs.records.subject import Subject
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import combinations
 from math import degrees, isnan, radians
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -17,9 +17,11 @@ from sms_jobs.formats.importers.inspection import Inspected
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.camera import Camera
 from sms_jobs.metrology.geometry.common_view import CommonView, common_view
-from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.views import Role, View, view_of
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
+    from sms_jobs.records.sensors import Calibration
 
 LARGEST_ANGLE_DEG = 75.0
 """Between the lines of sight of two cameras: beyond it a texture looks too different to be matched."""

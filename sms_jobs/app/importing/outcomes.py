@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
@@ -10,8 +11,10 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.errors import NotFound
 from sms_jobs.formats.importers.folders import LeftOut
 from sms_jobs.formats.importers.inspection import Inspected
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.people import Right
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
 
 
 @dataclass(frozen=True)

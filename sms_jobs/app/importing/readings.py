@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
@@ -23,8 +24,10 @@ from sms_jobs.formats.importers.readings import (
     zone_named,
 )
 from sms_jobs.jobs.importing import amend_campaign, measured_at, with_readings
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.people import Right
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
 
 _STATE_NAMES = ("state", "label", "step", "load step")
 _TIME_NAMES = ("time", "timestamp", "date", "datetime")

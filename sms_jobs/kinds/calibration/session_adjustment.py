@@ -35,10 +35,10 @@ from sms_jobs.metrology.geometry.lens import Intrinsics, undistort
 from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
-from sms_jobs.records.measurement import UNTIMED
 from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.scene import Rigid
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.times import UNTIMED
 from sms_jobs.records.views import Role, role_of, view_of
 
 Floats = NDArray[np.float64]
