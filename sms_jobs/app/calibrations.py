@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
-
-import numpy as np
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
@@ -21,9 +20,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.jobs import acceptances
 from sms_jobs.jobs.registration import Registered, register_calibration
-from sms_jobs.metrology.geometry.lens import COEFFICIENTS
 from sms_jobs.records.people import Right
-from sms_jobs.records.sensors import Box, Calibration, Sensor
 from sms_jobs.records.shown.files import CalibrationView
 from sms_jobs.records.subject import Subject
 
@@ -31,12 +28,18 @@ if TYPE_CHECKING:
     from sms_jobs.jobs.calibrations import CalibrationCheck, KnownCalibration
     from sms_jobs.metrology.calibration.comparison import CalibrationComparison
     from sms_jobs.records.calibration import CalibrationQuality
+    from sms_jobs.records.sensors import Box, Calibration, Sensor
     from sms_jobs.records.supplements import Supplement
 
 STYLES: tuple[str, ...] = get_args(Style)
 """Names of the files of other programs that calibrations are written as."""
-DISTORTION: tuple[str, ...] = COEFFICIENTS
-"""Names of a lens's coefficients, in the order of `Intrinsics.distortion`."""
+
+
+def distortion() -> tuple[str, ...]:
+    """Return the names of a lens's coefficients, in the order of `Intrinsics.distortion`."""
+    from sms_jobs.metrology.geometry.lens import COEFFICIENTS
+
+    return COEFFICIENTS
 
 
 @use_case(Right.READ)
@@ -122,6 +125,8 @@ def overview(services: Services, number: int) -> Overview:
 
 def worth_of(quality: CalibrationQuality) -> Worth:
     """Return the few numbers by which a calibration is judged."""
+    import numpy as np
+
     expected = quality.expected_sigma[np.isfinite(quality.expected_sigma)]
     return Worth(
         quality.gauge,
@@ -138,7 +143,7 @@ def worth_of(quality: CalibrationQuality) -> Worth:
 
 
 def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return float(value) if isfinite(value) else None
 
 
 @dataclass(frozen=True)

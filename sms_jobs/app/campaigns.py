@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, valid_calibrations
-from sms_jobs.formats import configuration
 from sms_jobs.jobs import inquiry
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.inquiry import CampaignView
@@ -23,6 +22,8 @@ if TYPE_CHECKING:
 
 def example(of: Literal["fringes", "stereo", "session"] = "fringes") -> str:
     """Return a plan to start from: of a test with fringes or by two cameras, or of a calibration session."""
+    from sms_jobs.formats import configuration
+
     return {
         "fringes": configuration.example_campaign,
         "stereo": configuration.example_stereo,
@@ -41,6 +42,8 @@ def create(services: Services, plan: Path) -> Campaign:
     Conflict
         There is a campaign of that name.
     """
+    from sms_jobs.formats import configuration
+
     loaded = configuration.load_campaign(plan)
     register_campaign(
         services.catalogue,

@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING, Any
 from sms_jobs.app import writing
 from sms_jobs.app.rules import use_case
 from sms_jobs.archive import DATASET_MEDIA_TYPE
-from sms_jobs.archive.repacking import repack
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.records.fields import Mesh, PhaseMaps
 from sms_jobs.records.people import Right
 from sms_jobs.records.quantity import quantities
 from sms_jobs.records.shown.files import FileView
@@ -177,6 +175,8 @@ def _export(services: Services, view: FileView, out: Path | None, options: Expor
 
 def _repacked(services: Services, view: FileView, out: Path | None, options: ExportOptions) -> Path:
     """Write a dataset as it is, but with the filters that every HDF5 library has."""
+    from sms_jobs.archive.repacking import repack
+
     if options.fields or options.record:
         raise InvalidInput("hdf5 takes the whole file; leave out --fields and --record")
     if view.media_type != DATASET_MEDIA_TYPE:
@@ -211,6 +211,8 @@ def _exporter(view: FileView, out: Path | None, options: ExportOptions) -> Expor
 
 def _records(dataset: ArchivedDataset, exporter: Exporter) -> list[str]:
     """Return which records of a file are written: its mesh, or all that the format can hold."""
+    from sms_jobs.records.fields import Mesh
+
     fields_by_record = {name: quantities(dataset.record_class(name)) for name in dataset.names}
     meshes = [name for name in dataset.names if dataset.record_class(name) is Mesh]
     any_record = object in exporter.takes
@@ -226,6 +228,8 @@ def _records(dataset: ArchivedDataset, exporter: Exporter) -> list[str]:
 def _texture(dataset: ArchivedDataset, record: Any) -> Any:
     """Return the mean brightness beside a cloud, 1 at its largest; None where the file has none."""
     import numpy as np
+
+    from sms_jobs.records.fields import Mesh, PhaseMaps
 
     if "phase" not in dataset.names or isinstance(record, Mesh) or not hasattr(record, "position"):
         return None

@@ -12,11 +12,9 @@ from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import family, search
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.figures import plot_record
 from sms_jobs.jobs import retention
 from sms_jobs.jobs.retention import Pin
 from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import Ancestor, FileView
 
@@ -128,11 +126,15 @@ def picture(
     behind = None
     if view.in_plane:
         behind = _reference_image(services, inputs)
+    from sms_jobs.formats.figures import plot_record
+
     return plot_record(read, field, component, behind=behind)
 
 
 def _reference_image(services: Services, inputs: Iterable[Ancestor]) -> Any:
     """Return the texture that a result in an image started from; None where it is not in the archive."""
+    from sms_jobs.records.measurement import Measurement
+
     for one in inputs:
         if one.role == "reference" and one.file.source == MEASUREMENT:
             with services.archive.open(one.file) as dataset:

@@ -16,11 +16,10 @@ from sms_jobs.catalogue.query_language import Query, parse
 from sms_jobs.catalogue.saved_queries import SavedQuery
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds import all_kinds
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, REFERENCE_SURFACES
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import FileView, Found, Page
 from sms_jobs.records.sizes import size
-from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
 OF_FILE: dict[str, Callable[[FileView], Any]] = {
     "file": lambda f: f.id,

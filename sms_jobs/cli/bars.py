@@ -4,62 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    DownloadColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-    TransferSpeedColumn,
-)
+from typing import TYPE_CHECKING
 
 from sms_jobs.app.progress import Step, Tell
 
-_remarks = Console(stderr=True, highlight=False, markup=False, emoji=False)
+if TYPE_CHECKING:
+    from rich.progress import Progress, ProgressColumn, TaskID
 
 
 def progress_bar() -> Progress:
-    """Return a progress bar on stderr, with counts and time left; silent when nobody watches."""
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=_remarks,
-        disable=not _remarks.is_terminal,
-    )
+    """Return a bar with counts and time left."""
+    from rich.progress import MofNCompleteColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    return _bar(MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
 
 
 def job_bar() -> Progress:
-    """Return a progress bar on stderr whose task's field `pace` says rate and time left."""
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[pace]}", markup=False),
-        console=_remarks,
-        disable=not _remarks.is_terminal,
-    )
+    """Return a bar whose task's field `pace` says rate and time left."""
+    from rich.progress import MofNCompleteColumn, TextColumn, TimeElapsedColumn
+
+    pace = TextColumn("{task.fields[pace]}", markup=False)
+    return _bar(MofNCompleteColumn(), TimeElapsedColumn(), pace)
 
 
 def byte_bar() -> Progress:
-    """Return a progress bar on stderr, with bytes, rate and time left; silent when nobody watches."""
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        DownloadColumn(),
-        TransferSpeedColumn(),
-        TimeRemainingColumn(),
-        console=_remarks,
-        disable=not _remarks.is_terminal,
-    )
+    """Return a bar with bytes, rate and time left."""
+    from rich.progress import DownloadColumn, TimeRemainingColumn, TransferSpeedColumn
+
+    return _bar(DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
+
+
+def _bar(*columns: ProgressColumn) -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    remarks = Console(stderr=True, highlight=False, markup=False, emoji=False)
+    what = TextColumn("{task.description}", markup=False)
+    return Progress(what, BarColumn(), *columns, console=remarks, disable=not remarks.is_terminal)
 
 
 @contextmanager

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated
+from math import isfinite
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app import calibrations
+from sms_jobs.app.calibrations import Worth
 from sms_jobs.cli import calibration_acceptance, calibration_files, completion, output
 from sms_jobs.cli.asking import PasswordStdin, Reason, because, confirming
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.records.calibration import CalibrationQuality
-from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.times import parsed_time
+
+if TYPE_CHECKING:
+    from sms_jobs.records.sensors import Calibration
 
 app = typer.Typer(help="Calibrations of rigs.", no_args_is_help=True)
 app.command("export")(calibration_files.export)
@@ -64,7 +66,8 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
     with bootstrap.services(home) as services:
         known = calibrations.show(services, number)
     calibration = known.calibration
-    worth = {} if known.quality is None else _worth(calibration, known.quality)
+    judged = None if known.quality is None else calibrations.worth_of(known.quality)
+    worth = {} if judged is None else _worth(calibration, judged)
     if as_json:
         output.print_json(
             {
@@ -91,7 +94,7 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
         }
     )
     output.print_table(
-        ["sensor", "px", "fx, fy [px]", "cx, cy [px]", ", ".join(calibrations.DISTORTION), "pin-hole [mm]"],
+        ["sensor", "px", "fx, fy [px]", "cx, cy [px]", ", ".join(calibrations.distortion()), "pin-hole [mm]"],
         [
             (
                 s.name,
@@ -107,18 +110,16 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
     )
 
 
-def _worth(calibration: Calibration, quality: CalibrationQuality) -> dict[str, str | float | int]:
+def _worth(calibration: Calibration, worth: Worth) -> dict[str, str | float | int]:
     """Return the few numbers by which a calibration is judged."""
-    held_out = quality.held_out_bar_rms_mm()
-    expected = quality.expected_sigma[np.isfinite(quality.expected_sigma)]
-    worth: dict[str, str | float | int] = {"world": quality.gauge, "warnings": len(quality.warnings)}
-    if np.isfinite(held_out):
-        worth["held-out bar lengths, rms [um]"] = round(1e3 * held_out, 3)
-        worth["of the volume's diagonal"] = f"1/{calibration.volume.diagonal_mm / held_out:,.0f}"
-    if expected.size:
-        worth["expected deviation of a point, median [um]"] = round(1e3 * float(np.median(expected)), 3)
-        worth["expected deviation of a point, largest [um]"] = round(1e3 * float(expected.max()), 3)
-    return worth
+    told: dict[str, str | float | int] = {"world": worth.gauge, "warnings": len(worth.warnings)}
+    if (held_out := worth.held_out_bar_rms_mm) is not None:
+        told["held-out bar lengths, rms [um]"] = round(1e3 * held_out, 3)
+        told["of the volume's diagonal"] = f"1/{calibration.volume.diagonal_mm / held_out:,.0f}"
+    if worth.expected_median_mm is not None and worth.expected_largest_mm is not None:
+        told["expected deviation of a point, median [um]"] = round(1e3 * worth.expected_median_mm, 3)
+        told["expected deviation of a point, largest [um]"] = round(1e3 * worth.expected_largest_mm, 3)
+    return told
 
 
 @app.command()
@@ -209,7 +210,7 @@ def compare(
         ],
         empty="",
     )
-    changes = sorted((c for c in found.changes if np.isfinite(c.z)), key=lambda c: abs(c.z), reverse=True)
+    changes = sorted((c for c in found.changes if isfinite(c.z)), key=lambda c: abs(c.z), reverse=True)
     output.print_table(
         ["sensor", "parameter", "change", "in standard deviations"],
         [(c.sensor, c.parameter, f"{c.change:.3g}", f"{c.z:.1f}") for c in changes[:10]],

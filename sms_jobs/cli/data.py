@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.tree import Tree
 
 from sms_jobs import bootstrap
 from sms_jobs.app import files, finding, writing
@@ -27,6 +26,9 @@ from sms_jobs.cli.found_files import After, As, Columns, FindOptions, Force, For
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.shown.files import Ancestor
 from sms_jobs.records.sizes import size
+
+if TYPE_CHECKING:
+    from rich.tree import Tree
 
 app = typer.Typer(help="Measurements and results in the archive.", no_args_is_help=True)
 app.add_typer(saved_queries.app, name="query")
@@ -152,6 +154,8 @@ def tree(
         name = "outputs" if down else "inputs"
         output.print_json({"file": found.file, name: found.inputs, "more": found.more})
         return
+    from rich.tree import Tree
+
     root = Tree(f"{found.file.source} {found.file.subject} ({found.file.id})")
     _grow(root, found.inputs, whole)
     output.answer().print(root)

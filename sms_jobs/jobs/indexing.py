@@ -27,13 +27,12 @@ from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import ArchiveCorrupt
 from sms_jobs.jobs import calibration_choice, decisions
 from sms_jobs.kinds import all_kinds
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, REFERENCE_SURFACES
 from sms_jobs.kinds.products import MEASURED, RECORDED
 from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import CampaignDefinition
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
-from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
 CAMPAIGN = "campaign"
 """The source of files that define campaigns."""

@@ -15,6 +15,7 @@ from sms_jobs.kinds import all_kinds, kind_named
 from sms_jobs.kinds.kind import (
     CALIBRATION,
     MEASUREMENT,
+    REFERENCE_SURFACES,
     Kind,
     Need,
     Parameters,
@@ -23,7 +24,6 @@ from sms_jobs.kinds.kind import (
     pipeline_subjects,
 )
 from sms_jobs.records.subject import Subject
-from sms_jobs.records.surfaces import REFERENCE_SURFACES
 
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign

@@ -25,8 +25,7 @@ from sms_jobs.errors import ArchiveCorrupt, InvalidInput, OtherFormat, SmsError
 from sms_jobs.jobs import indexing, past_jobs
 from sms_jobs.jobs.indexing import ACCEPTANCE, CAMPAIGN
 from sms_jobs.jobs.past_definitions import PastDefinitions
-from sms_jobs.kinds.kind import CALIBRATION
-from sms_jobs.records.surfaces import REFERENCE_SURFACES
+from sms_jobs.kinds.kind import CALIBRATION, REFERENCE_SURFACES
 
 Outcome: TypeAlias = Literal["indexed", "incomplete", "refused", "no-campaign", "too-new"]
 

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sms_jobs.errors import Conflict, NotFound
-from sms_jobs.formats.rig_configuration import SensorRecords, load_rig
 from sms_jobs.kinds.kind import Station, rig_queue
 from sms_jobs.records.subject import checked_name
 from sms_jobs.settings import Settings
 
 if TYPE_CHECKING:
+    from sms_jobs.formats.rig_configuration import SensorRecords
     from sms_jobs.records.optical_instruments import RigFile
 
 EVERY_RIG = "rigs"
@@ -69,11 +69,11 @@ class Stations:
             raise NotFound(
                 f"no rig '{name}' is connected to this host, there is {connected}; `sms rig add` takes one"
             )
-        return load_rig(path, known_sensors())
+        return _read(path)
 
     def add(self, file: Path, replace: bool) -> RigFile:
         """Take the file of a rig over; raise `Conflict` when there is one and it is not to be replaced."""
-        rig = load_rig(file, known_sensors())
+        rig = _read(file)
         path = self._path(rig.name)
         if path.exists() and not replace:
             raise Conflict(
@@ -101,8 +101,15 @@ class Stations:
         return self.rigs / f"{checked_name(name, 'rig')}.toml"
 
 
+def _read(file: Path) -> RigFile:
+    from sms_jobs.formats.rig_configuration import load_rig
+
+    return load_rig(file, known_sensors())
+
+
 def known_sensors() -> SensorRecords:
     """Return what rig files may say of the cameras and projectors that there are drivers for."""
+    from sms_jobs.formats.rig_configuration import SensorRecords
     from sms_jobs.instruments.optical_drivers import camera_drivers, projector_drivers
 
     return SensorRecords(

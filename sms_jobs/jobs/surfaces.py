@@ -8,9 +8,10 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.jobs.repository import Repository, brought_in
+from sms_jobs.kinds.kind import REFERENCE_SURFACES
 from sms_jobs.kinds.products import REFERENCE_SURFACE
 from sms_jobs.records.subject import Subject
-from sms_jobs.records.surfaces import REFERENCE_SURFACES, ReferenceSurface
+from sms_jobs.records.surfaces import ReferenceSurface
 
 
 def register_surface(

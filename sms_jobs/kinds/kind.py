@@ -52,6 +52,8 @@ class Queue(Enum):
 
 MEASUREMENT = "measurement"
 CALIBRATION = "calibration"
+REFERENCE_SURFACES = "surface"
+"""The sources of files that no job kind alone makes."""
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,6 @@ from sms_jobs.records.quantity import SYMMETRIC, XYZ, array
 Double = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-REFERENCE_SURFACES = "surface"
-"""The source of files that hold a reference surface."""
-
 
 @dataclass(frozen=True)
 class ReferenceSurface:

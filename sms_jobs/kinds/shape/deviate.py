@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from sms_jobs.formats.deviation_figures import write_deviation_map
 from sms_jobs.kinds.kind import (
+    REFERENCE_SURFACES,
     DatasetOutput,
     DocumentOutput,
     Inputs,
@@ -45,7 +46,6 @@ from sms_jobs.records.fields import Mesh
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.surfaces import (
-    REFERENCE_SURFACES,
     DeviationField,
     ReferenceSurface,
     SurfaceRegistration,

@@ -30,7 +30,7 @@ def show(page: Page, number: int) -> HTMLResponse:
         view=next(
             one for one in calibrations.list_calibrations(page.services, overview.rig) if one.id == number
         ),
-        distortion=calibrations.DISTORTION,
+        distortion=calibrations.distortion(),
         styles=calibrations.STYLES,
     )
 

@@ -23,8 +23,9 @@ from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.reindexing import reindex, unknown_files
 from sms_jobs.jobs.submission import submit
 from sms_jobs.jobs.surfaces import register_surface
+from sms_jobs.kinds.kind import REFERENCE_SURFACES
 from sms_jobs.records.fields import Mesh, Surface
-from sms_jobs.records.surfaces import REFERENCE_SURFACES, ReferenceSurface
+from sms_jobs.records.surfaces import ReferenceSurface
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]])

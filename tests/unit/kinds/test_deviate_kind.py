@@ -20,7 +20,7 @@ from sms_jobs.errors import MeasurementFailed
 from sms_jobs.formats.deviation_figures import band_edges, draw_deviation
 from sms_jobs.formats.exporters import exporter_named
 from sms_jobs.formats.exporters.sources import source_for
-from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, DocumentOutput, Inputs, Need
+from sms_jobs.kinds.kind import MEASUREMENT, REFERENCE_SURFACES, DatasetOutput, DocumentOutput, Inputs, Need
 from sms_jobs.kinds.shape import deviate, mesh
 from sms_jobs.metrology.geometry.transforms import inverse, rotation_vector
 from sms_jobs.metrology.surfaces.deviation import Verdict
@@ -30,7 +30,6 @@ from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.surfaces import (
-    REFERENCE_SURFACES,
     DeviationField,
     ReferenceSurface,
     SurfaceRegistration,
