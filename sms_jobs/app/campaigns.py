@@ -13,7 +13,6 @@ from sms_jobs.catalogue import campaigns, valid_calibrations
 from sms_jobs.jobs import inquiry
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.inquiry import CampaignView
-from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.people import Right
 
 if TYPE_CHECKING:
@@ -43,6 +42,7 @@ def create(services: Services, plan: Path) -> Campaign:
         There is a campaign of that name.
     """
     from sms_jobs.formats import configuration
+    from sms_jobs.jobs.registration import register_campaign
 
     loaded = configuration.load_campaign(plan)
     register_campaign(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import wraps
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -139,35 +139,41 @@ COMMANDS: Mapping[str, Command] = {
 class _Loading(dict[str, Any]):
     """Commands by name, loaded when one is looked up."""
 
+    def __init__(self, table: Mapping[str, Command]) -> None:
+        super().__init__()
+        self._table = table
+
     def __missing__(self, name: str) -> Any:
-        return self.setdefault(name, COMMANDS[name].load(name))
+        return self.setdefault(name, self._table[name].load(name))
 
     def __contains__(self, name: object) -> bool:
-        return name in COMMANDS
+        return name in self._table
 
     def keys(self) -> Any:
-        return COMMANDS.keys()
+        return self._table.keys()
 
 
 class Commands(TyperGroup):
-    """The group of all commands, which shows them without loading them."""
+    """A group of commands, by default all of `sms`, which shows them without loading them."""
+
+    table: ClassVar[Mapping[str, Command]] = COMMANDS
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.commands = _Loading()
+        self.commands = _Loading(self.table)
         self._chosen = ""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names in the order in which they are shown."""
-        return list(COMMANDS)
+        return list(self.table)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return the chosen command; of the others only what is shown of them."""
-        if cmd_name not in COMMANDS:
+        if cmd_name not in self.table:
             return None
         if cmd_name == self._chosen:
             return self.commands[cmd_name]
-        return TyperCommand(cmd_name, help=COMMANDS[cmd_name].help)
+        return TyperCommand(cmd_name, help=self.table[cmd_name].help)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Load the command that the first word names."""

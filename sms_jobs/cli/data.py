@@ -1,207 +1,107 @@
-"""`sms data`: find, look at and take out what the archive holds."""
+"""`sms data`: the commands that find, look at and take out what the archive holds."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
 import typer
 
-from sms_jobs import bootstrap
-from sms_jobs.app import files, finding, writing
-from sms_jobs.cli import (
-    advice,
-    comparing,
-    completion,
-    exporting,
-    found_files,
-    outline,
-    output,
-    pins,
-    portable_data,
-    saved_queries,
-    surface_places,
-)
-from sms_jobs.cli.found_files import After, As, Columns, FindOptions, Force, Format, Limit, Out
-from sms_jobs.cli.output import Home, Json
-from sms_jobs.records.shown.files import Ancestor
-from sms_jobs.records.sizes import size
+from sms_jobs.cli.commands import Command, Commands
 
-if TYPE_CHECKING:
-    from rich.tree import Tree
-
-app = typer.Typer(help="Measurements and results in the archive.", no_args_is_help=True)
-app.add_typer(saved_queries.app, name="query")
-app.command("export")(exporting.export)
-app.command("formats")(exporting.formats)
-app.command("pin")(pins.pin)
-app.command("unpin")(pins.unpin)
-app.command("pins")(pins.pins)
-app.command("outline")(outline.outline)
-app.command("gauges")(surface_places.gauges)
-app.command("section")(surface_places.section)
-app.command("advise")(advice.advise)
-app.command("compare")(comparing.compare)
-app.command("compare-states")(comparing.compare_states)
-app.command("pack")(portable_data.pack)
-app.command("check")(portable_data.check)
-app.command("unpack")(portable_data.unpack)
-app.command("provenance")(portable_data.provenance)
-
-File = Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")]
-
-_SHOWN_ALIKE = 8
-"""Inputs of one source that a tree shows one by one; a calibration has a hundred."""
-
-
-@app.command()
-def find(
-    query: Annotated[
-        str | None,
-        typer.Argument(help="What to find, in quotation marks: 'strain where load_kN > 1400'."),
-    ] = None,
-    kind: Annotated[
-        str | None, typer.Option(help="measurement, calibration, or the kind of a result.")
-    ] = None,
-    campaign: Annotated[
-        str | None,
-        typer.Option(
-            "--campaign", "-c", help="Only of this campaign.", autocompletion=completion.campaign_names
-        ),
-    ] = None,
-    state: Annotated[str | None, typer.Option(help="Only of this state.")] = None,
-    view: Annotated[str | None, typer.Option(help="Only of this view.")] = None,
-    limit: Limit = 50,
-    after: After = None,
-    columns: Columns = None,
-    form: As = Format.TABLE,
-    out: Out = None,
-    force: Force = False,
-    home: Home = None,
-    as_json: Json = False,
-) -> None:
-    """Find measurements, results and calibrations, the newest first; docs/query.md has the language.
-
-    Example: sms data find 'strain where load_kN > 1400 and max_principal > 1e-3' -c wing-fatigue
-    """
-    asked = finding.question(query or "", kind=kind, campaign=campaign, state=state, view=view)
-    found_files.tell(home, lambda _: asked, FindOptions(limit, after, columns, form, out, force, as_json))
-
-
-@app.command()
-def show(file: File, home: Home = None, as_json: Json = False) -> None:
-    """Show a file: what it is about, its statistics, what was read while it was recorded, and its records.
-
-    Example: sms data show 17
-    """
-    with bootstrap.services(home) as services:
-        found = files.describe(services, file)
-    if as_json:
-        output.print_json(
-            {
-                "file": found.file,
-                "path": found.path,
-                "statistics": found.statistics,
-                "readings": found.readings,
-                "records": found.records,
-            }
-        )
-        return
-    view = found.file
-    output.print_facts(
-        {
-            "file": view.id,
-            "kind": view.source,
-            "subject": view.subject,
-            "path": found.path,
-            "size": size(view.size_bytes),
-            "recorded": view.recorded_at,
-            "created": view.created_at,
-            "content": f"sha256 {view.content_hash}",
-            "job": view.job_id,
-        }
-        | found.statistics
-        | {f"channel.{name}": value for name, value in found.readings.items()}
-    )
-    output.print_table(
-        ["record", "field", "shape", "unit", "meaning"],
-        [
-            (name, field, " x ".join(map(str, about["shape"])), about["unit"], about["meaning"])
-            for name, fields in found.records.items()
-            for field, about in fields.items()
-        ],
-        empty="",
-    )
+_TABLE = {
+    "find": Command(
+        "Find measurements, results and calibrations, the newest first; docs/query.md has the language.",
+        "cli.archived",
+        "find",
+    ),
+    "show": Command(
+        "Show a file: what it is about, its statistics, what was read while it was "
+        "recorded, and its records.",
+        "cli.archived",
+        "show",
+    ),
+    "tree": Command(
+        "Show what a file was computed from, back to what was measured; or all that was computed from it.",
+        "cli.archived",
+        "tree",
+    ),
+    "plot": Command(
+        "Draw an image field with colour bar and unit as PNG; of a camera alone, over its reference image.",
+        "cli.archived",
+        "plot",
+    ),
+    "query": Command("Questions to the archive that are kept under a name.", "cli.saved_queries"),
+    "export": Command(
+        "Write a result for other programs, or copy a sealed file, e.g. a report, out of the archive.",
+        "cli.exporting",
+        "export",
+    ),
+    "formats": Command(
+        "List the formats of 'sms data export --as' and of the job kind export.",
+        "cli.exporting",
+        "formats",
+    ),
+    "pin": Command(
+        "Keep a file, and all that it was computed from, whatever `sms archive gc` is asked to remove.",
+        "cli.pins",
+        "pin",
+    ),
+    "unpin": Command("Let a policy decide about a file again.", "cli.pins", "unpin"),
+    "pins": Command("Show the files that are pinned, and why.", "cli.pins", "pins"),
+    "outline": Command(
+        "Print the outlines of a mask image, for the region-of-interest of 'sms job submit correlate'.",
+        "cli.outline",
+        "outline",
+    ),
+    "gauges": Command(
+        "Show what virtual strain gauges read, state by state, beside real ones.",
+        "cli.surface_places",
+        "gauges",
+    ),
+    "section": Command(
+        "Show a field along a line on the surface, which is seen along the world's Z axis, or in the image.",
+        "cli.surface_places",
+        "section",
+    ),
+    "advise": Command(
+        "Say how coarse and how noisy a texture is, and what subsets and gauge lengths it is good for.",
+        "cli.advice",
+        "advise",
+    ),
+    "compare": Command(
+        "Subtract another displacement from a merged one: measured minus other, at the measured points.",
+        "cli.comparing",
+        "compare",
+    ),
+    "compare-states": Command(
+        "Subtract another displacement from the merged one at every state: maps, and rms over the states.",
+        "cli.comparing",
+        "compare_states",
+    ),
+    "pack": Command(
+        "Export a campaign with all that it depends on into a portable folder, for "
+        "another home or a repository.",
+        "cli.portable_data",
+        "pack",
+    ),
+    "check": Command(
+        "Read every file of a packed folder and compare it with its checksum; needs no home.",
+        "cli.portable_data",
+        "check",
+    ),
+    "unpack": Command(
+        "Bring the files of a packed folder into this archive and its catalogue.",
+        "cli.portable_data",
+        "unpack",
+    ),
+    "provenance": Command(
+        "Write where files come from as a W3C PROV document (PROV-JSON), for other programs.",
+        "cli.portable_data",
+        "provenance",
+    ),
+}
 
 
-@app.command()
-def tree(
-    file: File,
-    whole: Annotated[bool, typer.Option("--all", help="Show every input, however many are alike.")] = False,
-    down: Annotated[
-        bool, typer.Option("--down", help="Show what was computed from it, and from that, instead.")
-    ] = False,
-    home: Home = None,
-    as_json: Json = False,
-) -> None:
-    """Show what a file was computed from, back to what was measured; or all that was computed from it.
-
-    Example: sms data tree 17; sms data tree 3 --down
-    """
-    with bootstrap.services(home) as services:
-        found = files.tree(services, file, down=down)
-    if as_json:
-        name = "outputs" if down else "inputs"
-        output.print_json({"file": found.file, name: found.inputs, "more": found.more})
-        return
-    from rich.tree import Tree
-
-    root = Tree(f"{found.file.source} {found.file.subject} ({found.file.id})")
-    _grow(root, found.inputs, whole)
-    output.answer().print(root)
-    if found.more:
-        output.say(f"the tree ends at {files.MOST_RELATED} entries; ask for that of a file in it")
+class _Data(Commands):
+    table = _TABLE
 
 
-@app.command()
-def plot(
-    file: File,
-    out: Annotated[Path, typer.Option("--out", "-o", help="PNG file to write.")],
-    record: Annotated[str | None, typer.Option(help="Record in the file; the first if not given.")] = None,
-    field: Annotated[
-        str | None, typer.Option(help="Field of the record; the first image if not given.")
-    ] = None,
-    component: Annotated[
-        str | None, typer.Option(help="Component, e.g. Z or xx; the magnitude of a vector if not given.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
-    home: Home = None,
-) -> None:
-    """Draw an image field with colour bar and unit as PNG; of a camera alone, over its reference image.
-
-    Example: sms data plot 17 --field strain --component xx --out strain.png
-    """
-    writing.check_new_file(out, force)
-    with bootstrap.services(home) as services:
-        png = files.picture(services, file, record=record, field=field, component=component)
-    writing.write_file(out, png, force)
-    output.say(f"wrote {out}")
-
-
-def _grow(node: Tree, inputs: tuple[Ancestor, ...], whole: bool) -> None:
-    """Add inputs to a tree; of many from one source only the first, unless the whole tree is asked for."""
-    by_source: dict[str, list[Ancestor]] = {}
-    for ancestor in inputs:
-        by_source.setdefault(ancestor.file.source, []).append(ancestor)
-    for source, alike in by_source.items():
-        shown = alike if whole or len(alike) <= _SHOWN_ALIKE else alike[:1]
-        for ancestor in shown:
-            more = "; its inputs are shown elsewhere" if ancestor.told else ""
-            if ancestor.more:
-                more = f"; there is more, see 'sms data tree {ancestor.file.id}'"
-            child = node.add(
-                f"{ancestor.role}: {ancestor.file.source} {ancestor.file.subject} ({ancestor.file.id}){more}"
-            )
-            _grow(child, ancestor.inputs, whole)
-        if len(shown) < len(alike):
-            node.add(f"and {len(alike) - 1} more of {source}; --all shows them")
+app = typer.Typer(cls=_Data, help="Measurements and results in the archive.", no_args_is_help=True)

@@ -1,0 +1,174 @@
+"""`sms data find`, `show`, `tree` and `plot`: what the archive holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.app import files, finding, writing
+from sms_jobs.cli import completion, found_files, output
+from sms_jobs.cli.found_files import After, As, Columns, FindOptions, Force, Format, Limit, Out
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.records.shown.files import Ancestor
+from sms_jobs.records.sizes import size
+
+if TYPE_CHECKING:
+    from rich.tree import Tree
+
+
+File = Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")]
+
+_SHOWN_ALIKE = 8
+"""Inputs of one source that a tree shows one by one; a calibration has a hundred."""
+
+
+def find(
+    query: Annotated[
+        str | None,
+        typer.Argument(help="What to find, in quotation marks: 'strain where load_kN > 1400'."),
+    ] = None,
+    kind: Annotated[
+        str | None, typer.Option(help="measurement, calibration, or the kind of a result.")
+    ] = None,
+    campaign: Annotated[
+        str | None,
+        typer.Option(
+            "--campaign", "-c", help="Only of this campaign.", autocompletion=completion.campaign_names
+        ),
+    ] = None,
+    state: Annotated[str | None, typer.Option(help="Only of this state.")] = None,
+    view: Annotated[str | None, typer.Option(help="Only of this view.")] = None,
+    limit: Limit = 50,
+    after: After = None,
+    columns: Columns = None,
+    form: As = Format.TABLE,
+    out: Out = None,
+    force: Force = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Find measurements, results and calibrations, the newest first; docs/query.md has the language.
+
+    Example: sms data find 'strain where load_kN > 1400 and max_principal > 1e-3' -c wing-fatigue
+    """
+    asked = finding.question(query or "", kind=kind, campaign=campaign, state=state, view=view)
+    found_files.tell(home, lambda _: asked, FindOptions(limit, after, columns, form, out, force, as_json))
+
+
+def show(file: File, home: Home = None, as_json: Json = False) -> None:
+    """Show a file: what it is about, its statistics, what was read while it was recorded, and its records.
+
+    Example: sms data show 17
+    """
+    with bootstrap.services(home) as services:
+        found = files.describe(services, file)
+    if as_json:
+        output.print_json(
+            {
+                "file": found.file,
+                "path": found.path,
+                "statistics": found.statistics,
+                "readings": found.readings,
+                "records": found.records,
+            }
+        )
+        return
+    view = found.file
+    output.print_facts(
+        {
+            "file": view.id,
+            "kind": view.source,
+            "subject": view.subject,
+            "path": found.path,
+            "size": size(view.size_bytes),
+            "recorded": view.recorded_at,
+            "created": view.created_at,
+            "content": f"sha256 {view.content_hash}",
+            "job": view.job_id,
+        }
+        | found.statistics
+        | {f"channel.{name}": value for name, value in found.readings.items()}
+    )
+    output.print_table(
+        ["record", "field", "shape", "unit", "meaning"],
+        [
+            (name, field, " x ".join(map(str, about["shape"])), about["unit"], about["meaning"])
+            for name, fields in found.records.items()
+            for field, about in fields.items()
+        ],
+        empty="",
+    )
+
+
+def tree(
+    file: File,
+    whole: Annotated[bool, typer.Option("--all", help="Show every input, however many are alike.")] = False,
+    down: Annotated[
+        bool, typer.Option("--down", help="Show what was computed from it, and from that, instead.")
+    ] = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Show what a file was computed from, back to what was measured; or all that was computed from it.
+
+    Example: sms data tree 17; sms data tree 3 --down
+    """
+    with bootstrap.services(home) as services:
+        found = files.tree(services, file, down=down)
+    if as_json:
+        name = "outputs" if down else "inputs"
+        output.print_json({"file": found.file, name: found.inputs, "more": found.more})
+        return
+    from rich.tree import Tree
+
+    root = Tree(f"{found.file.source} {found.file.subject} ({found.file.id})")
+    _grow(root, found.inputs, whole)
+    output.answer().print(root)
+    if found.more:
+        output.say(f"the tree ends at {files.MOST_RELATED} entries; ask for that of a file in it")
+
+
+def plot(
+    file: File,
+    out: Annotated[Path, typer.Option("--out", "-o", help="PNG file to write.")],
+    record: Annotated[str | None, typer.Option(help="Record in the file; the first if not given.")] = None,
+    field: Annotated[
+        str | None, typer.Option(help="Field of the record; the first image if not given.")
+    ] = None,
+    component: Annotated[
+        str | None, typer.Option(help="Component, e.g. Z or xx; the magnitude of a vector if not given.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    home: Home = None,
+) -> None:
+    """Draw an image field with colour bar and unit as PNG; of a camera alone, over its reference image.
+
+    Example: sms data plot 17 --field strain --component xx --out strain.png
+    """
+    writing.check_new_file(out, force)
+    with bootstrap.services(home) as services:
+        png = files.picture(services, file, record=record, field=field, component=component)
+    writing.write_file(out, png, force)
+    output.say(f"wrote {out}")
+
+
+def _grow(node: Tree, inputs: tuple[Ancestor, ...], whole: bool) -> None:
+    """Add inputs to a tree; of many from one source only the first, unless the whole tree is asked for."""
+    by_source: dict[str, list[Ancestor]] = {}
+    for ancestor in inputs:
+        by_source.setdefault(ancestor.file.source, []).append(ancestor)
+    for source, alike in by_source.items():
+        shown = alike if whole or len(alike) <= _SHOWN_ALIKE else alike[:1]
+        for ancestor in shown:
+            more = "; its inputs are shown elsewhere" if ancestor.told else ""
+            if ancestor.more:
+                more = f"; there is more, see 'sms data tree {ancestor.file.id}'"
+            child = node.add(
+                f"{ancestor.role}: {ancestor.file.source} {ancestor.file.subject} ({ancestor.file.id}){more}"
+            )
+            _grow(child, ancestor.inputs, whole)
+        if len(shown) < len(alike):
+            node.add(f"and {len(alike) - 1} more of {source}; --all shows them")
