@@ -18,14 +18,13 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.interchange.styles import Style
-from sms_jobs.jobs import acceptances
-from sms_jobs.jobs.registration import Registered, register_calibration
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import CalibrationView
 from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
     from sms_jobs.jobs.calibrations import CalibrationCheck, KnownCalibration
+    from sms_jobs.jobs.registration import Registered
     from sms_jobs.metrology.calibration.comparison import CalibrationComparison
     from sms_jobs.records.calibration import CalibrationQuality
     from sms_jobs.records.sensors import Box, Calibration, Sensor
@@ -275,6 +274,8 @@ def decide(services: Services, number: int, campaign: str | None, *, in_use: boo
     Conflict
         It is of other sensors.
     """
+    from sms_jobs.jobs import acceptances
+
     new = acceptances.accept(
         services.catalogue, services.archive, number, campaign, datetime.now(UTC), in_use=in_use
     )
@@ -342,6 +343,7 @@ def import_files(services: Services, files: Sequence[Path], given: Supplement) -
         The rig has other sensors.
     """
     from sms_jobs.formats.interchange.calibration_files import read_calibration
+    from sms_jobs.jobs.registration import register_calibration
 
     found = read_calibration(files, given)
     registered = register_calibration(

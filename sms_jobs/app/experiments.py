@@ -12,7 +12,6 @@ from sms_jobs.app import campaigns, writing
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput
-from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.people import Right
 
 if TYPE_CHECKING:
@@ -55,6 +54,8 @@ def simulate(services: Services, experiment: str, name: str | None, *, small: bo
     Conflict
         There is a campaign of that name.
     """
+    from sms_jobs.jobs.registration import register_campaign
+
     if experiment not in EXPERIMENTS:
         raise InvalidInput(f"there is no experiment '{experiment}'; choose among {', '.join(EXPERIMENTS)}")
     made = experiment_campaigns(experiment, name or experiment, "small" if small else "full")

@@ -9,13 +9,14 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sqlalchemy.orm import Session
+
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
 from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.jobs import inquiry, recovery
+from sms_jobs.jobs import inquiry
 from sms_jobs.jobs.chosen import of_campaign
-from sms_jobs.jobs.estimates import outlook
 from sms_jobs.jobs.inquiry import WorkerView
 from sms_jobs.records.job import ALIVE_WITHIN
 from sms_jobs.records.people import Right
@@ -64,7 +65,7 @@ def status(services: Services) -> Status:
         # Among a million jobs counting is most of the work: it is done once.
         counted = inquiry.counts(session)
         active = inquiry.still_active(counted)
-        ahead = outlook(session, of_campaign(session, None), services.settings.workers) if active else None
+        ahead = _outlook(session, services.settings.workers) if active else None
         return Status(
             services.settings.home,
             services.catalogue.describe(),
@@ -75,6 +76,13 @@ def status(services: Services) -> Status:
             tuple(inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)),
             ahead,
         )
+
+
+def _outlook(session: Session, workers: int) -> Outlook:
+    # To estimate takes more than all else here, and there are jobs only while somebody works.
+    from sms_jobs.jobs.estimates import outlook
+
+    return outlook(session, of_campaign(session, None), workers)
 
 
 @use_case(Right.ADMINISTER)
@@ -127,6 +135,8 @@ def drain(services: Services, worker: str) -> str:
 
     Raises `NotFound` where there is not one such worker.
     """
+    from sms_jobs.jobs import recovery
+
     with services.catalogue.writing() as session:
         recent = inquiry.workers(session, datetime.now(UTC) - _SHOWN_FOR)
         matching = [w.id for w in recent if worker and w.id.startswith(worker)]

@@ -1,7 +1,5 @@
 """The tables: typed columns for what people ask, JSON for the rest."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from typing import Any, ClassVar
 

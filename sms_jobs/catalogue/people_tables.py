@@ -1,7 +1,5 @@
 """The tables of people: who they are, how they come in, what they did, and what they are told."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from typing import Any
 

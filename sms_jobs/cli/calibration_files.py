@@ -15,8 +15,6 @@ from sms_jobs.app.calibrations import STYLES, Imported
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.sensors import Box
-from sms_jobs.records.supplements import Supplement
 from sms_jobs.records.times import parsed_time
 
 _SIZE = re.compile(r"(?P<name>\w{1,8})=(?P<columns>\d{1,6})x(?P<rows>\d{1,6})")
@@ -121,6 +119,9 @@ def import_(
     --size C1=1280x1024 --size P1=1920x1080 --unit-mm 1000 --rig desk --valid-from 2026-05-04T10:00:00+02:00
     --volume -200 -200 500 200 200 900
     """
+    from sms_jobs.records.sensors import Box
+    from sms_jobs.records.supplements import Supplement
+
     supplement = Supplement(
         rig=rig,
         valid_from=_time(valid_from),

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sms_jobs.app.waiting import Waiting
 from sms_jobs.cli.output import clock, duration
 from sms_jobs.records.shown.estimates import Estimate, Outlook
+
+if TYPE_CHECKING:
+    from sms_jobs.app.waiting import Waiting
 
 
 @contextmanager

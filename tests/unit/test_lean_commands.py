@@ -13,8 +13,13 @@ from support.homes import make_home
 from sms_jobs.catalogue import schema
 from sms_jobs.cli.commands import COMMANDS
 
-KERNELS = {"cv2", "numba", "scipy", "matplotlib"}
-CATALOGUE = {"sqlalchemy", "alembic", "h5py", "numpy"}
+COMMAND_LINE = {
+    *("sms_jobs", "typer", "annotated_doc", "shellingham", "typing_extensions"),
+    *("pydantic", "pydantic_core", "annotated_types", "typing_inspection", "cython_runtime"),
+}
+"""Typer, what it needs, and what that needs."""
+TABLES = {"rich", "attr", "pygments", "markdown_it", "mdurl"}
+CATALOGUE = {"sqlalchemy", "greenlet"}
 _SAY = (
     "import runpy, sys\n"
     "sys.argv[0] = 'sms'\n"
@@ -22,12 +27,13 @@ _SAY = (
     "    runpy.run_module('sms_jobs.cli.main', run_name='__main__')\n"
     "except SystemExit as end:\n"
     "    assert not end.code, end.code\n"
-    "print(*(name for name in sys.modules if '.' not in name), file=sys.stderr)\n"
+    "ours = (n for n in sys.modules if '.' not in n and n[0] != '_' and n not in sys.stdlib_module_names)\n"
+    "print(*ours, file=sys.stderr)\n"
 )
 
 
 def loaded(*words: str) -> set[str]:
-    """Return the packages that a command has loaded at its end."""
+    """Return the packages, none of which is Python's own, that a command has loaded at its end."""
     command = [sys.executable, "-c", _SAY, *words]
     done = subprocess.run(command, capture_output=True, text=True, check=True, stdin=subprocess.DEVNULL)
     return set(done.stderr.splitlines()[-1].split())
@@ -39,18 +45,34 @@ def all_loaded() -> dict[str, str]:
     return {name: command.load(name).get_short_help_str(300) for name, command in COMMANDS.items()}
 
 
-@pytest.mark.parametrize("option", ["--version", "--help"])
-def test_looking_around_needs_neither_catalogue_nor_kernels(option: str) -> None:
-    assert not loaded(option) & (KERNELS | CATALOGUE)
+@pytest.mark.parametrize("words", ["--version", "--help", "data --help"])
+def test_looking_around_needs_no_catalogue(words: str) -> None:
+    assert loaded(*words.split()) <= COMMAND_LINE | TABLES
 
 
 @pytest.mark.parametrize(
     "words",
-    ["status", "job list", "campaign list", "data tree 1", "data find calibration", "calibration list"],
+    [
+        *("status", "job list", "campaign list", "data find", "data find load_n>1", "data query list"),
+        *("calibration list", "rig list", "queue list", "lock list", "worker list"),
+        *("person list", "audit list", "notify list", "data pins"),
+    ],
 )
-def test_ordinary_commands_compute_nothing_and_migrate_nothing(words: str, home: Path) -> None:
+def test_what_only_asks_the_catalogue_loads_nothing_else(words: str, home: Path) -> None:
     make_home(home, {})
-    assert not loaded(*words.split(), "--home", str(home)) & (KERNELS | {"alembic"})
+    assert loaded(*words.split(), "--home", str(home)) <= COMMAND_LINE | TABLES | CATALOGUE
+
+
+def test_schedules_need_no_more_than_what_reads_their_times(home: Path) -> None:
+    make_home(home, {})
+    assert loaded("schedule", "list", "--home", str(home)) <= COMMAND_LINE | TABLES | CATALOGUE | {"cronsim"}
+
+
+def test_jobs_let_what_asks_for_them_load_no_more(home: Path) -> None:
+    make_home(home, {})
+    loaded("job", "submit", "simulate", "pipeline", "-c", "plate", "--home", str(home))
+    for words in ("job list", "queue list", "campaign list", "data find"):
+        assert loaded(*words.split(), "--home", str(home)) <= COMMAND_LINE | TABLES | CATALOGUE, words
 
 
 @pytest.mark.parametrize("name", COMMANDS)
