@@ -11,7 +11,7 @@ from support.sealing import regions
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue.models import FileRow
-from sms_jobs.cli import data, exporting, portable_data
+from sms_jobs.cli import archived, exporting, portable_data
 from sms_jobs.errors import ArchiveCorrupt
 
 
@@ -37,7 +37,7 @@ def test_nothing_is_shown_drawn_or_exported_of_them(damaged: tuple[Path, int, in
     out.mkdir()
     for file in map(str, files):
         with pytest.raises(ArchiveCorrupt, match="is not what was sealed"):
-            data.show(file, home=home)
+            archived.show(file, home=home)
         with pytest.raises(ArchiveCorrupt, match="is not what was sealed"):
             exporting.export(file, out=out, home=home)
     dataset = str(files[0])
@@ -45,7 +45,7 @@ def test_nothing_is_shown_drawn_or_exported_of_them(damaged: tuple[Path, int, in
         with pytest.raises(ArchiveCorrupt, match="is not what was sealed"):
             exporting.export(dataset, form=form, out=out, home=home)
     with pytest.raises(ArchiveCorrupt, match="is not what was sealed"):
-        data.plot(dataset, out=out / "a.png", home=home)
+        archived.plot(dataset, out=out / "a.png", home=home)
     assert list(out.iterdir()) == []
     with pytest.raises(ArchiveCorrupt, match="is not what was sealed"):
         portable_data.pack(campaign="plate", to=tmp_path / "packed", home=home)

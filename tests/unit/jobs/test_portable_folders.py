@@ -24,7 +24,7 @@ from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, Checker, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.cli import data
+from sms_jobs.cli.main import app
 from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, NotFound
 from sms_jobs.formats import research_crate as crate
 from sms_jobs.formats.research_crate import CrateFile
@@ -391,7 +391,7 @@ def test_the_crate_describes_every_file(full: Home, tmp_path: Path) -> None:
 
 def told_by(*arguments: str) -> str:
     """Run a command of `sms data` in this process; return what it prints on stdout."""
-    done = CliRunner().invoke(data.app, arguments)
+    done = CliRunner().invoke(app, ["data", *arguments])
     assert done.exit_code == 0, done.output
     return done.stdout
 
@@ -402,7 +402,7 @@ def test_the_commands_take_a_campaign_from_home_to_home(full: Home, tmp_path: Pa
     told_by("pack", "-c", "plate", "--to", folder, *options)
     told_by("check", folder)
     bootstrap.initialise(tmp_path / "there")
-    told = CliRunner().invoke(data.app, ["unpack", folder, *there])
+    told = CliRunner().invoke(app, ["data", "unpack", folder, *there])
     assert told.exit_code == 0
     assert "came along and is used for plate; 'sms calibration accept 1'" in " ".join(told.stderr.split())
     files = everything(full.catalogue)["files"]
@@ -416,5 +416,5 @@ def test_the_commands_take_a_campaign_from_home_to_home(full: Home, tmp_path: Pa
     entities = json.loads(document.read_text())["entity"].values()
     assert {strain, first} <= {one["prov:location"] for one in entities}
     (Path(folder) / "data" / "more.txt").write_text("more")
-    assert CliRunner().invoke(data.app, ["check", folder]).exit_code == ArchiveCorrupt.exit_code
-    assert CliRunner().invoke(data.app, ["unpack", folder, *there]).exit_code == ArchiveCorrupt.exit_code
+    assert CliRunner().invoke(app, ["data", "check", folder]).exit_code == ArchiveCorrupt.exit_code
+    assert CliRunner().invoke(app, ["data", "unpack", folder, *there]).exit_code == ArchiveCorrupt.exit_code
