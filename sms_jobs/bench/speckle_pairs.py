@@ -29,21 +29,30 @@ def speckle_pair(
 
     `contrast` is the standard deviation of both; slopes of the displacement have to be below 0.1.
     """
+    x, y, height = blobs(size, seed)
+    row, column = np.mgrid[0:size, 0:size].astype(np.float64)
+    reference = stamped(size, (x, y), height, (column, row), (x, y))
+    u, v = displacement(x, y)
+    deformed = stamped(size, (x, y), height, seen_through(displacement, column, row), (x + u, y + v))
+    scale = contrast / reference.std()
+    return 2000.0 + scale * reference, 2000.0 + scale * deformed
+
+
+def blobs(size: int, seed: int) -> tuple[Floats, Floats, Floats]:
+    """Return the places (x, y) and heights of the blobs of a square image and what surrounds it."""
     rng = np.random.default_rng(seed)
     count = int((size + 2 * _MARGIN) ** 2 / 9.0)
     x, y = rng.uniform(-_MARGIN, size + _MARGIN, (2, count))
-    height = rng.normal(size=count)
-    row, column = np.mgrid[0:size, 0:size].astype(np.float64)
-    reference = _stamped(size, (x, y), height, (column, row), (x, y))
-    # Which reference point a deformed pixel shows, by iteration.
+    return x, y, rng.normal(size=count)
+
+
+def seen_through(displacement: Displacement, column: Floats, row: Floats) -> tuple[Floats, Floats]:
+    """Return which reference points (x, y) pixels of the deformed image show, by iteration."""
     a, b = column.copy(), row.copy()
     for _ in range(25):
         u, v = displacement(a, b)
         a, b = column - u, row - v
-    u, v = displacement(x, y)
-    deformed = _stamped(size, (x, y), height, (a, b), (x + u, y + v))
-    scale = contrast / reference.std()
-    return 2000.0 + scale * reference, 2000.0 + scale * deformed
+    return a, b
 
 
 def affine_speckle(size: int, forward: Floats, seed: int, contrast: float = 400.0) -> Floats:
@@ -60,12 +69,12 @@ def affine_speckle(size: int, forward: Floats, seed: int, contrast: float = 400.
     place = np.mgrid[0:size, 0:size][::-1].reshape(2, -1) - middle
     shown = np.linalg.inv(forward) @ place
     moved = forward @ blob + middle
-    grey = _stamped(size, (blob[0], blob[1]), height, (shown[0], shown[1]), (moved[0], moved[1]))
+    grey = stamped(size, (blob[0], blob[1]), height, (shown[0], shown[1]), (moved[0], moved[1]))
     # The expected standard deviation of a field of blobs of unit variance, nine square pixels each.
     return np.asarray(2000.0 + contrast / np.sqrt(np.pi * BLOB_PX**2 / 9.0) * grey)
 
 
-def _stamped(
+def stamped(
     size: int,
     blob: tuple[Floats, Floats],
     height: Floats,
