@@ -63,7 +63,7 @@ provide_peers() {
     if [ -n "$packages" ]; then (provide "a display, a camera and network namespaces" $packages) || true; fi
 }
 
-# The names are those of tests/support/browser.py; SMS_TEST_BROWSER names another, or 'none' to skip its tests.
+# The names are those of sms_jobs/bench/browser.py; SMS_TEST_BROWSER names another, or 'none' to skip its tests.
 find_browser() {
     local name
     if [ -n "${SMS_TEST_BROWSER:-}" ]; then return; fi
