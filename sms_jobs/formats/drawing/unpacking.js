@@ -17,33 +17,31 @@ async function inflated(text) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
+// Whole numbers from how far each is from what its neighbours let expect, modulo `mask`; in place.
+function summed(numbers, rows, columns, mask) {
+  for (let row = 0, place = 0; row < rows; row++) for (let column = 0; column < columns; column++, place++) {
+    const left = column ? numbers[place - 1] : row ? numbers[place - columns] : 0;
+    const above = row ? numbers[place - columns] : left;
+    const sum = left + above - (row && column ? numbers[place - columns - 1] : left);
+    const expected = Math.min(Math.max(sum, Math.min(left, above)), Math.max(left, above));
+    const away = numbers[place];
+    numbers[place] = (expected + (away & 1 ? ~(away >> 1) : away >> 1)) & mask;
+  }
+  return numbers;
+}
+
 // Values of a field over the samples, NaN for none.
 async function unpacked(packed, text, rows, columns) {
-  const bytes = await inflated(text);
-  const count = rows * columns;
-  const values = new Float64Array(count);
-  for (let row = 0, place = 0; row < rows; row++) {
-    let number = 0;
-    for (let column = 0; column < columns; column++, place++) {
-      number = (number + (bytes[place] << 8) + bytes[count + place]) & 0xffff;
-      values[place] = number ? packed.low + (number - 1) * packed.step : NaN;
-    }
-  }
-  return values;
+  const bytes = await inflated(text), count = rows * columns, numbers = new Uint16Array(count);
+  for (let i = 0; i < count; i++) numbers[i] = (bytes[i] << 8) + bytes[count + i];
+  return Float64Array.from(summed(numbers, rows, columns, 0xffff),
+    (number) => (number ? packed.low + (number - 1) * packed.step : NaN));
 }
 
 // Standard deviations over the samples, NaN for none.
 async function unpackedSigma(packed, text, rows, columns) {
-  const bytes = await inflated(text);
-  const values = new Float64Array(rows * columns);
-  for (let row = 0, place = 0; row < rows; row++) {
-    let number = 0;
-    for (let column = 0; column < columns; column++, place++) {
-      number = (number + bytes[place]) & 0xff;
-      values[place] = number ? packed.low * Math.exp((number - 1) * packed.step) : NaN;
-    }
-  }
-  return values;
+  return Float64Array.from(summed(await inflated(text), rows, columns, 0xff),
+    (number) => (number ? packed.low * Math.exp((number - 1) * packed.step) : NaN));
 }
 
 // The fields of one view, unpacked when they are asked for.
@@ -65,7 +63,14 @@ class Fields {
 
   described(field) { return this.source.described(field); }
 
-  values(field) { return this.once(field, "", () => unpacked(field, this.source.text(field), this.rows, this.columns)); }
+  values(field) {
+    return this.once(field, "", async () => {
+      const values = await unpacked(field, this.source.text(field), this.rows, this.columns);
+      // Positions that several states share are known where this field is.
+      const seen = field.within && await this.values(this.named(field.within));
+      return seen ? values.map((value, i) => (seen[i] === seen[i] ? value : NaN)) : values;
+    });
+  }
 
   sigma(field) {
     return this.once(field, "sigma", () => field.sigma &&
@@ -76,6 +81,9 @@ class Fields {
     if (!names) return Promise.resolve(null);
     return Promise.all(names.map((name) => this.values(this.named(name))));
   }
+
+  // Lets go of all that was unpacked.
+  forget() { this.waiting.clear(); }
 
   once(field, part, make) {
     const id = `${field.name} ${part}`;
