@@ -1,5 +1,6 @@
 // A point of the surface over the states: a chart of the chosen field with its standard deviations.
 
+const LARGEST_LABELS = 12;
 const SVG = "http://www.w3.org/2000/svg";
 
 // Round numbers from low to high: 1, 2 or 5 times a power of ten apart.
@@ -29,9 +30,11 @@ function chosenAxis() {
 async function followPoint(view, sample) {
   const name = view.field.name, alike = views.filter((v) => v.about.key === view.about.key && v.fields.named(name));
   const axis = chosenAxis(), points = [];
+  view.path.replaceChildren(made("p", { class: "notes" }, `Reading ${alike.length} maps …`));
   for (const [place, other] of alike.entries()) {
     const field = other.fields.named(name), at = sample.row * other.fields.columns + sample.column;
     const value = (await other.fields.values(field))[at], sigma = ((await other.fields.sigma(field)) || [])[at];
+    if (!other.values) other.fields.forget();
     const x = axis ? axis.places[other.about.state] : place;
     if (value === value && x !== undefined) points.push({ x, value, sigma: sigma === sigma ? sigma ?? 0 : 0, state: other.about.state });
   }
@@ -64,7 +67,8 @@ function pointChart(points, title, unit, axis) {
     text(String(Number(value.toPrecision(6))), { x: left - 6, y: y(value) + 4, "text-anchor": "end" });
   }
   const named = !axis || axis.names;
-  const marks = named ? points.map((p) => [p.x, p.state]) : ticks(x0, x1, 6).map((v) => [v, String(Number(v.toPrecision(6)))]);
+  const every = Math.ceil(points.length / LARGEST_LABELS);
+  const marks = named ? points.filter((_, place) => place % every === 0).map((p) => [p.x, p.state]) : ticks(x0, x1, 6).map((v) => [v, String(Number(v.toPrecision(6)))]);
   for (const [value, label] of marks) text(label, { x: x(value), y: bottom + 17, "text-anchor": "middle" });
   svg.append(drawn("path", { class: "axis", d: `M${left} ${top}V${bottom}H${right}` }));
   text(axis ? axis.label : "state", { x: (left + right) / 2, y: bottom + 37, "text-anchor": "middle" });

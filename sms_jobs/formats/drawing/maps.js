@@ -11,7 +11,8 @@ const LARGEST_ZOOM = 64;
 function paletteOf(name) { return PALETTES[name] || PALETTES.viridis; }
 
 class View {
-  constructor(section, source) {
+  // `later`: it is built when it is first shown.
+  constructor(section, source, later = false) {
     this.section = section;
     this.about = JSON.parse(section.querySelector("script.about").textContent);
     this.fields = new Fields(this.about, source);
@@ -24,7 +25,7 @@ class View {
     this.cursor = null;
     this.space = null;
     this.drawn = Promise.resolve();
-    this.build();
+    if (!later) this.build();
   }
 
   get field() { return this.about.fields[this.chosen]; }
@@ -132,15 +133,34 @@ class View {
   spreadOut() {
     const limits = this.shown;
     for (const view of views) {
-      const place = view.about.fields.findIndex((field) => field.name === this.field.name);
-      if (place < 0 || view === this) continue;
-      view.chosen = place; view.ofSigma = this.ofSigma; view.colours = this.colours; view.limits = limits;
-      view.refresh();
+      if (view === this || !view.imitate(this)) continue;
+      view.limits = limits;
+      // Others are drawn when they come into sight.
+      if (view.values) view.refresh();
     }
+  }
+
+  // Takes the field, the range and the colours of another map; false if it has no such field.
+  imitate(other) {
+    const place = this.about.fields.findIndex((field) => field.name === other.field.name);
+    if (place < 0) return false;
+    this.chosen = place; this.ofSigma = other.ofSigma; this.colours = other.colours; this.limits = other.limits;
+    return true;
+  }
+
+  // Lets go of all that was unpacked and drawn.
+  rest() {
+    if (this.space) closeSpace();
+    this.resting = true;
+    this.fields.forget();
+    this.values = this.sigma = this.image = null;
+    if (this.live) this.canvas.width = this.canvas.height = 0;
   }
 
   // Unpack what is to be shown, then draw it.
   refresh() {
+    if (!this.live) this.build();
+    this.resting = false;
     this.drawn = this.renew();
     return this.drawn;
   }
@@ -159,7 +179,7 @@ class View {
     this.scheme.value = this.colours || "";
     const values = await (part === field ? this.fields.values(field) : this.fields.sigma(field));
     const sigma = await this.fields.sigma(field), behind = await this.behind();
-    if (this.field !== field || this.part !== part) return;
+    if (this.resting || this.field !== field || this.part !== part) return;
     this.values = values; this.sigma = sigma;
     this.image = this.coloured(values, limits, behind);
     this.canvas.setAttribute("aria-label", `Map of ${field.name}, ${this.about.title}, state ${this.about.state}. ` +
@@ -173,7 +193,8 @@ class View {
   hint() {
     const step = this.fields.step;
     const nth = { 2: "2nd", 3: "3rd" }[step] || `${step}th`;
-    const sampled = step > 1 ? `Every ${nth} pixel of ${this.about.columns} x ${this.about.rows}. ` : "";
+    const apart = this.about.pitchMm ? `, ${this.about.pitchMm.toPrecision(3)} mm apart` : "";
+    const sampled = step > 1 ? `Every ${nth} pixel of ${this.about.columns} x ${this.about.rows}${apart}. ` : "";
     this.read.textContent = `${sampled}Point at the map to read values; click to follow a point over the states. ` +
       "Once the map is clicked, the wheel zooms and dragging moves it.";
   }
@@ -309,6 +330,8 @@ class View {
       pieces.push(`; X ${position[0][place].toFixed(3)}, Y ${position[1][place].toFixed(3)}, Z ${position[2][place].toFixed(3)} mm`);
     else if (this.about.mmPerPx)
       pieces.push(`; ${(x * this.about.mmPerPx).toFixed(3)}, ${(y * this.about.mmPerPx).toFixed(3)} mm`);
+    if (!field.categories && value === value && field.step)
+      pieces.push(`; in steps of ${Number(field.step.toPrecision(2))}${field.unit ? ` ${field.unit}` : ""}`);
     if (this.cursor.row === row && this.cursor.column === column && this.field === field)
       this.read.replaceChildren(...pieces);
   }

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 from collections.abc import Iterator
+from dataclasses import dataclass
 from html import escape
 from typing import Any
 
@@ -13,15 +15,51 @@ from sms_jobs.formats.figures import Map, draw_map, robust_limits
 from sms_jobs.formats.report.html import Markup, figure, figures
 from sms_jobs.formats.report.packing import pack, pack_sigma
 from sms_jobs.formats.report.page import json_block
-from sms_jobs.formats.report.view import VALID, Field, View
+from sms_jobs.formats.report.view import VALID, Field, Values, View
 
 _CATEGORIES = 64
 
 
-def view_markup(view: View, number: int, state: str, still_px: int, level: int = 4) -> Iterator[Markup]:
+@dataclass
+class Held:
+    """Positions that a page has already, by the key and the name of a field.
+
+    A point of the surface is shown where it was at rest, so that all states have the same positions but for
+    where they have no value: a page needs them once.
+    """
+
+    _of: dict[tuple[str, str], tuple[Values, dict[str, Any]]] = dataclasses.field(default_factory=dict)
+
+    def description(self, view: View, place: int) -> dict[str, Any] | None:
+        """Return that of the same values that the page has, or None."""
+        field, first = view.fields[place], view.fields[0]
+        if (view.key, field.name) not in self._of or field is first or field.sigma is not None:
+            return None
+        values, description = self._of[view.key, field.name]
+        known, there = np.isfinite(field.values), np.isfinite(values)
+        if values.shape != known.shape or not np.array_equal(values[known], field.values[known]):
+            return None
+        alone = {name: part for name, part in description.items() if name not in ("sigma", "within")}
+        if np.array_equal(known, there):
+            return alone
+        if np.array_equal(known, there & np.isfinite(first.values)):
+            return alone | {"within": first.name}
+        return None
+
+    def keep(self, view: View, place: int, description: dict[str, Any]) -> None:
+        """Remember a position that the page has got, the last of its key and name."""
+        field = view.fields[place]
+        if field.name in (view.position or ()):
+            self._of[view.key, field.name] = (field.values, description)
+
+
+def view_markup(
+    view: View, number: int, state: str, still_px: int, held: Held, level: int = 4
+) -> Iterator[Markup]:
     """Yield a view of a state in pieces; `number` tells it from the others of the page.
 
-    `level` is that of its heading, one below the heading that it stands under.
+    `held` is what the page has already, and is added to. `level` is that of its heading, one below the
+    heading that it stands under.
     """
     name = f"v{number}"
     yield Markup(
@@ -33,8 +71,11 @@ def view_markup(view: View, number: int, state: str, still_px: int, level: int =
         yield Markup(f'<p class="notes">{escape(note)}</p>')
     about = []
     for place, field in enumerate(view.fields):
-        description = packed_field(field)
-        yield from _blocks(description, f"{name}-{place}")
+        description = held.description(view, place)
+        if description is None:
+            description = packed_field(field)
+            yield from _blocks(description, f"{name}-{place}")
+            held.keep(view, place, description)
         about.append(description)
     yield json_block(
         {
@@ -44,6 +85,7 @@ def view_markup(view: View, number: int, state: str, still_px: int, level: int =
             "rows": view.size[0],
             "columns": view.size[1],
             "step": view.step_px,
+            "pitchMm": view.pitch_mm,
             "fields": about,
             "position": view.position,
             "movement": view.movement,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ POSITION = ("position X", "position Y", "position Z")
 MOVEMENT = ("displacement X", "displacement Y", "displacement Z")
 
 _LEAST_IMAGE_PX = 16
+_ROWS = 16
 _DIAGONAL = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
 
 
@@ -152,10 +154,12 @@ def deformed_view(
 
 def _components(merged: MergedField, sampler: Sampler) -> list[Field]:
     """Return the components of the displacement; printed is that along Z, in a plane both."""
-    deviations = np.sqrt(covariance_in_space(merged.covariance)[_DIAGONAL])
+    deviations = np.sqrt(covariance_in_space(sampler.samples(merged.covariance))[_DIAGONAL])
     printed = XYZ[2:] if merged.has_depth else XYZ[:2]
     return [
-        sampler.field(f"displacement {axis}", merged.unit, values, sigma, still=axis in printed)
+        replace(
+            sampler.field(f"displacement {axis}", merged.unit, values, still=axis in printed), sigma=sigma
+        )
         for axis, values, sigma in zip(XYZ, merged.displacement, deviations, strict=False)
     ]
 
@@ -176,6 +180,16 @@ def displacement_length(
     Of a displacement d with covariance C the length has the variance d' C d / d' d, to first order; where
     nothing moves that has no direction, and the largest that it can be is taken, the trace of C.
     """
+    length, sigma = np.empty(displacement.shape[1:]), np.empty(displacement.shape[1:])
+    for start in range(0, len(length), _ROWS):  # which fit into the processor's cache
+        rows = slice(start, start + _ROWS)
+        length[rows], sigma[rows] = _lengths(displacement[:, rows], covariance[:, rows])
+    return length, sigma
+
+
+def _lengths(
+    displacement: NDArray[np.float64], covariance: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     d = in_space(displacement)
     c = dict(zip(SYMMETRIC, covariance_in_space(covariance.astype(np.float64)), strict=True))
     squared = np.sum(d**2, axis=0)
@@ -192,17 +206,31 @@ def displacement_length(
 
 
 def _strain_fields(field: StrainField, sampler: Sampler) -> list[Field]:
-    micro, sigma = MICROSTRAIN * field.strain, MICROSTRAIN * field.sigma
-    first, second = MICROSTRAIN * field.principal
-    first_sigma, second_sigma = principal_sigma(micro, sigma)
-    return [
+    def micro(
+        name: str,
+        values: NDArray[np.float64],
+        still: bool = False,
+        followed: bool = False,
+        grain: float = 0.0,
+    ) -> Field:
+        return sampler.field(
+            name, "µε", values, scale=MICROSTRAIN, still=still, followed=followed, grain=grain
+        )
+
+    sigma = sampler.samples(field.sigma, MICROSTRAIN)
+    of_principal = principal_sigma(sampler.samples(field.strain, MICROSTRAIN), sigma)
+    known = [
         *(
-            sampler.field(f"strain {name}", "µε", micro[k], sigma[k], still=k == 0)
+            micro(f"strain {name}", field.strain[k], still=k == 0)
             for k, name in enumerate(("xx", "yy", "xy"))
         ),
-        sampler.field("first principal strain", "µε", first, first_sigma, still=True, followed=True),
-        sampler.field("second principal strain", "µε", second, second_sigma),
-        sampler.field("von Mises strain", "µε", MICROSTRAIN * field.von_mises, grain=_grain(sigma)),
+        micro("first principal strain", field.principal[0], still=True, followed=True),
+        micro("second principal strain", field.principal[1]),
+    ]
+    deviations = [*sigma, *(each.astype(np.float32) for each in of_principal)]
+    return [
+        *(replace(each, sigma=deviation) for each, deviation in zip(known, deviations, strict=True)),
+        micro("von Mises strain", field.von_mises, grain=_grain(sigma)),
     ]
 
 
@@ -257,16 +285,16 @@ def _strain_statistics(field: StrainField) -> tuple[Statistic, ...]:
         Statistic("valid", "%", PER_CENT * float(np.mean(field.reason == Reason.VALID)), group=group),
         Statistic("gauge length", field.unit, field.gauge_length, group=group),
         *(
-            Statistic(f"{name}, median", "µε", _median(MICROSTRAIN * field.strain[k]), group=group)
+            Statistic(f"{name}, median", "µε", _micro(_median(field.strain[k])), group=group)
             for k, name in enumerate(("xx", "yy", "xy"))
         ),
         Statistic(
             "first principal, 99th percentile",
             "µε",
-            _percentile(MICROSTRAIN * field.principal[0], 99.0),
+            _micro(_percentile(field.principal[0], 99.0)),
             group=group,
         ),
-        Statistic("sigma xx, median", "µε", _median(MICROSTRAIN * field.sigma[0]), group=group),
+        Statistic("sigma xx, median", "µε", _micro(_median(field.sigma[0])), group=group),
     )
 
 
@@ -301,13 +329,17 @@ def _grain(values: NDArray[Any]) -> float:
     return (_median(values) or 0.0) / 16.0
 
 
+def _micro(value: float | None) -> float | None:
+    return None if value is None else MICROSTRAIN * value
+
+
 def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
 def _percentile(values: NDArray[Any], percentile: float) -> float | None:
     known = values[np.isfinite(values)]
-    return float(np.percentile(known, percentile)) if known.size else None
+    return float(np.percentile(known, percentile, overwrite_input=True)) if known.size else None
 
 
 def _median(values: NDArray[Any]) -> float | None:

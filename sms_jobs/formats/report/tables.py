@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from html import escape
 
 from sms_jobs.formats.report.html import Cell, Given, Markup, facts, table
 from sms_jobs.records.assessment import Assessment, Errors
@@ -59,10 +60,15 @@ def load_states(states: Sequence[LoadState], recorded: Mapping[str, datetime]) -
         ("time", [local_time(state.time or recorded.get(state.label)) for state in states]),
         *(_channel(states, name) for name in channels),
     ]
-    labels = [state.label + (" (reference)" if place == 0 else "") for place, state in enumerate(states)]
+    labels: list[Cell] = [f"{states[0].label} (reference)", *(_link(state.label) for state in states[1:])]
     known = [(name, cells) for name, cells in columns if any(cell is not None for cell in cells)]
     rows = zip(labels, *(cells for _, cells in known), strict=True)
     return table(["state", *(name for name, _ in known)], [list(row) for row in rows])
+
+
+def _link(label: str) -> Markup:
+    """Lead to the maps of a deformed state."""
+    return Markup(f'<a href="#state-{escape(label)}">{escape(label)}</a>')
 
 
 def _planned(name: str, states: Sequence[tuple[float | None, float | None]]) -> list[tuple[str, list[Cell]]]:

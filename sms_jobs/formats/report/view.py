@@ -7,7 +7,7 @@ and values, a turnable surface, still pictures for print, a table and charts ove
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
@@ -127,6 +127,36 @@ class View:
     mm_per_px: float | None = None
     notes: tuple[str, ...] = ()
 
+    @property
+    def pitch_mm(self) -> float | None:
+        """How far samples are apart on the surface, in the middle; None where that is not known."""
+        if self.position is None:
+            return None if self.mm_per_px is None else self.step_px * self.mm_per_px
+        fields = {each.name: each.values for each in self.fields}
+        along = np.diff(np.stack([fields[name] for name in self.position]), axis=2)
+        apart = np.sqrt(np.sum(along.astype(np.float64) ** 2, axis=0))
+        known = apart[np.isfinite(apart)]
+        return float(np.median(known)) if known.size else None
+
+
+def thinned(view: View) -> View:
+    """Return a view with every other sample of each row and column, without still pictures."""
+
+    def every_other(values: Values | None) -> Values | None:
+        return None if values is None else values[1::2, 1::2]
+
+    fields = (
+        replace(
+            each,
+            values=each.values[1::2, 1::2],
+            sigma=every_other(each.sigma),
+            still=None,
+            still_sigma=None,
+        )
+        for each in view.fields
+    )
+    return replace(view, step_px=2 * view.step_px, fields=tuple(fields))
+
 
 @dataclass(frozen=True)
 class Sampler:
@@ -158,30 +188,31 @@ class Sampler:
         values: ImageValues,
         sigma: ImageValues | None = None,
         *,
+        scale: float = 1.0,
         still: bool = False,
         still_sigma: bool = False,
         outlines: Labels | None = None,
         followed: bool = False,
         grain: float = 0.0,
     ) -> Field:
-        """Return a field of values (rows, columns) and their standard deviations, both in `unit`."""
+        """Return a field: `scale` times values (rows, columns) and their deviations are in `unit`."""
         borders = None if outlines is None or not (still and self.still_px) else outlines
         return Field(
             name,
             unit,
-            self._sampled(values),
-            None if sigma is None else self._sampled(sigma),
-            still=self._printed(values) if still else None,
-            still_sigma=self._printed(sigma) if still_sigma and sigma is not None else None,
+            self.samples(values, scale),
+            None if sigma is None else self.samples(sigma, scale),
+            still=self._printed(values, scale) if still else None,
+            still_sigma=self._printed(sigma, scale) if still_sigma and sigma is not None else None,
             outlines=None if borders is None else reduced(borders, self.still_px),
             followed=followed,
             grain=grain,
         )
 
-    def _printed(self, values: ImageValues) -> Values | None:
+    def _printed(self, values: ImageValues, scale: float) -> Values | None:
         if not self.still_px:
             return None
-        return reduced(np.asarray(values, np.float32), self.still_px).astype(np.float32, copy=False)
+        return (scale * reduced(np.asarray(values, np.float32), self.still_px)).astype(np.float32)
 
     def reasons(self, name: str, reason: NDArray[np.uint32]) -> Field:
         """Return a field of why pixels have no value, (rows, columns) of `Reason` bits."""
@@ -190,9 +221,10 @@ class Sampler:
         present = {int(bits): in_words(int(bits)) for bits in np.unique(sampled)}
         return Field(name, "", sampled.astype(np.float32), categories=present)
 
-    def _sampled(self, values: ImageValues) -> Values:
+    def samples(self, values: ImageValues, scale: float = 1.0) -> Values:
+        """Return `scale` times the samples of images (..., rows, columns)."""
         step = self.step_px
-        return values[step // 2 :: step, step // 2 :: step].astype(np.float32)
+        return (scale * values[..., step // 2 :: step, step // 2 :: step]).astype(np.float32)
 
 
 def in_words(bits: int) -> str:

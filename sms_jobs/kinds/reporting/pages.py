@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -18,11 +17,11 @@ from sms_jobs.formats.report import certificate, html
 from sms_jobs.formats.report.charts import axes, axes_block, charts
 from sms_jobs.formats.report.following import Followed, Place, places
 from sms_jobs.formats.report.html import Markup
-from sms_jobs.formats.report.maps import view_markup
+from sms_jobs.formats.report.maps import Held, view_markup
 from sms_jobs.formats.report.origins import origin_sections
 from sms_jobs.formats.report.page import Page, Part, Section
 from sms_jobs.formats.report.tables import accuracy, campaign_facts, load_states
-from sms_jobs.formats.report.view import View
+from sms_jobs.formats.report.view import View, thinned
 from sms_jobs.kinds import defaults_of_kinds
 from sms_jobs.kinds.kind import Inputs, Progress, tested_states, tuples
 from sms_jobs.kinds.products import ASSESSMENT, CALIBRATED, MEASURED, QUALITY, RECORDED
@@ -43,8 +42,16 @@ from sms_jobs.records.subject import Subject
 _INTRODUCTION = (
     "Grey in a map means that nothing could be measured there. Standard deviations are one sigma, without a "
     "coverage factor. What a map tells under the pointer is the archive's value at a sampled pixel, rounded "
-    "to about an eighth of its standard deviation; the whole field is given by sms data export."
+    "to steps that it names, of about a twelfth of its standard deviation; the whole field is given by sms "
+    "data export."
 )
+LEAST_MAP_PX = 64
+_FEW = 12
+"""States that are tried as they are wanted, without a look at how much room they take."""
+_ROOM = 0.9
+"""Part of a page that maps may take; pictures, charts and tables have the rest."""
+_AGAIN = 0.95, 0.6
+"""Of a page that is too large: samples of the next try are this factor over this power of the excess."""
 
 
 class ReportPages:
@@ -58,10 +65,12 @@ class ReportPages:
         What they are about.
     sampling
         How finely images are shown.
-    shown
-        The deformed states whose maps are in the page itself.
+    pictured
+        The deformed states of which there are still pictures.
     progress
         Told after each state.
+    most_bytes
+        Largest size of the page: maps are sampled more coarsely until it fits.
     """
 
     def __init__(
@@ -69,42 +78,80 @@ class ReportPages:
         inputs: Inputs,
         campaign: Campaign,
         sampling: Sampling,
-        shown: Sequence[LoadState],
+        pictured: Sequence[LoadState],
         progress: Progress,
+        most_bytes: float = math.inf,
     ) -> None:
         self._inputs = inputs
         self._campaign = replace(campaign, states=_as_recorded(inputs, campaign))
         self._sampling = sampling
-        self._shown = {state.label for state in shown}
-        self._progress = progress
+        self._pictured = {state.label for state in pictured}
+        self._progress, self._told = progress, 0.0
+        self._most_bytes = most_bytes
         self._chapters = present(self._campaign)
         self._deformed = tested_states(self._campaign)[1:]
         self._drawn = 0
+        self._held = Held()
+        self._coarser = False
+        self._pitches: dict[str, tuple[int, float | None]] = {}
 
     def write_page(self, path: Path) -> None:
-        """Write the page about the whole campaign."""
+        """Write the page about the whole campaign, as finely as its size allows."""
+        wanted, map_px = self._sampling, self._fitting_px()
+        while True:
+            self._coarser = map_px < wanted.map_px
+            self._sampling = replace(wanted, map_px=map_px)
+            self._drawn, self._held = 0, Held()
+            self._write_once(path)
+            excess = path.stat().st_size / self._most_bytes
+            if excess <= 1.0 or map_px <= LEAST_MAP_PX:
+                return
+            factor, power = _AGAIN
+            map_px = max(LEAST_MAP_PX, int(factor * map_px / excess**power))
+
+    def _tell(self, part: float, words: str) -> None:
+        """Tell how far it is; a page that is written again does not go back."""
+        self._told = max(self._told, part)
+        self._progress(self._told, words)
+
+    def _fitting_px(self) -> int:
+        """Return how many samples along the longer side leave the page its size, from states of all ages."""
+        wanted, count = self._sampling.map_px, len(self._deformed)
+        if count <= _FEW or math.isinf(self._most_bytes):
+            return wanted
+        most = _ROOM * self._most_bytes / count
+        fitting = self._fitting_state(self._deformed[-1], most)
+        if fitting < 2 * wanted:
+            others = (self._deformed[place] for place in {0, count // 2})
+            fitting = min([fitting, *(self._fitting_state(state, most) for state in others)])
+        return int(min(wanted, max(LEAST_MAP_PX, fitting)))
+
+    def _fitting_state(self, state: LoadState, most: float) -> float:
+        """Return how many samples along the longer side make the maps of a state take `most` bytes."""
+        finer = coarser = longest = 0
+        for view in self._views(state, replace(self._sampling, still_px=0)):
+            finer += _size(view, state.label)
+            coarser += _size(thinned(view), state.label)
+            longest = max(longest, *view.fields[0].values.shape)
+            del view
+        # Bytes go with a power of the pitch: below 2, since neighbours that are near tell of each other.
+        power = max(1.0, math.log2(finer / coarser)) if coarser else 1.0
+        return longest * (most / finer) ** (1.0 / power) if finer else math.inf
+
+    def _views(self, state: LoadState, sampling: Sampling) -> Iterator[View]:
+        """Yield what all chapters show of a deformed state."""
+        for chapter in self._chapters:
+            yield from chapter.deformed(self._inputs, self._campaign, state, sampling)
+
+    def _write_once(self, path: Path) -> None:
         with Part() as rest, Part() as states, path.open("w", encoding="utf-8", newline="\n") as out:
             at_rest = {c.name: self._reference(c, rest) for c in self._chapters}
-            self._progress(0.1, "drew the reference state")
+            self._tell(0.1, "drew the reference state")
             over = {c.name: Followed(self._followed_places(c)) for c in self._chapters}
             for place, state in enumerate(self._deformed):
-                self._state(state, over, states if state.label in self._shown else None)
-                self._progress(0.1 + 0.4 * (place + 1) / len(self._deformed), f"read state {state.label}")
+                self._state(state, over, states)
+                self._tell(0.1 + 0.8 * (place + 1) / len(self._deformed), f"drew state {state.label}")
             self._compose(out, at_rest, over, rest, states)
-
-    def write_states(self, path: Path) -> None:
-        """Write a ZIP file with a page of every deformed state, and a page that leads to them."""
-        # Numbered, as the names of two states may differ in case alone, or one be called index.
-        names = {s.label: f"{place:03}-{s.label}.html" for place, s in enumerate(self._deformed, start=1)}
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as folder:
-            with _text_file(folder, "index.html") as out:
-                self._index(out, names)
-            for place, state in enumerate(self._deformed):
-                with _text_file(folder, names[state.label]) as out:
-                    self._state_page(out, place, names)
-                self._progress(
-                    0.5 + 0.49 * (place + 1) / len(self._deformed), f"wrote the page of {state.label}"
-                )
 
     def _reference(self, chapter: Chapter, part: Part) -> Followed:
         """Write the views of the reference state into a part, and return their numbers."""
@@ -126,27 +173,28 @@ class ReportPages:
         last = chapter.deformed(self._inputs, self._campaign, self._deformed[-1], bare)
         return tuple(place for view in last for place in places(view))
 
-    def _state(self, state: LoadState, over: Mapping[str, Followed], part: Part | None) -> None:
-        """Read a state: its numbers into the tables, its views into a part."""
-        sampling = self._sampling if part is not None else Sampling(self._sampling.map_px, 0)
-        if part is not None:
-            part.add(
-                Markup(
-                    f'<h3 id="state-{escape(state.label)}">{escape(_heading(state))}</h3><div class="views">'
-                )
+    def _state(self, state: LoadState, over: Mapping[str, Followed], part: Part) -> None:
+        """Write the views of a state into a part, and its numbers into the tables."""
+        pictured = state.label in self._pictured
+        sampling = self._sampling if pictured else replace(self._sampling, still_px=0)
+        kind = "state" if pictured else "state unpictured"
+        part.add(
+            Markup(
+                f'<div class="{kind}" id="state-{escape(state.label)}">'
+                f'<h3>{escape(_heading(state))}</h3><div class="views">'
             )
+        )
         for chapter in self._chapters:
             for view in chapter.deformed(self._inputs, self._campaign, state, sampling):
                 over[chapter.name].add(state.label, view)
-                if part is not None:
-                    self._write(view, state.label, part)
+                self._pitches[view.key] = (view.step_px, view.pitch_mm)
+                self._write(view, state.label, part)
                 del view
-        if part is not None:
-            part.add(Markup("</div>"))
+        part.add(Markup("</div></div>"))
 
     def _write(self, view: View, state: str, part: Part, level: int = 4) -> None:
         self._drawn += 1
-        part.add(*view_markup(view, self._drawn, state, self._sampling.still_px, level))
+        part.add(*view_markup(view, self._drawn, state, self._sampling.still_px, self._held, level))
 
     def _compose(
         self,
@@ -180,7 +228,7 @@ class ReportPages:
         page.section(Section(reference, [t for f in at_rest.values() for t in f.tables()]))
         page.copy(rest)
         if self._deformed:
-            page.section(Section(maps, self._left_out()))
+            page.section(Section(maps, self._about_maps()))
             page.copy(states)
         for section in closing:
             page.section(section)
@@ -191,12 +239,23 @@ class ReportPages:
         warnings = tuple(certificate.doubts_of(self._quality, self._recordings))
         return [html.paragraph(words, faint=True), *certificate.doubts(warnings)]
 
-    def _left_out(self) -> list[Markup]:
-        count = len(self._deformed)
-        if len(self._shown) == count:
-            return []
-        words = f"Maps are shown of {len(self._shown)} of the {count} deformed states."
-        return [html.paragraph(f"{words} A ZIP file beside this page has a page of each.")]
+    def _about_maps(self) -> list[Markup]:
+        """Say how finely maps are sampled, why, and where the rest is."""
+        count, pictured = len(self._deformed), len(self._pictured)
+        apart = "; ".join(
+            f"{key}: every {step} px" + ("" if pitch is None else f", {html.number(pitch)} mm on the surface")
+            for key, (step, pitch) in self._pitches.items()
+        )
+        words = f"Maps are samples of the images ({apart})."
+        if self._coarser:
+            words += (
+                f" They are coarser than could be, for all {count} states to be in one page of at most "
+                f"{self._most_bytes / 1e6:g} MB; sms job submit report-state gives a page of one state with "
+                "finer maps, sms data export the whole fields."
+            )
+        if pictured < count:
+            words += f" Still pictures, for print, are of {pictured} of the {count} deformed states."
+        return [html.paragraph(words, faint=True)]
 
     def _closing(self) -> list[Section]:
         found: list[Section] = []
@@ -244,33 +303,13 @@ class ReportPages:
         )
         return Section("Accuracy", [words, *accuracy(found, diagonal)])
 
-    def _index(self, out: TextIO, names: Mapping[str, str]) -> None:
-        page = Page(out, f"Campaign {self._campaign.name}: states", [])
-        links = "".join(
-            f'<li><a href="{escape(names[state.label])}">{escape(_heading(state))}</a></li>\n'
-            for state in self._deformed
-        )
-        page.add(
-            load_states(tested_states(self._campaign), self._recorded_at()), Markup(f"<ul>\n{links}</ul>")
-        )
-        page.end()
 
-    def _state_page(self, out: TextIO, place: int, names: Mapping[str, str]) -> None:
-        state = self._deformed[place]
-        links = [("index.html", "all states")]
-        for there, words in ((place - 1, "before"), (place + 1, "after")):
-            if 0 <= there < len(self._deformed):
-                label = self._deformed[there].label
-                links.append((names[label], f"state {words}: {label}"))
-        line = " ".join(f'<a href="{escape(to)}">{escape(words)}</a>' for to, words in links)
-        over = {c.name: Followed(()) for c in self._chapters}
-        with Part() as part:
-            self._state(state, over, part)
-            about = [*self._introduction(), Markup(f'<nav aria-label="States">{line}</nav>')]
-            page = Page(out, f"Campaign {self._campaign.name}: {_heading(state)}", about)
-            page.add(*(table for f in over.values() for table in f.tables()))
-            page.copy(part)
-            page.end()
+def _size(view: View, state: str) -> int:
+    """Return how many bytes the maps of a view take in a page that has its positions already."""
+    held = Held()
+    for _ in range(2):
+        size = sum(len(piece.html) for piece in view_markup(view, 1, state, 0, held))
+    return size
 
 
 def _heading(state: LoadState) -> str:
@@ -291,13 +330,6 @@ def _as_recorded(inputs: Inputs, campaign: Campaign) -> tuple[LoadState, ...]:
     for subject, recording in _recordings(inputs):
         read.setdefault(subject.state, []).append(recording.readings())
     return tuple(as_recorded(s, mean_readings(read.get(s.label, []))) for s in campaign.states)
-
-
-def _text_file(folder: zipfile.ZipFile, name: str) -> TextIO:
-    """Open a new file in a ZIP file, without its time: the same pages have the same bytes."""
-    entry = zipfile.ZipInfo(name)
-    entry.compress_type = zipfile.ZIP_DEFLATED
-    return io.TextIOWrapper(folder.open(entry, "w", force_zip64=True), encoding="utf-8", newline="\n")
 
 
 def _without_images(assessment: Assessment) -> Assessment:

@@ -61,19 +61,22 @@ class PageParameters(Parameters):
 
 
 class ReportParameters(PageParameters):
-    """How finely the report shows images, and of how many states."""
+    """How finely the report shows images, and how large it may be."""
 
     most_states: int = Field(
         12,
         ge=1,
         le=1000,
-        description="deformed states whose maps are in the page itself; of more, evenly spread ones are, and "
-        "a ZIP file holds a page of each",
+        description="deformed states of which there are still pictures, for print; of more, of evenly spread "
+        "ones. Maps are of every state",
+    )
+    most_mb: int = Field(
+        60, ge=1, le=2000, description="largest size of the page in MB: maps are sampled more coarsely to fit"
     )
 
 
-def shown_states(campaign: Campaign, most: int) -> tuple[LoadState, ...]:
-    """Return the deformed states whose maps are in the page: evenly spread over the test, with the last."""
+def pictured_states(campaign: Campaign, most: int) -> tuple[LoadState, ...]:
+    """Return the deformed states with still pictures: evenly spread over the test, with the last."""
     deformed = tested_states(campaign)[1:]
     if len(deformed) <= most:
         return deformed
@@ -115,26 +118,22 @@ def whole_campaign(campaign: Campaign, subject: Subject) -> Campaign:
 
 
 def run(inputs: Inputs, parameters: ReportParameters, progress: Progress) -> Iterator[Output]:
-    """Write the page, and a ZIP file of the pages of all states where the page cannot show them all.
+    """Write the page.
 
-    Records are read one at a time while the files are written; nothing but numbers is kept of them.
+    Records are read one at a time while it is written; nothing but numbers is kept of them.
     """
     campaign: Campaign = inputs.context
-    shown = shown_states(campaign, parameters.most_states)
-    deformed = tested_states(campaign)[1:]
+    pictured = pictured_states(campaign, parameters.most_states)
     sampling = Sampling(parameters.map_px, parameters.figure_width_px)
-    pages = ReportPages(inputs, campaign, sampling, shown, progress)
-    name = f"{campaign.name}-report"
-    yield DocumentOutput(inputs.subject, f"{name}.html", "text/html", pages.write_page)
-    if len(shown) < len(deformed):
-        yield DocumentOutput(inputs.subject, f"{name}-states.zip", "application/zip", pages.write_states)
+    pages = ReportPages(inputs, campaign, sampling, pictured, progress, 1e6 * parameters.most_mb)
+    yield DocumentOutput(inputs.subject, f"{campaign.name}-report.html", "text/html", pages.write_page)
     progress(1.0, "wrote the report")
 
 
 KIND = Kind(
     name="report",
     summary="write pages about a campaign: maps to zoom and turn, charts, uncertainties, errors and origins",
-    version=3,
+    version=4,
     scope=Scope.CAMPAIGN,
     parameters=ReportParameters,
     inputs=SHOWN,

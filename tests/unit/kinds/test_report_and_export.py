@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
 import xml.etree.ElementTree as ET
-import zipfile
 from collections.abc import Callable
 from functools import partial
 from html.parser import HTMLParser
@@ -109,26 +109,56 @@ def test_a_campaign_with_its_reference_state_alone_has_a_report(run: Run) -> Non
     assert "Maps of the deformed states" not in page.words
 
 
-def test_many_states_leave_out_maps_but_no_numbers(run: Run) -> None:
+def test_many_states_have_maps_in_one_page_and_few_of_them_pictures(run: Run) -> None:
     labels = [f"S{i:02}" for i in range(1, 6)]
     long = campaign(states=6, virtual=False)
-    shown = [state.label for state in report.shown_states(long, 2)]
-    assert len(shown) == 2
-    assert shown[-1] == "S05"
-    assert [s.label for s in report.shown_states(long, 1000)] == labels
-    made = run(report.KIND, long, Subject("plate"), most_states=2, figure_width_px=240)
-    assert [output.filename for output, _ in made] == ["plate-report.html", "plate-report-states.zip"]
-    words = Checker.of(made[0][1].read_text(encoding="utf-8")).words
-    assert any(word.startswith("Maps are shown of 2 of the 5 deformed states.") for word in words)
-    assert all(words.count(label) >= 2 for label in labels)
-    with zipfile.ZipFile(made[1][1]) as folder:
-        names = [f"00{place}-{label}.html" for place, label in enumerate(labels, start=1)]
-        assert folder.namelist() == ["index.html", *names]
-        index = Checker.of(folder.read("index.html").decode())
-        assert [link for link in index.links if link.endswith(".html")] == names
-        last = Checker.of(folder.read(names[-1]).decode())
-        assert len(last.images) == 4
-        assert [link for link in last.links if link.endswith(".html")] == ["index.html", names[-2]]
+    pictured = [state.label for state in report.pictured_states(long, 2)]
+    assert len(pictured) == 2
+    assert pictured[-1] == "S05"
+    assert [s.label for s in report.pictured_states(long, 1000)] == labels
+    ((_, path),) = run(report.KIND, long, Subject("plate"), most_states=2, figure_width_px=240)
+    text = path.read_text(encoding="utf-8")
+    page = Checker.of(text)
+    assert len(page.images) == 3 + 2 * 4
+    assert any("Still pictures, for print, are of 2 of the 5 deformed states." in w for w in page.words)
+    # Each is led to from the table of states.
+    assert {f"#state-{label}" for label in labels} <= set(page.links)
+    assert re.findall('class="(state[^"]*)" id="state-(S..)"', text) == [
+        ("state" if label in pictured else "state unpictured", label) for label in labels
+    ]
+    assert "coarser" not in " ".join(page.words)
+
+
+def test_positions_at_rest_are_in_the_page_once(run: Run) -> None:
+    ((_, path),) = run(report.KIND, campaign(states=4), Subject("plate"), figure_width_px=240)
+    text = path.read_text(encoding="utf-8")
+    abouts = [json.loads(found) for found in re.findall('class="about">(.*?)</script>', text)]
+    held = {
+        (view["state"], field["name"]): field["data"]
+        for view in abouts
+        for field in view["fields"]
+        if field["name"].startswith("position")
+    }
+    for axis in "XYZ":
+        first = held["S01", f"position {axis}"]
+        assert {held[f"S{i:02}", f"position {axis}"] for i in (1, 2, 3)} == {first}
+        assert text.count(f'id="{first}"') == 1
+
+
+def test_a_page_that_would_be_too_large_has_coarser_maps_and_says_so(run: Run, tmp_path: Path) -> None:
+    long = campaign(states=9, virtual=False)
+    given = {"size": (480, 640), "map_px": 640, "most_states": 1, "figure_width_px": 240}
+    ((_, path),) = run(report.KIND, long, Subject("plate"), **given)
+    whole = path.stat().st_size
+    for file in (tmp_path / "archive").rglob("*.h5"):
+        file.unlink()
+    ((_, path),) = run(report.KIND, long, Subject("plate"), most_mb=1, **given)
+    assert whole > 1e6 >= path.stat().st_size
+    text = path.read_text(encoding="utf-8")
+    (step,) = {json.loads(found)["step"] for found in re.findall('class="about">(.*?)</script>', text)}
+    assert step > 1
+    assert f"C1: every {step} px" in text
+    assert "coarser than could be, for all 8 states to be in one page of at most 1 MB" in text
 
 
 def test_a_state_has_a_report_of_its_own(run: Run) -> None:
