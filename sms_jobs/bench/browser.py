@@ -19,6 +19,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import psutil
+
 from sms_jobs.errors import SmsError
 
 NAMES = (
@@ -126,6 +128,12 @@ class Browser:
     def decoded(address: str) -> bytes:
         """Return what a data address holds."""
         return base64.b64decode(address.partition(",")[2])
+
+    def cpu_seconds(self) -> float:
+        """Return the CPU time of all processes of the browser, in s."""
+        root = psutil.Process(self._process.pid)
+        times = [one.cpu_times() for one in (root, *root.children(recursive=True))]
+        return float(sum(one.user + one.system for one in times))
 
     def call(self, method: str, **parameters: Any) -> Any:
         """Call a method of the page and return its result."""

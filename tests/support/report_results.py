@@ -125,7 +125,10 @@ def run_on_results(
     instead: Any = None,
     **given: Any,
 ) -> list[tuple[DocumentOutput, Path]]:
-    """Run a kind on files of an archive in a folder; what it writes lands beside it."""
+    """Run a kind on files of an archive in a folder; what it writes lands beside it.
+
+    `instead` are records that take the place of those of their name.
+    """
     archive = Archive(FolderStore(folder / "archive"))
     with ExitStack() as stack:
         datasets = {}
@@ -144,8 +147,9 @@ def run_on_results(
                 "h<1>",
                 "me",
             )
-            changed = instead if instead and need.source == "merge" else {}
-            sealed = archive.seal_dataset({**records_for(need, size), **changed}, made)
+            usual = records_for(need, size)
+            records = {name: (instead or {}).get(name, record) for name, record in usual.items()}
+            sealed = archive.seal_dataset(records, made)
             datasets[need.role] = stack.enter_context(archive.open(sealed))
         inputs = Inputs(subject, kind.context(campaign, subject), datasets)
         told: list[float] = []

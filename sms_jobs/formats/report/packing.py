@@ -92,7 +92,8 @@ def _differences(number: NDArray[Any]) -> NDArray[Any]:
     expected = np.clip(left.astype(np.int32) + above - between, low, high)
     bits = 8 * number.itemsize
     signed = (number - expected).astype(f"i{number.itemsize}")
-    return ((signed << 1) ^ (signed >> (bits - 1))).astype(number.dtype)
+    found: NDArray[Any] = ((signed << 1) ^ (signed >> (bits - 1))).astype(number.dtype)
+    return found
 
 
 def _planes(number: NDArray[np.uint16]) -> NDArray[np.uint8]:

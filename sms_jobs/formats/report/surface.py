@@ -218,7 +218,8 @@ def _strain_fields(field: StrainField, sampler: Sampler) -> list[Field]:
         )
 
     sigma = sampler.samples(field.sigma, MICROSTRAIN)
-    of_principal = principal_sigma(sampler.samples(field.strain, MICROSTRAIN), sigma)
+    strain = sampler.samples(field.strain, MICROSTRAIN).astype(np.float64)
+    of_principal = principal_sigma(strain, sigma)
     known = [
         *(
             micro(f"strain {name}", field.strain[k], still=k == 0)
