@@ -54,9 +54,10 @@ def measure(run: Run) -> Iterator[Found]:
         "states_300",
         f"{shrunk}{states} deformed states and the reference, one view of two cameras of "
         f"{size[1]} x {size[0]} px, results as merge and strain make them, with noise that goes together "
-        f"over subsets of {long_campaign.SUBSET_PX} px and gauges of {long_campaign.GAUGE_PX} px; {long_campaign.SEALED} of "
-        "each are sealed, and every state reads one of them and multiplies it by its own load; default "
-        "parameters; CPU time and peak memory of the writing process alone, in MB of 10^6 bytes",
+        f"over subsets of {long_campaign.SUBSET_PX} px and gauges of {long_campaign.GAUGE_PX} px; "
+        f"{long_campaign.SEALED} of each are sealed, and every state reads one of them and multiplies it by "
+        "its own load; default parameters; CPU time and peak memory of the writing process alone, in MB of "
+        "10^6 bytes",
     )
 
 
@@ -74,8 +75,8 @@ def _opened(run: Run, page: Path) -> Iterator[Found]:
         "states_300_open",
         f"median of {_OPENED} headless Chromium without a graphics card, each with a new profile, from "
         "file://: from when it is told to open the page until the first map of the first chapter is drawn "
-        "in sight and a click on it is answered with the value there; wall time, which a busy machine lengthens, and "
-        "CPU time of all its processes; the file is in the system's cache",
+        "in sight and a click on it is answered with the value there; wall time, which a busy machine "
+        "lengthens, and CPU time of all its processes; the file is in the system's cache",
     )
 
 
