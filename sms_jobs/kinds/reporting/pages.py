@@ -50,6 +50,8 @@ _FEW = 12
 """States that are tried as they are wanted, without a look at how much room they take."""
 _ROOM = 0.9
 """Part of a page that maps may take; pictures, charts and tables have the rest."""
+_HALVED = 3
+"""How often maps are made half as fine, to see how much room they take."""
 _AGAIN = 0.95, 0.6
 """Of a page that is too large: samples of the next try are this factor over this power of the excess."""
 
@@ -120,23 +122,23 @@ class ReportPages:
         if count <= _FEW or math.isinf(self._most_bytes):
             return wanted
         most = _ROOM * self._most_bytes / count
-        fitting = self._fitting_state(self._deformed[-1], most)
-        if fitting < 2 * wanted:
-            others = (self._deformed[place] for place in {0, count // 2})
-            fitting = min([fitting, *(self._fitting_state(state, most) for state in others)])
+        tried = (self._deformed[place] for place in {0, count // 2, count - 1})
+        fitting = min(self._fitting_state(state, most) for state in tried)
         return int(min(wanted, max(LEAST_MAP_PX, fitting)))
 
     def _fitting_state(self, state: LoadState, most: float) -> float:
         """Return how many samples along the longer side make the maps of a state take `most` bytes."""
-        finer = coarser = longest = 0
+        sizes, longest = np.zeros(_HALVED + 1), 0
         for view in self._views(state, replace(self._sampling, still_px=0)):
-            finer += _size(view, state.label)
-            coarser += _size(thinned(view), state.label)
             longest = max(longest, *view.fields[0].values.shape)
-            del view
-        # Bytes go with a power of the pitch: below 2, since neighbours that are near tell of each other.
-        power = max(1.0, math.log2(finer / coarser)) if coarser else 1.0
-        return longest * (most / finer) ** (1.0 / power) if finer else math.inf
+            for place in range(len(sizes)):
+                sizes[place] += _size(view, state.label)
+                view = thinned(view)
+        if most >= sizes[0]:
+            return math.inf
+        # Between pitches that were tried, bytes go with a power of the pitch.
+        halved = np.interp(math.log(most), np.log(sizes[::-1]), np.arange(len(sizes))[::-1])
+        return float(longest / 2.0**halved)
 
     def _views(self, state: LoadState, sampling: Sampling) -> Iterator[View]:
         """Yield what all chapters show of a deformed state."""
