@@ -14,12 +14,14 @@ from typing import TypeVar, cast
 
 import numba
 
+from sms_jobs.metrology.kernel_cache import cached
+
 F = TypeVar("F", bound=Callable[..., object])
 
 
 def kernel(function: F) -> F:
     """Compile `function` to machine code: cached on disk, lock released, IEEE arithmetic."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return cast(F, cached(numba.njit(nogil=True, error_model="numpy")(function)))
 
 
 def summing_kernel(function: F) -> F:
@@ -28,7 +30,7 @@ def summing_kernel(function: F) -> F:
     For inner loops of long sums, where it is worth a factor of two; NaN and infinity keep their meaning.
     """
     options = {"reassoc", "contract"}
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=options)(function))
+    return cast(F, cached(numba.njit(nogil=True, error_model="numpy", fastmath=options)(function)))
 
 
 def inlined(function: F) -> F:
