@@ -29,10 +29,12 @@ def text_of(signature: tuple[Any, ...]) -> str:
 def signature_of(text: str) -> tuple[Any, ...]:
     """Return the types of a kernel's arguments; raise `InvalidInput` for what is no signature."""
     try:
-        found = _type_of(ast.parse(text, mode="eval").body)
+        whole = ast.parse(text, mode="eval").body
+        if not isinstance(whole, ast.Tuple):
+            raise InvalidInput(f"'{text}' is no signature of a kernel; write the list again")
+        return tuple(_type_of(part) for part in whole.elts)
     except (SyntaxError, AttributeError, ImportError) as error:
         raise InvalidInput(f"'{text}' is no signature of a kernel ({error}); write the list again") from error
-    return tuple(found.types)
 
 
 def _group(of: Any) -> str:
