@@ -139,6 +139,11 @@ class Settings(BaseModel):
         return self.home / "logs"
 
     @property
+    def kernels_left_file(self) -> Path:
+        """Return the file that says how many kernels are missing; it is there while they are compiled."""
+        return self.log_folder / "kernels-left"
+
+    @property
     def job_log_folder(self) -> Path:
         """Return the folder of the jobs' logs: where every host sees them, beside what the jobs made."""
         return self.archive_root / ".logs"

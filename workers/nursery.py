@@ -14,7 +14,7 @@ import signal
 import sys
 
 from sms_jobs.kinds import all_kinds
-from sms_jobs.workers import place
+from sms_jobs.workers import place, preparation
 from sms_jobs.workers.board import NURSERY, Board, place_line
 from sms_jobs.workers.tasks import app
 
@@ -32,10 +32,11 @@ def main() -> None:
     # What is there now is shared by all places for as long as no collection touches it.
     gc.collect()
     gc.freeze()
+    wishes = sys.stdin.fileno()
+    preparation.start(lifeline, wishes)
     board = Board(board_descriptor)
     board.enter(NURSERY, os.getpid())
     children: dict[int, int] = {}
-    wishes = sys.stdin.fileno()
     while board.beat(NURSERY):
         asked, _, _ = select.select([wishes], [], [], _BEAT_EVERY_S)
         requested = os.read(wishes, 256) if asked else b""

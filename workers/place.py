@@ -41,7 +41,7 @@ def serve(board: Board, line: int, lifeline: int) -> NoReturn:
         board.enter(line, os.getpid())
         logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(process)d %(message)s")
         cv2.setNumThreads(SETTINGS.threads)
-        threading.Thread(target=_end_with_supervisor, args=(lifeline,), daemon=True).start()
+        threading.Thread(target=end_with_supervisor, args=(lifeline,), daemon=True).start()
         _Listener.board, _Listener.line = board, line
         worker = _Worker(
             app=app,
@@ -112,7 +112,8 @@ class _Listener(Consumer):  # type: ignore[misc]
         logger.warning("the broker does not answer (%s); trying again", type(error).__name__)
 
 
-def _end_with_supervisor(lifeline: int) -> None:
+def end_with_supervisor(lifeline: int) -> None:
+    """End this process once its supervisor is gone; for a thread of its own."""
     # Without its supervisor a place would run jobs that nobody vouches for: their results would be refused.
     os.read(lifeline, 1)
     logger.error("the supervisor of process %d is gone: ending", os.getpid())

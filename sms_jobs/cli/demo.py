@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,6 +16,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app import demo as demo_
+from sms_jobs.app import kernels
 from sms_jobs.app.waiting import Waiting
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Json
@@ -46,7 +48,8 @@ def demo(
 
         def tell(now: Waiting) -> None:
             still_there()
-            show_on_bar(now)
+            left = kernels.left(services)
+            show_on_bar(replace(now, running=f"{left} kernels to compile, {now.running}") if left else now)
 
         summary = demo_.run(services, size.value, say=_unsaid if as_json else output.say, tell=tell)
     if as_json:

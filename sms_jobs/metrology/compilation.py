@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 
@@ -18,10 +18,16 @@ from sms_jobs.metrology.kernel_cache import cached
 
 F = TypeVar("F", bound=Callable[..., object])
 
+_OPTIONS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,  # to be called from C, which nobody does and takes a twentieth of compilation
+}
+
 
 def kernel(function: F) -> F:
     """Compile `function` to machine code: cached on disk, lock released, IEEE arithmetic."""
-    return cast(F, cached(numba.njit(nogil=True, error_model="numpy")(function)))
+    return cast(F, cached(numba.njit(**_OPTIONS)(function)))
 
 
 def summing_kernel(function: F) -> F:
@@ -30,7 +36,7 @@ def summing_kernel(function: F) -> F:
     For inner loops of long sums, where it is worth a factor of two; NaN and infinity keep their meaning.
     """
     options = {"reassoc", "contract"}
-    return cast(F, cached(numba.njit(nogil=True, error_model="numpy", fastmath=options)(function)))
+    return cast(F, cached(numba.njit(**_OPTIONS, fastmath=options)(function)))
 
 
 def inlined(function: F) -> F:

@@ -156,7 +156,8 @@ def compose_inverse(warp: Floats, step: Floats) -> None:
     warp[2] = p00 * m01 + p01 * m11
     warp[4] = p10 * m00 + p11 * m10
     warp[5] = p10 * m01 + p11 * m11 - 1.0
-    warp[6:] = curvature
+    for i in range(6):
+        warp[6 + i] = curvature[i]
 
 
 def carried(warp: Floats, dx: Floats | Ints, dy: Floats | Ints) -> Floats:

@@ -92,10 +92,16 @@ def _tangent_frame(
     side the camera is on: the image's x, y and the viewing direction are right-handed.
     """
     _principal_axes(scatter, vectors)
-    order = np.argsort(np.array([scatter[0, 0], scatter[1, 1], scatter[2, 2]]))
-    if not scatter[order[1], order[1]] > 1e-2 * scatter[order[2], order[2]]:
+    least, middle, most = 0, 1, 2
+    if scatter[middle, middle] < scatter[least, least]:
+        least, middle = middle, least
+    if scatter[most, most] < scatter[middle, middle]:
+        middle, most = most, middle
+    if scatter[middle, middle] < scatter[least, least]:
+        least, middle = middle, least
+    if not scatter[middle, middle] > 1e-2 * scatter[most, most]:
         return False
-    z = vectors[:, order[0]]
+    z = vectors[:, least]
     facing = (
         z[0] * (along[0, 1] * along[1, 2] - along[0, 2] * along[1, 1])
         + z[1] * (along[0, 2] * along[1, 0] - along[0, 0] * along[1, 2])
@@ -306,12 +312,16 @@ def _strain_rows(
             )  # fmt: skip
             if not total >= minimum:
                 continue
-            turned[:] = scatter
+            for i in range(3):
+                for j in range(3):
+                    turned[i, j] = scatter[i, j]
             if not _tangent_frame(turned, along, x_axis, vectors, frame):
                 continue
             inverse = _slopes(frame, scatter, mixed, gradient)
-            strain[:, r, c] = _strain_of(frame, gradient, green, f)
-            sigma[:, r, c] = _sigma_of(f, sums[8:] / total, inverse)
+            xx, yy, xy = _strain_of(frame, gradient, green, f)
+            strain[0, r, c], strain[1, r, c], strain[2, r, c] = xx, yy, xy
+            xx, yy, xy = _sigma_of(f, sums[8:] / total, inverse)
+            sigma[0, r, c], sigma[1, r, c], sigma[2, r, c] = xx, yy, xy
 
 
 def principal_and_equivalent(strain: Floats) -> tuple[Floats, Floats]:

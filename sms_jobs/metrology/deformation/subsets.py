@@ -46,7 +46,7 @@ def collect(
     top = max(-radius, _RIM - cy)
     bottom = min(radius, rows - 1 - _RIM - cy)
     whole = inside(warp, cx, cy, left, right, top, bottom, rows, columns, -_RIM)
-    box[:] = (right, left, bottom, top)
+    box[0], box[1], box[2], box[3] = right, left, bottom, top
     count = 0
     for j in range(top, bottom + 1):
         row = np.uint64(cy + j)
@@ -100,7 +100,8 @@ def _slope_sums(
             s[11] += yy * f[k]
         for i in (3, 5, 9, 11):
             s[i] *= 0.5
-    sums[:12] = s
+    for i in range(12):
+        sums[i] = s[i]
 
 
 @summing_kernel
@@ -134,7 +135,8 @@ def _product_sums(count: int, a: Floats, b: Floats, x: Floats, y: Floats, order:
             s[12] += wxx * yy
             s[13] += wxy * yy
             s[14] += wyy * yy
-    h[:] = s
+    for i in range(15):
+        h[i] = s[i]
 
 
 _X_POWER = np.array([0, 1, 0, 2, 1, 0])
@@ -164,7 +166,8 @@ def _levels(count: int, dx: Floats, dy: Floats, f: Floats, moments: Floats) -> N
         m[1] += f[k] * f[k]
         m[2] += dx[k] * dx[k]
         m[3] += dy[k] * dy[k]
-    moments[:] = m
+    for i in range(4):
+        moments[i] = m[i]
 
 
 @kernel
@@ -216,8 +219,10 @@ def deformed_sums(
         s[6] += b
         s[7] += b * dx[k]
         s[8] += b * dy[k]
-    moments[:] = s[:3]
-    jg[:6] = s[3:]
+    for i in range(3):
+        moments[i] = s[i]
+    for i in range(6):
+        jg[i] = s[3 + i]
     if order > 1:
         q = np.zeros(6)
         for k in range(count):
@@ -234,4 +239,5 @@ def deformed_sums(
             q[5] += b * yy
         for i in (0, 2, 3, 5):
             q[i] *= 0.5
-        jg[6:] = q
+        for i in range(6):
+            jg[6 + i] = q[i]

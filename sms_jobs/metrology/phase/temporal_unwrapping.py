@@ -207,7 +207,8 @@ def _unwrap_rows(
                 mark_saturated(frames[i * q + k, block_row], full_scale, power[i])
         worst[:] = 0.0
         if coarse.size:
-            climbed[rung_density.size] = coarse[row]
+            for j in range(columns):
+                climbed[rung_density.size, j] = coarse[row, j]
         for m in range(rung_density.size):
             _climb(
                 climbed[below[m]],
@@ -225,10 +226,10 @@ def _unwrap_rows(
         for j in range(columns):
             omega[row, j] = moments[0, j] / moments[1, j]
             total[j] /= n * q
+            maps[1, row, j] = np.sqrt(all_power[j] / n)
+            maps[3, row, j] = total[j]
         for i in range(n):
             _add_residual(climbed[top[i]], densities[i], power[i], omega[row], squares)
-        maps[1, row] = np.sqrt(all_power / n)
-        maps[3, row] = total
         for j in range(columns):
             flags[0, row, j] = np.uint8(moments[3, j])
             total[j] = read_noise * read_noise + gain * total[j]

@@ -196,7 +196,8 @@ def _step(
 @kernel
 def _fit_one(image: NDArray[np.float32], start: Floats, out: Floats) -> int:  # pragma: no cover - compiled
     p = np.zeros(_PARAMETERS)
-    p[:5] = start[:5]
+    for i in range(5):
+        p[i] = start[i]
     p[5] = 0.8
     # The start is the origin of the planes, and the ellipse's size the unit of their slopes.
     size = 1.0 / math.sqrt(p[2] * p[4] - p[3] * p[3])
@@ -226,7 +227,8 @@ def _fit_one(image: NDArray[np.float32], start: Floats, out: Floats) -> int:  # 
             break
     inverse = np.linalg.inv(normal)
     u, v = (p[0] - origin[0]) / size, (p[1] - origin[1]) / size
-    out[:6] = p[:6]
+    for i in range(6):
+        out[i] = p[i]
     out[6] = p[6] + p[7] * u + p[8] * v
     out[7] = p[9] + p[10] * u + p[11] * v
     out[8], out[9], out[10] = variance * inverse[0, 0], variance * inverse[0, 1], variance * inverse[1, 1]
