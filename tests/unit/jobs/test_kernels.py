@@ -1,11 +1,18 @@
 """What is compiled before jobs want it: the list names kernels, and each is compiled once, callees first."""
 
+import json
 import logging
+import os
+import subprocess
 import sys
 import textwrap
 
 import pytest
+import typer
 
+from sms_jobs import bootstrap
+from sms_jobs.app.kernels import left
+from sms_jobs.cli.doctor import doctor
 from sms_jobs.jobs import kernels
 from sms_jobs.jobs.kernels import Kernel
 from sms_jobs.metrology.signatures import text_of
@@ -75,3 +82,66 @@ def test_what_cannot_be_compiled_keeps_nothing_else(some, caplog):
 def test_a_kernel_that_is_gone_is_told(some):
     with pytest.raises(kernels.SmsError, match=r"there is no kernel 'kernels_to_prepare:gone'.*ops/kernels"):
         _ = Kernel("kernels_to_prepare:gone", "(float64,)").dispatcher
+
+
+_SERVICE = textwrap.dedent(
+    """
+    import os, sys
+    from pathlib import Path
+    from sms_jobs.jobs import kernels
+    kernels.LIST = Path("list.txt")
+    from sms_jobs.workers import preparation
+    lifeline, _ = os.pipe()
+    preparation.start(lifeline, sys.stdin.fileno())
+    _, status = os.wait()
+    sys.exit(os.waitstatus_to_exitcode(status))
+    """
+)
+
+
+def test_a_service_compiles_what_is_missing_and_nothing_again(some, tmp_path):
+    home = tmp_path / "home"
+    bootstrap.initialise(home)
+    (tmp_path / "list.txt").write_text("".join(f"{one.name} {one.signature}\n" for one in some))
+    places = {"SMS_HOME": str(home), "SMS_WORKERS": "2", "PYTHONPATH": str(tmp_path)}
+    said = []
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", _SERVICE],
+            cwd=tmp_path,
+            env=os.environ | places,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        said.append(done.stderr)
+    assert "compiling 3 kernels" in said[0]
+    assert "all kernels are compiled" in said[0]
+    assert "kernels" not in said[1]
+    assert [len(one.dispatcher._cache.compilations()) for one in some] == [1, 1, 1]
+    assert not list(home.glob("logs/kernels*"))
+
+
+def test_how_many_are_left_is_told_while_they_are_compiled(tmp_path):
+    bootstrap.initialise(tmp_path)
+    with bootstrap.services(tmp_path) as services:
+        assert left(services) == 0
+        services.settings.kernels_left_file.parent.mkdir(exist_ok=True)
+        services.settings.kernels_left_file.write_text("17\n")
+        assert left(services) == 17
+
+
+def test_the_doctor_compiles_what_is_missing_and_tells_what_it_took(some, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(kernels, "listed", lambda: tuple(some))
+    doctor(kernels=True, as_json=True)
+    told = json.loads(capsys.readouterr().out)
+    assert told["compiled"] == 3
+    assert [one["state"] for one in told["kernels"]] == ["ready"] * 3
+    assert told["compile_cpu_s"] == pytest.approx(sum(one["compile_cpu_s"] for one in told["kernels"]))
+    doctor(kernels=True, as_json=False)
+    assert "kernels_to_prepare:third" in capsys.readouterr().out
+    monkeypatch.setattr(kernels, "listed", lambda: (Kernel("kernels_to_prepare:impossible", "(float64,)"),))
+    with pytest.raises(typer.Exit) as end:
+        doctor(kernels=True, as_json=True)
+    assert end.value.exit_code == 6
