@@ -222,7 +222,7 @@ def _record(name: str, points: CommonPoints, found: Alignment, axis: Vector, the
 KIND = Kind(
     name="align",
     summary="how other campaigns' views lie to this one's, by the texture of the specimen, and the residual",
-    version=1,
+    version=2,
     scope=Scope.CAMPAIGN,
     parameters=AlignParameters,
     inputs=_AT_REST.all,

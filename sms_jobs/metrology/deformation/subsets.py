@@ -76,67 +76,72 @@ def _slope_sums(
     count: int, weight: Floats, f: Floats, x: Floats, y: Floats, order: int, sums: Floats
 ) -> None:
     """Fill the sums of w, w x, w y, w f, w f x, w f y, and to second order of w x^2 .. and w f x^2 .."""
-    s = np.zeros(12)
+    s0 = sx = sy = t0 = tx = ty = 0.0
     for k in range(count):
         w = weight[k]
         wx = w * x[k]
         wy = w * y[k]
-        s[0] += w
-        s[1] += wx
-        s[2] += wy
-        s[6] += w * f[k]
-        s[7] += wx * f[k]
-        s[8] += wy * f[k]
-    if order > 1:
-        for k in range(count):
-            xx = weight[k] * x[k] * x[k]
-            xy = weight[k] * x[k] * y[k]
-            yy = weight[k] * y[k] * y[k]
-            s[3] += xx
-            s[4] += xy
-            s[5] += yy
-            s[9] += xx * f[k]
-            s[10] += xy * f[k]
-            s[11] += yy * f[k]
-        for i in (3, 5, 9, 11):
-            s[i] *= 0.5
-    for i in range(12):
-        sums[i] = s[i]
+        s0 += w
+        sx += wx
+        sy += wy
+        t0 += w * f[k]
+        tx += wx * f[k]
+        ty += wy * f[k]
+    sums[0], sums[1], sums[2] = s0, sx, sy
+    sums[6], sums[7], sums[8] = t0, tx, ty
+    if order < 2:
+        return
+    sxx = sxy = syy = txx = txy = tyy = 0.0
+    for k in range(count):
+        xx = weight[k] * x[k] * x[k]
+        xy = weight[k] * x[k] * y[k]
+        yy = weight[k] * y[k] * y[k]
+        sxx += xx
+        sxy += xy
+        syy += yy
+        txx += xx * f[k]
+        txy += xy * f[k]
+        tyy += yy * f[k]
+    sums[3], sums[4], sums[5] = 0.5 * sxx, sxy, 0.5 * syy
+    sums[9], sums[10], sums[11] = 0.5 * txx, txy, 0.5 * tyy
 
 
 @summing_kernel
 def _product_sums(count: int, a: Floats, b: Floats, x: Floats, y: Floats, order: int, h: Floats) -> None:
     """Fill the sums of a b x^i y^j, i + j up to 2 or to 4: (0, 0), (1, 0), (0, 1), (2, 0), (1, 1) .."""
-    s = np.zeros(15)
+    s0 = sx = sy = sxx = sxy = syy = 0.0
     for k in range(count):
         w = a[k] * b[k]
         wx = w * x[k]
         wy = w * y[k]
-        s[0] += w
-        s[1] += wx
-        s[2] += wy
-        s[3] += wx * x[k]
-        s[4] += wx * y[k]
-        s[5] += wy * y[k]
-    if order > 1:
-        for k in range(count):
-            w = a[k] * b[k]
-            xx = x[k] * x[k]
-            yy = y[k] * y[k]
-            wxx = w * xx
-            wyy = w * yy
-            wxy = w * x[k] * y[k]
-            s[6] += wxx * x[k]
-            s[7] += wxx * y[k]
-            s[8] += wyy * x[k]
-            s[9] += wyy * y[k]
-            s[10] += wxx * xx
-            s[11] += wxx * x[k] * y[k]
-            s[12] += wxx * yy
-            s[13] += wxy * yy
-            s[14] += wyy * yy
-    for i in range(15):
-        h[i] = s[i]
+        s0 += w
+        sx += wx
+        sy += wy
+        sxx += wx * x[k]
+        sxy += wx * y[k]
+        syy += wy * y[k]
+    h[0], h[1], h[2], h[3], h[4], h[5] = s0, sx, sy, sxx, sxy, syy
+    if order < 2:
+        return
+    t30 = t21 = t12 = t03 = t40 = t31 = t22 = t13 = t04 = 0.0
+    for k in range(count):
+        w = a[k] * b[k]
+        xx = x[k] * x[k]
+        yy = y[k] * y[k]
+        wxx = w * xx
+        wyy = w * yy
+        wxy = w * x[k] * y[k]
+        t30 += wxx * x[k]
+        t21 += wxx * y[k]
+        t12 += wyy * x[k]
+        t03 += wyy * y[k]
+        t40 += wxx * xx
+        t31 += wxx * x[k] * y[k]
+        t22 += wxx * yy
+        t13 += wxy * yy
+        t04 += wyy * yy
+    h[6], h[7], h[8], h[9] = t30, t21, t12, t03
+    h[10], h[11], h[12], h[13], h[14] = t40, t31, t22, t13, t04
 
 
 _X_POWER = np.array([0, 1, 0, 2, 1, 0])
@@ -160,14 +165,13 @@ def _unpack(h: Floats, rows: Ints, columns: Ints, terms: int, hessian: Floats) -
 @summing_kernel
 def _levels(count: int, dx: Floats, dy: Floats, f: Floats, moments: Floats) -> None:
     """Fill the sums of f, f^2, dx^2, dy^2."""
-    m = np.zeros(4)
+    m0 = m1 = m2 = m3 = 0.0
     for k in range(count):
-        m[0] += f[k]
-        m[1] += f[k] * f[k]
-        m[2] += dx[k] * dx[k]
-        m[3] += dy[k] * dy[k]
-    for i in range(4):
-        moments[i] = m[i]
+        m0 += f[k]
+        m1 += f[k] * f[k]
+        m2 += dx[k] * dx[k]
+        m3 += dy[k] * dy[k]
+    moments[0], moments[1], moments[2], moments[3] = m0, m1, m2, m3
 
 
 @kernel
@@ -205,39 +209,36 @@ def deformed_sums(
     jg: Floats, moments: Floats,
 ) -> None:  # fmt: skip
     """Fill the sums of J g, and of g, g^2 and f g, over a subset."""
-    s = np.zeros(9)
+    s0 = s1 = s2 = a0 = ax = ay = b0 = bx = by = 0.0
     for k in range(count):
         v = g[k]
-        s[0] += v
-        s[1] += v * v
-        s[2] += v * f[k]
+        s0 += v
+        s1 += v * v
+        s2 += v * f[k]
         a = gx[k] * v
         b = gy[k] * v
-        s[3] += a
-        s[4] += a * dx[k]
-        s[5] += a * dy[k]
-        s[6] += b
-        s[7] += b * dx[k]
-        s[8] += b * dy[k]
-    for i in range(3):
-        moments[i] = s[i]
-    for i in range(6):
-        jg[i] = s[3 + i]
-    if order > 1:
-        q = np.zeros(6)
-        for k in range(count):
-            xx = dx[k] * dx[k]
-            xy = dx[k] * dy[k]
-            yy = dy[k] * dy[k]
-            a = gx[k] * g[k]
-            b = gy[k] * g[k]
-            q[0] += a * xx
-            q[1] += a * xy
-            q[2] += a * yy
-            q[3] += b * xx
-            q[4] += b * xy
-            q[5] += b * yy
-        for i in (0, 2, 3, 5):
-            q[i] *= 0.5
-        for i in range(6):
-            jg[6 + i] = q[i]
+        a0 += a
+        ax += a * dx[k]
+        ay += a * dy[k]
+        b0 += b
+        bx += b * dx[k]
+        by += b * dy[k]
+    moments[0], moments[1], moments[2] = s0, s1, s2
+    jg[0], jg[1], jg[2], jg[3], jg[4], jg[5] = a0, ax, ay, b0, bx, by
+    if order < 2:
+        return
+    axx = axy = ayy = bxx = bxy = byy = 0.0
+    for k in range(count):
+        xx = dx[k] * dx[k]
+        xy = dx[k] * dy[k]
+        yy = dy[k] * dy[k]
+        a = gx[k] * g[k]
+        b = gy[k] * g[k]
+        axx += a * xx
+        axy += a * xy
+        ayy += a * yy
+        bxx += b * xx
+        bxy += b * xy
+        byy += b * yy
+    jg[6], jg[7], jg[8] = 0.5 * axx, axy, 0.5 * ayy
+    jg[9], jg[10], jg[11] = 0.5 * bxx, bxy, 0.5 * byy
