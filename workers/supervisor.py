@@ -20,7 +20,7 @@ import psutil
 from sqlalchemy import exists, select
 
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import sealing, upkeep
+from sms_jobs.catalogue import job_counts, sealing, upkeep
 from sms_jobs.catalogue.models import JobRow, WorkerRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs import limits, recovery, schedules
@@ -47,6 +47,7 @@ _PATIENCE_WITH_RECEIVERS_S = 5.0
 """What is being sent then may be sent again by the next supervisor."""
 _QUEUE_READY_EVERY_S = 30.0
 _SEAL_EVERY_S = 5.0
+_FOLD_EVERY_S = 20.0
 _REGISTER_AGAIN_S = 1.0
 _PATIENCE_WITH_JOBS_S = 600.0
 """How long jobs that run may take to end when the service is asked to stop."""
@@ -132,7 +133,7 @@ class Supervisor:
         return True
 
     def _serve(self, until_idle: bool) -> None:
-        beat_at = recover_at = analyse_at = queue_ready_at = seal_at = 0.0
+        beat_at = recover_at = analyse_at = queue_ready_at = seal_at = fold_at = 0.0
         while not self._stop_asked:
             moment = time.monotonic()
             if moment >= beat_at and self._done(self._beat):
@@ -146,6 +147,9 @@ class Supervisor:
             if moment >= seal_at:
                 seal_at = moment + _SEAL_EVERY_S
                 self._done(self._seal)
+            if moment >= fold_at:
+                fold_at = moment + _FOLD_EVERY_S
+                self._done(self._fold_counts)
             if moment >= recover_at:
                 duties = (
                     self._look_for_rigs,
@@ -231,6 +235,9 @@ class Supervisor:
 
     def _analyse(self) -> None:
         upkeep.analyse(self._services.catalogue)
+
+    def _fold_counts(self) -> None:
+        job_counts.fold(self._services.catalogue)
 
     def _seal(self) -> None:
         sealing.seal(self._services.catalogue, datetime.now(UTC))

@@ -13,7 +13,7 @@ from sms_jobs.app import writing
 from sms_jobs.app.progress import Step, Tell, nobody
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import copying, schema, upkeep
+from sms_jobs.catalogue import copying, job_counts, schema, upkeep
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.jobs import backups
 from sms_jobs.jobs.backups import Progress
@@ -32,14 +32,16 @@ class Upgraded:
 
 
 def upgrade(home: Path | None) -> Upgraded:
-    """Bring the catalogue of a home to the schema that this version needs.
+    """Bring the catalogue of a home to the schema that this version needs; its jobs are counted anew.
 
     It takes the home, because services of an older catalogue cannot be opened.
     """
-    catalogue = Catalogue(settings_file.load(home).catalogue_url)
-    before = schema.current_revision(catalogue)
-    schema.upgrade(catalogue)
-    after = schema.current_revision(catalogue)
+    with closing(Catalogue(settings_file.load(home).catalogue_url)) as catalogue:
+        before = schema.current_revision(catalogue)
+        schema.upgrade(catalogue)
+        with catalogue.writing() as session:
+            job_counts.count_again(session)
+        after = schema.current_revision(catalogue)
     return Upgraded(after, before == after)
 
 

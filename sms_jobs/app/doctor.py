@@ -143,9 +143,14 @@ def _of_the_catalogue(services: Services) -> dict[str, Examination]:
         with catalogue.reading() as session:
             return _one(health.damage(catalogue) or health.files_nobody_knows(session, services.archive))
 
+    def counts() -> Examined:
+        with catalogue.reading() as session:
+            return _one(health.counts_of_jobs(session))
+
     return {
         "versions": versions,
         "schema": drift,
+        "counts of jobs": counts,
         "contents of the catalogue": contents,
         "place of the catalogue": lambda: _one(health.database_on_network(catalogue), catalogue.describe()),
         "clock": lambda: _one(health.clock(catalogue, lease)),

@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow, Table, WorkerRow
+from sms_jobs.catalogue.models import JobRow, Table, WorkerRow, written_tables
 from sms_jobs.errors import ConfigurationError, Conflict
 from sms_jobs.records.job import ALIVE_WITHIN, JobState
 
@@ -83,7 +83,7 @@ def prepare(target: Catalogue) -> None:
             "give an empty database"
         )
     with target.reading() as session:
-        for table in Table.metadata.sorted_tables:
+        for table in written_tables():
             count = session.scalar(select(func.count()).select_from(table))
             if count:
                 raise Conflict(
@@ -110,7 +110,7 @@ def copy(source: Catalogue, target: Catalogue, *, hold: bool = True) -> Iterator
         A row cannot be stored in the target, or the target has another number of rows in the end.
     """
     with _at_one_moment(source, hold) as reading, target.writing() as writing:
-        tables = Table.metadata.sorted_tables
+        tables = written_tables()
         counts = {t.name: reading.scalar(select(func.count()).select_from(t)) or 0 for t in tables}
         total, done = sum(counts.values()), 0
         for table in tables:
@@ -176,7 +176,7 @@ def _store(writing: Session, statement: Any, values: list[dict[str, Any]], table
 
 def _set_sequences(session: Session) -> None:
     """Let PostgreSQL number new rows after those that brought their numbers with them."""
-    for table in Table.metadata.sorted_tables:
+    for table in written_tables():
         column = table.autoincrement_column
         if column is None:
             continue

@@ -14,6 +14,7 @@ from sqlalchemy import (
     UniqueConstraint,
     desc,
 )
+from sqlalchemy import Table as SqlTable
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, validates
 
 from sms_jobs.catalogue.columns import MessageText, String, Text, UtcDateTime
@@ -28,6 +29,9 @@ JobStateColumn = Enum(
     length=16,
     values_callable=lambda states: [s.value for s in states],
 )
+
+
+_DERIVED = "derived"
 
 
 class Table(DeclarativeBase):
@@ -327,6 +331,22 @@ class JobRow(Table):
     reused_from: Mapped[str | None] = mapped_column(ForeignKey("job.id"))
 
 
+class JobCountRow(Table):
+    """How many jobs of a campaign, kind and queue are in a state: the sum of `jobs` over all parts.
+
+    Nobody writes it but triggers on `job`; see `catalogue.job_counts`.
+    """
+
+    __tablename__ = "job_count"
+    __table_args__ = ({"info": {_DERIVED: True}},)
+    campaign_id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    kind: Mapped[str] = mapped_column(String(32), primary_key=True)
+    queue: Mapped[str] = mapped_column(String(80), primary_key=True)
+    state: Mapped[JobState] = mapped_column(primary_key=True)
+    part: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    jobs: Mapped[int] = mapped_column(BigInteger)
+
+
 class DependencyRow(Table):
     """One input of a job: a file, or the job that will produce it."""
 
@@ -433,3 +453,8 @@ class LockRow(Table):
     """A person or program that is no job, until `lease_until`."""
     lease_until: Mapped[datetime | None]
     taken_at: Mapped[datetime | None]
+
+
+def written_tables() -> list[SqlTable]:
+    """Return the tables that the program writes itself, those first that others refer to."""
+    return [table for table in Table.metadata.sorted_tables if _DERIVED not in table.info]

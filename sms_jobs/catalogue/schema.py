@@ -13,6 +13,7 @@ from sqlalchemy import Index, inspect, text
 from sqlalchemy.schema import SchemaItem
 
 import sms_jobs
+from sms_jobs.catalogue import job_counts
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import Table
 from sms_jobs.errors import CatalogueEmpty, ConfigurationError, OtherFormat
@@ -20,6 +21,10 @@ from sms_jobs.errors import CatalogueEmpty, ConfigurationError, OtherFormat
 if TYPE_CHECKING:
     from alembic.config import Config
 
+_TRIGGERS = {
+    "sqlite": "SELECT name FROM sqlite_master WHERE type = 'trigger'",
+    "postgresql": "SELECT tgname FROM pg_trigger WHERE tgenabled = 'O' AND NOT tgisinternal",
+}
 _MIGRATIONS = Path(sms_jobs.__file__).parent / "migrations"
 
 
@@ -105,7 +110,9 @@ def differences_from_models(catalogue: Catalogue) -> list[str]:
     with catalogue.reading() as session:
         compared = {"compare_type": True, "include_object": partial(_is_compared, catalogue.dialect)}
         context = MigrationContext.configure(session.connection(), opts=compared)
-        return [repr(difference) for difference in compare_metadata(context, Table.metadata)]
+        found = [repr(difference) for difference in compare_metadata(context, Table.metadata)]
+        there = set(session.scalars(text(_TRIGGERS[catalogue.dialect])))
+        return [*found, *(f"no trigger {name}" for name in sorted(job_counts.TRIGGERS - there))]
 
 
 def _is_compared(dialect: str, thing: SchemaItem, *_: object) -> bool:

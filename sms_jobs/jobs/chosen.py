@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue import campaigns, job_counts
+from sms_jobs.catalogue.models import JobCountRow, JobRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.job import ACTIVE
 
@@ -46,6 +46,11 @@ class Chosen:
     submitted_at: datetime | None = None
     submitted_until: datetime | None = None
     ended_before: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def of_kept_counts(self) -> bool:
+        """Whether the counts that the catalogue keeps tell how many they are."""
+        return self.ids is None and self.submitted_at is None and self.submitted_until is None
 
     @property
     def where(self) -> tuple[ColumnElement[bool], ...]:
@@ -95,5 +100,9 @@ def active_now(session: Session, campaign: str | None = None) -> Chosen:
 
 def by_state(session: Session, chosen: Chosen) -> dict[str, int]:
     """Return how many rows of `job` are in each state, those that had ended before among them."""
+    if chosen.of_kept_counts:
+        some = None if chosen.campaign_id is None else [chosen.campaign_id]
+        kept = job_counts.counted(session, JobCountRow.state, campaigns=some, kind=chosen.kind)
+        return {state.value: count for (state,), count in kept.items()}
     query = select(JobRow.state, func.count()).where(*chosen.where).group_by(JobRow.state)
     return {state.value: count for state, count in session.execute(query)}

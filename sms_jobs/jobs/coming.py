@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import ColumnElement, Row, Select, and_, false, func, or_, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import DependencyRow, JobRow
+from sms_jobs.catalogue import job_counts
+from sms_jobs.catalogue.models import DependencyRow, JobCountRow, JobRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
@@ -92,7 +93,7 @@ def coming(session: Session, chosen: Chosen) -> Graph | Sample:
     if before is None:
         return Graph((), {}, frozenset())
     if not _are_few(session, before):
-        total = _by_queue(session, before)
+        total = _by_queue(session, before) if chosen.where else _active_by_queue(session)
         return _sample(
             session, before, requested, total, _by_queue(session, requested) if chosen.where else total
         )
@@ -187,6 +188,11 @@ def _closed(
 
 def _by_frames(sources: Mapping[str, set[str]]) -> frozenset[str]:
     return frozenset(kind for kind, some in sources.items() if some <= {MEASUREMENT, CALIBRATION})
+
+
+def _active_by_queue(session: Session) -> dict[str, int]:
+    counted = job_counts.counted(session, JobCountRow.queue, states=ACTIVE)
+    return {queue: count for (queue,), count in counted.items()}
 
 
 def _by_queue(session: Session, which: ColumnElement[bool]) -> dict[str, int]:

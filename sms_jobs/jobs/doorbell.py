@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import delete, func, select
+from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import JobRow, OutboxRow, QueueRow, WorkerRow
+from sms_jobs.catalogue import job_counts
+from sms_jobs.catalogue.models import JobCountRow, JobRow, OutboxRow, QueueRow, WorkerRow
 from sms_jobs.records.job import ALIVE_WITHIN, JobState
 
 
@@ -47,13 +48,10 @@ def sent(session: Session, messages: Sequence[tuple[int, str, str]]) -> None:
 def unheard(session: Session) -> list[Call]:
     """Return the jobs that are queued, whatever became of their messages; those of paused queues are not."""
     paused = set(session.scalars(select(QueueRow.name).where(QueueRow.paused_at.is_not(None))))
-    queued = session.execute(
-        select(JobRow.queue, func.count()).where(JobRow.state == JobState.QUEUED).group_by(JobRow.queue)
-    ).all()
+    queued = job_counts.counted(session, JobCountRow.queue, states=[JobState.QUEUED])
     found = []
-    for queue, number in queued:
+    for (queue,), number in sorted(queued.items()):
         first = select(JobRow.id).where(JobRow.state == JobState.QUEUED, JobRow.queue == queue).limit(1)
-        # The counting alone is answered by the index, and that every other second.
         if queue not in paused and (job_id := session.scalar(first)) is not None:
             found.append(Call(queue, job_id, number))
     return found

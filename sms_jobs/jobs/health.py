@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive
 from sms_jobs.archive.place import probe
-from sms_jobs.catalogue import renewal
+from sms_jobs.catalogue import job_counts, renewal
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow
 from sms_jobs.errors import StorageFull, StorageUnusable
@@ -80,6 +80,16 @@ def files_nobody_knows(session: Session, archive: Archive) -> str | None:
             "share, or correct 'archive' in sms.toml"
         )
     return None
+
+
+def counts_of_jobs(session: Session) -> str | None:
+    """Compare the counts of jobs that the catalogue keeps with its jobs."""
+    if not job_counts.differ(session):
+        return None
+    return (
+        "the catalogue counts other jobs than it has: something changed them without its triggers; end the "
+        "service, then run 'sms db upgrade', which counts them anew"
+    )
 
 
 def damage(catalogue: Catalogue) -> str | None:

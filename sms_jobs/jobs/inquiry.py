@@ -11,12 +11,13 @@ from typing import Any
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import campaigns, job_counts
 from sms_jobs.catalogue.models import (
     CampaignRow,
     DependencyRow,
     EventRow,
     FileRow,
+    JobCountRow,
     JobRow,
     LoadStateRow,
     QueueRow,
@@ -360,12 +361,8 @@ def list_campaigns(session: Session, limit: int) -> list[CampaignView]:
     jobs: dict[int, dict[str, int]] = {row[0]: {} for row in rows}
     states: dict[int, int] = {}
     for some in parts(list(jobs)):
-        counted = (
-            select(JobRow.campaign_id, JobRow.state, func.count())
-            .where(JobRow.campaign_id.in_(some))
-            .group_by(JobRow.campaign_id, JobRow.state)
-        )
-        for number, state, count in session.execute(counted):
+        by = (JobCountRow.campaign_id, JobCountRow.state)
+        for (number, state), count in job_counts.counted(session, *by, campaigns=some).items():
             jobs[number][state.value] = count
         of_each = (
             select(LoadStateRow.campaign_id, func.count())

@@ -14,7 +14,8 @@ import psutil
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import EventRow, JobRow, QueueRow, WorkerRow
+from sms_jobs.catalogue import job_counts
+from sms_jobs.catalogue.models import EventRow, JobCountRow, JobRow, QueueRow, WorkerRow
 from sms_jobs.jobs import locks
 from sms_jobs.jobs.origin import Origin, is_gone
 from sms_jobs.jobs.witness import origin_of
@@ -73,10 +74,9 @@ def _nobody(session: Session, recent: _Workers) -> Iterator[str]:
     if recent.alive:
         yield "every worker that lives is draining and takes no more jobs; start another with 'sms up'"
         return
-    left = session.scalar(select(func.count()).select_from(JobRow).where(JobRow.state.in_(ACTIVE))) or 0
-    running = select(func.count()).select_from(JobRow).where(JobRow.state == JobState.RUNNING)
-    counted = session.scalar(running) or 0
-    also = f", and {counted} count as running" if counted else ""
+    counted = job_counts.counted(session, JobCountRow.state, states=ACTIVE)
+    left, running = sum(counted.values()), counted.get((JobState.RUNNING,), 0)
+    also = f", and {running} count as running" if running else ""
     yield (
         f"no worker is alive: {left} jobs wait for one{also}; start the service with 'sms up', or "
         "'systemctl start sms'"

@@ -11,8 +11,17 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive
+from sms_jobs.catalogue import job_counts
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, FileRow, JobRow, ScheduleFireRow, ScheduleRow, WorkerRow
+from sms_jobs.catalogue.models import (
+    EventRow,
+    FileRow,
+    JobCountRow,
+    JobRow,
+    ScheduleFireRow,
+    ScheduleRow,
+    WorkerRow,
+)
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs import queues
 from sms_jobs.jobs.fire_times import parse_expression, times_until
@@ -52,11 +61,8 @@ def gather(session: Session, archive: Archive, now: datetime) -> list[Gauge]:
 
 def _of_jobs(session: Session, now: datetime) -> list[Gauge]:
     jobs = Gauge("sms_jobs", "Jobs in the catalogue, by kind and state.", labels=["kind", "state"])
-    for kind, state, count in session.execute(
-        select(JobRow.kind, JobRow.state, func.count())
-        .group_by(JobRow.kind, JobRow.state)
-        .order_by(JobRow.kind, JobRow.state)
-    ):
+    counted = job_counts.counted(session, JobCountRow.kind, JobCountRow.state)
+    for (kind, state), count in sorted(counted.items(), key=lambda one: (one[0][0], one[0][1].value)):
         jobs.add_metric([kind, state.value], count)
     running = Gauge(
         "sms_running_seconds", "For how long the longest running job of a kind has run.", labels=["kind"]

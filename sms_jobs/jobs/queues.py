@@ -9,7 +9,8 @@ from typing import Any, Literal, cast
 from sqlalchemy import CursorResult, exists, func, select, update
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import JobRow, QueueRow, WorkerRow
+from sms_jobs.catalogue import job_counts
+from sms_jobs.catalogue.models import JobCountRow, JobRow, QueueRow, WorkerRow
 from sms_jobs.errors import Conflict
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds.kind import Queue
@@ -71,14 +72,9 @@ def resume(session: Session, name: str) -> bool:
 
 def queues(session: Session) -> list[QueueView]:
     """Return every queue and how it stands."""
-    counted = {
-        (queue, state): count
-        for queue, state, count in session.execute(
-            select(JobRow.queue, JobRow.state, func.count())
-            .where(JobRow.state.in_((JobState.QUEUED, JobState.RUNNING)))
-            .group_by(JobRow.queue, JobRow.state)
-        )
-    }
+    counted = job_counts.counted(
+        session, JobCountRow.queue, JobCountRow.state, states=(JobState.QUEUED, JobState.RUNNING)
+    )
     paused = {row.name: row for row in session.scalars(select(QueueRow))}
     return [
         QueueView(
@@ -95,9 +91,9 @@ def queues(session: Session) -> list[QueueView]:
 
 def known(session: Session) -> list[str]:
     """Return the names of all queues: of every service, and of rigs that have jobs or workers."""
-    with_jobs = select(JobRow.queue).where(JobRow.state.in_((*_PENDING, JobState.RUNNING)))
+    with_jobs = job_counts.counted(session, JobCountRow.queue, states=(*_PENDING, JobState.RUNNING))
     served = session.scalars(select(WorkerRow.queues))
-    others = {*session.scalars(with_jobs.distinct()), *session.scalars(select(QueueRow.name))}
+    others = {*(queue for (queue,) in with_jobs), *session.scalars(select(QueueRow.name))}
     for queues_of_worker in served:
         others.update(queues_of_worker.split(","))
     return [*QUEUES, *sorted(others - set(QUEUES))]

@@ -17,7 +17,15 @@ from support.jobs import NOW, claim, submit_pipeline
 
 from sms_jobs.catalogue import copying, schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, FileRow, JobRow, LockRow, QueueRow, Table, WorkerRow
+from sms_jobs.catalogue.models import (
+    EventRow,
+    FileRow,
+    JobRow,
+    LockRow,
+    QueueRow,
+    WorkerRow,
+    written_tables,
+)
 from sms_jobs.errors import ConfigurationError, Conflict, OtherFormat
 from sms_jobs.jobs import lifecycle, queues, schedules
 from sms_jobs.jobs.fire_times import parse_expression
@@ -32,7 +40,7 @@ def rows(catalogue: Catalogue) -> dict[str, list[tuple[Any, ...]]]:
             table.name: [
                 tuple(r) for r in session.execute(select(table).order_by(*table.primary_key.columns))
             ]
-            for table in Table.metadata.sorted_tables
+            for table in written_tables()
         }
 
 

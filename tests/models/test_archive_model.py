@@ -38,7 +38,7 @@ from support.sealing import measurement, point_cloud
 from sms_jobs.archive import Archive, Checker, FolderStore, InputReference, Provenance
 from sms_jobs.catalogue import campaigns, schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import FileRow, ProvenanceRow, Table
+from sms_jobs.catalogue.models import FileRow, ProvenanceRow, written_tables
 from sms_jobs.errors import NotFound
 from sms_jobs.jobs import indexing, lifecycle, recovery, reindexing, repair, retention, reuse, verification
 from sms_jobs.jobs.indexing import Entry
@@ -344,7 +344,7 @@ class ArchiveCare(RuleBasedStateMachine):
 
 def empty(catalogue: Catalogue) -> None:
     with catalogue.writing() as session:
-        for table in reversed(Table.metadata.sorted_tables):
+        for table in reversed(written_tables()):
             session.execute(delete(table))
 
 

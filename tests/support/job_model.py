@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant
 from sqlalchemy import delete, select
 
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import campaigns, job_counts
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, FileRow, JobRow, OutboxRow, Table
+from sms_jobs.catalogue.models import EventRow, FileRow, JobCountRow, JobRow, OutboxRow, written_tables
 from sms_jobs.jobs import recovery
 from sms_jobs.jobs.lifecycle import Claim
 from sms_jobs.records.campaign import Campaign
@@ -82,7 +82,7 @@ class JobModel(RuleBasedStateMachine):
     @initialize()
     def begin(self) -> None:
         with self.catalogue.writing() as session:
-            for table in reversed(Table.metadata.sorted_tables):
+            for table in reversed(written_tables()):
                 session.execute(delete(table))
             campaigns.add_campaign(session, campaign(), NOW)
             add_calibration_file(session, "plate")
@@ -150,6 +150,13 @@ class JobModel(RuleBasedStateMachine):
         assert all(self.jobs[job_id].state is JobState.SUCCEEDED for job_id in makers)
         # No message is lost, whoever crashes: one for every time that a job was queued.
         assert Counter(due) == self.outbox
+
+    @invariant()
+    def the_jobs_are_counted(self) -> None:
+        with self.catalogue.reading() as session:
+            assert not job_counts.differ(session)
+            counted = job_counts.counted(session, JobCountRow.state)
+        assert counted == Counter((job.state,) for job in self.jobs.values())
 
     @invariant()
     def a_job_stands_where_what_it_needs_puts_it(self) -> None:
