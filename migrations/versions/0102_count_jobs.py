@@ -43,7 +43,6 @@ def downgrade() -> None:
         op.execute(f"DROP TRIGGER job_count_{change}{table}")
     if table:
         op.execute("DROP FUNCTION count_job()")
-        op.execute("DROP SEQUENCE job_count_part")
     op.drop_table("job_count")
 
 
@@ -86,9 +85,9 @@ def _postgresql() -> list[str]:
 
     each = "FOR EACH ROW {when} EXECUTE FUNCTION count_job()"
     return [
-        "CREATE SEQUENCE job_count_part",
+        "CREATE SEQUENCE job_count_part OWNED BY job_count.part",
         (
-            "CREATE FUNCTION count_job() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN "
+            "CREATE OR REPLACE FUNCTION count_job() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN "
             f"IF TG_OP <> 'INSERT' THEN {add('OLD', -1)} END IF; "
             f"IF TG_OP <> 'DELETE' THEN {add('NEW', 1)} END IF; "
             "RETURN NULL; END $$"

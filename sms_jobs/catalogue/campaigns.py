@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from datetime import datetime
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -122,6 +122,16 @@ def number_of_campaigns(session: Session) -> int:
     return session.scalar(select(func.count()).select_from(CampaignRow)) or 0
 
 
+def number_of_states(session: Session, numbers: Sequence[int]) -> dict[int, int]:
+    """Return how many states each of some campaigns has, which are few enough for one statement."""
+    query = (
+        select(LoadStateRow.campaign_id, func.count())
+        .where(LoadStateRow.campaign_id.in_(numbers))
+        .group_by(LoadStateRow.campaign_id)
+    )
+    return dict(session.execute(query).all())
+
+
 def refuse_taken_name(session: Session, name: str) -> None:
     """Raise `Conflict` where there is a campaign of that name."""
     if session.scalar(select(CampaignRow.id).where(CampaignRow.name == name)) is not None:
@@ -165,6 +175,7 @@ def definition(row: CampaignRow) -> Campaign:
 def define(row: CampaignRow, campaign: Campaign) -> None:
     """Give a row its definition, or another one."""
     row.definition = as_json(campaign)
+    row.views, row.frames = list(campaign.views), campaign.sequence.frames
     canonical = json.dumps(row.definition, sort_keys=True, separators=(",", ":"))
     row.definition_hash = hashlib.sha256(canonical.encode()).hexdigest()
 

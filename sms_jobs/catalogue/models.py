@@ -83,6 +83,10 @@ class CampaignRow(Table):
     created_at: Mapped[datetime]
     definition: Mapped[dict[str, Any]]
     definition_hash: Mapped[str] = mapped_column(String(64))
+    views: Mapped[list[str]] = mapped_column(JSON, server_default="[]")
+    """As the definition has them, which with hundreds of states takes long to read."""
+    frames: Mapped[int] = mapped_column(server_default="0")
+    """Of its whole fringe sequence."""
     plan: Mapped[str | None] = mapped_column(Text)
     """The file that it was made from, letter by letter; None where it was made by a program."""
 
@@ -290,6 +294,10 @@ class JobRow(Table):
         Index(None, "campaign_id", "state", "submitted_at"),
         Index(None, "reuse_key", "state"),
         Index(None, "worker_id", "state"),
+        # The latest, of all or of those of a kind or in a state, whatever they are about.
+        Index(None, "position"),
+        Index(None, "kind", "position"),
+        Index(None, "state", "position"),
         # How fast jobs come along is asked by every page.
         Index(None, "started_at"),
         Index(None, "finished_at"),

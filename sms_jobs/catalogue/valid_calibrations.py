@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import and_, func, select
+from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.campaigns import rig_row
@@ -21,12 +22,11 @@ from sms_jobs.catalogue.models import (
     ProvenanceRow,
     RigRow,
 )
-from sms_jobs.records.subject import Subject
-from sms_jobs.records.times import UNTIMED
-
-if TYPE_CHECKING:
-    from sms_jobs.records.calibration import Acceptance
-    from sms_jobs.records.sensors import Calibration, Rig
+from sms_jobs.catalogue.parts import parts
+from sms_jobs.records.calibration import Acceptance
+from sms_jobs.records.campaign import Subject
+from sms_jobs.records.measurement import UNTIMED
+from sms_jobs.records.sensors import Calibration, Rig
 
 Sensors = Mapping[str, Mapping[str, Any]]
 """Role, columns and rows of sensors, by name."""
@@ -80,7 +80,7 @@ def decide(session: Session, number: int, acceptance: Acceptance, at: datetime, 
 
 def used_for_rig(session: Session, rig_id: int) -> tuple[UsedCalibration, ...]:
     """Return the calibrations that are used for a rig, the one that becomes valid first before the others."""
-    return tuple(used for _, used in _used(session, AcceptanceRow.campaign == _OF_THE_RIG, rig_id))
+    return tuple(used for *_, used in _used(session, AcceptanceRow.campaign == _OF_THE_RIG, [rig_id]))
 
 
 def used_for_rig_named(session: Session, name: str) -> tuple[UsedCalibration, ...]:
@@ -94,25 +94,50 @@ def used_for_campaign(session: Session, campaign_id: int) -> tuple[UsedCalibrati
 
     What a calibration session gave is not among those that it begins with itself.
     """
+    return used_for_campaigns(session, [campaign_id])[campaign_id]
+
+
+def used_for_campaigns(session: Session, numbers: Sequence[int]) -> dict[int, tuple[UsedCalibration, ...]]:
+    """Return the calibrations that are used for each of some campaigns, few enough for one statement."""
     # Every job asks this: not the whole definition, which takes longer to read than all else.
-    name, rig_id = session.execute(
-        select(CampaignRow.name, CampaignRow.rig_id).where(CampaignRow.id == campaign_id)
-    ).one()
-    given = (
-        select(ProvenanceRow.output_id)
-        .join(FileRow, FileRow.id == ProvenanceRow.input_id)
-        .where(ProvenanceRow.output_id == CalibrationRow.file_id, FileRow.campaign_id == campaign_id)
-        .correlate(CalibrationRow)
-        .exists()
-    )
-    found = _used(session, AcceptanceRow.campaign.in_((name, _OF_THE_RIG)), rig_id, ~given)
-    own = tuple(used for name, used in found if name != _OF_THE_RIG)
-    return own or tuple(used for _, used in found)
+    rows = session.execute(
+        select(CampaignRow.id, CampaignRow.name, CampaignRow.rig_id).where(CampaignRow.id.in_(numbers))
+    ).all()
+    names, rigs = {row.name for row in rows} | {_OF_THE_RIG}, {row.rig_id for row in rows}
+    accepted: dict[tuple[int, str], list[UsedCalibration]] = defaultdict(list)
+    for rig_id, name, used in _used(session, AcceptanceRow.campaign.in_(names), rigs):
+        accepted[rig_id, name].append(used)
+    files = {used.file_id for some in accepted.values() for used in some}
+    given = _given(session, files, numbers)
+    found = {}
+    for number, name, rig_id in rows:
+        own, of_rig = (
+            tuple(used for used in accepted.get((rig_id, of), ()) if (used.file_id, number) not in given)
+            for of in (name, _OF_THE_RIG)
+        )
+        found[number] = own or of_rig
+    return found
 
 
-def _used(session: Session, accepted: Any, rig_id: int, *further: Any) -> list[tuple[str, UsedCalibration]]:
+def _given(session: Session, files: Collection[int], campaigns: Sequence[int]) -> set[tuple[int, int | None]]:
+    """Return which of some calibration files were computed from files of which campaign."""
+    found: set[tuple[int, int | None]] = set()
+    for some in parts(sorted(files)):
+        query = (
+            select(ProvenanceRow.output_id, FileRow.campaign_id)
+            .join(FileRow, FileRow.id == ProvenanceRow.input_id)
+            .where(ProvenanceRow.output_id.in_(some), FileRow.campaign_id.in_(campaigns))
+        )
+        found |= {(file, campaign) for file, campaign in session.execute(query)}
+    return found
+
+
+def _used(
+    session: Session, accepted: ColumnElement[bool], rigs: Collection[int]
+) -> list[tuple[int, str, UsedCalibration]]:
     rows = session.execute(
         select(
+            CalibrationRow.rig_id,
             AcceptanceRow.campaign,
             CalibrationRow.id,
             CalibrationRow.file_id,
@@ -120,10 +145,10 @@ def _used(session: Session, accepted: Any, rig_id: int, *further: Any) -> list[t
             CalibrationRow.sensors,
         )
         .join(CalibrationRow, CalibrationRow.id == AcceptanceRow.calibration_id)
-        .where(and_(AcceptanceRow.in_use, accepted, CalibrationRow.rig_id == rig_id, *further))
+        .where(AcceptanceRow.in_use, accepted, CalibrationRow.rig_id.in_(rigs))
         .order_by(CalibrationRow.valid_from, CalibrationRow.id)
     )
-    return [(row[0], UsedCalibration(*row[1:])) for row in rows]
+    return [(row[0], row[1], UsedCalibration(*row[2:])) for row in rows]
 
 
 class ValidCalibrations:

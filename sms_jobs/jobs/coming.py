@@ -213,13 +213,16 @@ def _sample(
     edges: list[_Edge] = []
     for queue, count in total.items():
         of_queue = and_(which, JobRow.queue == queue)
-        # Ids are random: those below a bound are a random sample, and the index of ids leads to them.
+        # Ids are random: those below a bound are a random sample. SQLite takes the index of ids, which leads
+        # to few, rather than that of states for a range alone.
         bound = f"{int(min(1.0, _SAMPLE / count) * (_IDS - 1)):016x}"
         some = [
-            _coming(row) for row in session.execute(_query(requested).where(of_queue, JobRow.id <= bound))
+            _coming(row)
+            for row in session.execute(_query(requested).where(of_queue, JobRow.id.between("", bound)))
         ]
-        edges += _edges(session, and_(of_queue, JobRow.id <= bound)) if some else []
         jobs |= {job.id: job for job in some}
+    for ids in parts(list(jobs)):
+        edges += _edges(session, JobRow.id.in_(ids))
     sources: dict[str, set[str]] = defaultdict(set)
     for job_id, _, source in edges:
         sources[jobs[job_id].kind].add(source)

@@ -63,7 +63,7 @@ def _estimate(
     alive = bool(places)
     if not alive:
         places = [Places(frozenset(q.value for q in Queue), workers_if_started)]
-    history = History(session, hosts, work.by_frames)
+    history = History(session, hosts, work.by_frames, work.jobs)
     if isinstance(work, Graph):
         drafted = set() if planned is None else set(planned.job_ids)
         entered = [job.id for job in work.jobs if job.id not in drafted]

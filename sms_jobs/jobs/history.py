@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from statistics import median
 from typing import Any
 
-from pydantic import TypeAdapter
-from sqlalchemy import func, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import valid_calibrations
-from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, WorkerRow
+from sms_jobs.catalogue.campaigns import number_of_states
+from sms_jobs.catalogue.models import CampaignRow, JobRow, WorkerRow
+from sms_jobs.catalogue.parts import parts
 from sms_jobs.jobs.coming import Coming
 from sms_jobs.records.job import JobState
-from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 _REMEMBERED = 200
@@ -44,15 +44,28 @@ class _Past:
 
 
 class History:
-    """What jobs of a kind have taken before."""
+    """What jobs of a kind have taken before.
 
-    def __init__(self, session: Session, hosts: Collection[str], by_frames: Collection[str]) -> None:
+    Parameters
+    ----------
+    hosts
+        That work now.
+    by_frames
+        Kinds whose jobs take longer for more frames.
+    jobs
+        Those that will be asked about.
+    """
+
+    def __init__(
+        self, session: Session, hosts: Collection[str], by_frames: Collection[str], jobs: Iterable[Coming]
+    ) -> None:
         self._session = session
         self._hosts = hosts
         self._by_frames = by_frames
         self._past: dict[str, list[_Past]] = {}
-        self._campaigns: dict[int, _Images | None] = {}
+        self._campaigns: dict[int, _Images] = {}
         self._medians: dict[tuple[Any, ...], float | None] = {}
+        self._learn({job.campaign_id for job in jobs})
 
     def seconds(self, job: Coming) -> float | None:
         """Return the median of the jobs that are most like this one; None where its kind has never run."""
@@ -101,7 +114,8 @@ class History:
                 )
                 .order_by(JobRow.finished_at.desc())
                 .limit(_REMEMBERED)
-            )
+            ).all()
+            self._learn({row.campaign_id for row in rows})
             self._past[kind] = [
                 _Past(version, parameters, self._size(kind, campaign, subject), host, _between(begun, ended))
                 for version, parameters, campaign, subject, host, begun, ended in rows
@@ -109,10 +123,12 @@ class History:
         return self._past[kind]
 
     def _size(self, kind: str, campaign_id: int, subject: str) -> _Size | None:
-        if campaign_id not in self._campaigns:
-            self._campaigns[campaign_id] = _images(self._session, campaign_id)
-        images = self._campaigns[campaign_id]
-        return None if images is None else images.size(Subject.parse(subject))
+        return self._campaigns[campaign_id].size(Subject.parse(subject))
+
+    def _learn(self, campaigns: Collection[int]) -> None:
+        # Of all at once: one by one they would take longer than all else of an estimate.
+        for some in parts(sorted(set(campaigns) - self._campaigns.keys())):
+            self._campaigns |= _images(self._session, some)
 
 
 @dataclass(frozen=True)
@@ -131,22 +147,23 @@ class _Images:
         return _Size(pixels, self.frames) if pixels and self.frames else None
 
 
-def _images(session: Session, campaign_id: int) -> _Images | None:
-    definition = CampaignRow.definition
-    row = session.execute(
-        select(definition["views"], definition["sequence"]).where(CampaignRow.id == campaign_id)
-    ).one_or_none()
-    if row is None:
-        return None
-    views, sequence = row
-    pixels = {
-        name: sensor["columns"] * sensor["rows"]
-        for used in valid_calibrations.used_for_campaign(session, campaign_id)
-        for name, sensor in used.sensors.items()
-    }
-    states = session.scalar(select(func.count()).where(LoadStateRow.campaign_id == campaign_id)) or 0
-    frames = _frames(sequence)
-    return _Images({view: pixels.get(view_of(view).camera, 0) for view in views}, frames, states)
+def _images(session: Session, numbers: Sequence[int]) -> dict[int, _Images]:
+    """Return the images of campaigns that are few enough for one statement."""
+    used = valid_calibrations.used_for_campaigns(session, numbers)
+    states = number_of_states(session, numbers)
+    rows = session.execute(
+        select(CampaignRow.id, CampaignRow.views, CampaignRow.frames).where(CampaignRow.id.in_(numbers))
+    )
+    found = {}
+    for number, views, frames in rows:
+        pixels = {
+            name: sensor["columns"] * sensor["rows"]
+            for calibration in used[number]
+            for name, sensor in calibration.sensors.items()
+        }
+        of_views = {view: pixels.get(view_of(view).camera, 0) for view in views}
+        found[number] = _Images(of_views, frames, states.get(number, 0))
+    return found
 
 
 def _frames(sequence: dict[str, Any]) -> int:

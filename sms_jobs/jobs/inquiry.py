@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import func, select
+from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns, job_counts
@@ -19,7 +19,6 @@ from sms_jobs.catalogue.models import (
     FileRow,
     JobCountRow,
     JobRow,
-    LoadStateRow,
     QueueRow,
     RigRow,
     SpecimenRow,
@@ -117,16 +116,21 @@ def list_jobs(
     after: str | None = None,
 ) -> list[JobView]:
     """Return jobs, the latest submitted first; those after the job whose id begins so, where it is given."""
-    query = select(JobRow).order_by(JobRow.position.desc()).limit(limit)
+    where: list[ColumnElement[bool]] = []
     if campaign is not None:
-        query = query.where(JobRow.campaign_id == campaigns.campaign_id(session, campaign))
-    if states:
-        query = query.where(JobRow.state.in_(states))
+        where.append(JobRow.campaign_id == campaigns.campaign_id(session, campaign))
     if kind is not None:
-        query = query.where(JobRow.kind == kind)
+        where.append(JobRow.kind == kind)
     if after is not None:
-        query = query.where(JobRow.position < find_job(session, after).position)
-    return [job_view(row) for row in session.scalars(query)]
+        where.append(JobRow.position < find_job(session, after).position)
+    # An index has those of each state in order, and none those of several.
+    each = [[*where, JobRow.state == state] for state in set(states)] or [where]
+    rows = [
+        row
+        for some in each
+        for row in session.scalars(select(JobRow).where(*some).order_by(JobRow.position.desc()).limit(limit))
+    ]
+    return [job_view(row) for row in sorted(rows, key=lambda row: -row.position)[:limit]]
 
 
 def counts(session: Session, some: Chosen | None = None) -> dict[str, int]:
@@ -350,7 +354,7 @@ def list_campaigns(session: Session, limit: int) -> list[CampaignView]:
             CampaignRow.name,
             SpecimenRow.name,
             RigRow.name,
-            CampaignRow.definition["views"],
+            CampaignRow.views,
             CampaignRow.created_at,
         )
         .join(SpecimenRow, SpecimenRow.id == CampaignRow.specimen_id)
@@ -364,12 +368,7 @@ def list_campaigns(session: Session, limit: int) -> list[CampaignView]:
         by = (JobCountRow.campaign_id, JobCountRow.state)
         for (number, state), count in job_counts.counted(session, *by, campaigns=some).items():
             jobs[number][state.value] = count
-        of_each = (
-            select(LoadStateRow.campaign_id, func.count())
-            .where(LoadStateRow.campaign_id.in_(some))
-            .group_by(LoadStateRow.campaign_id)
-        )
-        states |= dict(session.execute(of_each).all())
+        states |= campaigns.number_of_states(session, some)
     return [
         CampaignView(name, specimen, rig, states.get(number, 0), len(views), created, jobs[number])
         for number, name, specimen, rig, views, created in rows
