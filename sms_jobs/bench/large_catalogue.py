@@ -23,7 +23,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue import lineage, upkeep
+from sms_jobs.catalogue import copying, job_counts, lineage, upkeep
 from sms_jobs.catalogue.columns import UtcDateTime
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
@@ -139,6 +139,9 @@ def fill(catalogue: Catalogue, files: int, say: Callable[[str], None] = lambda t
         say(f"filled {min(files, first + at_once)} files")
     with catalogue.writing() as session:
         lineage.note_all_calibrations(session)
+        if catalogue.dialect == "postgresql":
+            copying.set_sequences(session)
+    job_counts.fold(catalogue)
     upkeep.analyse(catalogue)
 
 
@@ -165,7 +168,14 @@ def _rows_above(session: Session, campaigns: int, calibrations: int) -> None:
         name = f"c{key - 1:05d}"
         session.add(
             CampaignRow(
-                id=key, name=name, specimen_id=1, rig_id=1, created_at=at, definition={}, definition_hash=""
+                id=key,
+                name=name,
+                specimen_id=1,
+                rig_id=1,
+                created_at=at,
+                definition={},
+                definition_hash="",
+                views=list(VIEWS),
             )
         )
 

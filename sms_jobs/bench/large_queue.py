@@ -16,7 +16,7 @@ from sqlalchemy import insert
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE
-from sms_jobs.catalogue import campaigns, upkeep, valid_calibrations
+from sms_jobs.catalogue import campaigns, job_counts, upkeep, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
     DependencyRow,
@@ -50,27 +50,34 @@ def name_of(campaign: int) -> str:
 
 
 def fill_queue(
-    catalogue: Catalogue, active: int, now: datetime, say: Callable[[str], None] = lambda text: None
+    catalogue: Catalogue,
+    active: int,
+    now: datetime,
+    say: Callable[[str], None] = lambda text: None,
+    *,
+    each: int | None = None,
 ) -> None:
-    """Fill an empty catalogue with so many jobs that have not ended, and some that have."""
+    """Fill a catalogue with so many jobs that have not ended, `each` of a campaign, and some that have."""
+    each = each or CAMPAIGN
     chance = random.Random(1)  # noqa: S311 - the same jobs every time
     begun = now - timedelta(days=1)
     with catalogue.writing() as session:
         recovery.register_worker(session, WORKER, "here", 1, [*{*QUEUES.values()}], 8, now)
-        numbers = _campaigns(session, -(-active // CAMPAIGN), begun)
+        numbers = _campaigns(session, -(-active // each), each, begun)
     for first in range(0, active, _AT_ONCE):
         with catalogue.writing() as session:
-            _jobs(session, range(first, min(active, first + _AT_ONCE)), numbers, begun, chance)
+            _jobs(session, range(first, min(active, first + _AT_ONCE)), each, numbers, begun, chance)
         say(f"filled {min(active, first + _AT_ONCE)} jobs")
     with catalogue.writing() as session:
-        _past(session, min(active, _ENDED), numbers, now, chance)
+        _past(session, min(active, _ENDED), each, numbers, now, chance)
+    job_counts.fold(catalogue)
     upkeep.analyse(catalogue)
 
 
-def _campaigns(session: Session, count: int, at: datetime) -> list[int]:
+def _campaigns(session: Session, count: int, each: int, at: datetime) -> list[int]:
     """Add campaigns of one rig, and return their numbers."""
     calibration, record = small_plate(name_of(0))
-    states = tuple(replace(record.states[1], label=f"S{n:03d}") for n in range(CAMPAIGN // _STATE))
+    states = tuple(replace(record.states[1], label=f"S{n:03d}") for n in range(-(-each // _STATE)))
     record = replace(record, states=(replace(record.states[0], label="S"), *states))
     for place in range(count):
         campaigns.add_campaign(session, replace(record, name=name_of(place)), at)
@@ -92,14 +99,19 @@ def _campaigns(session: Session, count: int, at: datetime) -> list[int]:
 
 
 def _jobs(
-    session: Session, places: Sequence[int], numbers: Sequence[int], begun: datetime, chance: random.Random
+    session: Session,
+    places: Sequence[int],
+    each: int,
+    numbers: Sequence[int],
+    begun: datetime,
+    chance: random.Random,
 ) -> None:
     """Add jobs, each with the one that it needs, the event of its submission, and the message about it."""
     rows: list[dict[str, Any]] = []
     edges: list[dict[str, Any]] = []
     for place in places:
         at = begun + timedelta(microseconds=place)
-        row = _row(place, numbers, at, chance)
+        row = _row(place, each, numbers, at, chance)
         if place % len(KINDS):
             needs = rows[-1]
             edges.append(_edge(row, needs["kind"], needs["id"]))
@@ -115,8 +127,10 @@ def _jobs(
     session.execute(insert(OutboxRow), [{"job_id": r["id"], "queue": r["queue"]} for r in queued])
 
 
-def _row(place: int, numbers: Sequence[int], at: datetime, chance: random.Random) -> dict[str, Any]:
-    campaign, of_campaign = divmod(place, CAMPAIGN)
+def _row(
+    place: int, each: int, numbers: Sequence[int], at: datetime, chance: random.Random
+) -> dict[str, Any]:
+    campaign, of_campaign = divmod(place, each)
     state, of_state = divmod(of_campaign, _STATE)
     view, of_view = divmod(of_state, len(KINDS))
     kind = KINDS[of_view]
@@ -145,12 +159,14 @@ def _edge(row: dict[str, Any], source: str, producer: str) -> dict[str, Any]:
     }
 
 
-def _past(session: Session, count: int, numbers: Sequence[int], now: datetime, chance: random.Random) -> None:
+def _past(
+    session: Session, count: int, each: int, numbers: Sequence[int], now: datetime, chance: random.Random
+) -> None:
     """Add jobs that have succeeded, the last of them just now."""
     rows = []
     for place in range(count):
         ended = now - timedelta(seconds=count - place)
-        row = _row(place, numbers, ended - timedelta(days=2), chance)
+        row = _row(place, each, numbers, ended - timedelta(days=2), chance)
         begun = ended - timedelta(seconds=SECONDS[row["kind"]])
         rows.append(
             row

@@ -7,7 +7,6 @@ folder and prints the seconds and the peak memory of that process alone.
 from __future__ import annotations
 
 import json
-import resource
 import subprocess
 import sys
 import time
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 import sms_jobs
 from sms_jobs.archive import Archive, FolderStore, Provenance
+from sms_jobs.bench.peak_memory import peak_rss_mb
 from sms_jobs.errors import SmsError
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
@@ -220,18 +220,6 @@ def measure(folder: Path, threads: int) -> Taken:
         reason = done.stderr.strip().splitlines()[-1:] or ["no message"]
         raise SmsError(f"the reconstruction of the large tuple failed: {reason[0]}")
     return Taken(**json.loads(done.stdout.splitlines()[-1]))
-
-
-def peak_rss_mb() -> float:
-    """Return the most memory that this process has held, in MB (10^6 bytes)."""
-    status = Path("/proc/self/status")
-    if status.is_file():
-        # Unlike `getrusage`, it does not count the parent's memory before this program was started.
-        for line in status.read_text(encoding="utf-8").splitlines():
-            if line.startswith("VmHWM:"):
-                return float(line.split()[1]) * 1024 / 1e6
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
 
 
 def main(folder: Path, threads: int) -> None:

@@ -124,7 +124,7 @@ def copy(source: Catalogue, target: Catalogue, *, hold: bool = True) -> Iterator
                     f"{target.describe()}; nothing was copied, try again"
                 )
         if target.dialect == "postgresql":
-            _set_sequences(writing)
+            set_sequences(writing)
 
 
 @contextmanager
@@ -174,7 +174,7 @@ def _store(writing: Session, statement: Any, values: list[dict[str, Any]], table
         ) from error
 
 
-def _set_sequences(session: Session) -> None:
+def set_sequences(session: Session) -> None:
     """Let PostgreSQL number new rows after those that brought their numbers with them."""
     for table in written_tables():
         column = table.autoincrement_column
