@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import TYPE_CHECKING
 
-from sqlalchemy import select
+from sqlalchemy import String, select, type_coerce
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.campaigns import campaign_id
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from sms_jobs.records.campaign import LoadState
 
 _BEFORE = "_before"
+_ACTIVE = frozenset(state.value for state in ACTIVE)
+_UNSUCCESSFUL = frozenset(state.value for state in UNSUCCESSFUL)
 _LARGEST = {"correlate": "maximum_displacement_mm", "strain": "maximum_principal_strain"}
 """By kind, the statistic that says at a glance what a state did."""
 
@@ -54,7 +56,8 @@ class _Jobs:
     """The jobs of a state."""
 
     recording: str = ""
-    processing: Counter[JobState] = field(default_factory=Counter)
+    active: int = 0
+    unsuccessful: int = 0
 
 
 def _newest_files(session: Session, campaign_id: int) -> defaultdict[str, dict[tuple[str, str], _Found]]:
@@ -93,21 +96,25 @@ def _newest_files(session: Session, campaign_id: int) -> defaultdict[str, dict[t
 
 def _jobs(session: Session, campaign_id: int) -> defaultdict[str, _Jobs]:
     """Return by state what records and processes it; of jobs of one kind and subject the last counts."""
+    # States of jobs as they are stored: of thousands, making each a `JobState` takes as long as reading them.
     rows = session.execute(
-        select(JobRow.kind, JobRow.subject, JobRow.state)
+        select(JobRow.kind, JobRow.subject, type_coerce(JobRow.state, String))
         .where(JobRow.campaign_id == campaign_id)
         .order_by(JobRow.position)
     )
     last = {(kind, subject): state for kind, subject, state in rows}
     found: defaultdict[str, _Jobs] = defaultdict(_Jobs)
+    labels = {subject: Subject.parse(subject).state for subject in {subject for _, subject in last}}
     for (kind, subject), state in last.items():
-        label = Subject.parse(subject).state
+        label = labels[subject]
         if label is None:
             continue
         if kind == KIND.name:
-            found[label].recording = state.value
-        else:
-            found[label].processing[state] += 1
+            found[label].recording = state
+        elif state in _ACTIVE:
+            found[label].active += 1
+        elif state in _UNSUCCESSFUL:
+            found[label].unsuccessful += 1
     return found
 
 
@@ -133,8 +140,8 @@ def _progress(
         sum("doubts" in f.statistics for f in recorded),
         sum(f.statistics.get("doubts", 0.0) > 0.0 for f in recorded),
         channels,
-        sum(count for job, count in jobs.processing.items() if job in ACTIVE),
-        sum(count for job, count in jobs.processing.items() if job in UNSUCCESSFUL),
+        jobs.active,
+        jobs.unsuccessful,
         *(_largest(files, kind) for kind in _LARGEST),
     )
 

@@ -12,10 +12,14 @@ from typing import Any
 
 SCHEMA = 1
 """Version of every JSON object that is given out."""
+_AS_THEY_ARE = frozenset({str, int, bool})
 
 
 def plain(value: Any) -> Any:
     """Return a value as JSON holds it: records as objects, times as ISO 8601, what is no number as null."""
+    # Most values are these, and lists have thousands of them.
+    if value is None or type(value) in _AS_THEY_ARE:
+        return value
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
