@@ -15,7 +15,6 @@ from math import log2
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -242,6 +241,8 @@ def _levels(path: Path, image: Any) -> NDArray[Any]:
 
 
 def _deep_levels(path: Path, content: bytes) -> NDArray[Any]:
+    import cv2
+
     levels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if levels is None or levels.dtype != np.uint16:
         raise InvalidInput(f"{path.name} has 16-bit colours that cannot be read: save it as 16-bit grey")

@@ -8,7 +8,6 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.comparison_points import (
@@ -249,6 +248,8 @@ def _tested(
     relation: Relation,
     same_world: bool,
 ) -> _Test:
+    from scipy.stats import chi2
+
     alignment = alignment_of(through, weights)
     later = {n: after[n] if same_world else _carried(after[n], alignment) for n in before}
     step = np.concatenate([parameter_change(before[n], later[n]) for n in before])

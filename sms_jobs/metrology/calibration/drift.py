@@ -12,8 +12,6 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.stats import chi2, ncx2
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.gap_blocks import GapBlocks, block_gaps
@@ -261,6 +259,9 @@ def _explain(gap: Floats, patterns: Floats, spread: Floats) -> _Fit:
 
 def _detectable(patterns: Floats, spread: Floats, threshold: float) -> float:
     """Return the rms over blocks of the least detectable pattern that is found with 95 %."""
+    from scipy.optimize import brentq
+    from scipy.stats import ncx2
+
     freedom = patterns.shape[1]
     needed = brentq(lambda x: ncx2.sf(threshold, freedom, x) - _POWER, 1e-3, 1e4)
     q, _ = np.linalg.qr(patterns)
@@ -279,6 +280,8 @@ def _judged(
     volume: tuple[Floats, Floats] | None,
     options: DriftOptions,
 ) -> DriftCheck:
+    from scipy.stats import chi2
+
     count, freedom = len(blocks.gap), fit.directions.shape[1]
     each = 1.0 - np.sqrt(1.0 - options.false_alarm)
     motion = float(chi2.isf(each, freedom)) if freedom else float("inf")

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.metrology.calibration.pan_tilt import Stage, centre_jacobian, predict_centres
@@ -166,6 +165,8 @@ def _solve(
     *,
     robust: bool,
 ) -> Stage:
+    from scipy.optimize import least_squares
+
     if 3 * np.count_nonzero(used) < 12:
         raise CalibrationFailed(
             f"{np.count_nonzero(used)} centres of spheres cannot tell the 12 parameters of a stage; "

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 from math import sqrt
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 Mask = NDArray[np.bool_]
 Floating = NDArray[np.floating]
@@ -48,6 +46,8 @@ def at_edge(valid: Mask, smallest_gap: int) -> Mask:
     surface, and may show either. A gap of fewer than `smallest_gap` connected pixels is not an edge: noise
     alone makes single pixels fail.
     """
+    import cv2
+
     _, labels, statistics, _ = cv2.connectedComponentsWithStats((~valid).astype(np.uint8), connectivity=8)
     is_gap = statistics[:, cv2.CC_STAT_AREA] >= smallest_gap
     is_gap[0] = False  # the valid pixels themselves
@@ -61,4 +61,6 @@ def phase_error_factor(fitted: int, kept: float) -> float:
     With Gaussian noise, (n - 1) (phase error / sigma)^2 of n fitted densities has the chi-square
     distribution of n - 1 degrees of freedom. Infinite for one density, which leaves no residual.
     """
+    from scipy.stats import chi2
+
     return sqrt(chi2.ppf(kept, fitted - 1) / (fitted - 1)) if fitted > 1 else float("inf")

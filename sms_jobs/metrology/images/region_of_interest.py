@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Final, TypeAlias
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,6 +81,8 @@ def _corners(shape: str, words: list[str]) -> Floats:
 
 def inside_outlines(outlines: tuple[Outline, ...], shape: tuple[int, int]) -> Mask:
     """Return which pixels (rows, columns) lie in the region, those on an outline with it."""
+    import cv2
+
     filled = np.full(shape, 0 if outlines[0].adds else 1, np.uint8)
     for outline in outlines:
         corners = np.rint(outline.corners * (1 << _FRACTION_BITS)).astype(np.int32)
@@ -97,6 +98,8 @@ def outlines_of(mask: Mask) -> tuple[Outline, ...]:
     ValueError
         The mask is empty.
     """
+    import cv2
+
     if not mask.any():
         raise ValueError("the mask has no pixel that counts")
     outlines: list[Outline] = []

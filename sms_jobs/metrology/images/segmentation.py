@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from math import cos, sqrt
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -242,6 +241,8 @@ def label_regions(
     Pixels beside a discontinuity separate the 8-connected regions. They are then given back, from the
     outside in, to the region that is nearest to them in space, so that a region ends at its edge.
     """
+    import cv2
+
     limit = footprint / cos(maximum_slope_rad)
     apart = find_discontinuities(
         xyz,

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.phase.patterns import fringe_harmonics
@@ -207,6 +206,8 @@ def _second_harmonic(gamma: float, visibility: float) -> float:
 
 def _gamma(second: float, sigma: float, visibility: float) -> tuple[float, float]:
     """Return the exponent that gives a second harmonic, and its standard deviation."""
+    from scipy.optimize import brentq
+
     low, high = (_second_harmonic(g, visibility) for g in _GAMMAS)
     if not low < second < high:
         return float("nan"), float("nan")

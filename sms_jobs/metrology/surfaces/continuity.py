@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -115,6 +114,8 @@ def fill_small_holes(xyz: Floats, labels: Labels, largest_px: int) -> Filled:
     exact for what is quadratic over the hole, and wrong by whatever the specimen does there else, so that
     filled pixels must stay marked as such. Raises `InvalidInput` for a negative area.
     """
+    import cv2
+
     if largest_px < 0:
         raise InvalidInput(f"the largest hole to fill has 0 px or more, not {largest_px}")
     xyz, labels = xyz.copy(), labels.copy()
@@ -130,6 +131,8 @@ def fill_small_holes(xyz: Floats, labels: Labels, largest_px: int) -> Filled:
 
 def _fill(xyz: Floats, labels: Labels, filled: Mask, pieces: Labels, piece: int, box: list[int]) -> bool:
     """Fill one hole in place, if it is one; return whether it was filled."""
+    import cv2
+
     rows, columns = labels.shape
     left, top, width, height = box[:4]
     if left == 0 or top == 0 or left + width == columns or top + height == rows:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -127,6 +126,8 @@ def _recover(
     grey: NDArray[np.float32], board: DotBoard, view: PlaneView, place: Ints, threads: int
 ) -> tuple[Circles, Ints]:
     """Look for the dots that are missing, where the view says that they are and neighbours surround them."""
+    import cv2
+
     seen = np.zeros((board.rows, board.columns), dtype=np.float32)
     seen[place[:, 1], place[:, 0]] = 1.0
     near = cv2.boxFilter(seen, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +27,8 @@ def _eight_bits(image: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 def _grid(image: NDArray[np.uint8], columns: int, rows: int) -> Floats | None:
     """Return the corners (rows, columns, 2) to about a pixel, not mirrored, or None."""
+    import cv2
+
     size = (columns, rows)
     quick = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
     found, corners = cv2.findChessboardCorners(image, size, flags=quick)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Literal, TypeAlias
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -119,6 +118,8 @@ def noise_of(image: NDArray[np.float32]) -> float:
 
 def _contours(excess: NDArray[np.float32], window: int, noise: float) -> list[NDArray[np.int32]]:
     """Return the outlines of what is more like ink than its surroundings of `window` px."""
+    import cv2
+
     side = (window, window)
     above = excess - cv2.boxFilter(excess, -1, side, borderType=cv2.BORDER_REFLECT)
     spread = cv2.sqrt(cv2.boxFilter(above * above, -1, side, borderType=cv2.BORDER_REFLECT))
@@ -132,6 +133,8 @@ def _contours(excess: NDArray[np.float32], window: int, noise: float) -> list[ND
 
 def _starts(contours: list[NDArray[np.int32]], rows: int, columns: int) -> tuple[Floats, dict[str, int]]:
     """Return the outlines that may be ellipses: (n, 6) of centre, m11, m12, m22 and deviation from one."""
+    import cv2
+
     found: list[tuple[float, ...]] = []
     refused = {"at the border of the image": 0, "no ellipse": 0}
     for outline in contours:
@@ -187,6 +190,8 @@ def _matrices(starts: Floats) -> Floats:
 
 def _middle(image: NDArray[np.float32], centre: Floats) -> Floats:
     """Return the grey level at each centre (n, 2), by bilinear interpolation, (n,)."""
+    import cv2
+
     at = centre.astype(np.float32)
     return np.asarray(
         cv2.remap(image, at[:, 0], at[:, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float64

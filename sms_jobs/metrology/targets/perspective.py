@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import perm
 from typing import TypeAlias
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -100,6 +99,8 @@ def fit_plane_view(points: Floats, image: Floats) -> PlaneView:
     ValueError
         Where there are fewer than four points, or all are on a line.
     """
+    import cv2
+
     if len(points) < 4:
         raise ValueError("a plane's view needs four points that are not on a line")
     found, _ = cv2.findHomography(points.astype(np.float64), image.astype(np.float64), 0)

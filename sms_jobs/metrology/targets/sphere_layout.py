@@ -8,7 +8,6 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from sms_jobs.errors import InvalidInput
 
@@ -101,6 +100,8 @@ class SphereLayout:
 
     def members(self, candidates: Sequence[Sphere]) -> list[Sphere]:
         """Return those that are meant: nearest to the prediction, as far apart as the bar, most points."""
+        from scipy.optimize import linear_sum_assignment
+
         if len(candidates) <= self.count:
             return list(candidates)
         if self.predicted is not None:
@@ -121,6 +122,8 @@ class SphereLayout:
 
     def numbered(self, spheres: Sequence[Sphere]) -> tuple[tuple[Sphere, ...], list[str]]:
         """Return the spheres with their numbers and in their order, and what is doubtful about these."""
+        from scipy.optimize import linear_sum_assignment
+
         if not spheres:
             return (), []
         if self.predicted is None:
