@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive, Checker, layout
 from sms_jobs.catalogue import audit
+from sms_jobs.catalogue.campaigns import campaign_id
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, OtherFormat
@@ -64,12 +65,10 @@ class Extent:
 
 
 def extent(session: Session, after: int = 0, campaign: str | None = None) -> Extent:
-    """Return how many files `check_known` will read, and their size."""
+    """Return how many files `check_known` will read, and their size; `NotFound` for an unknown campaign."""
     query = select(func.count(), func.coalesce(func.sum(FileRow.size_bytes), 0)).where(FileRow.id > after)
     if campaign is not None:
-        query = query.join(CampaignRow, CampaignRow.id == FileRow.campaign_id).where(
-            CampaignRow.name == campaign
-        )
+        query = query.where(FileRow.campaign_id == campaign_id(session, campaign))
     files, size = session.execute(query).one()
     return Extent(files, int(size))
 

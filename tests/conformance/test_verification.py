@@ -10,6 +10,10 @@ from support.command import answer, inside, service
 from support.deployments import Deployment
 from support.homes import make_home
 
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.errors import NotFound
+from sms_jobs.jobs import verification
+
 
 @pytest.fixture
 def recorded(deployment: Deployment) -> Deployment:
@@ -63,3 +67,8 @@ def test_whatever_is_wrong_is_named_and_nothing_is_changed(recorded: Deployment)
     last = max(f["id"] for f in files)
     code, said = findings(recorded, "--after", str(last), "-c", "plate")
     assert code == 0
+
+
+def test_a_campaign_that_is_not_there_is_no_campaign_in_order(catalogue: Catalogue) -> None:
+    with catalogue.reading() as session, pytest.raises(NotFound, match="there is no campaign 'palte'"):
+        verification.extent(session, campaign="palte")
