@@ -1,13 +1,8 @@
-"""Other programs on the same images: an environment of theirs, a folder a case, a process a run.
-
-`ops/peers.sh` makes the environment, and `SMS_TEST_PEERS` names its folder.
-"""
+"""Other programs on the same images of two cameras: a folder a case, a process a run."""
 
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-import sms_jobs
+from sms_jobs.bench.peers import run_script
 from sms_jobs.bench.plane_meshes import field_at
 from sms_jobs.bench.shelf import Shelf
-from sms_jobs.errors import SmsError
 from sms_jobs.kinds.deformation import correlate
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.kinds.shape import stereo
@@ -37,14 +31,9 @@ from sms_jobs.records.views import Role
 Floats: TypeAlias = NDArray[np.float64]
 Image8: TypeAlias = NDArray[np.uint8]
 
-PEERS = "SMS_TEST_PEERS"
 SUBSET_PX, SPACING_PX = 31, 5
-_SCRIPTS = Path(sms_jobs.__file__).parents[1] / "ops" / "peers"
 _AT = datetime(2026, 1, 1, tzinfo=UTC)
 _ROUNDING = 0.29  # grey levels
-_ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-)
 
 _COLUMNS, _ROWS = 1040, 1540
 _FOCAL_PX = 50.0 / 3.45e-3
@@ -112,27 +101,6 @@ class Outcome:
         """Return for which part of the grid's points on the specimen there is a displacement."""
         on_grid = np.isfinite(case.truth[0]).sum() / self.spacing_px**2
         return float(len(self.errors_mm(case)) / on_grid)
-
-
-def peers_folder() -> Path | None:
-    """Return the folder of the other programs; None where none is named or the scripts are not there."""
-    named = os.environ.get(PEERS)
-    return Path(named) if named and _SCRIPTS.is_dir() else None
-
-
-def run_script(peers: Path, script: str, folder: Path) -> None:
-    """Run one of the scripts by the environment of the others, in a folder; `SmsError` if it fails."""
-    done = subprocess.run(
-        [peers / "bin" / "python", _SCRIPTS / script],
-        cwd=folder,
-        env=os.environ | _ONE_THREAD,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        reason = (done.stderr or done.stdout).strip().splitlines()[-1:] or ["no message"]
-        raise SmsError(f"{script} failed: {reason[0]}")
 
 
 def rendered_plates(peers: Path, folder: Path) -> dict[str, Case]:

@@ -16,8 +16,9 @@ STEPS = 4
 _ROWS, _COLUMNS = 512, 1024
 
 
-def _frames(rows: int, columns: int) -> NDArray[np.uint16]:
-    random = np.random.default_rng(1)
+def fringe_frames(rows: int, columns: int, seed: int = 1) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
+    """Return phase gradients anywhere in -pi .. pi, (rows, columns), and noisy frames of them."""
+    random = np.random.default_rng(seed)
     omega = random.uniform(-pi, pi, (rows, columns))
     frames = np.empty((len(REVERSE_EXPONENTIAL) * STEPS, rows, columns), np.uint16)
     for i, density in enumerate(REVERSE_EXPONENTIAL):
@@ -25,23 +26,24 @@ def _frames(rows: int, columns: int) -> NDArray[np.uint16]:
             level = 1500.0 + 1000.0 * np.cos(omega * density + 2.0 * pi * step / STEPS)
             noise = 20.0 * random.standard_normal(level.shape, np.float32)
             frames[i * STEPS + step] = np.rint(level + noise)
-    return frames
+    return omega, frames
 
 
-def _unwrap(frames: NDArray[np.uint16]) -> PhaseGradient:
+def unwrap_frames(frames: NDArray[np.uint16]) -> PhaseGradient:
+    """Unwrap such frames with all that is known of their noise, on one thread."""
     return unwrap(frames, REVERSE_EXPONENTIAL, STEPS, full_scale=4095, gain=0.1, read_noise=3.0)
 
 
 def warm_up() -> None:
     """Compile what the rates use."""
-    _unwrap(_frames(2, 16))
+    unwrap_frames(fringe_frames(2, 16)[1])
 
 
 def measure(run: Run) -> Iterator[Found]:
     """Yield the figures and their conditions."""
     rows = _ROWS // (4 if run.quick else 1)
-    frames = _frames(rows, _COLUMNS)
-    rate = frames.size / 1e6 / cpu_seconds(lambda: _unwrap(frames))
+    _, frames = fringe_frames(rows, _COLUMNS)
+    rate = frames.size / 1e6 / cpu_seconds(lambda: unwrap_frames(frames))
     yield Figure("reverse_exponential_mpx_frames_per_cpu_s", rate, "Mpx frames / CPU-s", 400.0)
     densities = ", ".join(map(str, REVERSE_EXPONENTIAL))
     yield Condition(

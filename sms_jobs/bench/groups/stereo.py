@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, Sense
+from sms_jobs.bench.peers import PEERS, peers_folder
 from sms_jobs.bench.rigid_plates import STAND_OFF_MM, search_range_px, shifted_plate, true_shift, with_shape
 from sms_jobs.bench.shelf import Shelf, reconstructed
 from sms_jobs.bench.stereo_errors import (
@@ -21,13 +22,11 @@ from sms_jobs.bench.stereo_errors import (
     shape_errors,
 )
 from sms_jobs.bench.stereo_peers import (
-    PEERS,
     SUBSET_PX,
     Case,
     Outcome,
     measured_by,
     measured_here,
-    peers_folder,
     prepare,
     rendered_plates,
 )

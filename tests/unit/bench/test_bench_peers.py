@@ -1,0 +1,128 @@
+"""How other programs are timed beside ours, and what stands in for them where they are missing."""
+
+from __future__ import annotations
+
+import sys
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sms_jobs.bench import peers as programs
+from sms_jobs.bench.baselines import matched_by_opencv, unwrapped_by_numpy
+from sms_jobs.bench.figures import Condition, Figure, Run
+from sms_jobs.bench.groups import peers
+from sms_jobs.bench.groups.phase import REVERSE_EXPONENTIAL, STEPS, fringe_frames
+from sms_jobs.bench.peers import PEERS, SCRIPTS, Ratio, in_turn, started
+from sms_jobs.bench.returns import wrapped
+from sms_jobs.errors import SmsError
+
+
+def test_both_are_measured_in_turn() -> None:
+    order: list[str] = []
+
+    def timed(name: str, seconds: list[float]) -> programs.Timed:
+        def work() -> float:
+            order.append(name)
+            return seconds.pop(0)
+
+        return work
+
+    found = in_turn(timed("ours", [1.0, 2.0]), [timed("a", [4.0, 4.0]), timed("b", [9.0, 2.0])], 2)
+
+    assert order == ["ours", "a", "b", "ours", "a", "b"]
+    assert found == [Ratio((4.0, 2.0)), Ratio((9.0, 1.0))]
+    assert found[0].figure("x_over_a", 3.5) == Figure("x_over_a", 3.0, "1", 3.5)
+    assert found[1].told() == "1 to 9 in 2 rounds"
+
+
+@pytest.fixture
+def environment(tmp_path: Path) -> Path:
+    """Return an environment that has none of the programs: this one."""
+    home = tmp_path / "peers"
+    (home / "bin").mkdir(parents=True)
+    (home / "bin" / "python").symlink_to(sys.executable)
+    return home
+
+
+def test_a_script_answers_each_time_it_is_asked(
+    environment: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scripts = tmp_path / "scripts"
+    scripts.mkdir()
+    (scripts / "rounds.py").symlink_to(SCRIPTS / "rounds.py")
+    (scripts / "one.py").write_text(
+        "import sys\nfrom rounds import answer\n"
+        "def work():\n    print('cpu busy')\n    open(sys.argv[1], 'a').write('x')\n    sum(range(100000))\n"
+        "answer(work)\n",
+        encoding="utf-8",
+    )
+    monkeypatch.setattr(programs, "SCRIPTS", scripts)
+
+    with started(environment, tmp_path, "one.py", "count") as measured:
+        assert (tmp_path / "count").read_text(encoding="utf-8") == "x"
+        times = [measured(), measured()]
+
+    assert min(times) > 0.0
+    assert (tmp_path / "count").read_text(encoding="utf-8") == "xxx"
+
+
+def test_a_program_that_is_not_there_is_said(environment: Path, tmp_path: Path) -> None:
+    with (
+        pytest.raises(SmsError, match=r"decode_fringes.py failed: ModuleNotFoundError: .*fringes"),
+        started(environment, tmp_path, "decode_fringes.py"),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_figures_of_missing_programs_are_absent_with_their_reason(
+    named: bool, environment: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if named:
+        monkeypatch.setenv(PEERS, str(environment))
+    else:
+        monkeypatch.delenv(PEERS, raising=False)
+    monkeypatch.setattr(peers, "_ROWS", 64)
+    monkeypatch.setattr(peers, "_SIZE", 256)
+    monkeypatch.setattr(peers, "_SAMPLE", 400)
+
+    found = list(peers.measure(Run(True, lambda words: None, 1, tmp_path)))
+
+    figures = {one.name: one for one in found if isinstance(one, Figure)}
+    told = {one.topic: one.text for one in found if isinstance(one, Condition)}
+    assert figures["decode_over_numpy"].value is not None
+    assert figures["icgn1_over_opencv_ecc"].value is not None
+    for name, target in (
+        ("decode_over_fringes", 20.0),
+        ("icgn1_over_pyvale", 6.0),
+        ("icgn1_over_al_dic", None),
+    ):
+        assert figures[name] == Figure(name, None, "1", target)
+        assert ("ModuleNotFoundError" if named else PEERS) in told[name]
+        assert told[name].startswith("left out: ")
+
+
+def test_plain_numpy_finds_what_we_find() -> None:
+    omega, frames = fringe_frames(16, 128)
+
+    slope, modulation, residual = unwrapped_by_numpy(frames, REVERSE_EXPONENTIAL, STEPS)
+
+    error = np.abs(wrapped(slope - omega))
+    # B / sigma = 50: a phase has 0.02 sqrt(2 / 4) rad, the slope that over sqrt(sum t^2) = 67.
+    least = 0.02 / np.sqrt(2.0) / np.sqrt(np.sum(np.square(REVERSE_EXPONENTIAL)))
+    assert np.median(error) == pytest.approx(0.6745 * least, rel=0.1)
+    assert np.mean(error > pi / 32) < 0.001
+    assert np.median(modulation) == pytest.approx(1000.0, rel=0.01)
+    assert np.median(residual) == pytest.approx(0.02 / np.sqrt(2.0), rel=0.3)
+
+
+def test_opencv_finds_a_displacement() -> None:
+    pair = peers.speckles(128, 20)
+
+    found = matched_by_opencv(pair.images, pair.x, pair.y, 16, 20, 1e-6)
+
+    assert np.isfinite(found).all()
+    assert np.abs(found - pair.truth).max() < 0.1
+    assert np.abs(pair.matched().warp[:, [0, 3]] - pair.truth).max() < 0.02
