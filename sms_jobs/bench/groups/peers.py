@@ -293,7 +293,7 @@ def _pyvale(run: Run, pair: Pair, here: Timed, peers: Path, where: Path) -> Iter
         "grid_over_pyvale",
         f"{grid.told()}, of whole times; as programs are used: seeds and then from neighbour to neighbour "
         f"(pyvale: MULTIWINDOW_RG), search of {_SEARCH_PX} px; ours matches {len(followed.ending)} points up "
-        f"to the image's border, {part:.2%} of them found, and takes outliers out; pyvale {len(pair.x)} points",
+        f"to the image's border, {part:.2%} of them found, and takes outliers out; pyvale {len(pair.x)}",
     )
 
 
@@ -307,8 +307,8 @@ def _al_dic(run: Run, pair: Pair, here: Timed, peers: Path, where: Path) -> Iter
         "icgn1_over_al_dic",
         f"{ratio.told()}; {_shown_pair(pair)}; {_WHOLE}; its local IC-GN of six unknowns (local_icgn, "
         f"cubic through 4 x 4 pixels), from no displacement, its own criterion at "
-        f"{MatchSettings().tolerance:g}, {found['iterations'].mean():.1f} iterations; converged and rms error: {_ours(pair)}; "
-        f"{pair.told('al-dic', found['displacement'], found['converged'])}",
+        f"{MatchSettings().tolerance:g}, {found['iterations'].mean():.1f} iterations; converged and rms "
+        f"error: {_ours(pair)}; {pair.told('al-dic', found['displacement'], found['converged'])}",
     )
 
 
