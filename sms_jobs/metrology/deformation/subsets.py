@@ -71,77 +71,78 @@ def collect(
     return count
 
 
+# Sums are local numbers, not elements of an array: only then are several pixels added at a time.
+
+
 @summing_kernel
 def _slope_sums(
     count: int, weight: Floats, f: Floats, x: Floats, y: Floats, order: int, sums: Floats
 ) -> None:
     """Fill the sums of w, w x, w y, w f, w f x, w f y, and to second order of w x^2 .. and w f x^2 .."""
-    s0 = sx = sy = t0 = tx = ty = 0.0
+    s, sx, sy, sf, sfx, sfy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(count):
         w = weight[k]
         wx = w * x[k]
         wy = w * y[k]
-        s0 += w
+        s += w
         sx += wx
         sy += wy
-        t0 += w * f[k]
-        tx += wx * f[k]
-        ty += wy * f[k]
-    sums[0], sums[1], sums[2] = s0, sx, sy
-    sums[6], sums[7], sums[8] = t0, tx, ty
-    if order < 2:
-        return
-    sxx = sxy = syy = txx = txy = tyy = 0.0
-    for k in range(count):
-        xx = weight[k] * x[k] * x[k]
-        xy = weight[k] * x[k] * y[k]
-        yy = weight[k] * y[k] * y[k]
-        sxx += xx
-        sxy += xy
-        syy += yy
-        txx += xx * f[k]
-        txy += xy * f[k]
-        tyy += yy * f[k]
-    sums[3], sums[4], sums[5] = 0.5 * sxx, sxy, 0.5 * syy
-    sums[9], sums[10], sums[11] = 0.5 * txx, txy, 0.5 * tyy
+        sf += w * f[k]
+        sfx += wx * f[k]
+        sfy += wy * f[k]
+    sums[0], sums[1], sums[2], sums[6], sums[7], sums[8] = s, sx, sy, sf, sfx, sfy
+    if order > 1:
+        s, sx, sy, sf, sfx, sfy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(count):
+            xx = weight[k] * x[k] * x[k]
+            xy = weight[k] * x[k] * y[k]
+            yy = weight[k] * y[k] * y[k]
+            s += xx
+            sx += xy
+            sy += yy
+            sf += xx * f[k]
+            sfx += xy * f[k]
+            sfy += yy * f[k]
+        sums[3], sums[4], sums[5] = 0.5 * s, sx, 0.5 * sy
+        sums[9], sums[10], sums[11] = 0.5 * sf, sfx, 0.5 * sfy
 
 
 @summing_kernel
 def _product_sums(count: int, a: Floats, b: Floats, x: Floats, y: Floats, order: int, h: Floats) -> None:
     """Fill the sums of a b x^i y^j, i + j up to 2 or to 4: (0, 0), (1, 0), (0, 1), (2, 0), (1, 1) .."""
-    s0 = sx = sy = sxx = sxy = syy = 0.0
+    s, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(count):
         w = a[k] * b[k]
         wx = w * x[k]
         wy = w * y[k]
-        s0 += w
+        s += w
         sx += wx
         sy += wy
         sxx += wx * x[k]
         sxy += wx * y[k]
         syy += wy * y[k]
-    h[0], h[1], h[2], h[3], h[4], h[5] = s0, sx, sy, sxx, sxy, syy
-    if order < 2:
-        return
-    t30 = t21 = t12 = t03 = t40 = t31 = t22 = t13 = t04 = 0.0
-    for k in range(count):
-        w = a[k] * b[k]
-        xx = x[k] * x[k]
-        yy = y[k] * y[k]
-        wxx = w * xx
-        wyy = w * yy
-        wxy = w * x[k] * y[k]
-        t30 += wxx * x[k]
-        t21 += wxx * y[k]
-        t12 += wyy * x[k]
-        t03 += wyy * y[k]
-        t40 += wxx * xx
-        t31 += wxx * x[k] * y[k]
-        t22 += wxx * yy
-        t13 += wxy * yy
-        t04 += wyy * yy
-    h[6], h[7], h[8], h[9] = t30, t21, t12, t03
-    h[10], h[11], h[12], h[13], h[14] = t40, t31, t22, t13, t04
+    h[0], h[1], h[2], h[3], h[4], h[5] = s, sx, sy, sxx, sxy, syy
+    if order > 1:
+        xxx, xxy, xyy, yyy = 0.0, 0.0, 0.0, 0.0
+        x4, x3y, x2y2, xy3, y4 = 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(count):
+            w = a[k] * b[k]
+            xx = x[k] * x[k]
+            yy = y[k] * y[k]
+            wxx = w * xx
+            wyy = w * yy
+            wxy = w * x[k] * y[k]
+            xxx += wxx * x[k]
+            xxy += wxx * y[k]
+            xyy += wyy * x[k]
+            yyy += wyy * y[k]
+            x4 += wxx * xx
+            x3y += wxy * xx
+            x2y2 += wxx * yy
+            xy3 += wxy * yy
+            y4 += wyy * yy
+        h[6], h[7], h[8], h[9] = xxx, xxy, xyy, yyy
+        h[10], h[11], h[12], h[13], h[14] = x4, x3y, x2y2, xy3, y4
 
 
 _X_POWER = np.array([0, 1, 0, 2, 1, 0])
@@ -165,13 +166,13 @@ def _unpack(h: Floats, rows: Ints, columns: Ints, terms: int, hessian: Floats) -
 @summing_kernel
 def _levels(count: int, dx: Floats, dy: Floats, f: Floats, moments: Floats) -> None:
     """Fill the sums of f, f^2, dx^2, dy^2."""
-    m0 = m1 = m2 = m3 = 0.0
+    total, square, xx, yy = 0.0, 0.0, 0.0, 0.0
     for k in range(count):
-        m0 += f[k]
-        m1 += f[k] * f[k]
-        m2 += dx[k] * dx[k]
-        m3 += dy[k] * dy[k]
-    moments[0], moments[1], moments[2], moments[3] = m0, m1, m2, m3
+        total += f[k]
+        square += f[k] * f[k]
+        xx += dx[k] * dx[k]
+        yy += dy[k] * dy[k]
+    moments[0], moments[1], moments[2], moments[3] = total, square, xx, yy
 
 
 @kernel
@@ -209,12 +210,13 @@ def deformed_sums(
     jg: Floats, moments: Floats,
 ) -> None:  # fmt: skip
     """Fill the sums of J g, and of g, g^2 and f g, over a subset."""
-    s0 = s1 = s2 = a0 = ax = ay = b0 = bx = by = 0.0
+    total, square, product = 0.0, 0.0, 0.0
+    a0, ax, ay, b0, bx, by = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(count):
         v = g[k]
-        s0 += v
-        s1 += v * v
-        s2 += v * f[k]
+        total += v
+        square += v * v
+        product += v * f[k]
         a = gx[k] * v
         b = gy[k] * v
         a0 += a
@@ -223,22 +225,21 @@ def deformed_sums(
         b0 += b
         bx += b * dx[k]
         by += b * dy[k]
-    moments[0], moments[1], moments[2] = s0, s1, s2
+    moments[0], moments[1], moments[2] = total, square, product
     jg[0], jg[1], jg[2], jg[3], jg[4], jg[5] = a0, ax, ay, b0, bx, by
-    if order < 2:
-        return
-    axx = axy = ayy = bxx = bxy = byy = 0.0
-    for k in range(count):
-        xx = dx[k] * dx[k]
-        xy = dx[k] * dy[k]
-        yy = dy[k] * dy[k]
-        a = gx[k] * g[k]
-        b = gy[k] * g[k]
-        axx += a * xx
-        axy += a * xy
-        ayy += a * yy
-        bxx += b * xx
-        bxy += b * xy
-        byy += b * yy
-    jg[6], jg[7], jg[8] = 0.5 * axx, axy, 0.5 * ayy
-    jg[9], jg[10], jg[11] = 0.5 * bxx, bxy, 0.5 * byy
+    if order > 1:
+        axx, axy, ayy, bxx, bxy, byy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(count):
+            xx = dx[k] * dx[k]
+            xy = dx[k] * dy[k]
+            yy = dy[k] * dy[k]
+            a = gx[k] * g[k]
+            b = gy[k] * g[k]
+            axx += a * xx
+            axy += a * xy
+            ayy += a * yy
+            bxx += b * xx
+            bxy += b * xy
+            byy += b * yy
+        jg[6], jg[7], jg[8] = 0.5 * axx, axy, 0.5 * ayy
+        jg[9], jg[10], jg[11] = 0.5 * bxx, bxy, 0.5 * byy

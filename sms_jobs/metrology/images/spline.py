@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.metrology.compilation import kernel, summing_kernel
+from sms_jobs.metrology.compilation import inlined, kernel, summing_kernel
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
@@ -38,7 +38,9 @@ _SLOPE_TAPS: Final[dict[Interpolant, Floats]] = {
     "quintic": np.array([-1.0, -10.0, 0.0, 10.0, 1.0]) / 24.0,
 }
 _LONG_RUN = 12  # pixels from which on a run is worth the start of its own loop
-_ONE = np.uint64(1)
+_ONE, _TWO, _THREE, _FOUR, _FIVE = (np.uint64(number) for number in (1, 2, 3, 4, 5))
+_PER_14400 = 1.0 / 14400.0
+_LANES = 8  # points that one instruction may take
 
 
 def spline_coefficients(image: NDArray[np.generic], interpolant: Interpolant = "quintic") -> Floats:
@@ -82,17 +84,34 @@ def spline_gradient(coefficients: Floats, interpolant: Interpolant = "quintic") 
     return np.ascontiguousarray(along_x[inner]), np.ascontiguousarray(along_y[inner])
 
 
+@inlined
+def _six(
+    flat: Floats, p: np.uint64, c0: float, c1: float, c2: float, c3: float, c4: float, c5: float
+) -> float:
+    """Return the sum of six coefficients in a row, each times its weight."""
+    near = c0 * flat[p] + c1 * flat[p + _ONE] + c2 * flat[p + _TWO]
+    return near + c3 * flat[p + _THREE] + c4 * flat[p + _FOUR] + c5 * flat[p + _FIVE]
+
+
 @summing_kernel
 def _quintic_run(
-    count: int, s: Floats, t: Floats,
-    r0: Floats, r1: Floats, r2: Floats, r3: Floats, r4: Floats, r5: Floats,
-    values: Floats,
-) -> None:  # fmt: skip
-    """Fill the values of a quintic at neighbours: point k is s[k], t[k] past column k + 2 of row r2.
+    flat: Floats, columns: int, place: int, start: int, stop: int, s: Floats, t: Floats, values: Floats
+) -> None:
+    """Fill the values of a quintic at neighbours: point start + k is s, t past coefficient place + k + 2.
 
-    The taps are written out so that the compiler handles several points at a time.
+    That is the third of six rows. The taps are written out so that the compiler handles several points at a
+    time; indices are unsigned so that no negative one needs a check, and arrays whole since slices cost more
+    than the points of a short run.
     """
-    for k in range(count):
+    down, ahead = np.uint64(columns), np.uint64(place - start)
+    for index in range(start, stop):
+        k = np.uint64(index)
+        p0 = k + ahead
+        p1 = p0 + down
+        p2 = p1 + down
+        p3 = p2 + down
+        p4 = p3 + down
+        p5 = p4 + down
         a = s[k]
         a2 = a * a
         a3 = a2 * a
@@ -113,25 +132,13 @@ def _quintic_run(
         d2 = 66.0 - 60.0 * b2 + 30.0 * b4 - 10.0 * d5
         d4 = 1.0 + 5.0 * b + 10.0 * b2 + 10.0 * b3 + 5.0 * b4 - 5.0 * d5
         d3 = 120.0 - d0 - d1 - d2 - d4 - d5
-        total = d0 * (
-            c0 * r0[k] + c1 * r0[k + 1] + c2 * r0[k + 2] + c3 * r0[k + 3] + c4 * r0[k + 4] + c5 * r0[k + 5]
-        )
-        total += d1 * (
-            c0 * r1[k] + c1 * r1[k + 1] + c2 * r1[k + 2] + c3 * r1[k + 3] + c4 * r1[k + 4] + c5 * r1[k + 5]
-        )
-        total += d2 * (
-            c0 * r2[k] + c1 * r2[k + 1] + c2 * r2[k + 2] + c3 * r2[k + 3] + c4 * r2[k + 4] + c5 * r2[k + 5]
-        )
-        total += d3 * (
-            c0 * r3[k] + c1 * r3[k + 1] + c2 * r3[k + 2] + c3 * r3[k + 3] + c4 * r3[k + 4] + c5 * r3[k + 5]
-        )
-        total += d4 * (
-            c0 * r4[k] + c1 * r4[k + 1] + c2 * r4[k + 2] + c3 * r4[k + 3] + c4 * r4[k + 4] + c5 * r4[k + 5]
-        )
-        total += d5 * (
-            c0 * r5[k] + c1 * r5[k + 1] + c2 * r5[k + 2] + c3 * r5[k + 3] + c4 * r5[k + 4] + c5 * r5[k + 5]
-        )
-        values[k] = total / 14400.0
+        total = d0 * _six(flat, p0, c0, c1, c2, c3, c4, c5)
+        total += d1 * _six(flat, p1, c0, c1, c2, c3, c4, c5)
+        total += d2 * _six(flat, p2, c0, c1, c2, c3, c4, c5)
+        total += d3 * _six(flat, p3, c0, c1, c2, c3, c4, c5)
+        total += d4 * _six(flat, p4, c0, c1, c2, c3, c4, c5)
+        total += d5 * _six(flat, p5, c0, c1, c2, c3, c4, c5)
+        values[k] = total * _PER_14400
 
 
 @summing_kernel
@@ -177,7 +184,7 @@ def _quintic_points(
                 d0 * flat[p0] + d1 * flat[p1] + d2 * flat[p2] + d3 * flat[p3] + d4 * flat[p4] + d5 * flat[p5]
             )
             p0 += _ONE
-        values[k] = total / 14400.0
+        values[k] = total * _PER_14400
 
 
 @kernel
@@ -237,6 +244,7 @@ def spline_values(
     if code != 5:
         _cubic_points(flat, columns, code == 0, count, first, s, t, values)
         return
+    last = flat.size - 5 * columns - 5  # the first coefficient of which there is none any more
     scattered = 0  # where the points begin that no run has taken
     start = 0
     while start < count:
@@ -248,18 +256,8 @@ def spline_values(
         if n >= _LONG_RUN:
             _quintic_points(flat, columns, scattered, start, first, s, t, values)
             scattered = stop
-            p = first[start]
-            w = n + 5
-            q = p + 3 * columns
-            _quintic_run(
-                n, s[start:stop], t[start:stop],
-                flat[p : p + w],
-                flat[p + columns : p + columns + w],
-                flat[p + 2 * columns : p + 2 * columns + w],
-                flat[q : q + w],
-                flat[q + columns : q + columns + w],
-                flat[q + 2 * columns : q + 2 * columns + w],
-                values[start:stop],
-            )  # fmt: skip
+            # Some points more fill the last instruction: they belong to what follows, and are done again.
+            more = min(start + -(-n // _LANES) * _LANES, count, start + last - first[start])
+            _quintic_run(flat, columns, first[start], start, max(more, stop), s, t, values)
         start = stop
     _quintic_points(flat, columns, scattered, count, first, s, t, values)
