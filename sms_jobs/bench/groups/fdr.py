@@ -10,6 +10,7 @@ import numpy as np
 
 from sms_jobs.bench import large_tuple, plate_mirror
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, cpu_seconds
+from sms_jobs.bench.peers import in_turn, timed
 from sms_jobs.bench.returns import (
     Signals,
     found_near,
@@ -61,10 +62,12 @@ def _rates(run: Run) -> Iterator[Found]:
     yield Figure("one_return_mpx_per_cpu_s", rate, "Mpx / CPU-s", 4.0)
     rate = pixels / 1e6 / cpu_seconds(double.ranged)
     yield Figure("two_returns_mpx_per_cpu_s", rate, "Mpx / CPU-s", 2.5)
+    (ratio,) = in_turn(timed(double.ranged), [timed(single.ranged)])
+    yield ratio.figure("two_returns_over_one_return", 0.6)
     yield Condition(
         "rates",
         f"{_SIGNAL}; {pixels} px, one orientation, one thread; two returns of amplitude ratio {RATIO}, 0.5 "
-        "to 20 bins apart in every pixel, joint fit",
+        f"to 20 bins apart in every pixel, joint fit; both in turn for their ratio, {ratio.told()}",
     )
 
 

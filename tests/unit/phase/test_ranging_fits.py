@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from sms_jobs.metrology.phase.ranging import batched_fit, reference_fit
-from sms_jobs.metrology.phase.ranging.batched_fit import GROUP, fit_one, fit_two, overlap_table
+from sms_jobs.metrology.phase.ranging.batched_fit import GROUP, fit_one, fit_two, overlap_table, write_pairs
 from sms_jobs.metrology.phase.ranging.reference_fit import AMPLITUDE, OMEGA, SPREAD, VARIANCE
 from sms_jobs.metrology.phase.ranging.transform import LANES
 from sms_jobs.metrology.phase.ranging.weights import (
@@ -109,7 +109,7 @@ def test_one_return_of_many_pixels_is_fitted_as_alone(
     x, y = batch_of(z)
     one, registers = np.zeros(batched_fit.SIZE), np.zeros(batched_fit.REGISTERS, np.float32)
     one[:LANES] = omega[0] + 0.5 / count
-    fit_one(x, y, count, first, weights, sums, one, registers)
+    fit_one(x, y, count, first, weights, sums, one, registers, np.empty(2 * x.size, np.float32))
     for j in range(LANES):
         alone, squares = fitted_alone(z[j], omega[:, j], first, weights, sums)
         sigma = NOISE * np.sqrt(alone[0, VARIANCE])
@@ -138,7 +138,9 @@ def test_two_returns_of_many_pixels_are_fitted_as_alone(
         pair[i * size + batched_fit.AMPLITUDE :][:LANES] = amplitude
     table = overlap_table(t, weights.v[0, :count].astype(np.float64))
     every, variance = np.ones(LANES, np.bool_), np.full(LANES, NOISE**2)
-    fit_two(x, y, count, first, weights, sums, table, 12, every, variance, pair, registers)
+    pairs = np.empty(2 * x.size, np.float32)
+    write_pairs(x.reshape(-1), y.reshape(-1), weights.u[0], pairs)
+    fit_two(x, y, count, first, weights, sums, table, 12, every, variance, pair, registers, pairs)
     for j in range(LANES):
         alone, squares = fitted_alone(z[j], omega[:, j], first, weights, sums)
         for i in range(2):

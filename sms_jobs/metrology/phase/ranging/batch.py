@@ -28,6 +28,7 @@ from sms_jobs.metrology.phase.ranging.batched_fit import (
     fit_one,
     fit_two,
     is_done,
+    write_pairs,
 )
 from sms_jobs.metrology.phase.ranging.close_start import start_close
 from sms_jobs.metrology.phase.ranging.plan import (
@@ -55,10 +56,11 @@ _CENTRED = 1.0  # step of omega, times s, at which one return is near enough to 
 
 
 class Scratch(NamedTuple):
-    """What one batch after the other uses: peaks, registers of `fit_two`, and which pixels matter to it."""
+    """What one batch after the other uses: peaks, registers and pairs of the fits, and which pixels matter."""
 
     peaks: Peaks
     registers: Single
+    pairs: Single
     active: NDArray[np.bool_]
 
 
@@ -133,7 +135,17 @@ def _fit_one(plan: Plan, batch: Batch, scratch: Scratch) -> None:
     """
     single, status, significant, variances = batch.single, batch.status, batch.significant, batch.variance
     single[:LANES] = scratch.peaks.omega
-    fit_one(batch.x, batch.y, plan.densities, plan.first, plan.weights, plan.sums, single, scratch.registers)
+    fit_one(
+        batch.x,
+        batch.y,
+        plan.densities,
+        plan.first,
+        plan.weights,
+        plan.sums,
+        single,
+        scratch.registers,
+        scratch.pairs,
+    )
     v, vtt = plan.sums.v, plan.sums.vtt
     free = freedom(plan.first, plan.densities, ONE)
     square = plan.threshold * plan.threshold
@@ -210,6 +222,7 @@ def _fit_two(plan: Plan, steps: int, most: int, batch: Batch, scratch: Scratch) 
         variance,
         pair,
         scratch.registers,
+        scratch.pairs,
     )
     free = freedom(plan.first, plan.densities, TWO)
     one_bin, square = 2.0 * pi / plan.densities, plan.threshold * plan.threshold
@@ -330,6 +343,7 @@ def _resolve_deferred(plan: Plan, row: Row, filled: int, batch: Batch, scratch: 
             scratch.registers,
             scratch.peaks,
         )
+        write_pairs(batch.x.reshape(-1), batch.y.reshape(-1), plan.weights.u[0], scratch.pairs)
         _fit_two(plan, int(np.int64(_MORE_STEPS)), row.estimates.shape[1], batch, scratch)
         batch.status[batch.status == DEFERRED] = UNRESOLVED
     _write(plan, row, filled, batch)
@@ -368,7 +382,10 @@ def resolve_row(plan: Plan, row: Row) -> None:
     # holds.
     batch, deferred = _new_batch(plan.densities), _new_batch(plan.densities)
     scratch = Scratch(
-        new_peaks(plan.order.size), np.zeros(2 * REGISTERS, np.float32), np.zeros(LANES, np.bool_)
+        new_peaks(plan.order.size),
+        np.zeros(2 * REGISTERS, np.float32),
+        np.zeros(2 * batch.x.size, np.float32),
+        np.zeros(LANES, np.bool_),
     )
     # Of this type from the start: Numba compiles what is called with a literal once more for that literal.
     filled = int(np.int64(0))

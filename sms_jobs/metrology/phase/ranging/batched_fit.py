@@ -12,7 +12,10 @@ d = omega_1 - omega_2, C, T, K = sum v cos dt, sum v t sin dt, sum v t^2 cos dt,
 (a_1 + a_2, p_1 - p_2). C, T, K depend on d alone and come from a table.
 
 Sums over t are in single precision. Their exp(i omega t) run from group to group in double precision, so that
-rounding does not grow with t.
+rounding does not grow with t. The sums that a fit repeats go over pairs of densities m + k and m - k about the
+middle m of a group: with S and D the sum and difference of u z there, u z exp(-i omega t) sums to
+exp(-i omega m) (S cos k omega - i D sin k omega), which takes less than half of what turning from t to t takes,
+and S and D are the same for every step.
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.compilation import summing_kernel
+from sms_jobs.metrology.compilation import inlined, summing_kernel
 from sms_jobs.metrology.phase.ranging.transform import LANES
 from sms_jobs.metrology.phase.ranging.weights import Sums, Weights
 
@@ -61,7 +64,12 @@ TURN_SINE = LANES
 _SCALE = 2 * LANES
 _IN_PHASE = 3 * LANES
 _IN_QUADRATURE = 4 * LANES
-REGISTERS = 5 * LANES
+_PAIR_COSINES = 5 * LANES  # cos and sin of k omega, k = 1/2 .. 7/2, one after the other
+_PAIR_SINES = 9 * LANES
+REGISTERS = 13 * LANES
+
+_PAIRS = GROUP // 2
+_PARTS = 4  # of a pair: Re S, Im S, Re D, Im D
 
 SMALL = 0.1  # step of omega of one return, times s, after which the cube of it that is left does not matter
 
@@ -87,21 +95,24 @@ def overlap_table(densities: Floats, v: Floats) -> Floats:
     return table
 
 
+@inlined
+def _half_turn(angle: float) -> tuple[float, float]:
+    """Return cos and sin of an angle in -pi / 2 .. pi / 2, from their series at half of it."""
+    x = 0.5 * angle
+    q = x * x
+    s = 1.0 - q * (1 / 110) * (1.0 - q * (1 / 156) * (1.0 - q * (1 / 210)))
+    s = x * (1.0 - q * (1 / 6) * (1.0 - q * (1 / 20) * (1.0 - q * (1 / 42) * (1.0 - q * (1 / 72) * s))))
+    c = 1.0 - q * (1 / 90) * (1.0 - q * (1 / 132) * (1.0 - q * (1 / 182) * (1.0 - q * (1 / 240))))
+    c = 1.0 - q * 0.5 * (1.0 - q * (1 / 12) * (1.0 - q * (1 / 30) * (1.0 - q * (1 / 56) * c)))
+    return c * c - s * s, 2.0 * c * s
+
+
 @summing_kernel
 def start_rotors(first: int, estimate: Floats, registers: Single) -> None:
-    """Set exp(i omega t) to the first density, and what turns it; set the sums to 0.
-
-    cos and sin of omega come from their series at omega / 4.
-    """
+    """Set exp(i omega t) to the first density, and what turns it; set the sums to 0."""
     for j in range(LANES):
-        x = 0.25 * estimate[OMEGA + j]
-        q = x * x
-        s = 1.0 - q * (1 / 110) * (1.0 - q * (1 / 156) * (1.0 - q * (1 / 210)))
-        s = x * (1.0 - q * (1 / 6) * (1.0 - q * (1 / 20) * (1.0 - q * (1 / 42) * (1.0 - q * (1 / 72) * s))))
-        c = 1.0 - q * (1 / 90) * (1.0 - q * (1 / 132) * (1.0 - q * (1 / 182) * (1.0 - q * (1 / 240))))
-        c = 1.0 - q * 0.5 * (1.0 - q * (1 / 12) * (1.0 - q * (1 / 30) * (1.0 - q * (1 / 56) * c)))
-        for _ in range(2):
-            c, s = c * c - s * s, 2.0 * c * s
+        c, s = _half_turn(0.5 * estimate[OMEGA + j])
+        c, s = c * c - s * s, 2.0 * c * s
         estimate[COSINE + j] = 1.0 if first == 0 else c
         estimate[SINE + j] = 0.0 if first == 0 else s
         registers[TURN_COSINE + j] = c
@@ -125,19 +136,67 @@ def turn_by_group(estimate: Floats) -> None:
 
 
 @summing_kernel
-def _project(x: Single, y: Single, u: Single, estimate: Floats, registers: Single) -> None:
-    """Sum Re u z exp(-i omega t) and Im u t z exp(-i omega t), u t^k being row k of `u`."""
-    for t in range(0, x.shape[0], GROUP):
+def write_pairs(x: Single, y: Single, u: Single, pairs: Single) -> None:
+    """Write sums and differences of u z for densities that lie alike about the middle of their group.
+
+    All are flat but `u`, the weight of every density; `pairs` has room for 2 (densities, LANES).
+    """
+    for t in range(0, x.size // LANES, GROUP):
+        for k in range(_PAIRS):
+            low, high = t + _PAIRS - 1 - k, t + _PAIRS + k
+            below, above = u[low], u[high]
+            for j in range(LANES):
+                # An unsigned index needs no look at its sign, which would keep this from being vectorised.
+                i, o = np.uint64(low * LANES + j), np.uint64(high * LANES + j)
+                p = np.uint64((t // GROUP * _PAIRS + k) * _PARTS * LANES + j)
+                re, im, other_re, other_im = above * x[o], above * y[o], below * x[i], below * y[i]
+                pairs[p] = re + other_re
+                pairs[p + np.uint64(LANES)] = im + other_im
+                pairs[p + np.uint64(2 * LANES)] = re - other_re
+                pairs[p + np.uint64(3 * LANES)] = im - other_im
+
+
+@summing_kernel
+def _start_pairs(first: int, estimate: Floats, registers: Single) -> None:
+    """Set exp(i omega t) to the middle of the first group, and exp(i omega k) of its pairs; sums to 0."""
+    for j in range(LANES):
+        c, s = _half_turn(0.5 * estimate[OMEGA + j])
+        turn_c, turn_s = c * c - s * s, 2.0 * c * s
+        for k in range(_PAIRS):
+            registers[_PAIR_COSINES + k * LANES + j] = c
+            registers[_PAIR_SINES + k * LANES + j] = s
+            if k < _PAIRS - 1 or first == 1:
+                c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
+        estimate[COSINE + j] = c
+        estimate[SINE + j] = s
+        for _ in range(3):
+            turn_c, turn_s = turn_c * turn_c - turn_s * turn_s, 2.0 * turn_c * turn_s
+        estimate[_GROUP_COSINE + j] = turn_c
+        estimate[_GROUP_SINE + j] = turn_s
+        registers[_IN_PHASE + j] = 0.0
+        registers[_IN_QUADRATURE + j] = 0.0
+
+
+@summing_kernel
+def _project(pairs: Single, groups: int, first: int, estimate: Floats, registers: Single) -> None:
+    """Sum Re u z exp(-i omega t) and Im u t z exp(-i omega t) from the pairs of `write_pairs`."""
+    for group in range(groups):
+        middle = np.float32(first + group * GROUP + 0.5 * (GROUP - 1))
         for j in range(LANES):
+            re, im, far_re, far_im = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            for k in range(_PAIRS):
+                p = np.uint64((group * _PAIRS + k) * _PARTS * LANES + j)
+                c, s = registers[_PAIR_COSINES + k * LANES + j], registers[_PAIR_SINES + k * LANES + j]
+                sum_re, sum_im = pairs[p], pairs[p + np.uint64(LANES)]
+                off_re, off_im = pairs[p + np.uint64(2 * LANES)], pairs[p + np.uint64(3 * LANES)]
+                re += sum_re * c + off_im * s
+                im += sum_im * c - off_re * s
+                c, s = c * np.float32(k + 0.5), s * np.float32(k + 0.5)
+                far_re += off_re * c + sum_im * s
+                far_im += off_im * c - sum_re * s
             c, s = np.float32(estimate[COSINE + j]), np.float32(estimate[SINE + j])
-            p, q = registers[TURN_COSINE + j], registers[TURN_SINE + j]
-            in_phase, in_quadrature = np.float32(0.0), np.float32(0.0)
-            for k in range(GROUP):
-                in_phase += u[0, t + k] * (x[t + k, j] * c + y[t + k, j] * s)
-                in_quadrature += u[1, t + k] * (y[t + k, j] * c - x[t + k, j] * s)
-                c, s = c * p - s * q, s * p + c * q
-            registers[_IN_PHASE + j] += in_phase
-            registers[_IN_QUADRATURE + j] += in_quadrature
+            registers[_IN_PHASE + j] += re * c + im * s
+            registers[_IN_QUADRATURE + j] += (middle * im + far_im) * c - (middle * re + far_re) * s
         turn_by_group(estimate)
 
 
@@ -196,6 +255,7 @@ def fit_one(
     sums: Sums,
     estimate: Floats,
     registers: Single,
+    pairs: Single,
 ) -> None:
     """Fit one return to every pixel of a batch.
 
@@ -209,16 +269,18 @@ def fit_one(
         Of pixels that no density is left out of.
     estimate
         (SIZE,): omega is the start, and becomes the end; amplitude, squares, fall and step are written.
-    registers
-        Scratch, (REGISTERS,).
+    registers, pairs
+        Scratch, (REGISTERS,) and (2 x.size,); `pairs` becomes those of the signal.
     """
+    flat_x, flat_y = x.reshape(-1), y.reshape(-1)
+    write_pairs(flat_x, flat_y, weights.u[0], pairs)
     for _ in range(_STEPS):
-        start_rotors(first, estimate, registers)
-        _project(x, y, weights.u, estimate, registers)
+        _start_pairs(first, estimate, registers)
+        _project(pairs, x.shape[0] // GROUP, first, estimate, registers)
         if _move_one(sums, count, estimate, registers) < SMALL:
             break
     start_rotors(first, estimate, registers)
-    _subtract(x.reshape(-1), y.reshape(-1), weights, estimate, registers)
+    _subtract(flat_x, flat_y, weights, estimate, registers)
 
 
 @summing_kernel
@@ -313,6 +375,7 @@ def fit_two(
     variance: Floats,
     pair: Floats,
     registers: Single,
+    pairs: Single,
 ) -> None:
     """Fit two returns to every pixel of a batch, until the active ones do not move.
 
@@ -330,14 +393,16 @@ def fit_two(
         step's gain in chi-square, and the variance of a_i omega_i for unit noise.
     registers
         Scratch, (2 REGISTERS,).
+    pairs
+        Of the signals, by `write_pairs` or left behind by `fit_one`.
 
     The other parameters are those of `fit_one`.
     """
     returns = ((pair[:SIZE], registers[:REGISTERS]), (pair[SIZE : 2 * SIZE], registers[REGISTERS:]))
     for _ in range(steps):
         for estimate, sums_of_one in returns:
-            start_rotors(first, estimate, sums_of_one)
-            _project(x, y, weights.u, estimate, sums_of_one)
+            _start_pairs(first, estimate, sums_of_one)
+            _project(pairs, x.shape[0] // GROUP, first, estimate, sums_of_one)
         _look_up(overlaps, pair)
         _move_two(sums, count, pair, registers)
         moving = 0

@@ -76,28 +76,55 @@ def wrapped(angle: float) -> float:
 
 
 @summing_kernel
+def _butterflies(re: Single, im: Single) -> None:
+    """Transform neighbouring rows: what a number of stages that is odd begins with."""
+    for a in range(0, re.shape[0], 2):
+        for j in range(LANES):
+            xr, xi, yr, yi = re[a + 1, j], im[a + 1, j], re[a, j], im[a, j]
+            re[a, j] = yr + xr
+            im[a, j] = yi + xi
+            re[a + 1, j] = yr - xr
+            im[a + 1, j] = yi - xi
+
+
+@summing_kernel
 def _transform(re: Single, im: Single, turns: Single) -> None:
     """Transform (N, LANES) in place from bit-reversed order: H_k = sum z_m exp(-2 pi i k m / N).
 
-    Rows are named by their number, not by slices: a slice costs more than a row of butterflies.
+    Two stages at a time, so that every row is read and written half as often. Rows are named by their number,
+    not by slices: a slice costs more than a row of butterflies.
     """
     n = re.shape[0]
-    half = 1
+    half, stages = 1, 0
+    while n >> stages > 1:
+        stages += 1
+    if stages % 2 == 1:
+        _butterflies(re, im)
+        half = 2
     while half < n:
-        stride = n // half  # pi k / N per twiddle
-        for start in range(0, n, 2 * half):
+        stride = n // (2 * half)  # pi k / N per twiddle of the second stage
+        for start in range(0, n, 4 * half):
             for k in range(half):
                 a, b = start + k, start + k + half
-                c, s = turns[0, k * stride], turns[1, k * stride]
+                d, e = b + half, b + 2 * half
+                c, s = turns[0, 2 * k * stride], turns[1, 2 * k * stride]
+                p, q = turns[0, k * stride], turns[1, k * stride]
                 for j in range(LANES):
-                    xr = c * re[b, j] + s * im[b, j]
-                    xi = c * im[b, j] - s * re[b, j]
+                    xr, xi = c * re[b, j] + s * im[b, j], c * im[b, j] - s * re[b, j]
                     yr, yi = re[a, j], im[a, j]
-                    re[a, j] = yr + xr
-                    im[a, j] = yi + xi
-                    re[b, j] = yr - xr
-                    im[b, j] = yi - xi
-        half *= 2
+                    zr, zi = c * re[e, j] + s * im[e, j], c * im[e, j] - s * re[e, j]
+                    wr, wi = re[d, j], im[d, j]
+                    # A twiddle that is a quarter turn further is this one with its parts exchanged.
+                    fr, fi = wr + zr, wi + zi
+                    gr, gi = wr - zr, wi - zi
+                    fr, fi = p * fr + q * fi, p * fi - q * fr
+                    gr, gi = p * gi - q * gr, -p * gr - q * gi
+                    hr, hi, kr, ki = yr + xr, yi + xi, yr - xr, yi - xi
+                    re[a, j], im[a, j] = hr + fr, hi + fi
+                    re[d, j], im[d, j] = hr - fr, hi - fi
+                    re[b, j], im[b, j] = kr + gr, ki + gi
+                    re[e, j], im[e, j] = kr - gr, ki - gi
+        half *= 4
 
 
 @summing_kernel
