@@ -44,7 +44,7 @@ class Ratio:
 
     def told(self) -> str:
         """Return the spread in words."""
-        return f"{min(self.rounds):.3g} to {max(self.rounds):.3g} in {len(self.rounds)} rounds"
+        return f"median of {len(self.rounds)} rounds, {min(self.rounds):.3g} to {max(self.rounds):.3g}"
 
 
 def peers_folder() -> Path | None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 
 import cv2
 import numpy as np
@@ -15,8 +16,9 @@ from numpy.typing import NDArray
 from sms_jobs.bench.baselines import matched_by_opencv, unwrapped_by_numpy
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.groups.phase import REVERSE_EXPONENTIAL, STEPS, fringe_frames, unwrap_frames
-from sms_jobs.bench.peers import PEERS, ROUNDS, Ratio, Timed, in_turn, peers_folder, started, timed
+from sms_jobs.bench.peers import PEERS, Ratio, Timed, in_turn, peers_folder, started, timed
 from sms_jobs.bench.returns import rms, wrapped
+from sms_jobs.bench.roofline import Peak, Work, matching_work
 from sms_jobs.bench.speckle_pairs import speckle_pair
 from sms_jobs.errors import SmsError
 from sms_jobs.metrology.deformation.correlation import (
@@ -44,6 +46,8 @@ _PRECISION = 1e-3
 _WHOLE = "from images in memory to displacements"
 _SAMPLE = 40  # every so many-th point goes to what is slow
 _ECC_ROUNDS, _ECC_GAIN = 20, 1e-6
+_ARRAYS = 9  # that a subset needs in every iteration
+_PEAK_ELEMENTS, _PEAK_COPIES, _ROOF_ROUNDS = 1 << 20, 20_000, 15
 
 
 @dataclass(frozen=True)
@@ -112,6 +116,9 @@ def warm_up() -> None:
     pair.matched()
     pair.matched("cubic")
     pair.followed()
+    peak = Peak.of(16, 16, 1)
+    peak.calculate()
+    peak.copy()
 
 
 def measure(run: Run) -> Iterator[Found]:
@@ -202,7 +209,7 @@ def _shown_frames(rows: int) -> str:
     densities = ", ".join(map(str, REVERSE_EXPONENTIAL))
     return (
         f"two directions, fringes {densities}, {STEPS} steps, {_COLUMNS} x {rows} px, uint16 frames in "
-        f"memory, B / sigma = 50, one thread, medians of {ROUNDS} rounds"
+        f"memory, B / sigma = 50, one thread"
     )
 
 
@@ -216,6 +223,7 @@ def _matching(run: Run, folder: Path | None) -> Iterator[Found]:
     pair = speckles(_SIZE // (2 if run.quick else 1), _SPACING)
     here = timed(pair.matched)
     yield from _ecc(run, pair)
+    yield from _roofline(run, pair)
 
     def prepare(name: str) -> Path:
         where = run.folder / name
@@ -254,7 +262,7 @@ def _shown_pair(pair: Pair) -> str:
     return (
         f"the same {len(pair.x)} points, {_SPACING} px apart, subsets of {2 * _RADIUS + 1} px, affine, "
         f"{pair.images.shape[1]} px images of 12 bits, stretched by {_STRETCH:.1%}, noise of "
-        f"{_NOISE / _CONTRAST:.1%} of the contrast, one thread, medians of {ROUNDS} rounds"
+        f"{_NOISE / _CONTRAST:.1%} of the contrast, one thread"
     )
 
 
@@ -335,6 +343,34 @@ def _ecc(run: Run, pair: Pair) -> Iterator[Found]:
         f"gain of {_ECC_GAIN:g}, from no displacement; {_shown_pair(pair)}; converged and rms error: "
         f"{_ours(pair)}; "
         f"{few.told('OpenCV', found, np.isfinite(found[:, 0]))}",
+    )
+
+
+def _roofline(run: Run, pair: Pair) -> Iterator[Found]:
+    run.say("peers: what the processor could do at most")
+    whole = (2 * _RADIUS + 1) ** 2
+    peak = Peak.of(_PEAK_ELEMENTS, _ARRAYS * whole // 2, _PEAK_COPIES)
+    images, guess = pair.prepared(), np.zeros((len(pair.x), 6))
+
+    def match() -> Matches:
+        return match_points(images, pair.x, pair.y, guess, MatchSettings(_RADIUS))
+
+    asked = matching_work(float(whole * len(pair.x)), float(match().iterations.mean()))
+    by_operations, by_bytes = in_turn(timed(match), [timed(peak.calculate), timed(peak.copy)], _ROOF_ROUNDS)
+    could = Work(asked.operations / peak.work.operations, asked.moved / peak.work.moved)
+    operations = [could.operations * one for one in by_operations.rounds]
+    moved = [could.moved * one for one in by_bytes.rounds]
+    share = Ratio(tuple(max(pair_of) for pair_of in zip(operations, moved, strict=True)))
+    yield share.figure("icgn_roofline_share", 0.4)
+    per_point = len(pair.x)
+    yield Condition(
+        "icgn_roofline_share",
+        f"{share.told()}; the least time that {asked.operations / per_point:.3g} operations and "
+        f"{asked.moved / per_point:.3g} bytes a point take over the time taken: {median(operations):.2f} by "
+        "the peak of fused multiplications and additions in double precision, "
+        f"{median(moved):.2f} by the bandwidth of a copy within the cache of {_ARRAYS} arrays of a subset, "
+        f"both measured in turn with matching; counted in bench/roofline.py; {_shown_pair(pair)}, images "
+        "prepared",
     )
 
 

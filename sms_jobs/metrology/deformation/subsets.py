@@ -48,21 +48,36 @@ def collect(
     whole = inside(warp, cx, cy, left, right, top, bottom, rows, columns, -_RIM)
     box[0], box[1], box[2], box[3] = right, left, bottom, top
     count = 0
+    width = max(right - left + 1, 0)
     for j in range(top, bottom + 1):
         row = np.uint64(cy + j)
         first = count
-        for i in range(left, right + 1):
-            column = np.uint64(cx + i)
-            if labels[row, column] != label:
-                continue
-            if not whole and not inside(warp, cx, cy, i, i, j, j, rows, columns, -_RIM):
-                continue
-            dx[count] = i
-            dy[count] = j
-            f[count] = reference[row, column]
-            gx[count] = gradient_x[row, column]
-            gy[count] = gradient_y[row, column]
-            count += 1
+        own = 0
+        for i in range(width):
+            own += labels[row, np.uint64(cx + left + i)] == label
+        if whole and own == width:
+            for i in range(width):
+                # Unsigned indices need no look at their sign, which would keep this from being vector copies.
+                column, k = np.uint64(cx + left + i), np.uint64(first + i)
+                dx[k] = left + i
+                dy[k] = j
+                f[k] = reference[row, column]
+                gx[k] = gradient_x[row, column]
+                gy[k] = gradient_y[row, column]
+            count += width
+        elif own > 0:
+            for i in range(left, right + 1):
+                column = np.uint64(cx + i)
+                if labels[row, column] != label:
+                    continue
+                if not whole and not inside(warp, cx, cy, i, i, j, j, rows, columns, -_RIM):
+                    continue
+                dx[count] = i
+                dy[count] = j
+                f[count] = reference[row, column]
+                gx[count] = gradient_x[row, column]
+                gy[count] = gradient_y[row, column]
+                count += 1
         if count > first:
             box[0] = min(box[0], int(dx[first]))
             box[1] = max(box[1], int(dx[count - 1]))

@@ -229,6 +229,16 @@ def _cubic_points(
         values[k] = total / 36.0
 
 
+@inlined
+def _in_step(first: Ints, start: int, level: int) -> int:
+    """Return how many of the next points lie beside each other, their first coefficients `level` ahead."""
+    alike = 0
+    for i in range(_LANES):
+        k = np.uint64(start + i)
+        alike += first[k] - start - i == level
+    return alike
+
+
 @kernel
 def spline_values(
     coefficients: Floats, code: int, count: int, first: Ints, s: Floats, t: Floats, values: Floats
@@ -250,6 +260,8 @@ def spline_values(
     while start < count:
         level = first[start] - start
         stop = start + 1
+        while stop + _LANES <= count and _in_step(first, stop, level) == _LANES:
+            stop += _LANES
         while stop < count and first[stop] - stop == level:
             stop += 1
         n = stop - start

@@ -16,6 +16,7 @@ from sms_jobs.bench.groups import peers
 from sms_jobs.bench.groups.phase import REVERSE_EXPONENTIAL, STEPS, fringe_frames
 from sms_jobs.bench.peers import PEERS, SCRIPTS, Ratio, in_turn, started
 from sms_jobs.bench.returns import wrapped
+from sms_jobs.bench.roofline import Peak, matching_work
 from sms_jobs.errors import SmsError
 
 
@@ -34,7 +35,7 @@ def test_both_are_measured_in_turn() -> None:
     assert order == ["ours", "a", "b", "ours", "a", "b"]
     assert found == [Ratio((4.0, 2.0)), Ratio((9.0, 1.0))]
     assert found[0].figure("x_over_a", 3.5) == Figure("x_over_a", 3.0, "1", 3.5)
-    assert found[1].told() == "1 to 9 in 2 rounds"
+    assert found[1].told() == "median of 2 rounds, 1 to 9"
 
 
 @pytest.fixture
@@ -87,6 +88,8 @@ def test_figures_of_missing_programs_are_absent_with_their_reason(
     monkeypatch.setattr(peers, "_ROWS", 64)
     monkeypatch.setattr(peers, "_SIZE", 256)
     monkeypatch.setattr(peers, "_SAMPLE", 400)
+    monkeypatch.setattr(peers, "_PEAK_COPIES", 200)
+    monkeypatch.setattr(peers, "_PEAK_ELEMENTS", 1 << 14)
 
     found = list(peers.measure(Run(True, lambda words: None, 1, tmp_path)))
 
@@ -94,6 +97,7 @@ def test_figures_of_missing_programs_are_absent_with_their_reason(
     told = {one.topic: one.text for one in found if isinstance(one, Condition)}
     assert figures["decode_over_numpy"].value is not None
     assert figures["icgn1_over_opencv_ecc"].value is not None
+    assert 0.0 < (figures["icgn_roofline_share"].value or 0.0) < 1.0
     for name, target in (
         ("decode_over_fringes", 20.0),
         ("icgn1_over_pyvale", 6.0),
@@ -126,3 +130,30 @@ def test_opencv_finds_a_displacement() -> None:
     assert np.isfinite(found).all()
     assert np.abs(found - pair.truth).max() < 0.1
     assert np.abs(pair.matched().warp[:, [0, 3]] - pair.truth).max() < 0.02
+
+
+def test_the_work_of_matching_is_counted_as_its_loops_are_written() -> None:
+    once, each = matching_work(1.0, 0.0), matching_work(1.0, 1.0)
+
+    # Operations of the statements in the loops over pixels, by hand; of a quintic, weights of one axis.
+    weights = 4 + (4 * 2 + 1) + 5 * 2 + 3 * 2 + 5 * 2 + 5
+    taps = 6 * (6 + 5) + 6 + 5 + 1
+    assert each.operations - once.operations == 2 * weights + taps + 2 * 4 + 2 + 17
+    assert once.operations == 3 * 12 + 2 * 11 + 7
+    assert each.moved > once.moved > 0.0
+
+
+def test_the_peak_does_what_it_is_counted_for() -> None:
+    peak = Peak.of(8, 8, 3)
+    peak.calculate()
+    peak.copy()
+
+    def chain(a: float, v: float) -> float:
+        for added in [0.1 * tenths for tenths in range(1, 18) if tenths != 10]:
+            a = a * v + added
+        return a
+
+    assert peak.work.operations == 8 * 8 * 16 * 2
+    wanted = [sum(chain(v + 0.1 * k, v) for k in range(1, 9)) for v in peak.values.tolist()]
+    assert peak.out == pytest.approx(wanted)
+    assert peak.target == pytest.approx(peak.source + 2.0)
