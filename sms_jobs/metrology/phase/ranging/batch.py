@@ -56,7 +56,7 @@ _CENTRED = 1.0  # step of omega, times s, at which one return is near enough to 
 
 
 class Scratch(NamedTuple):
-    """What one batch after the other uses: peaks, registers and pairs of the fits, and which pixels matter."""
+    """What batch after batch uses: peaks, registers and pairs of the fits, and which pixels matter."""
 
     peaks: Peaks
     registers: Single

@@ -12,10 +12,10 @@ d = omega_1 - omega_2, C, T, K = sum v cos dt, sum v t sin dt, sum v t^2 cos dt,
 (a_1 + a_2, p_1 - p_2). C, T, K depend on d alone and come from a table.
 
 Sums over t are in single precision. Their exp(i omega t) run from group to group in double precision, so that
-rounding does not grow with t. The sums that a fit repeats go over pairs of densities m + k and m - k about the
-middle m of a group: with S and D the sum and difference of u z there, u z exp(-i omega t) sums to
-exp(-i omega m) (S cos k omega - i D sin k omega), which takes less than half of what turning from t to t takes,
-and S and D are the same for every step.
+rounding does not grow with t. The sums that a fit repeats go over pairs of densities m + k and m - k about
+the middle m of a group: with S and D the sum and difference of u z there, u z exp(-i omega t) sums to
+exp(-i omega m) (S cos k omega - i D sin k omega), which takes less than half of what turning from t to t
+takes, and S and D are the same for every step.
 """
 
 from __future__ import annotations
