@@ -89,8 +89,9 @@ def _six(
     flat: Floats, p: np.uint64, c0: float, c1: float, c2: float, c3: float, c4: float, c5: float
 ) -> float:
     """Return the sum of six coefficients in a row, each times its weight."""
-    near = c0 * flat[p] + c1 * flat[p + _ONE] + c2 * flat[p + _TWO]
-    return near + c3 * flat[p + _THREE] + c4 * flat[p + _FOUR] + c5 * flat[p + _FIVE]
+    near: float = c0 * flat[p] + c1 * flat[p + _ONE] + c2 * flat[p + _TWO]
+    far: float = c3 * flat[p + _THREE] + c4 * flat[p + _FOUR] + c5 * flat[p + _FIVE]
+    return near + far
 
 
 @summing_kernel
