@@ -6,6 +6,9 @@ again, and lets go when the kernel is saved. The lock ends with the process, how
 locked after those that call it, so that nobody waits in a circle. Where nothing can be locked or written,
 kernels are compiled all the same.
 
+What was compiled holds as long as the source of the kernel and of all modules that its own imports has not
+changed: Numba by itself looks at the kernel's own file, and a kernel that it calls lies in another.
+
 The file of the lock has a line of every compilation: a digest of the source, CPU-seconds without those of
 kernels that were compiled meanwhile because they are called, and the signature.
 """
@@ -13,20 +16,25 @@ kernels that were compiled meanwhile because they are called, and the signature.
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import os
+import re
 import resource
 import threading
 from contextlib import suppress
+from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from numba.core import event
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
 from sms_jobs.metrology.signatures import text_of
 
 _LOOK_EVERY_S = 0.02
 _PATIENCE_S = 600.0
+_IMPORT = re.compile(r"^(?:from|import) +([\w.]+)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 
 
 class Compilation(NamedTuple):
@@ -34,6 +42,36 @@ class Compilation(NamedTuple):
 
     signature: str
     cpu_s: float
+
+
+def source_digest(file: Path) -> str:
+    """Return a digest of the source of a module and of all that it imports of its own package, at the top."""
+    package = next((above for above in file.parents if not (above.parent / "__init__.py").is_file()), None)
+    found: set[Path] = set()
+    pending = [file]
+    while pending:
+        module = pending.pop()
+        if module not in found:
+            found.add(module)
+            pending += _imported(module, package) if package is not None else ()
+    digests = sorted(_digest(module) for module in found)
+    return hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
+
+
+@cache
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+@cache
+def _imported(file: Path, package: Path) -> tuple[Path, ...]:
+    """Return the modules below a package's folder that another imports."""
+    modules = []
+    for name, parts in _IMPORT.findall(file.read_text(encoding="utf-8")):
+        path = package.parent.joinpath(*name.split("."))
+        members = [word for word in re.findall(r"\w+", parts) if word != "as"]
+        modules += [path.with_suffix(".py"), *((path / member).with_suffix(".py") for member in members)]
+    return tuple(module for module in modules if package in module.parents and module.is_file())
 
 
 class KernelCache(FunctionCache):
@@ -45,7 +83,8 @@ class KernelCache(FunctionCache):
     def __init__(self, function: Any) -> None:
         super().__init__(function)
         self._path = os.path.join(self.cache_path, f"{self._impl.filename_base}.lock")  # noqa: PTH118
-        self._stamp = self._impl.locator.get_source_stamp().hex()[:16]
+        self._stamp = source_digest(Path(function.__code__.co_filename))
+        self._cache_file = IndexDataCacheFile(self._cache_path, self._impl.filename_base, self._stamp)
         self._descriptor = -1
         self._turns = 0
 
@@ -171,6 +210,6 @@ event.register("numba:compile", _clock)
 def cached(compiled: Any) -> Any:
     """Give a compiled function the cache; leave it without where nothing can be written."""
     if isinstance(compiled, Dispatcher):
-        with suppress(RuntimeError):
+        with suppress(RuntimeError, OSError):
             vars(compiled)["_cache"] = KernelCache(compiled.py_func)
     return compiled

@@ -186,3 +186,22 @@ def test_time_of_a_callee_is_not_that_of_its_caller(place, monkeypatch):
     assert len(noted) == 2
     assert all(cpu_s > 0.0 for cpu_s in noted)
     assert sum(noted) <= taken
+
+
+def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed(tmp_path):
+    package = tmp_path / "package_of_test"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    top = "from sms_jobs.metrology.compilation import kernel\n"
+    top_of_caller = f"{top}from package_of_test.callee import scaled\n"
+    (package / "caller.py").write_text(
+        f"{top_of_caller}@kernel\ndef called(x):\n    return scaled(x) + 1.0\n"
+    )
+    script = "from package_of_test.caller import called; print(called(2.0))"
+
+    def answer(factor):
+        (package / "callee.py").write_text(f"{top}@kernel\ndef scaled(x):\n    return {factor} * x\n")
+        command = [sys.executable, "-B", "-c", script]
+        return subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+
+    assert [answer("2.0"), answer("2.0"), answer("3.0")] == ["5.0\n", "5.0\n", "7.0\n"]
