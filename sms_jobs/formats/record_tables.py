@@ -29,6 +29,8 @@ _NOT_NEGATIVE = frozenset(
         "seed",
         "margin_mm",
         "marker_hole_mm",
+        "point_sigma_mm",
+        "flatness_mm",
     }
 )
 _FRACTIONS = frozenset({"dark", "bright", "visibility", "mirror_reflectance"})

@@ -40,9 +40,13 @@ class CircleBoard:
     margin_mm
         From the centres of the outermost dots to the edge of the board.
     pitch_relative_sigma
-        Relative standard deviation of the pitch: how well the board's scale is known.
+        Relative standard deviation of the pitch: how well the board's scale is known. None where nobody has
+        told it: then what is calibrated with the board alone has the scale of the nominal pitch.
     point_sigma_mm
         Standard deviation of one dot's place on the board, in each direction.
+    flatness_mm
+        Standard deviation of how far the board is bowed, from the middle of its points to their ends, and
+        twisted; 0 for one that is taken as flat, None where nobody has told it: see `bow_sigma_mm`.
     """
 
     columns: int
@@ -55,8 +59,9 @@ class CircleBoard:
     marker_hole_mm: float = 0.0
     ink: Literal["dark", "bright"] = "dark"
     margin_mm: float = 0.0
-    pitch_relative_sigma: float = 1e-3
+    pitch_relative_sigma: float | None = None
     point_sigma_mm: float = 0.002
+    flatness_mm: float | None = None
     shape: Literal["circle-board"] = "circle-board"
 
 
@@ -72,15 +77,16 @@ class Chessboard:
         Number of inner corners along each direction.
     pitch_mm
         Side of a square.
-    pitch_relative_sigma, point_sigma_mm
+    pitch_relative_sigma, point_sigma_mm, flatness_mm
         See `CircleBoard`.
     """
 
     columns: int
     rows: int
     pitch_mm: float
-    pitch_relative_sigma: float = 1e-3
+    pitch_relative_sigma: float | None = None
     point_sigma_mm: float = 0.002
+    flatness_mm: float | None = None
     shape: Literal["chessboard"] = "chessboard"
 
 
@@ -109,6 +115,17 @@ class BallBar:
     stalk_mm: float = 0.0
     slide_mm: float = 0.0
     shape: Literal["ball-bar"] = "ball-bar"
+
+
+_UNKNOWN_FLATNESS = 2e-3
+"""Of the longer side: a print on a plate of aluminium or glass is flatter, one on cardboard may not be."""
+
+
+def bow_sigma_mm(board: CircleBoard | Chessboard) -> float:
+    """Return the standard deviation of a board's bow and twist, in mm: 1/500 of its longer side if not told."""
+    if board.flatness_mm is not None:
+        return board.flatness_mm
+    return _UNKNOWN_FLATNESS * board.pitch_mm * (max(board.columns, board.rows) - 1)
 
 
 Artefact: TypeAlias = CircleBoard | Chessboard | BallBar

@@ -38,7 +38,11 @@ EXPOSURE = 0.75
 BoardPose: TypeAlias = tuple[float, tuple[float, float], Vector]
 """From facing the rig at the origin: turned in its plane, then tilted about X and Y (degrees), moved (mm)."""
 
-BOARD = CircleBoard(15, 15, 30.0, 18.0, ((3, 3), (11, 3), (3, 11)), "ring", 24.0, 12.0)
+BOARD = CircleBoard(
+    *(15, 15, 30.0, 18.0, ((3, 3), (11, 3), (3, 11)), "ring", 24.0, 12.0),
+    pitch_relative_sigma=1e-3,
+    flatness_mm=0.05,
+)
 BAR = BallBar(480.0, 0.005, 25.0, 0.002, stalk_mm=50.0, slide_mm=15.0)
 BOARD_POSES: tuple[BoardPose, ...] = (
     (0.0, (0.0, 0.0), (0.0, 0.0, 0.0)),
@@ -70,7 +74,11 @@ TABLE_ANGLES_DEG = tuple(
 TRIPOD_AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """The tripod's axes in the world, as columns: x, the pan axis, up; z, the bar at home, along X."""
 
-SMALL_BOARD = CircleBoard(7, 7, 30.0, 18.0, ((1, 1), (5, 1), (1, 5)), "ring", 24.0, 12.0)
+SMALL_BOARD = CircleBoard(
+    *(7, 7, 30.0, 18.0, ((1, 1), (5, 1), (1, 5)), "ring", 24.0, 12.0),
+    pitch_relative_sigma=1e-3,
+    flatness_mm=0.05,
+)
 SMALL_BAR = BallBar(190.0, 0.005, 22.0, 0.002, stalk_mm=30.0, slide_mm=6.0)
 SMALL_ANGLES_DEG = (
     (0.0, 0.0), (40.0, 0.0), (0.0, 40.0), (-40.0, -35.0), (35.0, -40.0), (-35.0, 35.0)

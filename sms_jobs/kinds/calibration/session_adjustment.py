@@ -33,7 +33,7 @@ from sms_jobs.metrology.calibration.sensor_start import usable_views
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics, undistort
 from sms_jobs.metrology.geometry.transforms import transform
-from sms_jobs.records.artefacts import BallBar
+from sms_jobs.records.artefacts import BallBar, bow_sigma_mm
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.scene import Rigid
@@ -47,6 +47,7 @@ Boards = Mapping[str, Sequence[BoardObservation]]
 Bars = Mapping[str, Sequence[BarObservation]]
 
 _OUTER = 6  # parameters of a sensor that place it
+_UNKNOWN_PITCH = 0.01  # relative: what a bar is left to tell of a pitch that nobody has told of
 _GRID = 7  # places along each side of the volume at which the expected deviation is given
 
 
@@ -221,7 +222,7 @@ def problem_of(
     bar_poses = [pose for pose, c in centres.items() if np.isfinite(c).any()]
     return BundleProblem(
         sensors,
-        tuple(_board(plan, start, name) for name in board_names),
+        tuple(_board(plan, start, name, views, bool(bar_names)) for name in board_names),
         tuple(_bar(plan, name) for name in bar_names),
         tuple(BoardPose(p, board_names.index(artefact_of[p]), start.boards[p]) for p in poses),
         tuple(BarPose(p, bar_names.index(artefact_of[p]), centres[p]) for p in bar_poses),
@@ -265,11 +266,27 @@ def _fixed(start: Start, sensor: Sensor, fixed: tuple[str, ...]) -> tuple[str, .
     return (*_PLACED, *fixed) if holds else fixed
 
 
-def _board(plan: SessionPlan, start: Start, name: str) -> BundleBoard:
+def _board(
+    plan: SessionPlan, start: Start, name: str, views: Sequence[BoardView], with_bar: bool
+) -> BundleBoard:
+    """Return a board as it is told; a pitch that nobody has told of is nominal unless a bar can tell it."""
     board = plan.session.artefacts[name]
     assert not isinstance(board, BallBar)
-    relative = start.pitch[name][1] if name in start.pitch else board.pitch_relative_sigma
-    return BundleBoard(name, relative, board.point_sigma_mm)
+    scale, relative = start.pitch.get(name, (1.0, board.pitch_relative_sigma))
+    if relative is None:
+        relative = _UNKNOWN_PITCH if with_bar else 0.0
+    shown = {p.label for p in plan.poses if p.artefact == name}
+    points = scale * np.concatenate([np.empty((0, 3)), *(v.point for v in views if v.pose in shown)])
+    if not len(points):
+        return BundleBoard(name, relative, board.point_sigma_mm)
+    (low_x, low_y, _), (high_x, high_y, _) = points.min(axis=0), points.max(axis=0)
+    return BundleBoard(
+        name,
+        relative,
+        board.point_sigma_mm,
+        bow_sigma_mm(board),
+        ((float(low_x), float(high_x)), (float(low_y), float(high_y))),
+    )
 
 
 def _bar(plan: SessionPlan, name: str) -> BundleBar:

@@ -16,6 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed
+from sms_jobs.metrology.calibration.bundle_board_points import (
+    PointsFound,
+    judge_points,
+    placement_covariance,
+    point_equations,
+)
 from sms_jobs.metrology.calibration.bundle_checks import (
     check_before,
     check_counts,
@@ -267,13 +273,16 @@ def _descend(
 def _result(problem: BundleProblem, packed: Packed, options: BundleOptions, fit: _Fit) -> Adjustment:
     """Put together what was found; refuse it where a direction is open."""
     normal, _ = _summed(fit, options)
-    covariance, warnings = check_determined(problem, fit.state, fit.freedom, normal)
+    by_points, points = _of_points(problem, packed, options, fit, normal)
+    determined = check_determined(problem, fit.state, fit.freedom, normal, by_points)
+    covariance, warnings = determined.covariance, determined.warnings
     absorbed = _absorbed(options, fit, normal)
     count = 2.0 * float(fit.live.bar.sum() + fit.live.board.sum())
     lengths = nuisances(problem, fit.state, fit.freedom, covariance)
     in_mm = object_residuals(packed, fit.state)
     rms = rms_tables(problem, packed, fit.normal.observed, in_mm, fit.live)
-    warnings += prior_warnings(problem, lengths) + pose_warnings(problem, packed, fit.live, rms)
+    warnings += points.warnings + prior_warnings(problem, lengths)
+    warnings += pose_warnings(problem, packed, fit.live, rms)
     used, residuals = per_item(problem, packed, fit.normal.observed, in_mm, fit.live)
     return Adjustment(
         sensors=adjusted_sensors(problem, fit.state),
@@ -297,7 +306,23 @@ def _result(problem: BundleProblem, packed: Packed, options: BundleOptions, fit:
         residual_board=residuals[1],
         residual_bar=residuals[0],
         warnings=warnings,
+        point_rms_mm=points.rms_mm,
+        shape_sigma_mm=determined.shape_mm,
+        scale_sigma=determined.scale,
     )
+
+
+def _of_points(
+    problem: BundleProblem, packed: Packed, options: BundleOptions, fit: _Fit, normal: Floats
+) -> tuple[Floats | None, PointsFound]:
+    """Return what the places of boards' points add to the covariance, and whether they are as told."""
+    nothing = PointsFound(0.0, ())
+    equations = point_equations(problem, packed, fit.state, fit.normal.observed, fit.scale)
+    found = inverse(normal)
+    if equations is None or found is None or not len(found):
+        return None, nothing
+    added = placement_covariance(problem, equations, fit.freedom, found)
+    return added, judge_points(problem, equations, fit.freedom, found) if options.judge_points else nothing
 
 
 def _occurs(packed: Packed, kind: str) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,7 +24,8 @@ _MOST_RELATIVE = 0.01
 """Of a focal length, and of a principal point over the focal length: beyond it nothing is linear."""
 
 _REFUSED_PART, _DOUBTED_PART = 1e-3, 2e-4
-"""Of the volume's diagonal, for the standard deviation of a point; the doubted one is the thesis's 1/5000."""
+"""Of the volume's diagonal, for the standard deviation of a point in the shape of things, scale apart; the
+doubted one is the thesis's 1/5000."""
 
 _SINGULAR = 1e13
 _MOST_Z = 4.0
@@ -122,19 +125,39 @@ def check_counts(problem: BundleProblem, packed: Packed, live: Live, freedom: Fr
             )
 
 
+@dataclass(frozen=True)
+class Determined:
+    """What an adjustment's normal equations say of its own worth.
+
+    Attributes
+    ----------
+    covariance
+        Of all parameters.
+    shape_mm
+        Largest of all pairs' rms standard deviations of a point, but for motions and the scale of the whole.
+    scale
+        Relative standard deviation of the scale, of the pair that knows it worst; 0 where nothing is free.
+    warnings
+        Where a point is doubtful.
+    """
+
+    covariance: Floats
+    shape_mm: float = 0.0
+    scale: float = 0.0
+    warnings: tuple[str, ...] = ()
+
+
 def check_determined(
-    problem: BundleProblem, state: State, freedom: Freedom, normal: Floats
-) -> tuple[Floats, tuple[str, ...]]:
+    problem: BundleProblem, state: State, freedom: Freedom, normal: Floats, added: Floats | None = None
+) -> Determined:
     """Raise `CalibrationFailed` where a direction of the sensors' parameters is open, and name it.
 
     Parameters
     ----------
     normal
         Of the free parameters; its inverse is their covariance.
-
-    Returns
-    -------
-    The covariance of all parameters, and a warning where a point is doubtful.
+    added
+        What comes on top of that covariance.
     """
     count = PER_SENSOR * len(problem.sensors)
     places = np.flatnonzero(freedom.free[:count])
@@ -146,7 +169,7 @@ def check_determined(
     found = inverse(normal)
     if found is None or np.max(np.diag(found) * np.diag(normal)) > _SINGULAR:
         raise CalibrationFailed(f"the observations leave the calibration open: {words()}")
-    covariance = freedom.unfold_covariance(found)
+    covariance = freedom.unfold_covariance(found if added is None else found + added)
     deviation = np.sqrt(np.maximum(np.diag(covariance)[:count].reshape(-1, PER_SENSOR), 0.0))
     for i, name in enumerate(names):
         for k in range(6, 10):
@@ -157,17 +180,18 @@ def check_determined(
                     f"(limit {_MOST_RELATIVE:.0%}): {words()}"
                 )
     if not len(places):
-        return covariance, ()
-    worst, pair, diagonal = _worst_point(problem, state, covariance[:count, :count])
+        return Determined(covariance)
+    worst, scale, pair, diagonal = _worst_point(problem, state, covariance[:count, :count])
     if worst <= _DOUBTED_PART * diagonal:
-        return covariance, ()
+        return Determined(covariance, worst, scale)
     finding = (
         f"a point of the volume would be uncertain by {worst:.3g} mm with {pair}, 1/{diagonal / worst:.0f} "
-        f"of the volume's diagonal of {diagonal:.0f} mm"
+        f"of the volume's diagonal of {diagonal:.0f} mm, scale apart"
     )
     if worst > _REFUSED_PART * diagonal:
         raise CalibrationFailed(f"{finding} (limit 1/{1 / _REFUSED_PART:.0f}): {words()}")
-    return covariance, (f"{finding} (wanted 1/{1 / _DOUBTED_PART:.0f}): {words()}",)
+    warning = f"{finding} (wanted 1/{1 / _DOUBTED_PART:.0f}): {words()}"
+    return Determined(covariance, worst, scale, (warning,))
 
 
 def weakest_in_words(problem: BundleProblem, freedom: Freedom, normal: Floats) -> str:
@@ -179,37 +203,44 @@ def weakest_in_words(problem: BundleProblem, freedom: Freedom, normal: Floats) -
     return described(direction, places, tuple(s.name for s in problem.sensors)) + _flatness(problem)
 
 
-def _worst_point(problem: BundleProblem, state: State, covariance: Floats) -> tuple[float, str, float]:
-    """Return the largest of all pairs' rms standard deviations of a point, in mm, the pair, and the diagonal.
+def _worst_point(problem: BundleProblem, state: State, covariance: Floats) -> tuple[float, float, str, float]:
+    """Return `shape_mm` and `scale` of `Determined`, the pair of the first, and the volume's diagonal.
 
-    Over a grid in the volume, but for motions of the whole: where the world is does not matter here.
+    Over a grid in the volume, but for motions of the whole: where the world is does not matter here. Nor does
+    its scale, which no pose tells: it is as good as the pitch or the bar that it was taken from.
     """
     low, high = problem.volume if problem.volume is not None else observed_box(problem, state)
     grid = np.stack(np.meshgrid(*np.linspace(low, high, 3).T, indexing="ij"), -1).reshape(-1, 3)
-    worst, named = 0.0, ""
+    worst, named, scale = 0.0, "", 0.0
     for pair in sorted(_pairs(problem)):
         first, second = (adjusted_sensor(problem.sensors[i], state, i) for i in pair)
         rows = point_jacobian(first, second, grid)
         seen = np.all(np.isfinite(rows), axis=(1, 2))
         if seen.sum() < 4:
             continue
-        across = _without_motion(grid[seen], rows[seen].reshape(-1, 2 * PER_SENSOR))
+        still, across = _without_motion(grid[seen], rows[seen].reshape(-1, 2 * PER_SENSOR))
         index = np.concatenate([np.arange(PER_SENSOR * i, PER_SENSOR * (i + 1)) for i in pair])
-        variance = np.sum((across @ covariance[np.ix_(index, index)]) * across) / seen.sum()
+        own = covariance[np.ix_(index, index)]
+        variance = np.sum((across @ own) * across) / seen.sum()
         sigma = float(np.sqrt(max(variance, 0.0)))
+        scale = max(scale, float(np.sqrt(max(still @ own @ still, 0.0))))
         if sigma > worst:
             worst, named = sigma, "".join(problem.sensors[i].name for i in pair)
-    return worst, named, float(np.linalg.norm(np.subtract(high, low)))
+    return worst, scale, named, float(np.linalg.norm(np.subtract(high, low)))
 
 
-def _without_motion(points: Floats, rows: Floats) -> Floats:
-    """Return changes of points (3 n, k) less the rigid motion in each."""
-    x, y, z = (points - points.mean(axis=0)).T
+def _without_motion(points: Floats, rows: Floats) -> tuple[Floats, Floats]:
+    """Return changes of scale (k,), and changes of points (3 n, k) less rigid motion and scale in each."""
+    centred = points - points.mean(axis=0)
+    x, y, z = centred.T
     nothing, one = np.zeros_like(x), np.ones_like(x)
     turns = [[nothing, -z, y], [z, nothing, -x], [-y, x, nothing]]
     shifts = [[one, nothing, nothing], [nothing, one, nothing], [nothing, nothing, one]]
     basis, _ = np.linalg.qr(np.stack([np.stack(m, axis=1).ravel() for m in turns + shifts], axis=1))
-    return np.asarray(rows - basis @ (basis.T @ rows))
+    rest = rows - basis @ (basis.T @ rows)
+    radial = centred.ravel()
+    scale = radial @ rest / (radial @ radial)
+    return np.asarray(scale), np.asarray(rest - np.outer(radial, scale))
 
 
 def _pairs(problem: BundleProblem) -> set[tuple[int, int]]:

@@ -8,8 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
+from sms_jobs.metrology.calibration.board_shape import SHAPE
 from sms_jobs.metrology.calibration.bundle_adjustment import adjust
-from sms_jobs.metrology.calibration.bundle_problem import BoardPose, BundleOptions, BundleProblem
+from sms_jobs.metrology.calibration.bundle_problem import (
+    BoardPose,
+    BundleBoard,
+    BundleOptions,
+    BundleProblem,
+)
 from sms_jobs.metrology.calibration.bundle_result import Adjustment, Nuisance
 from sms_jobs.metrology.geometry.camera import SENSOR_PARAMETERS
 
@@ -119,6 +125,7 @@ def cross_validate(
     """
     if folds < 2:
         raise InvalidInput(f"{folds} folds hold nothing out; ask for at least 2")
+    quiet = replace(options or BundleOptions(), judge_points=False)
     begun = problem if start is None else restarted(problem, start)
     boards = [k for k in range(len(problem.board_poses)) if k != problem.world_board]
     bars: list[HeldOutBar] = []
@@ -130,8 +137,8 @@ def cross_validate(
         if not held_bars and not held_boards:
             continue
         try:
-            found = adjust(_without(begun, held_bars, held_boards), options)
-            measured = adjust(_alone(begun, found, held_bars, held_boards), options)
+            found = adjust(_without(begun, held_bars, held_boards), quiet)
+            measured = adjust(_alone(begun, found, held_bars, held_boards), quiet)
         except CalibrationFailed as refused:
             failed.append(f"fold {fold + 1}: {refused}")
             continue
@@ -160,7 +167,7 @@ def _without(problem: BundleProblem, bars: set[int], boards: set[int]) -> Bundle
 
 
 def _alone(problem: BundleProblem, found: Adjustment, bars: set[int], boards: set[int]) -> BundleProblem:
-    """Return the problem of some poses alone: sensors and pitches as found, no tie of lengths."""
+    """Return the problem of some poses alone: sensors and boards as found, no tie of lengths."""
     known: dict[str, Nuisance] = {n.name: n for n in found.nuisance}
     pitch = [known[f"pitch scale of {b.name}"].value if f"pitch scale of {b.name}" in known else 1.0
              for b in problem.boards]  # fmt: skip
@@ -174,7 +181,7 @@ def _alone(problem: BundleProblem, found: Adjustment, bars: set[int], boards: se
             )
             for old, new in sensors
         ),
-        boards=tuple(replace(b, pitch_relative_sigma=0.0) for b in problem.boards),
+        boards=tuple(_as_found(board, known) for board in problem.boards),
         bars=tuple(replace(b, length_sigma_mm=0.0, repeatability_mm=np.inf) for b in problem.bars),
         board_points=tuple(
             replace(p, point=p.point * pitch[problem.board_poses[p.pose].board]) for p in points
@@ -183,6 +190,15 @@ def _alone(problem: BundleProblem, found: Adjustment, bars: set[int], boards: se
         world_board=None,
         prior=None,
     )
+
+
+def _as_found(board: BundleBoard, known: dict[str, Nuisance]) -> BundleBoard:
+    """Return a board that keeps the shape that was found; its pitch is that of its points."""
+    names = [f"{what} of {board.name}" for what in SHAPE]
+    bow_x, bow_y, twist = (
+        known[name].value if name in known else kept for name, kept in zip(names, board.shape_mm, strict=True)
+    )
+    return replace(board, pitch_relative_sigma=0.0, flatness_mm=0.0, shape_mm=(bow_x, bow_y, twist))
 
 
 def _lengths(problem: BundleProblem, measured: Adjustment, bars: set[int]) -> list[HeldOutBar]:

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.calibration.board_shape import shape_terms
 from sms_jobs.metrology.calibration.bundle_parameters import Layout, State, starting_state
 from sms_jobs.metrology.calibration.bundle_problem import BundleOptions, BundleProblem
 from sms_jobs.metrology.calibration.bundle_residuals import (
     BOARD_SIZE,
+    PER_BOARD,
     SPHERE_SIZE,
     board_block,
     ray_distances,
@@ -61,7 +63,7 @@ class Packed:
     bars, boards
         Blocks of each kind.
     bar_observed, board_observed
-        (n, 5) and (m, 6), see `sphere_block` and `board_block`.
+        (n, 6) and (m, 9), see `sphere_block` and `board_block`.
     bar_order
         For each item of the problem's `bar_points` the place of its points in `bar_observed`, (n,).
     board_start
@@ -88,7 +90,7 @@ def pack(problem: BundleProblem) -> Packed:
     """Sort the observations of a problem into blocks."""
     layout = Layout.of(problem)
     bars, boards, order, begins = [], [], [], []
-    bar_parts, board_parts = [np.empty((0, 6))], [np.empty((0, 6))]
+    bar_parts, board_parts = [np.empty((0, 6))], [np.empty((0, 9))]
     bar_index, board_index = [], []
     at = 0
     for item, seen in enumerate(problem.bar_points):
@@ -116,14 +118,16 @@ def pack(problem: BundleProblem) -> Packed:
         order.append(place)
     at = 0
     for item, points in enumerate(problem.board_points):
-        board_parts.append(np.column_stack([points.point, points.pixel, points.sigma_px]).astype(float))
+        number = problem.board_poses[points.pose].board
+        terms = shape_terms(points.point, problem.boards[number].outline_mm)
+        board_parts.append(np.column_stack([points.point, terms, points.pixel, points.sigma_px]))
         begins.append(at)
         count, both = len(points.point), (points.sensor, points.sensor)
         index = np.concatenate(
             [
                 _run(PER_SENSOR * points.sensor, PER_SENSOR),
                 _run(layout.board_pose(points.pose), 6),
-                [layout.board(problem.board_poses[points.pose].board)],
+                _run(layout.board(number), PER_BOARD),
             ]
         )
         for start in range(at, at + count, _LONGEST_BLOCK):
@@ -315,8 +319,8 @@ def _boards(
 def prior_equations(problem: BundleProblem, state: State) -> tuple[Floats, Floats, float]:
     """Return normal matrix, gradient and cost of the ties of bar lengths and of everything known beforehand.
 
-    For each bar pose |S2 - S1| - length = 0 within the repeatability; length, radii and pitch scale within
-    their own standard deviations; the sensors by the prior's information matrix.
+    For each bar pose |S2 - S1| - length = 0 within the repeatability; length, radii, pitch scale and
+    the shape of boards within their own standard deviations; the sensors by the prior's information matrix.
     """
     layout = Layout.of(problem)
     normal, gradient = np.zeros((layout.size, layout.size)), np.zeros(layout.size)
@@ -335,7 +339,10 @@ def prior_equations(problem: BundleProblem, state: State) -> tuple[Floats, Float
         for sphere in (0, 1):
             cost += add_prior(at + 1 + sphere, float(radii[sphere]) - bar.radius_mm, bar.radius_sigma_mm)
     for k, board in enumerate(problem.boards):
-        cost += add_prior(layout.board(k), state.pitch_scale(problem, k) - 1.0, board.pitch_relative_sigma)
+        at = layout.board(k)
+        cost += add_prior(at, state.pitch_scale(problem, k) - 1.0, board.pitch_relative_sigma)
+        for term, height in enumerate(state.shape(problem, k)):
+            cost += add_prior(at + 1 + term, float(height), board.flatness_mm)
     for pose, held in enumerate(problem.bar_poses):
         way = state.sphere[pose, 1, :3] - state.sphere[pose, 0, :3]
         apart = float(np.linalg.norm(way))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.calibration.bundle_problem import BundleProblem, BundleSensor
+from sms_jobs.metrology.calibration.bundle_residuals import PER_BOARD
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, POSE_PARAMETERS, SENSOR_PARAMETERS, Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
@@ -57,8 +58,8 @@ class Layout:
         return self.centre(self.bar_poses, 0) + 3 * bar
 
     def board(self, board: int) -> int:
-        """Return the place of the scale of a board's pitch."""
-        return self.bar(self.bars) + board
+        """Return the place of the scale of a board's pitch; bow along x and y and twist follow."""
+        return self.bar(self.bars) + PER_BOARD * board
 
     @property
     def size(self) -> int:
@@ -72,7 +73,8 @@ def parameter_names(problem: BundleProblem) -> tuple[str, ...]:
     names += [f"board {b.name}.{p}" for b in problem.board_poses for p in POSE_PARAMETERS]
     names += [f"bar {b.name}.sphere{k}.{c}" for b in problem.bar_poses for k in (1, 2) for c in "xyz"]
     names += [f"{b.name}.{p}" for b in problem.bars for p in ("length", "radius1", "radius2")]
-    names += [f"{b.name}.pitch-scale" for b in problem.boards]
+    of_board = ("pitch-scale", "bow-x", "bow-y", "twist")
+    names += [f"{b.name}.{p}" for b in problem.boards for p in of_board]
     return tuple(names)
 
 
@@ -127,10 +129,11 @@ class Freedom:
 
 
 def inner_parameters(problem: BundleProblem) -> Ints:
-    """Return the places of all sensors' principal points and distortion."""
-    first = SENSOR_PARAMETERS.index("cx")
-    places = np.arange(PER_SENSOR * len(problem.sensors)).reshape(-1, PER_SENSOR)
-    return np.ascontiguousarray(places[:, first:]).ravel()
+    """Return the places of all sensors' principal points and distortion, and of the shapes of boards."""
+    first, layout = SENSOR_PARAMETERS.index("cx"), Layout.of(problem)
+    places = np.arange(PER_SENSOR * layout.sensors).reshape(-1, PER_SENSOR)
+    boards = np.arange(layout.board(0), layout.size).reshape(-1, PER_BOARD)
+    return np.concatenate([places[:, first:].ravel(), boards[:, 1:].ravel()])
 
 
 def freedom(problem: BundleProblem, seen_board: Bools, seen_sphere: Bools) -> Freedom:
@@ -164,8 +167,10 @@ def freedom(problem: BundleProblem, seen_board: Bools, seen_sphere: Bools) -> Fr
         if seen_sphere[pose].all():
             free[layout.bar(bar)] = problem.bars[bar].length_sigma_mm > 0.0
     for pose in np.flatnonzero(seen_board):
-        board = problem.board_poses[pose].board
-        free[layout.board(board)] = problem.boards[board].pitch_relative_sigma > 0.0
+        number = problem.board_poses[pose].board
+        at, board = layout.board(number), problem.boards[number]
+        free[at] = board.pitch_relative_sigma > 0.0
+        free[at + 1 : at + PER_BOARD] = board.flatness_mm > 0.0
     return Freedom(free, tuple(followers))
 
 
@@ -178,7 +183,8 @@ class State:
     rotation, translation, lens
         (s, 3, 3), (s, 3) and (s, parameters of a lens) of the sensors.
     board
-        (board poses, 3, 5): rotation, translation, and at [:, 0, 4] the scale of the board's pitch.
+        (board poses, 3, 6): rotation, translation, at [:, 0, 4] the scale of the board's pitch and at
+        [:, :, 5] its shape.
     sphere
         (bar poses, 2, 4): centre and radius.
     length
@@ -201,7 +207,9 @@ class State:
         board[:, :, :3] = rotation_matrix(poses[:, :3]) @ board[:, :, :3]
         board[:, :, 3] += poses[:, 3:]
         for pose, placed in enumerate(problem.board_poses):
-            board[pose, 0, 4] += step[layout.board(placed.board)]
+            at = layout.board(placed.board)
+            board[pose, 0, 4] += step[at]
+            board[pose, :, 5] += step[at + 1 : at + PER_BOARD]
         sphere[:, :, :3] = _turned_bars(
             sphere[:, :, :3], step[layout.centre(0, 0) : layout.bar(0)].reshape(-1, 2, 3)
         )
@@ -224,6 +232,13 @@ class State:
             if placed.board == board:
                 return float(self.board[pose, 0, 4])
         return 1.0
+
+    def shape(self, problem: BundleProblem, board: int) -> Floats:
+        """Return the shape (3,) of a board in mm; that of the start where no pose shows it."""
+        for pose, placed in enumerate(problem.board_poses):
+            if placed.board == board:
+                return self.board[pose, :, 5].copy()
+        return np.array(problem.boards[board].shape_mm)
 
     def radii(self, problem: BundleProblem, bar: int) -> Floats:
         """Return the radii (2,) of the spheres of a bar, as certified where no pose shows it."""
@@ -263,10 +278,10 @@ def sensor_arrays(sensors: tuple[tuple[Intrinsics, Pose], ...]) -> tuple[Floats,
 def starting_state(problem: BundleProblem) -> State:
     """Return the values that a problem starts from."""
     rotation, translation, lens = sensor_arrays(tuple((s.intrinsics, s.pose) for s in problem.sensors))
-    board = np.zeros((len(problem.board_poses), 3, 5))
+    board = np.zeros((len(problem.board_poses), 3, 6))
     for pose, placed in enumerate(problem.board_poses):
         board[pose, :, :3], board[pose, :, 3] = placed.pose.matrix(), placed.pose.translation
-        board[pose, 0, 4] = 1.0
+        board[pose, 0, 4], board[pose, :, 5] = 1.0, problem.boards[placed.board].shape_mm
     sphere = np.zeros((len(problem.bar_poses), 2, 4))
     for pose, held in enumerate(problem.bar_poses):
         sphere[pose, :, :3] = held.centres

@@ -53,11 +53,28 @@ class BundleSensor:
 
 @dataclass(frozen=True)
 class BundleBoard:
-    """A board: how well its pitch and the places of its points are known (`records.artefacts`)."""
+    """A board: how well its pitch, the places of its points and its flatness are known (`records.artefacts`).
+
+    Attributes
+    ----------
+    pitch_relative_sigma
+        Of the scale; 0 where the pitch is held as it is given.
+    point_sigma_mm
+        Of one point's place, in each direction: the same in every pose, for a board is printed once.
+    flatness_mm
+        Standard deviation of bow and twist; 0 where the shape is held at `shape_mm`.
+    outline_mm
+        Lowest and highest x, then y, of the board's points.
+    shape_mm
+        Bow along x, bow along y and twist from which the adjustment starts, see `board_shape`.
+    """
 
     name: str
     pitch_relative_sigma: float = 1e-3
     point_sigma_mm: float = 0.002
+    flatness_mm: float = 0.0
+    outline_mm: tuple[tuple[float, float], tuple[float, float]] = ((-1.0, 1.0), (-1.0, 1.0))
+    shape_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -282,6 +299,8 @@ class BundleOptions:
         Before the adjustment is given up.
     cost_tolerance
         Relative change of the cost at which it has converged.
+    judge_points
+        Ask whether the points of boards are where they are told to be.
     threads
         Number of threads; the result does not depend on it.
     """
@@ -292,4 +311,5 @@ class BundleOptions:
     estimate_variances: bool = True
     most_iterations: int = 60
     cost_tolerance: float = 1e-10
+    judge_points: bool = True
     threads: int = 1

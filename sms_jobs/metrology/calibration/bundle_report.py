@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.calibration.board_shape import SHAPE
 from sms_jobs.metrology.calibration.bundle_normal import Block, Live, Observed, Packed
 from sms_jobs.metrology.calibration.bundle_parameters import Freedom, Layout, State, adjusted_sensor
 from sms_jobs.metrology.calibration.bundle_problem import BundleOptions, BundleProblem, ResidualType
@@ -38,7 +39,7 @@ def board_poses(problem: BundleProblem, state: State) -> tuple[Pose, ...]:
 def nuisances(
     problem: BundleProblem, state: State, freedom: Freedom, covariance: Floats
 ) -> tuple[Nuisance, ...]:
-    """Return the lengths, radii and pitch scales that were estimated along."""
+    """Return the lengths, radii, pitch scales and shapes that were estimated along."""
     layout = Layout.of(problem)
     found = []
 
@@ -61,7 +62,10 @@ def nuisances(
             add(at + 1 + i, name, "mm", bar.radius_mm, bar.radius_sigma_mm, float(radii[i]))
     for k, board in enumerate(problem.boards):
         scale = state.pitch_scale(problem, k)
-        add(layout.board(k), f"pitch scale of {board.name}", "1", 1.0, board.pitch_relative_sigma, scale)
+        at, shape = layout.board(k), state.shape(problem, k)
+        add(at, f"pitch scale of {board.name}", "1", 1.0, board.pitch_relative_sigma, scale)
+        for i, (what, height) in enumerate(zip(SHAPE, shape, strict=True)):
+            add(at + 1 + i, f"{what} of {board.name}", "mm", 0.0, board.flatness_mm, float(height))
     return tuple(found)
 
 

@@ -20,8 +20,11 @@ Floats = NDArray[np.float64]
 SPHERE_SIZE = 2 * PER_SENSOR + 4
 """Parameters of a sphere block: the camera's, the projector's, the centre, the radius."""
 
-BOARD_SIZE = PER_SENSOR + PER_POSE + 1
-"""Parameters of a board block: the sensor's, those of the board's pose, the scale of its pitch."""
+PER_BOARD = 4
+"""Parameters of a board: the scale of its pitch, bow along x and y, twist."""
+
+BOARD_SIZE = PER_SENSOR + PER_POSE + PER_BOARD
+"""Parameters of a board block: the sensor's, those of the board's pose, those of the board."""
 
 
 @kernel
@@ -372,23 +375,27 @@ def board_rows(
 ) -> bool:
     """Project a point of a board; fill pixel (2,) and derivatives; say whether it is in front.
 
-    `board` (3, 5) holds the board's rotation, translation and, at [0, 4], the scale of its pitch; `rows`
-    (2, parameters) are the derivatives of the pixel by them, `slope` (2, 3) those by the point in the world.
+    `board` (3, 6) holds the board's rotation, translation, at [0, 4] the scale of its pitch and at [:, 5] its
+    shape; `point` (6,) its place on the board and its `shape_terms`. `rows` (2, parameters) are the
+    derivatives of the pixel by all of them, `slope` (2, 3) those by the point in the world.
     """
-    place, world = np.empty(3), np.empty(3)
+    place, arm, world = np.empty(3), np.empty(3), np.empty(3)
+    height = _dot(board[:, 5], point[3:6])
     for i in range(3):
         place[i] = board[i, 0] * point[0] + board[i, 1] * point[1] + board[i, 2] * point[2]
-        world[i] = board[0, 4] * place[i] + board[i, 3]
+        arm[i] = board[0, 4] * place[i] + height * board[i, 2]
+        world[i] = arm[i] + board[i, 3]
     if not project_rows(rotation, translation, lens, world, pixel, rows[:, :PER_SENSOR], slope):
         return False
-    for k in range(3):
-        world[k] = board[0, 4] * place[k]
     for i in range(2):
         g = slope[i]
-        _cross(world, g, rows[i, PER_SENSOR : PER_SENSOR + 3])
+        _cross(arm, g, rows[i, PER_SENSOR : PER_SENSOR + 3])
         for k in range(3):
             rows[i, PER_SENSOR + 3 + k] = g[k]
-        rows[i, BOARD_SIZE - 1] = _dot(g, place)
+        rows[i, BOARD_SIZE - PER_BOARD] = _dot(g, place)
+        out = _dot(g, board[:, 2])
+        for k in range(3):
+            rows[i, BOARD_SIZE - PER_BOARD + 1 + k] = out * point[3 + k]
     return True
 
 
@@ -410,25 +417,25 @@ def board_block(
 ) -> float:
     """Add the points of a board block to its normal equations; return their cost with the whitening given.
 
-    `observed` (n, 6) holds the point on the board, its pixel and sigma; `found` (n, 5) becomes the residual
-    (predicted less observed) in px, whitened, and the weight. The variance of a pixel is sigma^2 and what
+    `observed` (n, 9) holds the point on the board, its shape terms, its pixel and sigma; `found` (n, 5)
+    becomes the residual (predicted less observed) in px, whitened, and the weight. The variance of a pixel is sigma^2 and what
     `point_sigma`, in mm in each direction, makes of the board's own error. Otherwise as `sphere_block`.
     """
     rows, slope, pixel, both = np.empty((2, BOARD_SIZE)), np.empty((2, 3)), np.empty(2), np.empty(2)
     cost = 0.0
     both[0] = both[1] = scale
     for i in range(len(observed)):
-        seen = board_rows(rotation, translation, lens, board, observed[i, :3], pixel, rows, slope)
+        seen = board_rows(rotation, translation, lens, board, observed[i, :6], pixel, rows, slope)
         found[i, 4] = 0.0
         if not (seen and np.isfinite(pixel[0] + pixel[1])):
             cost = np.inf if live[i] else cost
             found[i, 0] = found[i, 1] = found[i, 2] = found[i, 3] = np.nan
             continue
-        off_x, off_y = pixel[0] - observed[i, 3], pixel[1] - observed[i, 4]
+        off_x, off_y = pixel[0] - observed[i, 6], pixel[1] - observed[i, 7]
         if live[i]:
             first = whitening[i, 0] * off_x
             cost += _robust(first, whitening[i, 1] * off_x + whitening[i, 2] * off_y, both, huber)[0]
-        own, noise = point_sigma * point_sigma, observed[i, 5] * observed[i, 5]
+        own, noise = point_sigma * point_sigma, observed[i, 8] * observed[i, 8]
         xx = noise + own * _dot(slope[0], slope[0])
         xy = own * _dot(slope[0], slope[1])
         yy = noise + own * _dot(slope[1], slope[1])

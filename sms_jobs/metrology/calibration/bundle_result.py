@@ -61,12 +61,13 @@ class AdjustedSensor:
 
 @dataclass(frozen=True)
 class Nuisance:
-    """A length that is known beforehand and estimated along: of a bar, of a radius, of a board's pitch.
+    """A length that is known beforehand and estimated along: of a bar, a radius, a board's pitch or its bow.
 
     Attributes
     ----------
     name
-        "length of bar-500", "radius of sphere 1 of bar-500", "pitch scale of board-a".
+        "length of bar-500", "radius of sphere 1 of bar-500", "pitch scale of board-a",
+        "bow along x of board-a".
     unit
         mm, or 1 for a pitch scale.
     prior, prior_sigma, value, sigma
@@ -97,7 +98,7 @@ class Adjustment:
     centres
         (bar poses, 2, 3) in mm; NaN for spheres with too few points.
     nuisance
-        Lengths and radii of each bar, then the pitch scale of each board.
+        Lengths and radii of each bar, then the pitch scale and the shape of each board.
     names
         Of all parameters, fixed ones too: "C1.fx", "board B02.tx", "bar A07.sphere1.x", ...; those
         of the sensors first.
@@ -126,6 +127,10 @@ class Adjustment:
         (n, 2) in mm, (ray gap, sphere surface).
     warnings
         What a person should look at before trusting the result.
+    point_rms_mm
+        See `PointsFound`.
+    shape_sigma_mm, scale_sigma
+        See `Determined`.
     """
 
     sensors: tuple[AdjustedSensor, ...]
@@ -147,6 +152,9 @@ class Adjustment:
     residual_board: tuple[Floats, ...]
     residual_bar: tuple[Floats, ...]
     warnings: tuple[str, ...]
+    point_rms_mm: float
+    shape_sigma_mm: float
+    scale_sigma: float
 
     def sensor(self, name: str) -> int:
         """Return the place of the sensor of that name; raise `ValueError` where there is none."""

@@ -134,14 +134,15 @@ def test_the_root_of_a_grazing_ray_goes_on_smoothly() -> None:
 
 
 def test_board_derivatives_are_finite_differences() -> None:
-    point = np.array([120.0, -80.0, 0.0])
+    point = np.array([120.0, -80.0, 0.0, 0.7, -0.2, -0.5])
+    shape = np.array([0.3, -2.0, 1.0])
     base = Rotation.from_rotvec([0.2, -0.1, 0.3]).as_matrix()
 
     def board(change: Floats) -> Floats:
-        found = np.zeros((3, 5))
+        found = np.zeros((3, 6))
         found[:, :3] = Rotation.from_rotvec(change[:3]).as_matrix() @ base
         found[:, 3] = np.array([5.0, -10.0, 20.0]) + change[3:6]
-        found[0, 4] = 1.0 + change[6]
+        found[0, 4], found[:, 5] = 1.0 + change[6], shape + change[7:]
         return found
 
     def predicted(parameters: Floats) -> Floats:
@@ -162,13 +163,14 @@ def test_board_derivatives_are_finite_differences() -> None:
 
     rows, slope, pixel = np.zeros((2, BOARD_SIZE)), np.zeros((2, 3)), np.empty(2)
     rotation, translation, lens = (a[0] for a in arrays(SENSORS))
-    assert board_rows(rotation, translation, lens, board(np.zeros(7)), point, pixel, rows, slope)
-    world = board(np.zeros(7))[:, :3] @ point + board(np.zeros(7))[:, 3]
+    assert board_rows(rotation, translation, lens, board(np.zeros(10)), point, pixel, rows, slope)
+    placed = board(np.zeros(10))
+    world = placed[:, :3] @ (point[:3] + [0.0, 0.0, shape @ point[3:]]) + placed[:, 3]
     model = camera_models(SENSORS)[0]
     np.testing.assert_allclose(pixel, project(*model, world[None])[0], rtol=1e-12)
     np.testing.assert_allclose(slope, projection_jacobian(*model, world[None])[0], rtol=1e-10)
-    at = np.concatenate([SENSORS[0], np.zeros(7)])
-    wanted = slopes(predicted, at, np.concatenate([STEPS, [1e-4] * 3, [0.1] * 3, [1e-4]]))
+    at = np.concatenate([SENSORS[0], np.zeros(10)])
+    wanted = slopes(predicted, at, np.concatenate([STEPS, [1e-4] * 3, [0.1] * 3, [1e-4], [0.1] * 3]))
     scale = np.abs(wanted).max(axis=0) + 1e-3
     # As for spheres.
     np.testing.assert_allclose(rows / scale, wanted / scale, atol=1e-8)
