@@ -1,8 +1,8 @@
 """Calibration sessions of cameras and a board that is not as told, made of exact geometry and noise.
 
-What cameras would have seen of every point is computed by the virtual rig's own copy of the lens, and given to
-the job kind `calibrate-boards` as `observe-board` would have: hundreds of sessions can be calibrated, from
-first values to warnings, without rendering an image.
+What cameras would have seen of every point is computed by the virtual rig's own copy of the lens, and given
+to the job kind `calibrate-boards` as `observe-board` would have: hundreds of sessions can be calibrated,
+from first values to warnings, without rendering an image.
 """
 
 from __future__ import annotations

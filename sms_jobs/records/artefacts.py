@@ -122,7 +122,7 @@ _UNKNOWN_FLATNESS = 2e-3
 
 
 def bow_sigma_mm(board: CircleBoard | Chessboard) -> float:
-    """Return the standard deviation of a board's bow and twist, in mm: 1/500 of its longer side if not told."""
+    """Return the standard deviation of a board's bow and twist, mm: 1/500 of its longer side if not told."""
     if board.flatness_mm is not None:
         return board.flatness_mm
     return _UNKNOWN_FLATNESS * board.pitch_mm * (max(board.columns, board.rows) - 1)

@@ -103,6 +103,11 @@ class CalibrationQuality:
         Places in the volume, and the standard deviation that the calibration alone gives a point there.
     residual_sensor, residual_px, residual
         A sample of residuals of board points: number of the sensor in the rig, where in its image, and what.
+    scale
+        What lengths were taken from, and how well it is known, in words.
+    shape_sigma_mm
+        Standard deviation of a point in the volume from the calibration alone, but for motions and the scale of
+        the whole, of the view that knows it worst; None where it was not asked for.
     """
 
     gauge: str
@@ -130,6 +135,8 @@ class CalibrationQuality:
     residual: NDArray[np.float64] = array(
         "px", "observed less expected", ("residual", "component"), ("x", "y")
     )
+    scale: str = ""
+    shape_sigma_mm: float | None = None
 
     def held_out_bar_rms_mm(self) -> float:
         """Return the rms error of the held-out bar lengths; NaN when there was no bar."""

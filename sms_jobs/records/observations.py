@@ -36,6 +36,8 @@ class BoardObservation:
         Names of the sensors; that of the projector is empty for a camera alone.
     refused
         Why points that were found are not among them, and how many.
+    reason
+        Why the board was not found, and what to do; empty where it was.
     """
 
     camera: str
@@ -49,6 +51,7 @@ class BoardObservation:
     camera_sigma_px: NDArray[np.float64] = array("px", "standard deviation in the camera", ("point",))
     projector_px: NDArray[np.float64] = array("px", "image in the projector", _POINTS, _PIXEL)
     projector_sigma_px: NDArray[np.float64] = array("px", "standard deviation in the projector", ("point",))
+    reason: str = ""
 
 
 @dataclass(frozen=True)

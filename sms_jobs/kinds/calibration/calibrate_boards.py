@@ -17,6 +17,7 @@ from sms_jobs.formats.report.calibration import calibration_page
 from sms_jobs.formats.report.origins import origin_sections
 from sms_jobs.formats.report.page import page_writer
 from sms_jobs.kinds import defaults_of_kinds
+from sms_jobs.kinds.calibration.board_doubts import board_doubts
 from sms_jobs.kinds.calibration.session_adjustment import (
     Bars,
     Boards,
@@ -31,7 +32,7 @@ from sms_jobs.kinds.calibration.session_adjustment import (
     start_of_rig,
     uncertainty_of,
 )
-from sms_jobs.kinds.calibration.session_doubts import doubts_of
+from sms_jobs.kinds.calibration.session_doubts import doubts_of, why_unseen
 from sms_jobs.kinds.calibration.sessions import (
     CALIBRATE_BOARDS,
     OBSERVED_BOARDS,
@@ -130,9 +131,16 @@ def _from_nothing(plan: SessionPlan, boards: Boards) -> Start:
     views = board_views(boards)
     world = next((p.label for p in plan.poses if p.label in boards), "")
     if not any(v.pose == world for v in views):
+        reasons = {
+            f"{one.camera}: {why_unseen(one)}": None for one in boards.get(world, ()) if why_unseen(one)
+        }
+        if not views:
+            raise CalibrationFailed(
+                f"nobody saw the board in any of {len(boards)} poses; of pose {world}, {'; '.join(reasons)}"
+            )
         raise CalibrationFailed(
             f"nobody saw the board in pose {world}, which is to be the world's frame; record it again, or "
-            "let the session begin with another pose"
+            f"let the session begin with another pose ({'; '.join(reasons)})"
         )
     found = initialise(
         views,
@@ -166,7 +174,7 @@ def adjusted(
     held_out = cross_validate(problem, options, parameters.folds, found)
     calibration = calibration_of(plan, start, found, problem, origin)
     uncertainty = uncertainty_of(found)
-    doubts = (*doubts, *doubts_of(start, boards, bars))
+    doubts = (*doubts, *board_doubts(problem, found), *doubts_of(start, boards, bars))
     quality = quality_of(plan, start, calibration, found, held_out, problem, boards, bars, doubts)
     progress(0.9, "writing the page")
     products: dict[Product[Any], Any] = {CALIBRATED: calibration, UNCERTAINTY: uncertainty, QUALITY: quality}

@@ -117,8 +117,6 @@ def _observation(shown: BoardShown, found: BoardPoints, carried: ProjectorPoints
     refused = dict(found.refused)
     for why, count in carried.refused.items():
         refused[f"in the projector: {why}"] = count
-    if found.reason:
-        refused[found.reason] = 1
     return BoardObservation(
         shown.camera.name,
         "" if shown.projector is None else shown.projector.name,
@@ -131,6 +129,7 @@ def _observation(shown: BoardShown, found: BoardPoints, carried: ProjectorPoints
         found.sigma_px[kept],
         carried.pixel[kept],
         carried.sigma[kept],
+        found.reason,
     )
 
 

@@ -367,6 +367,10 @@ def quality_of(
     for one in every:
         for why, count in one.refused.items():
             refused[why] = refused.get(why, 0) + count
+    for pose, seen in boards.items():
+        for view in seen:
+            if view.reason:
+                refused[f"{view.camera} in pose {pose}: {view.reason}"] = 1
     used = [np.isfinite(r).all(axis=1) for r in found.residual_board]
     points = [*zip(problem.board_points, found.residual_board, used, strict=True)]
     none = np.empty((0, 2))
@@ -390,7 +394,24 @@ def quality_of(
         residual_sensor=np.repeat([p.sensor for p, _, _ in points], [k.sum() for k in used]).astype(np.int32),
         residual_px=np.concatenate([none, *(p.pixel[k] for p, _, k in points)]),
         residual=np.concatenate([none, *(r[k] for _, r, k in points)]),
+        scale=_scale(plan, start, found, problem),
+        shape_sigma_mm=found.shape_sigma_mm,
     )
+
+
+def _scale(plan: SessionPlan, start: Start, found: Adjustment, problem: BundleProblem) -> str:
+    """Say what lengths were taken from, and how well it is known."""
+    part = f"known to 1/{1.0 / found.scale_sigma:,.0f}" if found.scale_sigma > 0.0 else "taken as exact"
+    if problem.bar_points:
+        return f"the length of {' and '.join(bar.name for bar in problem.bars)}, {part}"
+    names = " and ".join(board.name for board in problem.boards)
+    told = [plan.session.artefacts[b.name] for b in problem.boards if b.name not in start.pitch]
+    if any(not isinstance(one, BallBar) and one.pitch_relative_sigma is None for one in told):
+        return (
+            f"the nominal pitch of {names}, of which nobody has told how well it is known: lengths are as "
+            "good as the pitch is (pitch_relative_sigma)"
+        )
+    return f"the pitch of {names}, {part}"
 
 
 def _both(camera_px: float, projector_px: float) -> float:

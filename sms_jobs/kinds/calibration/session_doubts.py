@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sms_jobs.kinds.calibration.session_adjustment import Bars, Boards, Start, middle_centres
-from sms_jobs.records.observations import BarObservation
+from sms_jobs.records.observations import BarObservation, BoardObservation
 
 _FLAT = 0.02
 """Of the largest extent of all spheres, rms: what is less across a plane tells nothing of that direction."""
@@ -48,7 +48,7 @@ def doubts_of(start: Start, boards: Boards, bars: Bars) -> tuple[str, ...]:
     """Return what a person has to look at: poses that nobody saw, bars that tell little."""
     shown = {pose for _, pose in start.usable}
     doubts = [
-        f"pose {pose}: nobody saw enough of the board; record it again, or leave it out"
+        f"pose {pose}: nobody saw enough of the board; {_why(start, boards, pose)}"
         for pose in boards
         if pose not in shown or pose not in start.boards
     ]
@@ -65,6 +65,27 @@ def doubts_of(start: Start, boards: Boards, bars: Bars) -> tuple[str, ...]:
             "no pose shows both spheres of the bar, so that its length takes no part; record such poses"
         )
     return (*doubts, *_flat(np.concatenate(list(centres.values()))))
+
+
+def _why(start: Start, boards: Boards, pose: str) -> str:
+    """Say why no view of a pose shows the board, and what to do."""
+    reasons = {reason: one.camera for one in boards[pose] if (reason := why_unseen(one))}
+    for why in start.refused:
+        sensor, _, reason = why.partition(f" in pose {pose}: ")
+        if reason:
+            reasons.setdefault(reason, sensor)
+    if not reasons:
+        return "record it again, or leave it out"
+    return "; ".join(f"{camera}: {reason}" for reason, camera in reasons.items())
+
+
+def why_unseen(seen: BoardObservation) -> str:
+    """Say why a view has no point of a board; nothing where it has."""
+    if len(seen.point):
+        return ""
+    if seen.reason:
+        return seen.reason
+    return "; ".join(f"{count} times {why}" for why, count in seen.refused.items())
 
 
 def _flat(centres: np.ndarray) -> tuple[str, ...]:

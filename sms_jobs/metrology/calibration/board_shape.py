@@ -1,12 +1,13 @@
 """The shape of a board that is not flat: bow along both sides, and twist.
 
-What bends a plate as a whole is of low order: its own weight, screws, glue that shrinks, a print that was stuck
-onto a curved sheet. With u and v from -1 to 1 across the board's points, a point stands out of the plane by
+What bends a plate as a whole is of low order: its own weight, screws, glue that shrinks, a print that was
+stuck onto a curved sheet. With u and v from -1 to 1 across the board's points, a point stands out by
 
     z = bow_x (u^2 - 1/3) + bow_y (v^2 - 1/3) + twist u v.
 
-A bow is how far the middle of an edge's ends lies above the middle: the sagitta. The thirds make the plane the
+A bow is how far the ends of a middle line lie above its middle: the sagitta. The thirds make the plane the
 one that fits the board best, which keeps the frame of a board where it was when bow and twist are found.
+The model is that of mrcal's calibration object, with a twist besides and with what is told of flatness.
 """
 
 from __future__ import annotations

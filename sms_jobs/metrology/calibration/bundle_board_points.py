@@ -291,13 +291,14 @@ def _shape_warning(
     x, y = equations.place[point, :2]
     dx, dy, dz = by_group[equations.group[point]]
     rms = float(np.sqrt(np.mean(by_group**2)))
-    return (
-        f"the points of {board} are not where they are told to be, nor does bow or twist explain it: they are "
-        f"off by {1e3 * rms:.3g} um rms in each direction, that at x {x:.4g}, y {y:.4g} mm by "
+    told = (
+        f"the points of {board} are not where they are told to be, nor does bow or twist explain it: they "
+        f"are off by {1e3 * rms:.3g} um rms in each direction, that at x {x:.4g}, y {y:.4g} mm by "
         f"({1e3 * dx:.0f}, {1e3 * dy:.0f}, {1e3 * dz:.0f}) um; with points set free {name} would go by "
-        f"{shift[worst]:+.3g}, {abs(shift[worst]) / deviation[worst]:.1f} of its deviations (limit 1): is the "
-        "board dented, or its print crooked? Take a flat one",
+        f"{shift[worst]:+.3g}, {abs(shift[worst]) / deviation[worst]:.1f} of its deviations (limit 1): is "
+        "the board dented, or its print crooked? Take a flat one"
     )
+    return (told,)
 
 
 def _misplaced(problem: BundleProblem, equations: PointEquations) -> tuple[str, ...]:
@@ -313,7 +314,7 @@ def _misplaced(problem: BundleProblem, equations: PointEquations) -> tuple[str, 
         np.add.at(own, which, np.einsum("n,nij,nik->njk", weight, slopes, slopes))
         np.add.at(pull, which, np.einsum("n,nij,ni->nj", weight, slopes, residuals))
         own += 1e-9 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-30 * np.eye(3)
-        off = np.linalg.solve(own, pull[:, :, None])[:, :, 0]
+        off = np.asarray(np.linalg.solve(own, pull[:, :, None])[:, :, 0], dtype=np.float64)
     stated = np.array([board.point_sigma_mm for board in problem.boards])[equations.board]
     spread = np.linalg.inv(own) + (stated**2)[:, None, None] * np.eye(3)
     squares = np.einsum("ni,ni->n", off, np.linalg.solve(spread, off[:, :, None])[:, :, 0])

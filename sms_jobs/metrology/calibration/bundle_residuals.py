@@ -418,8 +418,9 @@ def board_block(
     """Add the points of a board block to its normal equations; return their cost with the whitening given.
 
     `observed` (n, 9) holds the point on the board, its shape terms, its pixel and sigma; `found` (n, 5)
-    becomes the residual (predicted less observed) in px, whitened, and the weight. The variance of a pixel is sigma^2 and what
-    `point_sigma`, in mm in each direction, makes of the board's own error. Otherwise as `sphere_block`.
+    becomes the residual (predicted less observed) in px, whitened, and the weight. The variance of a pixel is
+    sigma^2 and what `point_sigma`, in mm in each direction, makes of the board's own error. Otherwise as
+    `sphere_block`.
     """
     rows, slope, pixel, both = np.empty((2, BOARD_SIZE)), np.empty((2, 3)), np.empty(2), np.empty(2)
     cost = 0.0

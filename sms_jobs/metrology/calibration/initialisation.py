@@ -18,6 +18,7 @@ from sms_jobs.metrology.calibration.sensor_start import (
     start_sensor,
     usable_views,
 )
+from sms_jobs.metrology.calibration.shared_poses import drop_unshared
 from sms_jobs.metrology.geometry.camera import Pose, project, projection_jacobian
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_matrix, transform
@@ -122,7 +123,8 @@ def initialise(
         For two views of one sensor and pose, a sensor without a size, or no views.
     CalibrationFailed
         When a sensor cannot be found (its views are not tilted, too few, or wrong), or shares no pose with
-        the others, directly or through others. The message names it.
+        the others, directly or through others. The message names it. When two sensors agree in no half
+        of the poses that they share.
 
     Notes
     -----
@@ -143,6 +145,7 @@ def initialise(
     if not starts:
         raise next(iter(failed.values()))
     refused += _drop_wrong_views(starts)
+    refused += drop_unshared(starts, [view for view, _ in usable], world)
     poses, boards = _chain(starts, world, board_in_world or _IDENTITY)
     for name, first in failed.items():
         own = [u for u in usable if u[0].sensor == name]
@@ -187,7 +190,8 @@ def _drop_wrong_views(starts: dict[str, SensorStart]) -> list[Refusal]:
             few = kept.sum() < max(6, len(kept) // 2)
             if few or (rms > _REFUSED_VIEW * usual and rms > usual + _FAR_PX):
                 reason = (
-                    f"the view does not fit the sensor's others: {rms:.3g} px where they have {usual:.3g} px"
+                    f"only {int(kept.sum())} of {len(kept)} points fit what the sensor's other views make "
+                    f"of it, {rms:.3g} px where they have {usual:.3g} px: is it an image of another camera?"
                 )
                 refused.append(Refusal(name, pose, len(kept), reason))
                 for table in (start.poses, start.kept, start.rms_px):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -21,6 +22,7 @@ from sms_jobs.metrology.targets.perspective import (
     ellipse_matrices,
     fit_plane_view,
 )
+from sms_jobs.metrology.targets.unseen import why_unseen
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int32]
@@ -91,9 +93,15 @@ def _by_markers(board: DotBoard, place: Ints, flagged: NDArray[np.bool_]) -> tup
     fitting = (f for f in found.values() if f[0] == 3 or (f[0] == _LEAST_MARKERS and f[1] == 2 * f[0]))
     likely = sorted(fitting, key=lambda f: -f[1])
     if not likely:
-        return f"{int(flagged.sum())} markers were seen among {len(place)} dots, not two that fit the board"
+        return (
+            f"{int(flagged.sum())} markers were seen among {len(place)} dots, not two that fit the board: "
+            "show the part with the markers, or correct their places and sizes"
+        )
     if len(likely) > 1 and likely[1][1] == likely[0][1]:
-        return f"{likely[0][0]} of three markers were seen, which leaves more than one place for the board"
+        return (
+            f"{likely[0][0]} of three markers were seen, which leaves more than one place for the board: show "
+            "all three"
+        )
     return likely[0][2], likely[0][0]
 
 
@@ -117,7 +125,8 @@ def _by_extent(board: DotBoard, place: Ints, centre: Floats) -> Ints | str:
         size = place.max(axis=0) - place.min(axis=0) + 1
         return (
             f"a lattice of {size[0]} by {size[1]} dots was seen, not the board's {board_size[0]} by "
-            f"{board_size[1]}; without markers all rows and columns must be in view"
+            f"{board_size[1]}; without markers all rows and columns must be in view: show the board whole, "
+            "or correct its number of columns and rows"
         )
     return best[1]
 
@@ -194,6 +203,15 @@ def find_board(image: NDArray[np.generic], board: DotBoard, *, threads: int = 1)
     The points, or none of them and the reason.
     """
     grey = np.ascontiguousarray(image, dtype=np.float32)
+    found = _find(grey, board, threads)
+    if not found.reason:
+        return found
+    why = why_unseen(grey)
+    return replace(found, reason=f"{found.reason}: {why}" if why else found.reason)
+
+
+def _find(grey: NDArray[np.float32], board: DotBoard, threads: int) -> BoardPoints:
+    """Return the points of a board, or the reason that the dots tell."""
     circles = find_circles(grey, ink=board.ink, threads=threads)
     refused = dict(circles.refused)
     which, lattice = lattice_places(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.targets.patterns import BoardPoints, not_found
 from sms_jobs.metrology.targets.saddle_fit import fit_saddles
+from sms_jobs.metrology.targets.unseen import other_chessboard, why_unseen
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -16,6 +17,7 @@ _DISC = 0.4  # of the distance to the nearest corner, so that no other corner is
 _MOST_DISC_PX = 12.0  # lines are straight and light is a plane in that
 _LEAST_DISC_PX = 3.5
 _MOST_RESIDUAL_OVER_CONTRAST = 0.5
+_NOTHING_WRONG = "show it whole, flat and with a white border about it"
 
 
 def _eight_bits(image: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -112,9 +114,11 @@ def find_chessboard(
     The corners, or none of them and the reason.
     """
     grey = np.ascontiguousarray(image, dtype=np.float32)
-    grid = _grid(_eight_bits(grey), columns, rows)
+    eight_bits = _eight_bits(grey)
+    grid = _grid(eight_bits, columns, rows)
     if grid is None:
-        return not_found(f"no chessboard of {columns} by {rows} inner corners was seen as a whole", {})
+        why = why_unseen(grey) or other_chessboard(eight_bits, columns, rows) or _NOTHING_WRONG
+        return not_found(f"no chessboard of {columns} by {rows} inner corners was seen as a whole: {why}", {})
     corner, covariance, contrast, residual = _fitted(grey, grid, threads)
     quarter = _quarters(grid, contrast)
     corner, covariance = np.rot90(corner, quarter), np.rot90(covariance, quarter)

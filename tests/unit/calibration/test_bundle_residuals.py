@@ -165,7 +165,7 @@ def test_board_derivatives_are_finite_differences() -> None:
     rotation, translation, lens = (a[0] for a in arrays(SENSORS))
     assert board_rows(rotation, translation, lens, board(np.zeros(10)), point, pixel, rows, slope)
     placed = board(np.zeros(10))
-    world = placed[:, :3] @ (point[:3] + [0.0, 0.0, shape @ point[3:]]) + placed[:, 3]
+    world = placed[:, :3] @ (point[:3] + np.array([0.0, 0.0, shape @ point[3:]])) + placed[:, 3]
     model = camera_models(SENSORS)[0]
     np.testing.assert_allclose(pixel, project(*model, world[None])[0], rtol=1e-12)
     np.testing.assert_allclose(slope, projection_jacobian(*model, world[None])[0], rtol=1e-10)
