@@ -106,8 +106,8 @@ class CalibrationQuality:
     scale
         What lengths were taken from, and how well it is known, in words.
     shape_sigma_mm
-        Standard deviation of a point in the volume from the calibration alone, but for motions and the scale of
-        the whole, of the view that knows it worst; None where it was not asked for.
+        Standard deviation of a point in the volume from the calibration alone, but for motions and the scale
+        of the whole, of the view that knows it worst; None where it was not asked for.
     """
 
     gauge: str

@@ -14,7 +14,7 @@ from sms_jobs.metrology.calibration.bundle_result import Adjustment
 Floats = NDArray[np.float64]
 
 _MOST_WHITENED = 3.0
-"""Rms of residuals over their stated deviation: more is no noise, and parameters are not as good as stated."""
+"""Rms of residuals over their stated deviation: more is no noise, and parameters are worse than stated."""
 
 _ALIKE = 0.5
 """Of the difference that noise makes between two pictures of a board that stood still."""

@@ -1,4 +1,4 @@
-"""Why a board was not seen in an image, and what to do: too dark, too bright, blurred, cut off, another board."""
+"""Why a board was not seen in an image, and what to do: dark, bright, blurred, cut off, another board."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ def why_unseen(image: NDArray[np.float32]) -> str:
         )
     top = image.max()
     if np.mean(image >= top) > _SATURATED:
-        return f"{np.mean(image >= top):.0%} of the pixels are at the largest grey level, {top:.4g}: expose shorter"
+        return f"{np.mean(image >= top):.0%} of the pixels are at the largest grey level, {top:.4g}: expose "
+            "shorter"
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
     slope = np.hypot(cv2.Sobel(smooth, -1, 1, 0, scale=0.125), cv2.Sobel(smooth, -1, 0, 1, scale=0.125))
     width = contrast / max(float(np.percentile(slope, 99.5)), 1e-9)
@@ -51,7 +52,7 @@ def why_unseen(image: NDArray[np.float32]) -> str:
 
 
 def other_chessboard(image: NDArray[np.uint8], columns: int, rows: int) -> str:
-    """Say which chessboard a picture shows instead of the one that was looked for; nothing where it shows none.
+    """Say which chessboard a picture shows instead of the one that was looked for; nothing without one.
 
     Parameters
     ----------
@@ -75,8 +76,8 @@ def other_chessboard(image: NDArray[np.uint8], columns: int, rows: int) -> str:
             "the board: show it whole"
         )
     return (
-        f"the picture shows {across} by {down} inner corners, not {columns} by {rows}: correct the number of "
-        "corners, which are one fewer than squares in each direction, or show the board whole"
+        f"the picture shows {across} by {down} inner corners, not {columns} by {rows}: correct the number "
+        "of corners, which are one fewer than squares in each direction, or show the board whole"
     )
 
 
