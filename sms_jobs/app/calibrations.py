@@ -62,8 +62,10 @@ class Worth:
 
     Attributes
     ----------
-    gauge
-        What fixes the world's frame.
+    gauge, scale
+        What fixes the world's frame, and what lengths were taken from.
+    shape_sigma_mm
+        Deviation of a point, but for motions and the scale of the whole.
     residuals, parameters
         Of the adjustment.
     rms_by_type, rms_by_sensor
@@ -79,6 +81,8 @@ class Worth:
     """
 
     gauge: str
+    scale: str
+    shape_sigma_mm: float | None
     residuals: int
     parameters: int
     rms_by_type: dict[str, float | None]
@@ -129,6 +133,8 @@ def worth_of(quality: CalibrationQuality) -> Worth:
     expected = quality.expected_sigma[np.isfinite(quality.expected_sigma)]
     return Worth(
         quality.gauge,
+        quality.scale,
+        quality.shape_sigma_mm,
         quality.residuals,
         quality.parameters,
         {name: _known(value) for name, value in quality.rms_by_type.items()},

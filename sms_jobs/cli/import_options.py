@@ -48,3 +48,21 @@ DryRun: TypeAlias = Annotated[
 Yes: TypeAlias = Annotated[
     bool, typer.Option("--yes", "-y", help="Do not ask whether what was guessed is right.")
 ]
+PitchSigma: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        "--pitch-relative-sigma",
+        help="How well the pitch is known: its relative standard deviation. Unknown, the scale is nominal.",
+        min=1e-9,
+        max=0.1,
+    ),
+]
+Flatness: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        "--flatness-mm",
+        help="How flat the board is: the standard deviation of its bow and twist; 1/500 of it if unknown.",
+        min=0.0,
+        max=1e3,
+    ),
+]

@@ -15,8 +15,10 @@ from sms_jobs.cli.import_options import (
     Cameras,
     CampaignName,
     DryRun,
+    Flatness,
     Newer,
     Only,
+    PitchSigma,
     RecordedAt,
     Yes,
 )
@@ -47,6 +49,8 @@ def boards(
     pitch_mm: Annotated[
         float | None, typer.Option("--pitch-mm", help="Side of a square of the chessboard.", min=1e-3)
     ] = None,
+    pitch_relative_sigma: PitchSigma = None,
+    flatness_mm: Flatness = None,
     volume: Annotated[
         _Six | None,
         typer.Option(
@@ -85,6 +89,8 @@ def boards(
         board=board,
         chessboard=chessboard,
         pitch_mm=pitch_mm,
+        pitch_relative_sigma=pitch_relative_sigma,
+        flatness_mm=flatness_mm,
         add_states=add_states,
     )
     with bootstrap.services(home) as services:

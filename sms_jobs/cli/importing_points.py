@@ -11,7 +11,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app.importing.points import Task, import_points
 from sms_jobs.cli import output
-from sms_jobs.cli.import_options import CampaignName, DryRun
+from sms_jobs.cli.import_options import CampaignName, DryRun, Flatness, PitchSigma
 from sms_jobs.cli.import_outcomes import time_given
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
@@ -31,6 +31,8 @@ def points(
         float,
         typer.Option("--sigma-px", help="Standard deviation of the points, in each direction.", min=1e-4),
     ] = 0.1,
+    pitch_relative_sigma: PitchSigma = None,
+    flatness_mm: Flatness = None,
     recorded_at: Annotated[
         str | None,
         typer.Option("--recorded-at", help="When, as 2026-05-04T10:00:00+02:00; now if not given."),
@@ -46,7 +48,17 @@ def points(
     Example: sms import points corners.csv -c june --rig desk --view C1P1 --size C1=1280x960 --size
     P1=1024x768
     """
-    task = Task(file, campaign, rig, view, _sizes(size), sigma_px, time_given(recorded_at))
+    task = Task(
+        file,
+        campaign,
+        rig,
+        view,
+        _sizes(size),
+        sigma_px,
+        time_given(recorded_at),
+        pitch_relative_sigma,
+        flatness_mm,
+    )
     with bootstrap.services(home) as services:
         found = import_points(services, task, dry_run=dry_run)
     board, counts = found.board, found.counts

@@ -54,6 +54,8 @@ class Task:
         File that describes the board; or else:
     chessboard, pitch_mm
         Inner corners of a chessboard, as "9x6", and the side of its squares.
+    pitch_relative_sigma, flatness_mm
+        Of that chessboard, as far as they are known, see `Chessboard`.
     add_states
         Give the session poses that it does not have yet.
     """
@@ -69,6 +71,8 @@ class Task:
     board: Path | None = None
     chessboard: str | None = None
     pitch_mm: float | None = None
+    pitch_relative_sigma: float | None = None
+    flatness_mm: float | None = None
     add_states: bool = False
 
 
@@ -93,7 +97,7 @@ def arrange_boards(services: Services, task: Task) -> Arranged:
     """
     listing = list_folder(task.folder, task.only)
     named = named_cameras(task.cameras)
-    described = _described(task.board, task.chessboard, task.pitch_mm)
+    described = _described(task)
     text, arrangement = arranged(listing, task.pattern, task.camera, None, named)
     existing = existing_campaign(services, task.session)
     _check(existing, task.session, task.rig, described, arrangement, task.add_states)
@@ -153,13 +157,19 @@ def enter(
     return replace(images.all_of(inspected), left_out=found.arrangement.left_out)
 
 
-def _described(board: Path | None, corners: str | None, pitch_mm: float | None) -> Artefact | None:
+def _described(task: Task) -> Artefact | None:
     """Return the board that the options describe; None where they describe none."""
-    if board is not None and corners is not None:
+    if task.board is not None and task.chessboard is not None:
         raise InvalidInput("say what the board is by --board or by --chessboard, not by both")
-    if board is not None:
-        return board_images.load_board(board)
-    return None if corners is None else board_images.chessboard(corners, pitch_mm)
+    if task.chessboard is not None:
+        known = task.pitch_relative_sigma, task.flatness_mm
+        return board_images.chessboard(task.chessboard, task.pitch_mm, *known)
+    for name in ("pitch_relative_sigma", "flatness_mm"):
+        if getattr(task, name) is not None:
+            raise InvalidInput(
+                f"--{name.replace('_', '-')} goes with --chessboard: write {name} into the file of the board"
+            )
+    return None if task.board is None else board_images.load_board(task.board)
 
 
 def _check(

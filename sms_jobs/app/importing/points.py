@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -40,6 +40,8 @@ class Task:
         Standard deviation of the points, in each direction.
     recorded_at
         When; now if it is None.
+    pitch_relative_sigma, flatness_mm
+        Of the board, as far as they are known, see `Chessboard`.
     """
 
     file: Path
@@ -49,6 +51,8 @@ class Task:
     sizes: Mapping[str, tuple[int, int]]
     sigma_px: float = 0.1
     recorded_at: datetime | None = None
+    pitch_relative_sigma: float | None = None
+    flatness_mm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,7 @@ def import_points(services: Services, task: Task, *, dry_run: bool = False) -> I
     """
     now = datetime.now(UTC)
     table = read_points(task.file, task.view, task.sigma_px)
+    board = replace(table.board, pitch_relative_sigma=task.pitch_relative_sigma, flatness_mm=task.flatness_mm)
     at = task.recorded_at or now
     made = Campaign(
         name=task.session,
@@ -79,7 +84,7 @@ def import_points(services: Services, task: Task, *, dry_run: bool = False) -> I
         rig=task.rig,
         states=tuple(LoadState(label, time=at, artefact=BOARD) for label in table.observations),
         views=(task.view,),
-        session=CalibrationSession({BOARD: table.board}, _sensors(task.view, task.sizes)),
+        session=CalibrationSession({BOARD: board}, _sensors(task.view, task.sizes)),
     )
     if existing_campaign(services, task.session) is not None:
         raise Conflict(f"there is a campaign {task.session} already: give another name to -c")
@@ -87,7 +92,7 @@ def import_points(services: Services, task: Task, *, dry_run: bool = False) -> I
         register_campaign(services.catalogue, services.archive, made, None, now)
         parameters = {"file": str(task.file), "source_sha256": table.sha256, "sigma_px": task.sigma_px}
         import_observations(services.catalogue, services.archive, made, table.observations, parameters, now)
-    return ImportedPoints(table.board, {pose: len(s.point) for pose, s in table.observations.items()})
+    return ImportedPoints(board, {pose: len(s.point) for pose, s in table.observations.items()})
 
 
 def _sensors(view: str, sizes: Mapping[str, tuple[int, int]]) -> tuple[SensorFormat, ...]:

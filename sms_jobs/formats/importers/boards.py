@@ -49,8 +49,16 @@ def load_board(path: Path) -> Artefact:
     return validated(_BoardFile, content, places, hint, checked)
 
 
-def chessboard(size: str, pitch_mm: float | None) -> Chessboard:
-    """Return the chessboard that `9x6` inner corners make; raise `InvalidInput` for what is none."""
+def chessboard(
+    size: str,
+    pitch_mm: float | None,
+    pitch_relative_sigma: float | None = None,
+    flatness_mm: float | None = None,
+) -> Chessboard:
+    """Return the chessboard that `9x6` inner corners make; raise `InvalidInput` for what is none.
+
+    How well the pitch is known and how flat the board is may be unknown, see `Chessboard`.
+    """
     found = _SIZE.fullmatch(size)
     if found is None or not all(3 <= int(n) <= _LONGEST for n in found.groups()):
         raise InvalidInput(
@@ -59,7 +67,13 @@ def chessboard(size: str, pitch_mm: float | None) -> Chessboard:
         )
     if pitch_mm is None:
         raise InvalidInput("the scale of a chessboard is not known: say the side of a square by --pitch-mm")
-    return Chessboard(int(found[1]), int(found[2]), pitch_mm)
+    return Chessboard(
+        int(found[1]),
+        int(found[2]),
+        pitch_mm,
+        pitch_relative_sigma=pitch_relative_sigma,
+        flatness_mm=flatness_mm,
+    )
 
 
 def session_of_boards(

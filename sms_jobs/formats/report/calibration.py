@@ -73,12 +73,22 @@ def _summary(calibration: Calibration, quality: CalibrationQuality) -> Markup:
             ("rig", calibration.rig.name),
             ("sensors", ", ".join(s.name for s in calibration.rig.sensors)),
             ("world", quality.gauge),
+            ("scale", quality.scale),
+            ("shape, scale apart", _shape(quality, diagonal)),
             ("began with", quality.started_from),
             ("adjustment", f"{size}, {quality.iterations} iterations"),
             ("held-out bar lengths", lengths),
             *((name, f"{value:.6g}") for name, value in quality.found.items()),
         ]
     )
+
+
+def _shape(quality: CalibrationQuality, diagonal: float) -> str:
+    """Say how well points lie to each other, whatever the scale."""
+    sigma = quality.shape_sigma_mm
+    if not sigma:
+        return ""
+    return f"{MICROMETRES * sigma:.3g} µm for a point, 1/{diagonal / sigma:,.0f} of the volume's diagonal"
 
 
 def _warnings(quality: CalibrationQuality) -> list[Markup]:
@@ -162,7 +172,7 @@ def _parameters(before: Rig, after: Rig, uncertainty: CalibrationUncertainty) ->
         for (name, known), (old, new, sigma) in zip(LENS.items(), values, strict=True):
             unit = f" [{known.unit}]" if known.unit != "1" else ""
             what = f"{name}, {known.meaning}{unit}"
-            rows.append([sensor.name, what, float(old), float(new), float(sigma) if sigma else None])
+            rows.append([sensor.name, what, float(old), float(new), float(sigma) if sigma else "held"])
         for axis, old, new in zip("XYZ", _pin_hole(first), _pin_hole(sensor), strict=True):
             rows.append([sensor.name, f"pin-hole {axis} [mm]", old, new, None])
     return table(["sensor", "parameter", "before", "after", "standard deviation"], rows)

@@ -8,16 +8,26 @@ sensors stand is found anew. Either way all is then adjusted together.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
-from sms_jobs.errors import CalibrationFailed
+from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.formats.report.calibration import calibration_page
 from sms_jobs.formats.report.origins import origin_sections
 from sms_jobs.formats.report.page import page_writer
 from sms_jobs.kinds import defaults_of_kinds
 from sms_jobs.kinds.calibration.board_doubts import board_doubts
+from sms_jobs.kinds.calibration.held_parameters import (
+    at_values,
+    checked,
+    first_values,
+    names_of,
+    parted,
+    told,
+    values_of,
+)
 from sms_jobs.kinds.calibration.session_adjustment import (
     Bars,
     Boards,
@@ -61,7 +71,7 @@ from sms_jobs.metrology.calibration.bundle_adjustment import adjust
 from sms_jobs.metrology.calibration.bundle_cross_validation import cross_validate
 from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
 from sms_jobs.metrology.calibration.initialisation import initialise
-from sms_jobs.metrology.geometry.lens import HELD, KEPT, LENS
+from sms_jobs.metrology.geometry.lens import KEPT, LENS
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Calibration
@@ -75,7 +85,9 @@ class CalibrateParameters(Parameters):
     """What is adjusted, and what is reported of it."""
 
     fixed: tuple[str, ...] = Field(
-        KEPT, description=f"parameters of every sensor that keep their first values: {', '.join(LENS)}"
+        KEPT,
+        description=f"parameters of every sensor that are held: any of {', '.join(LENS)}; one without a "
+        "value keeps what it starts from, 0 from boards alone; k2=0 holds it there, and none holds nothing",
     )
     huber: float = Field(
         3.0, gt=0.0, description="residual, in standard deviations, from which on it pulls no harder"
@@ -90,6 +102,16 @@ class CalibrateParameters(Parameters):
         description="in how many parts poses are held out, each once, and measured by the rest",
     )
     figure_width_px: int = Field(640, ge=400, le=4000, description="width of the page's pictures")
+
+    @field_validator("fixed", mode="before")
+    @classmethod
+    def _parted(cls, value: Any) -> Any:
+        return parted(value)
+
+    @field_validator("fixed")
+    @classmethod
+    def _known(cls, entries: tuple[str, ...]) -> tuple[str, ...]:
+        return checked(entries)
 
     def options(self, threads: int) -> BundleOptions:
         """Return them as the adjustment takes them."""
@@ -111,7 +133,7 @@ def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> 
     plan: SessionPlan = inputs.context
     boards = observed(inputs, plan, OBSERVED_BOARDS, BOARD)
     progress(0.1, "looking for first values")
-    start = from_last(inputs, boards) if inputs.has(LAST) else _from_nothing(plan, boards)
+    start = from_last(inputs, boards) if inputs.has(LAST) else _from_nothing(plan, boards, parameters)
     progress(0.3, "adjusting all sensors and boards together")
     origin = f"boards of session {plan.name}"
     yield from adjusted(inputs, plan, start, boards, {}, parameters, progress, origin)
@@ -127,7 +149,7 @@ def from_last(inputs: Inputs, boards: Boards) -> Start:
     )
 
 
-def _from_nothing(plan: SessionPlan, boards: Boards) -> Start:
+def _from_nothing(plan: SessionPlan, boards: Boards, parameters: CalibrateParameters) -> Start:
     views = board_views(boards)
     world = next((p.label for p in plan.poses if p.label in boards), "")
     if not any(v.pose == world for v in views):
@@ -142,11 +164,16 @@ def _from_nothing(plan: SessionPlan, boards: Boards) -> Start:
             f"nobody saw the board in pose {world}, which is to be the world's frame; record it again, or "
             f"let the session begin with another pose ({'; '.join(reasons)})"
         )
+    try:
+        held = first_values(parameters.fixed)
+    except ValueError as error:
+        raise InvalidInput(str(error)) from error
     found = initialise(
         views,
         {s.name: (s.columns, s.rows) for s in plan.session.sensors},
         board_in_world=rigid_pose(plan.session.board_in_world),
         world_pose=world,
+        held=held,
     )
     rig = start_of_rig(plan, {name: (s.intrinsics, s.pose) for name, s in found.sensors.items()})
     usable = frozenset((v.view.sensor, v.view.pose) for v in found.views)
@@ -167,7 +194,8 @@ def adjusted(
     doubts: tuple[str, ...] = (),
 ) -> Iterator[Output]:
     """Adjust a session and yield the calibration with all that is known of it, and the page about it."""
-    problem = problem_of(plan, start, boards, bars, (*parameters.fixed, *HELD))
+    start = at_values(start, values_of(parameters.fixed))
+    problem = problem_of(plan, start, boards, bars, names_of(parameters.fixed))
     options = parameters.options(inputs.threads)
     found = adjust(problem, options)
     progress(0.6, "measuring poses that take no part")
@@ -176,6 +204,7 @@ def adjusted(
     uncertainty = uncertainty_of(found)
     doubts = (*doubts, *board_doubts(problem, found), *doubts_of(start, boards, bars))
     quality = quality_of(plan, start, calibration, found, held_out, problem, boards, bars, doubts)
+    quality = replace(quality, found={**quality.found, **told(calibration.rig, parameters.fixed)})
     progress(0.9, "writing the page")
     products: dict[Product[Any], Any] = {CALIBRATED: calibration, UNCERTAINTY: uncertainty, QUALITY: quality}
     yield DatasetOutput(inputs.subject, products, _statistics(calibration, quality))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import degrees
 
 import numpy as np
@@ -24,6 +24,7 @@ from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Held = Mapping[str, float | None]
 
 _FEWEST_POINTS = 6
 _FOCAL_LIMIT = 0.05
@@ -108,13 +109,19 @@ def _candidates(
     return found
 
 
-def _free(views: int) -> list[str]:
+def _free(views: int, held: Held) -> list[str]:
     """Return the names of what is found from so many views."""
-    return [name for name, parameter in LENS.items() if parameter.poses <= views]
+    return [name for name, parameter in LENS.items() if parameter.poses <= views and name not in held]
+
+
+def _holding(start: Intrinsics, held: Held, size: tuple[int, int]) -> Intrinsics:
+    """Return inner parameters with those that are held at their values."""
+    middle = {"cx": 0.5 * (size[0] - 1), "cy": 0.5 * (size[1] - 1)}
+    return replace(start, **{n: middle[n] if value is None else value for n, value in held.items()})
 
 
 def start_sensor(
-    name: str, usable: Sequence[tuple[BoardView, HomographyFit]], size: tuple[int, int]
+    name: str, usable: Sequence[tuple[BoardView, HomographyFit]], size: tuple[int, int], held: Held
 ) -> SensorStart:
     """Find a sensor from its own views of a board.
 
@@ -126,6 +133,8 @@ def start_sensor(
         From `usable_views`.
     size
         Columns and rows of its image.
+    held
+        Parameters that are not estimated, and their values; None for the image's middle.
 
     Raises
     ------
@@ -139,14 +148,15 @@ def start_sensor(
         )
     seen = [SeenPoints(view.point, view.pixel, view.sigma_px) for view, _ in usable]
     trusted = [fit.kept for _, fit in usable]
-    free, square = _free(len(usable)), len(usable) < 3
+    free, square = _free(len(usable), held), len(usable) < 3
     notes = []
     best = None
-    for start in _candidates([fit for _, fit in usable], size, False):
+    for candidate in _candidates([fit for _, fit in usable], size, False):
+        start = _holding(candidate, held, size)
         poses = [pose_from_homography(fit.matrix, start) for _, fit in usable]
         # Without the principal point at first: a poor focal length would drag it far away.
         near = refine_sensor(
-            seen, start, poses, free=_free(1), square_pixels=True, trusted=trusted, refuse=False
+            seen, start, poses, free=_free(1, held), square_pixels=True, trusted=trusted, refuse=False
         )
         full = refine_sensor(
             seen, near.intrinsics, near.poses, free=free, square_pixels=square, trusted=trusted
@@ -161,10 +171,10 @@ def start_sensor(
         )
         free = [n for n in free if n not in ("cx", "cy")]
         centre = (0.5 * (size[0] - 1), 0.5 * (size[1] - 1))
-        held = _candidates([f for _, f in usable], size, True)[0]
-        held = Intrinsics(held.fx, held.fy, *centre)
-        poses = [pose_from_homography(fit.matrix, held) for _, fit in usable]
-        best = refine_sensor(seen, held, poses, free=free, square_pixels=True, trusted=trusted)
+        nearest = _candidates([f for _, f in usable], size, True)[0]
+        start = _holding(Intrinsics(nearest.fx, nearest.fy, *centre), held, size)
+        poses = [pose_from_homography(fit.matrix, start) for _, fit in usable]
+        best = refine_sensor(seen, start, poses, free=free, square_pixels=True, trusted=trusted)
     _check_focal(name, best, [view.pose for view, _ in usable])
     if len(usable) == 1:
         notes.append(f"{name} saw one pose: its principal point was held in the middle of the image")
@@ -201,6 +211,8 @@ def start_from_space(
     name: str,
     usable: Sequence[tuple[BoardView, HomographyFit]],
     board_poses: dict[str, Pose],
+    size: tuple[int, int],
+    held: Held,
 ) -> tuple[SensorStart, Pose]:
     """Find a sensor from boards whose places in the world are known, and its pose there.
 
@@ -224,7 +236,11 @@ def start_from_space(
     trusted = np.concatenate([fit.kept for _, fit in placed])
     intrinsics, pose = direct_linear_transform(points[trusted], pixels[trusted], sigma[trusted])
     whole = refine_sensor(
-        [SeenPoints(points, pixels, sigma)], intrinsics, [pose], free=_free(2), trusted=[trusted]
+        [SeenPoints(points, pixels, sigma)],
+        _holding(intrinsics, held, size),
+        [pose],
+        free=_free(2, held),
+        trusted=[trusted],
     )
     _check_focal(name, whole, [v.pose for v, _ in placed])
     ends = np.cumsum([len(s.point) for s in seen])[:-1]

@@ -99,8 +99,8 @@ def _by_markers(board: DotBoard, place: Ints, flagged: NDArray[np.bool_]) -> tup
         )
     if len(likely) > 1 and likely[1][1] == likely[0][1]:
         return (
-            f"{likely[0][0]} of three markers were seen, which leaves more than one place for the board: show "
-            "all three"
+            f"{likely[0][0]} of three markers were seen, which leaves more than one place for the board: "
+            "show all three"
         )
     return likely[0][2], likely[0][0]
 

@@ -40,9 +40,9 @@ def why_unseen(image: NDArray[np.float32]) -> str:
             f"{noise:.2g}: light the board better, or expose longer"
         )
     top = image.max()
-    if np.mean(image >= top) > _SATURATED:
-        return f"{np.mean(image >= top):.0%} of the pixels are at the largest grey level, {top:.4g}: expose "
-            "shorter"
+    full = float(np.mean(image >= top))
+    if full > _SATURATED:
+        return f"{full:.0%} of the pixels are at the largest grey level, {top:.4g}: expose shorter"
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
     slope = np.hypot(cv2.Sobel(smooth, -1, 1, 0, scale=0.125), cv2.Sobel(smooth, -1, 0, 1, scale=0.125))
     width = contrast / max(float(np.percentile(slope, 99.5)), 1e-9)
@@ -72,8 +72,8 @@ def other_chessboard(image: NDArray[np.uint8], columns: int, rows: int) -> str:
     grid = np.asarray(corners, dtype=np.float64).reshape(down, across, 2)
     if seen[0] <= told[0] and seen[1] <= told[1] and _cut(grid, image.shape):
         return (
-            f"only {across} by {down} of its {columns} by {rows} inner corners are in the picture, which cuts "
-            "the board: show it whole"
+            f"only {across} by {down} of its {columns} by {rows} inner corners are in the picture, which "
+            "cuts the board: show it whole"
         )
     return (
         f"the picture shows {across} by {down} inner corners, not {columns} by {rows}: correct the number "

@@ -43,6 +43,13 @@ Volume = Annotated[
     list[Corner], Field(min_length=6, max_length=6, description="Lower, then upper corner, in mm.")
 ]
 Positive = Annotated[float, Field(gt=0, le=1e9)]
+PitchSigma = Annotated[
+    float | None,
+    Field(gt=0, le=0.1, description="How well the pitch is known; if unknown, scale is nominal."),
+]
+Flatness = Annotated[
+    float | None, Field(ge=0, le=1e3, description="Standard deviation of bow and twist, mm.")
+]
 FileName = Annotated[Text, Field(min_length=1, description="Path of the file in the upload.")]
 
 
@@ -88,6 +95,8 @@ class Boards(FromCameras):
     board: Annotated[LongText | None, Field(description="Text of the file that describes the board.")] = None
     chessboard: Annotated[Text | None, Field(description="Inner corners, as 9x6.")] = None
     pitch_mm: Positive | None = None
+    pitch_relative_sigma: PitchSigma = None
+    flatness_mm: Flatness = None
     volume: Volume | None = None
 
 
@@ -131,6 +140,8 @@ class Points(Asked):
     view: Text
     sizes: Sizes
     sigma_px: Annotated[float, Field(ge=1e-4, le=1e4)] = 0.1
+    pitch_relative_sigma: PitchSigma = None
+    flatness_mm: Flatness = None
     recorded_at: Moment | None = None
     dry_run: bool = False
 
@@ -179,7 +190,7 @@ async def import_boards(request: Request, services: Acting, body: Boards) -> Any
 
     def work(tell: Tell) -> dict[str, Any]:
         with _folder(services, body) as folder, _texts() as lay:
-            own = body.model_dump(include=_SHARED - {"campaign"} | {"rig", "chessboard", "pitch_mm"})
+            own = body.model_dump(include=_SHARED - {"campaign"} | _OF_CHESSBOARD)
             task = boards.Task(
                 folder, body.campaign, volume=_box(body.volume), board=lay(body.board, "board.toml"), **own
             )
@@ -236,7 +247,8 @@ def import_points(services: Acting, body: Points) -> Any:
     """Let points of a board become a calibration session."""
     with _file(services, body.upload, body.file) as file:
         sizes = {name: (columns, rows) for name, (columns, rows) in body.sizes.items()}
-        task = points.Task(file, body.session, body.rig, body.view, sizes, body.sigma_px, body.recorded_at)
+        known = body.recorded_at, body.pitch_relative_sigma, body.flatness_mm
+        task = points.Task(file, body.session, body.rig, body.view, sizes, body.sigma_px, *known)
         done: ImportedPoints = points.import_points(services, task, dry_run=body.dry_run)
     return answer({"session": body.session, "board": done.board, "points": done.counts})
 
@@ -277,6 +289,7 @@ def import_calibration(services: Acting, body: ForeignCalibration) -> Any:
 
 
 _SHARED = {"campaign", "only", "pattern", "cameras", "camera", "add_states"}
+_OF_CHESSBOARD = {"rig", "chessboard", "pitch_mm", "pitch_relative_sigma", "flatness_mm"}
 
 Lay = Callable[[str | None, str], Path | None]
 
