@@ -64,7 +64,7 @@ class BoardDesign:
     bend
         The board's true shape.
     board
-        As it is told.
+        As it is told; each of its points is printed off by its `point_sigma_mm`, in all poses alike.
     """
 
     cameras: int = 2
@@ -102,7 +102,7 @@ def board_session(design: BoardDesign, seed: int) -> BoardSession:
     random = np.random.default_rng(seed)
     rig, distance = _rig(design, random)
     labels = [f"B{k + 1:02d}" for k in range(design.poses)]
-    place, told, true = _points(design)
+    place, told, true = _points(design, random)
     observations = {}
     for number, label in enumerate(labels):
         pose = _pose(number, distance, random)
@@ -125,7 +125,7 @@ def board_session(design: BoardDesign, seed: int) -> BoardSession:
     return BoardSession(campaign, rig, observations)
 
 
-def _points(design: BoardDesign) -> tuple[NDArray[np.int32], Floats, Floats]:
+def _points(design: BoardDesign, random: np.random.Generator) -> tuple[NDArray[np.int32], Floats, Floats]:
     """Return places, points as told and points as they are, the plane that fits them best at z = 0."""
     board = design.board
     rows, columns = np.mgrid[: board.rows, : board.columns]
@@ -135,7 +135,8 @@ def _points(design: BoardDesign) -> tuple[NDArray[np.int32], Floats, Floats]:
     height = design.bend(unit)
     plane = np.column_stack([np.ones(len(unit)), unit])
     height = height - plane @ np.linalg.lstsq(plane, height, rcond=None)[0]
-    return place, told, told + np.outer(height, [0.0, 0.0, 1.0])
+    printed = told + board.point_sigma_mm * random.standard_normal(told.shape)
+    return place, told, printed + np.outer(height, [0.0, 0.0, 1.0])
 
 
 def _rig(design: BoardDesign, random: np.random.Generator) -> tuple[Rig, float]:

@@ -170,6 +170,7 @@ class _Scene(Table):
     seed: Annotated[int, Field(ge=0)] = 0
     gloss: Annotated[Gloss, flat(Gloss)] | None = None
     lamp_mm: Vector | None = None
+    board_bow_mm: Vector = (0.0, 0.0, 0.0)
     calibration_valid_from: AwareDatetime = ALWAYS
 
     def record(self, rig: str, surface: scenes.Surface) -> Scene:
@@ -187,6 +188,7 @@ class _Scene(Table):
             seed=self.seed,
             gloss=self.gloss,
             lamp_mm=self.lamp_mm,
+            board_bow_mm=self.board_bow_mm,
         )
 
 

@@ -197,7 +197,23 @@ class PanTilt:
     motion: Literal["pan-tilt"] = "pan-tilt"
 
 
-Deformation: TypeAlias = Rigid | PanTilt | UniaxialStrain | MidPointBending | HalvesApart | Disbond
+@dataclass(frozen=True)
+class Bow:
+    """A plate that is bowed along x and y, and twisted: d_z = x_mm u^2 + y_mm v^2 + twist_mm u v.
+
+    u and v run from -1 to 1 over `half_width_mm` and `half_height_mm` from `centre_mm`.
+    """
+
+    x_mm: float
+    y_mm: float
+    twist_mm: float
+    centre_mm: tuple[float, float]
+    half_width_mm: float
+    half_height_mm: float
+    motion: Literal["bow"] = "bow"
+
+
+Deformation: TypeAlias = Rigid | PanTilt | UniaxialStrain | MidPointBending | HalvesApart | Disbond | Bow
 
 
 @dataclass(frozen=True)
@@ -307,6 +323,9 @@ class Scene:
     lamp_mm
         Where in the world the lamp stands that lights what a camera sees without a projector, mm; None for
         the middle of all cameras, from where no shadow falls on what they see together.
+    board_bow_mm
+        By how much the ends of a board's points stand out along x and y, and its corners by twist, in mm: how
+        the boards of a session truly are, whatever it is told of their flatness.
     """
 
     rig: Rig
@@ -318,6 +337,7 @@ class Scene:
     seed: int = 0
     gloss: Gloss | None = None
     lamp_mm: Vector | None = None
+    board_bow_mm: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
+from sms_jobs.records.scene import Bow, Deformation, Vector
 
 Floats: TypeAlias = NDArray[np.float64]
 Board: TypeAlias = CircleBoard | Chessboard
@@ -71,6 +72,16 @@ def board_points(board: Board) -> tuple[NDArray[np.int32], Floats]:
     places = np.stack([columns.ravel(), rows.ravel()], axis=-1).astype(np.int32)
     steps = (places - [axes.column, axes.row]) * [axes.x_right, axes.y_down]
     return places, np.pad(board.pitch_mm * steps, ((0, 0), (0, 1)))
+
+
+def bowed(board: Board, bow_mm: Vector) -> tuple[Deformation, ...]:
+    """Return what gives a board a bow along x and y and a twist, in mm; nothing for a flat one."""
+    if not any(bow_mm):
+        return ()
+    _, points = board_points(board)
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    (x, y), (half_x, half_y) = (0.5 * (low + high)).tolist(), (0.5 * (high - low)).tolist()
+    return (Bow(*bow_mm, (x, y), half_x, half_y),)
 
 
 def board_normal(board: Board) -> Floats:

@@ -5,7 +5,8 @@ has an exact inverse, so that a ray of light can be followed back to the specime
 
 Kernels take the maps as rows of an array: code 0, then for an affine map x -> A x + b the matrix 1 - 9,
 b 10 - 12 and the inverse matrix 13 - 21; for bending deflection, width, height 1 - 3; for halves apart
-the gap 1; for a disbond gap, length, tilt and level 1 - 4.
+the gap 1; for a disbond gap, length, tilt and level 1 - 4; for a bow those along x and y and the twist 1 - 3,
+the centre 4 - 5 and half of the sides 6 - 7.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from sms_jobs.metrology.calibration.pan_tilt import stage_rotation
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.scene import (
+    Bow,
     Deformation,
     Disbond,
     HalvesApart,
@@ -32,7 +34,7 @@ from sms_jobs.records.scene import (
 
 Floats: TypeAlias = NDArray[np.float64]
 
-AFFINE, BENDING, HALVES, DISBOND = 0, 1, 2, 3
+AFFINE, BENDING, HALVES, DISBOND, BOW = 0, 1, 2, 3, 4
 
 
 def packed_chain(deformation: Iterable[Deformation], placement: Pose) -> Floats:
@@ -52,6 +54,9 @@ def bending_slack(deformation: Iterable[Deformation]) -> float:
             slack += abs(d.gap_mm)
         elif isinstance(d, Disbond):
             slack += 2.0 * abs(d.gap_mm)
+        elif isinstance(d, Bow):
+            # At the plate's edge, up to twice as far from the middle as its points.
+            slack += 4.0 * (abs(d.x_mm) + abs(d.y_mm) + abs(d.twist_mm))
     return slack
 
 
@@ -71,6 +76,9 @@ def _packed(deformation: Deformation) -> Floats:
         row[:5] = (
             DISBOND, deformation.gap_mm, deformation.length_mm, deformation.tilt_per_mm, deformation.level_mm
         )  # fmt: skip
+    elif isinstance(deformation, Bow):
+        row[:4] = BOW, deformation.x_mm, deformation.y_mm, deformation.twist_mm
+        row[4:8] = *deformation.centre_mm, deformation.half_width_mm, deformation.half_height_mm
     else:
         row[:2] = HALVES, deformation.gap_mm
     return row
@@ -95,6 +103,14 @@ def _lift(m: Floats, x: float, y: float) -> tuple[float, float, float]:
     f, df = deflection_line(x / m[2])
     tilted = 1.0 + m[3] * y
     return m[1] * f * tilted, m[1] * df / m[2] * tilted, m[1] * f * m[3]
+
+
+@kernel
+def _height(m: Floats, x: float, y: float) -> tuple[float, float, float]:
+    """Return how far a bow moves (x, y) out, and the slopes of that along x and y."""
+    u, v = (x - m[4]) / m[6], (y - m[5]) / m[7]
+    along, across = 2.0 * m[1] * u + m[3] * v, 2.0 * m[2] * v + m[3] * u
+    return m[1] * u * u + m[2] * v * v + m[3] * u * v, along / m[6], across / m[7]
 
 
 @kernel
@@ -139,6 +155,11 @@ def carried(
             nz /= 1.0 + lift * slope
             nx -= along * share * nz
             ny -= across * share * nz
+        elif m[0] == BOW:
+            height, along, across = _height(m, x, y)
+            z += height
+            nx -= along * nz
+            ny -= across * nz
         elif x < 0.0:
             x -= 0.5 * m[1]
         else:
@@ -180,6 +201,10 @@ def followed_back(
             z = z - lift if z >= m[4] + lift else min(z, z * m[4] / (m[4] + lift))
             share, slope = _share(z, m[4])
             vz = (vz - share * (along * vx + across * vy)) / (1.0 + lift * slope)
+        elif m[0] == BOW:
+            height, along, across = _height(m, x, y)
+            z -= height
+            vz -= along * vx + across * vy
         else:
             half = 0.5 * m[1]
             if abs(x) < half:
@@ -229,6 +254,11 @@ def gradients(chain: Floats, material: Floats) -> Floats:
             slope = gap * share[:, None] * np.stack([df * tilted / length, f * tilt], axis=-1)
             stretch = 1.0 + np.where(inside, gap * f * tilted / level, 0.0)
             total[:, 2] = stretch[:, None] * total[:, 2] + np.einsum("ni,nij->nj", slope, total[:, :2])
+        elif row[0] == BOW:
+            u, v = (x[:, 0] - row[4]) / row[6], (x[:, 1] - row[5]) / row[7]
+            along, across = 2.0 * row[1] * u + row[3] * v, 2.0 * row[2] * v + row[3] * u
+            slope = np.stack([along / row[6], across / row[7]], axis=-1)
+            total[:, 2] += np.einsum("ni,nij->nj", slope, total[:, :2])
         x = carried_points(chain[i : i + 1], x)
     return total
 

@@ -34,7 +34,7 @@ from sms_jobs.kinds.kind import (
     rig_queue,
 )
 from sms_jobs.kinds.products import INTERRUPTED, MEASURED, RECORDED
-from sms_jobs.kinds.recording.simulate import scene_at
+from sms_jobs.kinds.recording.simulate import deformation_at, scene_at
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.campaign import Campaign, LoadState
@@ -159,7 +159,7 @@ def order(campaign: Campaign, subject: Subject) -> Order:
     setting = None
     if campaign.scene is not None:
         scene = scene_at(campaign.scene, campaign, state)
-        setting = Setting(scene, state.label, state.deformation, state.planned())
+        setting = Setting(scene, state.label, deformation_at(campaign, state), state.planned())
     shown = None if campaign.session is None else campaign.session.artefacts.get(state.artefact or "")
     fills = _SPHERES_FILL if isinstance(shown, BallBar) else 1.0
     return Order(

@@ -27,12 +27,14 @@ from sms_jobs.kinds.kind import (
 )
 from sms_jobs.kinds.products import MEASURED
 from sms_jobs.kinds.recording.adaptation import QUICK, outlook
-from sms_jobs.records.campaign import Campaign, LoadState
-from sms_jobs.records.measurement import FringeSequence, Measurement
+from sms_jobs.records.artefacts import BallBar
+from sms_jobs.records.campaign import Campaign, LoadState, Subject
+from sms_jobs.records.measurement import UNTIMED, FringeSequence, Measurement
 from sms_jobs.records.scene import Deformation, Scene
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.times import UNTIMED
 from sms_jobs.records.views import view_of
+from sms_jobs.virtual_rig.artefacts import bowed
 
 
 class SimulateParameters(Parameters):
@@ -94,7 +96,7 @@ def recipe(campaign: Campaign, subject: Subject) -> Recipe:
     return Recipe(
         scene_at(campaign.scene, campaign, state),
         state.label,
-        state.deformation,
+        deformation_at(campaign, state),
         campaign.recordings,
         campaign.sequence,
         state.time or UNTIMED,
@@ -106,6 +108,16 @@ def scene_at(scene: Scene, campaign: Campaign, state: LoadState) -> Scene:
     if campaign.session is None or state.artefact is None:
         return scene
     return replace(scene, surface=campaign.session.artefacts[state.artefact], speckle=None)
+
+
+def deformation_at(campaign: Campaign, state: LoadState) -> tuple[Deformation, ...]:
+    """Return what is done to what stands before a virtual rig at a state: a board is bowed in every pose."""
+    if campaign.scene is None or campaign.session is None or state.artefact is None:
+        return state.deformation
+    artefact = campaign.session.artefacts[state.artefact]
+    if isinstance(artefact, BallBar):
+        return state.deformation
+    return (*bowed(artefact, campaign.scene.board_bow_mm), *state.deformation)
 
 
 def simulated_states(campaign: Campaign) -> tuple[Subject, ...]:
