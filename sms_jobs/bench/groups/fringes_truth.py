@@ -55,8 +55,8 @@ def _bent(run: Run, seed: int) -> Iterator[Found]:
         f"{', '.join(map(str, _BOWS_MM))} mm, points printed off by 2 um, noise of 0.03 px, nothing told of "
         f"its flatness; seeds from {seed}; rms over the sessions of error over stated deviation of each of "
         f"{len(rms)} parameters: inner ones of both cameras, and their motion. The worst is {worst}; "
-        f"of independent normal numbers the worst of as many would be {np.mean(draws):.2f}, between {low:.2f} and "
-        f"{high:.2f} in nine of ten benchmarks",
+        f"of independent normal numbers the worst of as many would be {np.mean(draws):.2f}, between "
+        f"{low:.2f} and {high:.2f} in nine of ten benchmarks",
     )
 
 
@@ -89,8 +89,8 @@ def _perfect(run: Run, seed: int) -> Iterator[Found]:
     yield Condition(
         "perfect_sessions",
         f"{count} sessions of one to three cameras, 15 to 30 poses and noise of 0.01 to 0.05 px, every other "
-        "one with a pitch of which nobody has told how well it is known, the others with 1/1000; certified are "
-        f"those without a warning; seeds from {seed + 100}{first}",
+        "one with a pitch of which nobody has told how well it is known, the others with 1/1000; certified "
+        f"are those without a warning; seeds from {seed + 100}{first}",
     )
 
 

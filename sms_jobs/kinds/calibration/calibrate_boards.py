@@ -179,7 +179,8 @@ def _from_nothing(plan: SessionPlan, boards: Boards, parameters: CalibrateParame
     usable = frozenset((v.view.sensor, v.view.pose) for v in found.views)
     refused = refusals(r for r in found.refused if (r.sensor, r.pose) not in usable)
     origin = "the boards, each sensor by itself"
-    return Start(rig, found.board_poses, world, origin, {}, usable=usable, refused=refused)
+    wrong = {r.pose: r.reason for r in found.refused if r.wrong}
+    return Start(rig, found.board_poses, world, origin, {}, usable=usable, refused=refused, wrong=wrong)
 
 
 def adjusted(

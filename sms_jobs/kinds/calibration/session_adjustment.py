@@ -73,6 +73,8 @@ class Start:
         Sensors and poses whose views of a board show it.
     refused
         Why points of other views are left out, and how many.
+    wrong
+        Views that are not what they are said to be: why, by pose.
     """
 
     rig: Rig
@@ -83,6 +85,7 @@ class Start:
     prior: SensorPrior | None = None
     usable: frozenset[tuple[str, str]] = frozenset()
     refused: Mapping[str, int] = field(default_factory=dict)
+    wrong: Mapping[str, str] = field(default_factory=dict)
 
 
 def refusals(refused: Iterable[Refusal]) -> dict[str, int]:

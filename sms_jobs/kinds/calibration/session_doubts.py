@@ -47,11 +47,9 @@ def _exchanged(first: BarObservation, other: BarObservation) -> bool:
 def doubts_of(start: Start, boards: Boards, bars: Bars) -> tuple[str, ...]:
     """Return what a person has to look at: poses that nobody saw, bars that tell little."""
     shown = {pose for _, pose in start.usable}
-    doubts = [
-        f"pose {pose}: nobody saw enough of the board; {_why(start, boards, pose)}"
-        for pose in boards
-        if pose not in shown or pose not in start.boards
-    ]
+    unseen = [pose for pose in boards if pose not in shown or pose not in start.boards]
+    doubts = [f"pose {pose}: nobody saw enough of the board; {_why(start, boards, pose)}" for pose in unseen]
+    doubts += [f"pose {pose}: {why}" for pose, why in start.wrong.items() if pose not in unseen]
     if not bars:
         return tuple(doubts)
     centres = {pose: middle_centres(seen) for pose, seen in bars.items()}

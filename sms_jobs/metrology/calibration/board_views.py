@@ -61,9 +61,13 @@ class BoardView:
 
 @dataclass(frozen=True)
 class Refusal:
-    """Points of a view that are not used: how many, and why."""
+    """Points of a view that are not used: how many, and why.
+
+    `wrong` says that the whole view is not what it is said to be, which a person has to look at.
+    """
 
     sensor: str
     pose: str
     count: int
     reason: str
+    wrong: bool = False

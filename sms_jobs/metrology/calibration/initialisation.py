@@ -196,7 +196,7 @@ def _drop_wrong_views(starts: dict[str, SensorStart]) -> list[Refusal]:
                     f"only {int(kept.sum())} of {len(kept)} points fit what the sensor's other views make "
                     f"of it, {rms:.3g} px where they have {usual:.3g} px: is it an image of another camera?"
                 )
-                refused.append(Refusal(name, pose, len(kept), reason))
+                refused.append(Refusal(name, pose, len(kept), reason, wrong=True))
                 for table in (start.poses, start.kept, start.rms_px):
                     del table[pose]
     return refused

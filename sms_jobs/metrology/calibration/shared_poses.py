@@ -47,7 +47,7 @@ def drop_unshared(starts: Mapping[str, SensorStart], views: Sequence[BoardView],
                     if pose == world and name == first:
                         continue
                     count = len(starts[name].kept[pose])
-                    refused.append(Refusal(name, pose, count, reason))
+                    refused.append(Refusal(name, pose, count, reason, wrong=True))
                     for table in (starts[name].poses, starts[name].kept, starts[name].rms_px):
                         del table[pose]
     return refused
