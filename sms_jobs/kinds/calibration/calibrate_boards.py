@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import Field, field_validator
 
-from sms_jobs.errors import CalibrationFailed, InvalidInput
+from sms_jobs.errors import CalibrationFailed
 from sms_jobs.formats.report.calibration import calibration_page
 from sms_jobs.formats.report.origins import origin_sections
 from sms_jobs.formats.report.page import page_writer
@@ -22,7 +22,6 @@ from sms_jobs.kinds.calibration.board_doubts import board_doubts
 from sms_jobs.kinds.calibration.held_parameters import (
     at_values,
     checked,
-    first_values,
     names_of,
     parted,
     told,
@@ -87,7 +86,7 @@ class CalibrateParameters(Parameters):
     fixed: tuple[str, ...] = Field(
         KEPT,
         description=f"parameters of every sensor that are held: any of {', '.join(LENS)}; one without a "
-        "value keeps what it starts from, 0 from boards alone; k2=0 holds it there, and none holds nothing",
+        "value keeps its first, which the page says; k2=0 holds it there, and none holds nothing",
     )
     huber: float = Field(
         3.0, gt=0.0, description="residual, in standard deviations, from which on it pulls no harder"
@@ -164,16 +163,12 @@ def _from_nothing(plan: SessionPlan, boards: Boards, parameters: CalibrateParame
             f"nobody saw the board in pose {world}, which is to be the world's frame; record it again, or "
             f"let the session begin with another pose ({'; '.join(reasons)})"
         )
-    try:
-        held = first_values(parameters.fixed)
-    except ValueError as error:
-        raise InvalidInput(str(error)) from error
     found = initialise(
         views,
         {s.name: (s.columns, s.rows) for s in plan.session.sensors},
         board_in_world=rigid_pose(plan.session.board_in_world),
         world_pose=world,
-        held=held,
+        held=values_of(parameters.fixed),
     )
     rig = start_of_rig(plan, {name: (s.intrinsics, s.pose) for name, s in found.sensors.items()})
     usable = frozenset((v.view.sensor, v.view.pose) for v in found.views)

@@ -8,7 +8,7 @@ from math import isfinite
 from typing import Any
 
 from sms_jobs.kinds.calibration.session_adjustment import Start
-from sms_jobs.metrology.geometry.lens import HELD, KEPT, LENS, PIN_HOLE
+from sms_jobs.metrology.geometry.lens import HELD, KEPT, LENS
 from sms_jobs.records.sensors import Rig
 
 NONE = "none"
@@ -79,20 +79,3 @@ def told(rig: Rig, entries: Sequence[str]) -> dict[str, float]:
             if not (name in KEPT and value == 0.0):
                 found[f"{name} of {sensor.name}, held [{LENS[name].unit}]"] = float(value)
     return found
-
-
-def first_values(entries: Sequence[str]) -> dict[str, float | None]:
-    """Return what first values from boards are to hold, and at what; None for a place in the image's middle.
-
-    Raises `ValueError` for a focal length without a value, which nothing tells beforehand.
-    """
-    values: dict[str, float | None] = {}
-    given = values_of(entries)
-    for name in names_of(entries):
-        if name in given:
-            values[name] = given[name]
-        elif name in ("fx", "fy"):
-            raise ValueError(f"{name} is held, but has no value to begin with: write {name}=2000")
-        else:
-            values[name] = 0.0 if list(LENS).index(name) >= PIN_HOLE else None
-    return values

@@ -103,7 +103,7 @@ def initialise(
     *,
     board_in_world: Pose | None = None,
     world_pose: str | None = None,
-    held: Mapping[str, float | None] | None = None,
+    held: Mapping[str, float] | None = None,
 ) -> InitialCalibration:
     """Find first values of every sensor from what they saw of a board, in one pose or many.
 
@@ -118,7 +118,7 @@ def initialise(
     world_pose
         Name of the first board's pose; by default that of the first view.
     held
-        Parameters of every lens that are not estimated, and their values; None for the image's middle.
+        Parameters of every lens that are not estimated, and their values.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def initialise(
     for name, first in failed.items():
         own = [u for u in usable if u[0].sensor == name]
         try:
-            starts[name], poses[name] = start_from_space(name, own, boards, sizes[name], held or {})
+            starts[name], poses[name] = start_from_space(name, own, boards, held or {})
         except CalibrationFailed as second:
             raise CalibrationFailed(
                 f"{first}; nor do boards placed by other sensors help: {second}"

@@ -24,7 +24,6 @@ from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Held = Mapping[str, float | None]
 
 _FEWEST_POINTS = 6
 _FOCAL_LIMIT = 0.05
@@ -109,19 +108,16 @@ def _candidates(
     return found
 
 
-def _free(views: int, held: Held) -> list[str]:
+def _free(views: int, held: Mapping[str, float]) -> list[str]:
     """Return the names of what is found from so many views."""
     return [name for name, parameter in LENS.items() if parameter.poses <= views and name not in held]
 
 
-def _holding(start: Intrinsics, held: Held, size: tuple[int, int]) -> Intrinsics:
-    """Return inner parameters with those that are held at their values."""
-    middle = {"cx": 0.5 * (size[0] - 1), "cy": 0.5 * (size[1] - 1)}
-    return replace(start, **{n: middle[n] if value is None else value for n, value in held.items()})
-
-
 def start_sensor(
-    name: str, usable: Sequence[tuple[BoardView, HomographyFit]], size: tuple[int, int], held: Held
+    name: str,
+    usable: Sequence[tuple[BoardView, HomographyFit]],
+    size: tuple[int, int],
+    held: Mapping[str, float],
 ) -> SensorStart:
     """Find a sensor from its own views of a board.
 
@@ -134,7 +130,7 @@ def start_sensor(
     size
         Columns and rows of its image.
     held
-        Parameters that are not estimated, and their values; None for the image's middle.
+        Parameters that are not estimated, and their values.
 
     Raises
     ------
@@ -152,7 +148,7 @@ def start_sensor(
     notes = []
     best = None
     for candidate in _candidates([fit for _, fit in usable], size, False):
-        start = _holding(candidate, held, size)
+        start = replace(candidate, **held)
         poses = [pose_from_homography(fit.matrix, start) for _, fit in usable]
         # Without the principal point at first: a poor focal length would drag it far away.
         near = refine_sensor(
@@ -172,7 +168,7 @@ def start_sensor(
         free = [n for n in free if n not in ("cx", "cy")]
         centre = (0.5 * (size[0] - 1), 0.5 * (size[1] - 1))
         nearest = _candidates([f for _, f in usable], size, True)[0]
-        start = _holding(Intrinsics(nearest.fx, nearest.fy, *centre), held, size)
+        start = replace(Intrinsics(nearest.fx, nearest.fy, *centre), **held)
         poses = [pose_from_homography(fit.matrix, start) for _, fit in usable]
         best = refine_sensor(seen, start, poses, free=free, square_pixels=True, trusted=trusted)
     _check_focal(name, best, [view.pose for view, _ in usable])
@@ -211,8 +207,7 @@ def start_from_space(
     name: str,
     usable: Sequence[tuple[BoardView, HomographyFit]],
     board_poses: dict[str, Pose],
-    size: tuple[int, int],
-    held: Held,
+    held: Mapping[str, float],
 ) -> tuple[SensorStart, Pose]:
     """Find a sensor from boards whose places in the world are known, and its pose there.
 
@@ -237,7 +232,7 @@ def start_from_space(
     intrinsics, pose = direct_linear_transform(points[trusted], pixels[trusted], sigma[trusted])
     whole = refine_sensor(
         [SeenPoints(points, pixels, sigma)],
-        _holding(intrinsics, held, size),
+        replace(intrinsics, **held),
         [pose],
         free=_free(2, held),
         trusted=[trusted],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -23,7 +24,7 @@ from sms_jobs.bench.board_sessions import (
     calibrated,
     parameter_z,
 )
-from sms_jobs.errors import CalibrationFailed, InvalidInput
+from sms_jobs.errors import CalibrationFailed
 from sms_jobs.kinds.calibration import calibrate_boards, observe_board
 from sms_jobs.kinds.calibration.sessions import board_states, every_view
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose
@@ -102,8 +103,10 @@ def test_a_single_point_that_is_misplaced_is_named() -> None:
 
     told = calibrated(board_session(replace(SMALL, bend=one), 3)).quality.warnings
     (named,) = [w for w in told if w.startswith("the point at")]
-    assert named.startswith("the point at x 48, y 60 mm of board lies 5")
-    assert "chi-square" in named
+    found = re.match(r"the point at x 48, y 60 mm of board lies (\d+) um from .* \(chi-square", named)
+    assert found is not None
+    # 24 views of 0.03 px tell it to 3 um, and it is printed off by 2 um besides.
+    assert abs(int(found[1]) - 50) < 12
 
 
 def seen(made: BoardSession, pose: str, camera: str) -> Subject:
@@ -179,15 +182,15 @@ def test_residuals_far_beyond_what_is_stated_are_named() -> None:
 
 def test_parameters_are_held_by_name_or_value_or_not_at_all() -> None:
     made = perfect()
-    for sensor in calibrated(made, fixed="k2").calibration.rig.sensors:
-        assert sensor.intrinsics.k2 == 0.0
+    kept = calibrated(made, fixed="k2")
+    for sensor in kept.calibration.rig.sensors:
+        # What the boards told of it at first, and the page says so.
+        assert kept.quality.found[f"k2 of {sensor.name}, held [1]"] == sensor.intrinsics.k2 != 0.0
     found = calibrated(made, fixed="k2=0.05,k3")
     assert all(s.intrinsics.k2 == 0.05 and s.intrinsics.k3 == 0.0 for s in found.calibration.rig.sensors)
     assert found.quality.found["k2 of C1, held [1]"] == 0.05
     free = calibrated(made, fixed="none")
     assert all(s.intrinsics.k3 != 0.0 and s.intrinsics.skew == 0.0 for s in free.calibration.rig.sensors)
-    with pytest.raises(InvalidInput, match="fx is held, but has no value to begin with: write fx=2000"):
-        calibrated(made, fixed="fx")
 
 
 @pytest.mark.parametrize(
