@@ -82,6 +82,7 @@ _Motion: TypeAlias = Annotated[
         scenes.MidPointBending,
         scenes.HalvesApart,
         scenes.Disbond,
+        scenes.Bow,
         tag="motion",
     ),
 ]

@@ -404,7 +404,9 @@ def quality_of(
 
 def _scale(plan: SessionPlan, start: Start, found: Adjustment, problem: BundleProblem) -> str:
     """Say what lengths were taken from, and how well it is known."""
-    part = f"known to 1/{1.0 / found.scale_sigma:,.0f}" if found.scale_sigma > 0.0 else "taken as exact"
+    # A camera alone measures no points, and has the scale of what it was told.
+    sigma = found.scale_sigma or max((b.pitch_relative_sigma for b in problem.boards), default=0.0)
+    part = f"known to 1/{1.0 / sigma:,.0f}" if sigma > 0.0 else "taken as exact"
     if problem.bar_points:
         return f"the length of {' and '.join(bar.name for bar in problem.bars)}, {part}"
     names = " and ".join(board.name for board in problem.boards)

@@ -169,8 +169,8 @@ def test_a_projector_that_was_turned_is_found() -> None:
     assert found.verdict == "matters"
     assert "a change of P1 alone explains" in found.reason
     change = {(c.sensor, c.parameter): c for c in found.changes}
-    # The alignment of all views' points takes some of it: P1 is in half of them.
-    assert change["P1", "ry"].change == pytest.approx(2e-4, rel=0.25)
+    # What the first calibration was off by is in it, as stated.
+    assert abs(change["P1", "ry"].change - 2e-4) < 4.0 * change["P1", "ry"].sigma
     assert change["P1", "ry"].z > 5.0
     # No lens has changed.
     lenses = [c.z for c in found.changes if c.parameter in ("fx", "fy", "cx", "cy")]
