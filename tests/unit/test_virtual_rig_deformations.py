@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.records.scene import Deformation, Disbond, HalvesApart, MidPointBending, Rigid, UniaxialStrain
+from sms_jobs.records.scene import (
+    Bow,
+    Deformation,
+    Disbond,
+    HalvesApart,
+    MidPointBending,
+    Rigid,
+    UniaxialStrain,
+)
 from sms_jobs.virtual_rig.deformations import (
     carried,
     carried_points,
@@ -26,6 +34,7 @@ CHAINS: list[tuple[Deformation, ...]] = [
     (UniaxialStrain(0.02), MidPointBending(-8.0, 500.0, 500.0), Rigid((0.02, 0.01, 0.0), (1.0, 2.0, 3.0))),
     (Rigid((0.3, 0.1, -0.2)), MidPointBending(5.0, 600.0, 600.0), HalvesApart(2.0)),
     (Disbond(3.0, 250.0, 0.004, 3.0), UniaxialStrain(-1e-3), MidPointBending(2.0, 600.0, 500.0)),
+    (Bow(0.5, -0.3, 0.2, (20.0, -10.0), 150.0, 120.0), Rigid((0.2, -0.1, 0.3), (5.0, 0.0, 9.0))),
 ]
 
 
