@@ -23,7 +23,6 @@ import resource
 import threading
 from contextlib import suppress
 from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from numba.core import event
@@ -44,34 +43,41 @@ class Compilation(NamedTuple):
     cpu_s: float
 
 
-def source_digest(file: Path) -> str:
+def source_digest(file: str) -> str:
     """Return a digest of the source of a module and of all that it imports of its own package, at the top."""
-    package = next((above for above in file.parents if not (above.parent / "__init__.py").is_file()), None)
-    found: set[Path] = set()
+    folder = os.path.dirname(os.path.abspath(file))  # noqa: PTH100, PTH120
+    while os.path.exists(os.path.join(os.path.dirname(folder), "__init__.py")):  # noqa: PTH110, PTH118, PTH120
+        folder = os.path.dirname(folder)  # noqa: PTH120
+    found: set[str] = set()
     pending = [file]
     while pending:
         module = pending.pop()
         if module not in found:
             found.add(module)
-            pending += _imported(module, package) if package is not None else ()
-    digests = sorted(_digest(module) for module in found)
-    return hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
+            pending += _imported(module, folder)
+    return hashlib.sha256("".join(sorted(map(_digest, found))).encode()).hexdigest()[:16]
 
 
 @cache
-def _digest(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+def _digest(file: str) -> str:
+    return hashlib.sha256(_text(file).encode()).hexdigest()
 
 
 @cache
-def _imported(file: Path, package: Path) -> tuple[Path, ...]:
+def _imported(file: str, package: str) -> tuple[str, ...]:
     """Return the modules below a package's folder that another imports."""
-    modules = []
-    for name, parts in _IMPORT.findall(file.read_text(encoding="utf-8")):
-        path = package.parent.joinpath(*name.split("."))
-        members = [word for word in re.findall(r"\w+", parts) if word != "as"]
-        modules += [path.with_suffix(".py"), *((path / member).with_suffix(".py") for member in members)]
-    return tuple(module for module in modules if package in module.parents and module.is_file())
+    beside, own = os.path.split(package)
+    named = []
+    for module, members in _IMPORT.findall(_text(file)):
+        if module.split(".")[0] == own:
+            path = os.path.join(beside, *module.split("."))  # noqa: PTH118
+            named += [path, *(os.path.join(path, word) for word in re.findall(r"\w+", members))]  # noqa: PTH118
+    return tuple(f"{path}.py" for path in named if os.path.isfile(f"{path}.py"))  # noqa: PTH113
+
+
+def _text(file: str) -> str:
+    with open(file, encoding="utf-8") as opened:  # noqa: PTH123
+        return opened.read()
 
 
 class KernelCache(FunctionCache):
@@ -83,7 +89,7 @@ class KernelCache(FunctionCache):
     def __init__(self, function: Any) -> None:
         super().__init__(function)
         self._path = os.path.join(self.cache_path, f"{self._impl.filename_base}.lock")  # noqa: PTH118
-        self._stamp = source_digest(Path(function.__code__.co_filename))
+        self._stamp = source_digest(function.__code__.co_filename)
         self._cache_file = IndexDataCacheFile(self._cache_path, self._impl.filename_base, self._stamp)
         self._descriptor = -1
         self._turns = 0
