@@ -66,6 +66,8 @@ class Worth:
         What fixes the world's frame, and what lengths were taken from.
     shape_sigma_mm
         Deviation of a point, but for motions and the scale of the whole.
+    found
+        What was found of the artefacts themselves; names carry the unit.
     residuals, parameters
         Of the adjustment.
     rms_by_type, rms_by_sensor
@@ -83,6 +85,7 @@ class Worth:
     gauge: str
     scale: str
     shape_sigma_mm: float | None
+    found: dict[str, float]
     residuals: int
     parameters: int
     rms_by_type: dict[str, float | None]
@@ -135,6 +138,7 @@ def worth_of(quality: CalibrationQuality) -> Worth:
         quality.gauge,
         quality.scale,
         quality.shape_sigma_mm,
+        dict(quality.found),
         quality.residuals,
         quality.parameters,
         {name: _known(value) for name, value in quality.rms_by_type.items()},

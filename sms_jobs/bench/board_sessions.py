@@ -23,9 +23,10 @@ from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.artefacts import Chessboard
 from sms_jobs.records.calibration import CalibrationQuality
-from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
 from sms_jobs.records.observations import BoardObservation
 from sms_jobs.records.sensors import Calibration, Rig, Sensor, SensorFormat
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 from sms_jobs.virtual_rig.optics import image_point, packed_sensor
 

@@ -26,7 +26,7 @@ import sms_jobs
 from sms_jobs.archive import Archive, FolderStore, Provenance
 from sms_jobs.archive.dataset import ArchivedDataset
 from sms_jobs.bench.in_memory import unheard
-from sms_jobs.bench.large_tuple import peak_rss_mb
+from sms_jobs.bench.peak_memory import peak_rss_mb
 from sms_jobs.errors import SmsError
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DocumentOutput, Inputs, Kind
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, MERGED, REGIONS, STRAIN, SURFACE
@@ -35,11 +35,12 @@ from sms_jobs.kinds.surface_ports import maker_of
 from sms_jobs.metrology.deformation.strain import principal_and_equivalent
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
-from sms_jobs.records.campaign import Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.fields import MergedField, Region, Regions, StrainField, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 
 VIEW = "C1C2"

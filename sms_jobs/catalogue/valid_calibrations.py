@@ -23,10 +23,12 @@ from sms_jobs.catalogue.models import (
     RigRow,
 )
 from sms_jobs.catalogue.parts import parts
-from sms_jobs.records.calibration import Acceptance
-from sms_jobs.records.campaign import Subject
-from sms_jobs.records.measurement import UNTIMED
-from sms_jobs.records.sensors import Calibration, Rig
+from sms_jobs.records.subject import Subject
+from sms_jobs.records.times import UNTIMED
+
+if TYPE_CHECKING:
+    from sms_jobs.records.calibration import Acceptance
+    from sms_jobs.records.sensors import Calibration, Rig
 
 Sensors = Mapping[str, Mapping[str, Any]]
 """Role, columns and rows of sensors, by name."""

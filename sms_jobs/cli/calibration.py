@@ -112,23 +112,21 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
 
 def _worth(calibration: Calibration, worth: Worth) -> dict[str, str | float | int]:
     """Return the few numbers by which a calibration is judged."""
-    held_out = quality.held_out_bar_rms_mm()
-    expected = quality.expected_sigma[np.isfinite(quality.expected_sigma)]
-    worth: dict[str, str | float | int] = {"world": quality.gauge, "warnings": len(quality.warnings)}
-    if quality.scale:
-        worth["scale"] = quality.scale
-    if quality.shape_sigma_mm:
-        worth["shape, scale apart, of the diagonal"] = (
-            f"1/{calibration.volume.diagonal_mm / quality.shape_sigma_mm:,.0f}"
+    told: dict[str, str | float | int] = {"world": worth.gauge, "warnings": len(worth.warnings)}
+    if worth.scale:
+        told["scale"] = worth.scale
+    if worth.shape_sigma_mm:
+        told["shape, scale apart, of the diagonal"] = (
+            f"1/{calibration.volume.diagonal_mm / worth.shape_sigma_mm:,.0f}"
         )
-    worth |= {name: float(f"{value:.4g}") for name, value in quality.found.items()}
-    if np.isfinite(held_out):
-        worth["held-out bar lengths, rms [um]"] = round(1e3 * held_out, 3)
-        worth["of the volume's diagonal"] = f"1/{calibration.volume.diagonal_mm / held_out:,.0f}"
-    if expected.size:
-        worth["expected deviation of a point, median [um]"] = round(1e3 * float(np.median(expected)), 3)
-        worth["expected deviation of a point, largest [um]"] = round(1e3 * float(expected.max()), 3)
-    return worth
+    told |= {name: float(f"{value:.4g}") for name, value in worth.found.items()}
+    if (held_out := worth.held_out_bar_rms_mm) is not None:
+        told["held-out bar lengths, rms [um]"] = round(1e3 * held_out, 3)
+        told["of the volume's diagonal"] = f"1/{calibration.volume.diagonal_mm / held_out:,.0f}"
+    if worth.expected_median_mm is not None and worth.expected_largest_mm is not None:
+        told["expected deviation of a point, median [um]"] = round(1e3 * worth.expected_median_mm, 3)
+        told["expected deviation of a point, largest [um]"] = round(1e3 * worth.expected_largest_mm, 3)
+    return told
 
 
 @app.command()

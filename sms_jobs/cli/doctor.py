@@ -8,7 +8,7 @@ import typer
 
 from sms_jobs.app import kernels as kernels_
 from sms_jobs.app.doctor import Examined, diagnosed
-from sms_jobs.cli import output
+from sms_jobs.cli import bars, output
 from sms_jobs.cli.output import Home, Json
 
 _FINDINGS = 6
@@ -52,7 +52,7 @@ def _prepare_kernels(as_json: bool) -> None:
     missing = kernels_.compile_missing()
     total = next(missing, 0)  # which forks processes, as long as there are no threads
     if total:
-        with output.job_bar() as bar:
+        with bars.job_bar() as bar:
             task = bar.add_task("compiling kernels", total=total, pace="")
             for left in missing:
                 bar.update(task, completed=total - left)

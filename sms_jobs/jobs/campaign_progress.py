@@ -15,13 +15,12 @@ from sms_jobs.catalogue.campaigns import campaign_id
 from sms_jobs.catalogue.models import FileRow, JobRow, LoadStateRow, StatisticRow
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState
 from sms_jobs.records.shown.state_progress import StateProgress
 from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
-    from sms_jobs.records.campaign import LoadState
+    pass
 
 _BEFORE = "_before"
 _ACTIVE = frozenset(state.value for state in ACTIVE)

@@ -18,6 +18,7 @@ from sms_jobs.catalogue.models import CampaignRow, JobRow, WorkerRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.jobs.coming import Coming
 from sms_jobs.records.job import JobState
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 _REMEMBERED = 200
@@ -164,12 +165,6 @@ def _images(session: Session, numbers: Sequence[int]) -> dict[int, _Images]:
         of_views = {view: pixels.get(view_of(view).camera, 0) for view in views}
         found[number] = _Images(of_views, frames, states.get(number, 0))
     return found
-
-
-def _frames(sequence: dict[str, Any]) -> int:
-    from sms_jobs.records.measurement import FringeSequence
-
-    return TypeAdapter(FringeSequence).validate_python(sequence).frames
 
 
 def _between(begun: datetime | None, ended: datetime | None) -> float:

@@ -17,8 +17,8 @@ from sms_jobs.formats.report.surface import MICROSTRAIN
 from sms_jobs.kinds.kind import Port
 from sms_jobs.kinds.products import MERGED
 from sms_jobs.kinds.reporting import report
-from sms_jobs.records.campaign import Subject
 from sms_jobs.records.fields import MergedField, StrainField
+from sms_jobs.records.subject import Subject
 
 EVIL = "</script><img src=x onerror=\"document.title='broken into'\">"
 STATES = 40

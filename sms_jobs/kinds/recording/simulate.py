@@ -28,8 +28,8 @@ from sms_jobs.kinds.kind import (
 from sms_jobs.kinds.products import MEASURED
 from sms_jobs.kinds.recording.adaptation import QUICK, outlook
 from sms_jobs.records.artefacts import BallBar
-from sms_jobs.records.campaign import Campaign, LoadState, Subject
-from sms_jobs.records.measurement import UNTIMED, FringeSequence, Measurement
+from sms_jobs.records.campaign import Campaign, LoadState
+from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.scene import Deformation, Scene
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.times import UNTIMED

@@ -30,9 +30,10 @@ from sms_jobs.kinds.calibration.sessions import board_states, every_view
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.artefacts import Chessboard
-from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen, Subject
+from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
 from sms_jobs.records.scene import CameraResponse, Rigid, Scene
 from sms_jobs.records.sensors import Box, Rig, Sensor, SensorFormat
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 
 Floats = NDArray[np.float64]
