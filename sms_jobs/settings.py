@@ -190,7 +190,7 @@ def _of_home(file: Path) -> dict[str, Any]:
     try:
         with file.open("rb") as opened:
             return tomllib.load(opened)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return {}
     except (ValueError, RecursionError) as error:
         raise ConfigurationError(f"{file} is not valid TOML: {error or 'nested too deeply'}") from error

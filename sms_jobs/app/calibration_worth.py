@@ -1,21 +1,55 @@
-"""What speaks for and against the calibration that a session gave, and the drift of a rig over time."""
+"""What a calibration is worth in numbers, that of a session too, and the drift of a rig over time."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime
 
-from sms_jobs.app.calibrations import Worth, worth_of
+from sms_jobs.app.calibrations import Worth, show, worth_of
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.report.charts import Axis, Chart, Line, Point, charts
 from sms_jobs.records.people import Right
+from sms_jobs.records.sensors import Box, Sensor
 from sms_jobs.records.shown.files import FileView
 
 _MOST = 12
 _MICROMETRES = 1e3
 _SECONDS_A_DAY = 86400.0
+
+
+@dataclass(frozen=True)
+class Overview:
+    """A calibration and what it is worth; None for one that was brought in."""
+
+    calibration: int
+    rig: str
+    valid_from: datetime
+    origin: str
+    path: str
+    sensors: tuple[Sensor, ...]
+    volume: Box
+    worth: Worth | None
+
+
+@use_case(Right.READ)
+def overview(services: Services, number: int) -> Overview:
+    """Return a calibration in numbers, without its samples; raises as `show` does."""
+    known = show(services, number)
+    made, quality = known.calibration, known.quality
+    worth = None if quality is None else worth_of(quality)
+    return Overview(
+        number,
+        made.rig.name,
+        made.valid_from,
+        made.origin,
+        known.path,
+        made.rig.sensors,
+        made.volume,
+        worth,
+    )
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from sms_jobs.jobs.registration import Registered
     from sms_jobs.metrology.calibration.comparison import CalibrationComparison
     from sms_jobs.records.calibration import CalibrationQuality
-    from sms_jobs.records.sensors import Box, Calibration, Sensor
+    from sms_jobs.records.sensors import Calibration
     from sms_jobs.records.supplements import Supplement
 
 STYLES: tuple[str, ...] = get_args(Style)
@@ -95,38 +95,6 @@ class Worth:
     held_out_bar_rms_mm: float | None
     expected_median_mm: float | None
     expected_largest_mm: float | None
-
-
-@dataclass(frozen=True)
-class Overview:
-    """A calibration and what it is worth; None for one that was brought in."""
-
-    calibration: int
-    rig: str
-    valid_from: datetime
-    origin: str
-    path: str
-    sensors: tuple[Sensor, ...]
-    volume: Box
-    worth: Worth | None
-
-
-@use_case(Right.READ)
-def overview(services: Services, number: int) -> Overview:
-    """Return a calibration in numbers, without its samples; raises as `show` does."""
-    known = show(services, number)
-    made, quality = known.calibration, known.quality
-    worth = None if quality is None else worth_of(quality)
-    return Overview(
-        number,
-        made.rig.name,
-        made.valid_from,
-        made.origin,
-        known.path,
-        made.rig.sensors,
-        made.volume,
-        worth,
-    )
 
 
 def worth_of(quality: CalibrationQuality) -> Worth:

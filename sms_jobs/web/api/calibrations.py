@@ -7,8 +7,9 @@ from typing import Annotated, Any, Literal
 from fastapi import Query
 from pydantic import Field
 
-from sms_jobs.app import calibrations
-from sms_jobs.app.calibrations import CalibrationText, Decision, Overview
+from sms_jobs.app import calibration_worth, calibrations
+from sms_jobs.app.calibration_worth import Overview
+from sms_jobs.app.calibrations import CalibrationText, Decision
 from sms_jobs.web.asked import Asked, FileNumber, Moment, Number, Text
 from sms_jobs.web.confirming import Confirmed, confirmed
 from sms_jobs.web.identity import Acting
@@ -81,10 +82,10 @@ def compare(
     return answer(calibrations.compare(services, before, after, tolerance_mm))
 
 
-@ROUTES.offer("GET", "/calibrations/{number}", calibrations.overview, answers=Overview)
+@ROUTES.offer("GET", "/calibrations/{number}", calibration_worth.overview, answers=Overview)
 def show(services: Acting, number: Number) -> Any:
     """Return a calibration with what is known of it."""
-    return answer(calibrations.overview(services, number))
+    return answer(calibration_worth.overview(services, number))
 
 
 @ROUTES.offer("POST", "/calibrations/{number}/use", calibrations.decide, answers=Decision)

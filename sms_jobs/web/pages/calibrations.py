@@ -20,10 +20,10 @@ def list_(page: Page) -> HTMLResponse:
     return page.render("calibrations.html", found=found, drift=drift)
 
 
-@PAGES.show("/calibrations/{number}", calibrations.overview)
+@PAGES.show("/calibrations/{number}", calibration_worth.overview)
 def show(page: Page, number: int) -> HTMLResponse:
     """Show a calibration and what speaks for and against it."""
-    overview = calibrations.overview(page.services, number)
+    overview = calibration_worth.overview(page.services, number)
     return page.render(
         "calibration.html",
         calibration=overview,
