@@ -287,6 +287,7 @@ def export(services: Services, number: int, style: str, *, pixel_pitch_um: float
     """
     # OpenCV writes the files; no other function here needs it.
     from sms_jobs.formats.interchange.calibration_files import calibration_text
+    from sms_jobs.records.sensors import Calibration
 
     styles: tuple[Style, ...] = get_args(Style)
     chosen = next((one for one in styles if one == style), None)
