@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from sms_jobs.metrology.calibration.bundle_normal import Block, Observed, Packed
 from sms_jobs.metrology.calibration.bundle_parameters import Freedom, Layout, State, parameter_names
@@ -230,6 +229,8 @@ def judge_points(
     sigma. Where their sum is beyond chance, sigma is raised until it is not, and the points are freed with
     that: a calibration that would move by more than its deviations is warned of.
     """
+    from scipy.stats import chi2
+
     moved = _moved_by(equations, freedom, covariance)
     size = 3 * len(equations.own)
     information = -equations.mixed[freedom.free].T @ moved
@@ -303,6 +304,8 @@ def _shape_warning(
 
 def _misplaced(problem: BundleProblem, equations: PointEquations) -> tuple[str, ...]:
     """Name points that most poses see in another place than the rest of the board puts them."""
+    from scipy.stats import chi2
+
     which, slopes, residuals = equations.whitened
     count = len(equations.board)
     off, views = np.zeros((count, 3)), np.bincount(which, minlength=count)

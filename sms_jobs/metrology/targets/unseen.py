@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,6 +29,8 @@ def why_unseen(image: NDArray[np.float32]) -> str:
     image
         (rows, columns), grey levels.
     """
+    import cv2
+
     dark, bright = np.percentile(image[::2, ::2], (1.0, 99.0))
     contrast = float(bright - dark)
     steps = np.abs(image[:, 2:] - 2.0 * image[:, 1:-1] + image[:, :-2])
@@ -61,6 +62,8 @@ def other_chessboard(image: NDArray[np.uint8], columns: int, rows: int) -> str:
     columns, rows
         Inner corners of the one that was looked for.
     """
+    import cv2
+
     flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(image, _SMALLEST, flags=flags)
     if not found:
