@@ -25,5 +25,5 @@ def test_no_term_moves_or_tilts_the_plane_that_fits_best():
     terms = shape_terms(points, _OUTLINE)
     centred = (points - points.mean(axis=0)) / np.ptp(points, axis=0)
     plane, *_ = np.linalg.lstsq(np.column_stack([np.ones(len(points)), centred]), terms, rcond=None)
-    # A grid has its border's points whole where an integral has them by halves: 2 / (3 n).
-    assert np.abs(plane).max() < 2.0 / (3.0 * 150) * 1.1
+    # The mean of u^2 over n places from -1 to 1, both ends among them, is 1/3 + 2 / (3 (n - 1)).
+    assert np.abs(plane).max() == pytest.approx(2.0 / (3.0 * 149), rel=1e-6)
