@@ -14,6 +14,11 @@ LARGEST_SMOOTHING_PX = 0.7
 """Just below that of the binomial filter, (1, 2, 1) / 4, beyond which three pixels are too few."""
 
 
+def _weights(sigma_px: float) -> Floats:
+    side = 0.5 * sigma_px**2
+    return np.array([side, 1.0 - 2.0 * side, side])
+
+
 def smooth(image: NDArray[np.floating], sigma_px: float) -> Floats:
     """Smooth an image by a Gaussian of three pixels each way.
 
@@ -30,8 +35,7 @@ def smooth(image: NDArray[np.floating], sigma_px: float) -> Floats:
     same at every pixel, also beside a region's edge: weights that depend on where an edge is would move
     the texture, and not in each state alike.
     """
-    side = 0.5 * sigma_px**2
-    weights = np.array([side, 1.0 - 2.0 * side, side])
+    weights = _weights(sigma_px)
     rows = ndimage.correlate1d(np.asarray(image, dtype=np.float64), weights, axis=0, mode="nearest")
     return np.asarray(ndimage.correlate1d(rows, weights, axis=1, mode="nearest"))
 
@@ -56,3 +60,40 @@ def noise_after_smoothing(smoothed: Floats, inside: NDArray[np.bool_], sigma_px:
         before += float(np.sum(slopes[inside] ** 2))
         after += float(np.sum(smooth(slopes, sigma_px)[inside] ** 2))
     return after / before if before > 0.0 else 1.0
+
+
+def noise_of_pixels(sigma_px: float) -> float:
+    """Return the factor by which smoothing changes the variance of white noise at a pixel."""
+    return float(np.sum(_weights(sigma_px) ** 2) ** 2)
+
+
+def noise_of_differences(sigma_px: float) -> float:
+    """Return the variance of the mixed fourth difference of white noise of variance 1 after smoothing."""
+    return float(np.sum(np.convolve(_weights(sigma_px), (1.0, -2.0, 1.0)) ** 2) ** 2)
+
+
+def noise_in_windows(slope: Floats, sigma_px: float, radius: int) -> float:
+    """Return the factor on the noise's variance that square windows of a smoothed texture see.
+
+    It is that of `noise_after_smoothing`, s^2 sum (g * w D)^2 / sum (w D)^2, for windows w of 2 radius + 1
+    pixels: at their borders the filter finds less to be alike.
+
+    Parameters
+    ----------
+    slope
+        (rows, columns), of the smoothed texture along one axis.
+    sigma_px, radius
+        Of the filter and of the windows, in px.
+    """
+    alike = np.convolve(_weights(sigma_px), _weights(sigma_px))
+    shared = alike * (1.0 - np.abs(np.arange(-2, 3)) / (2 * radius + 1))
+    rows, columns = slope.shape
+    total = 0.0
+    for j in range(3):
+        for i in range(-2, 3):
+            first = slope[j:, max(i, 0) : columns + min(i, 0)]
+            second = slope[: rows - j, max(-i, 0) : columns + min(-i, 0)]
+            twice = 2.0 if j else 1.0
+            total += twice * shared[j + 2] * shared[i + 2] * float(np.sum(first * second))
+    whole = float(np.sum(slope**2))
+    return total / whole if whole > 0.0 else 1.0

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from sms_jobs.metrology.images.smoothing import (
     LARGEST_SMOOTHING_PX,
     noise_after_smoothing,
+    noise_in_windows,
+    noise_of_differences,
+    noise_of_pixels,
     smooth,
 )
 
@@ -43,3 +47,19 @@ def test_the_scatter_of_a_shift_is_the_one_predicted(rng: np.random.Generator) -
     # Standard deviations from 2000 values scatter by 1 / sqrt(4000) = 1.6 %; the factor is the mean of both
     # axes, which differ by about as much in an image of 40 px.
     assert np.std(found) / sigma == pytest.approx(1.0, abs=0.07)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.6])
+def test_the_noise_that_is_left_is_the_one_predicted(sigma: float, rng: np.random.Generator) -> None:
+    """Of 400 x 400 pixels: a variance is known to 0.4 %, and to about twice that of neighbours alike."""
+    noise = smooth(rng.normal(size=(400, 400)), sigma)
+    assert noise.var() == pytest.approx(noise_of_pixels(sigma), rel=0.03)
+    rows = np.diff(noise, 2, axis=0)
+    assert np.diff(rows, 2, axis=1).var() == pytest.approx(noise_of_differences(sigma), rel=0.03)
+    slope = smooth(rng.normal(size=(400, 400)), 0.7)
+    radius = 3
+    seen = ndimage.uniform_filter(slope * noise, 2 * radius + 1)[10:-10, 10:-10]
+    square = ndimage.uniform_filter(slope**2, 2 * radius + 1)[10:-10, 10:-10]
+    # 3200 windows that do not overlap: their variance is known to 2.5 %.
+    found = seen.var() / square.mean() * (2 * radius + 1) ** 2
+    assert found == pytest.approx(noise_in_windows(slope, sigma, radius), rel=0.1)
