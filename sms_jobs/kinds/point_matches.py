@@ -18,11 +18,13 @@ _REASONS = {
     correlation.NO_TEXTURE: Reason.NO_TEXTURE,
     correlation.LEFT_IMAGE: Reason.LEFT_IMAGE,
     correlation.NOT_CONVERGED: Reason.NO_MATCH,
+    correlation.AMBIGUOUS: Reason.AMBIGUOUS_TEXTURE,
 }
 _IN_WORDS = {
     correlation.LEFT_IMAGE: "left the image",
     correlation.NO_TEXTURE: "without texture",
     correlation.NOT_CONVERGED: "without a counterpart",
+    correlation.AMBIGUOUS: "on a texture that repeats itself within the search range",
     correlation.TOO_FEW_PIXELS: "with too little of a region about them",
 }
 
@@ -84,7 +86,7 @@ def match_statistics(matches: ImageMatches) -> dict[str, float]:
     """Return how much was matched, why the rest was not, and how well."""
     matched = matches.reason == Reason.VALID
     statistics = {"matched_fraction": float(matched.sum() / max(len(matched), 1))}
-    for reason in (Reason.NO_TEXTURE, Reason.NO_MATCH, Reason.LEFT_IMAGE, Reason.OUTSIDE_REGION):
+    for reason in sorted(set(_REASONS.values()) - {Reason.VALID}):
         part = float(np.count_nonzero(matches.reason == reason) / max(len(matched), 1))
         statistics[f"{str(reason.name).lower()}_fraction_of_points"] = part
     if matched.any():

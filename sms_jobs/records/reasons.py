@@ -37,3 +37,7 @@ class Reason(IntFlag):
     """Two ways of pairing the returns of the fringe orientations are about as likely, at different points."""
     OFF_REFERENCE = 1 << 13
     """No part of the reference surface faces the point: beside its rim, too far away, or turned away."""
+    IMAGES_DISAGREE = 1 << 15
+    """Both images differ by more than their noise and a displacement: a crack, dust, something in front."""
+    AMBIGUOUS_TEXTURE = 1 << 16
+    """The texture repeats itself within the search range: a match might be off by a whole period."""

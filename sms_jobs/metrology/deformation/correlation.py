@@ -37,7 +37,7 @@ Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]
 Ints: TypeAlias = NDArray[np.int64]
 
-CONVERGED, TOO_FEW_PIXELS, NO_TEXTURE, LEFT_IMAGE, NOT_CONVERGED = range(5)
+CONVERGED, TOO_FEW_PIXELS, NO_TEXTURE, LEFT_IMAGE, NOT_CONVERGED, AMBIGUOUS = range(6)
 """How the matching of a point ended."""
 
 _REACH = PADDING - 3.0  # px that a subset may run over the image's border, on the reflected spline

@@ -13,8 +13,10 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from sms_jobs.metrology.deformation.correlation import (
+    AMBIGUOUS,
     CONVERGED,
     LEFT_IMAGE,
     NOT_CONVERGED,
@@ -27,7 +29,7 @@ from sms_jobs.metrology.deformation.correlation import (
 from sms_jobs.metrology.deformation.doubtful import check_again, mark_left_image, nearest_warps
 from sms_jobs.metrology.deformation.fourier_newton import match_by_cross_correlation
 from sms_jobs.metrology.deformation.sampling import NEAREST, Nodes, choose_seeds, sample_nodes
-from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_warps
+from sms_jobs.metrology.deformation.seeding import SearchSettings, repeats_itself, seed_warps
 from sms_jobs.metrology.deformation.shape_functions import WARP, carried
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -135,17 +137,27 @@ def match_nodes(
     grid: GridSettings,
     search: SearchSettings,
     threads: int = 1,
+    known: GridMatches | None = None,
 ) -> GridMatches:
-    """Match points whose neighbours are known; parameters as of `match_grid`."""
+    """Match points whose neighbours are known; parameters as of `match_grid`, `known` of `spread_matches`."""
     if len(nodes.x) == 0:
         return spread_matches(images, nodes, Seeds.none(), settings, grid, threads)
     first = choose_seeds(images.labels, nodes.x, nodes.y, search)
     guess, score = seed_warps(
         images.reference, deformed, images.labels, nodes.x[first], nodes.y[first], search, threads
     )
-    likely = score >= _SEED_SCORE
+    again = repeats_itself(images.reference, images.labels, nodes.x[first], nodes.y[first], search, threads)
+    likely = (score >= _SEED_SCORE) & ~again
     seeds = Seeds(first[likely], guess[likely])
-    return spread_matches(images, nodes, seeds, settings, grid, threads, may_rest=True)
+    # Only where the texture is its own can a match that nothing leads to be the right one.
+    alone = ~again[KDTree(_places(nodes, first)).query(_places(nodes))[1]]
+    found = spread_matches(images, nodes, seeds, settings, grid, threads, may_rest=alone, known=known)
+    found.matches.ending[(found.matches.ending == NOT_CONVERGED) & ~alone] = AMBIGUOUS
+    return found
+
+
+def _places(nodes: Nodes, which: Ints | slice = slice(None)) -> Floats:
+    return np.stack([nodes.x[which], nodes.y[which]], axis=1).astype(np.float64)
 
 
 def spread_matches(
@@ -156,11 +168,13 @@ def spread_matches(
     grid: GridSettings,
     threads: int = 1,
     *,
-    may_rest: bool = False,
+    may_rest: NDArray[np.bool_] | None = None,
+    known: GridMatches | None = None,
 ) -> GridMatches:
     """Match points whose neighbours are known, from seeds on; parameters as of `match_grid`.
 
-    With `may_rest` a point of a region that no match leads to is tried where it was.
+    A point of a region that no match leads to is tried where it was, if it is one of `may_rest` (n,). What
+    became of points that are `known` stands, and they lead to others.
     """
     x, y, around = nodes.x, nodes.y, nodes.around
     with_bends = settings.shape_order == 2 and grid.method == "gauss-newton"
@@ -183,8 +197,16 @@ def spread_matches(
         lost = (result.ending != CONVERGED) & (result.ending != NOT_CONVERGED) & (result.ending != LEFT_IMAGE)
         attempts[points[lost]] = _ATTEMPTS + 1
 
-    fresh = seeds.points
-    attempt(fresh, seeds.guess)
+    mine, theirs = _shared(x, y, known)
+    for into, given in zip(
+        vars(found).values(), vars(known.matches if known else found).values(), strict=True
+    ):
+        into[mine] = given[theirs]
+    done[mine] = found.ending[mine] == CONVERGED
+    attempts[mine] = _ATTEMPTS + 1
+    new = attempts[seeds.points] == 0
+    attempt(seeds.points[new], seeds.guess[new])
+    fresh = np.union1d(seeds.points, mine)
     while True:
         # Only a point beside one that has just been matched can have a better start than before.
         beside = np.zeros(len(x) + 1, dtype=bool)  # the last is that of no neighbour, -1
@@ -211,8 +233,19 @@ def spread_matches(
     # Points that no neighbour has reached may have no texture, or lie on an island with its own displacement.
     unreached = np.flatnonzero(attempts == 0)
     guess = nearest_warps(found, nodes, images.labels[y, x], unreached)
-    led = np.isfinite(guess[:, 0]) | may_rest
+    led = np.isfinite(guess[:, 0])
+    if may_rest is not None:
+        led |= may_rest[unreached]
     attempt(unreached[led], np.where(np.isfinite(guess), guess, 0.0)[led])
     check_again(found, nodes, grid.outlier_ratio, refine)
     mark_left_image(found, nodes, images.labels, settings.radius)
     return GridMatches(x, y, found)
+
+
+def _shared(x: Ints, y: Ints, known: GridMatches | None) -> tuple[Ints, Ints]:
+    """Return the indices of points (n,) that are known, and of the known ones that they are."""
+    if known is None:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    width = np.int64(max(x.max(), known.x.max(initial=0)) + 1)
+    _, mine, theirs = np.intersect1d(y * width + x, known.y * width + known.x, return_indices=True)
+    return mine, theirs

@@ -18,8 +18,9 @@ _LEAST_OVERLAP = 0.5  # part of a template's pixels that must meet the searched 
 _NARROW = 48  # px: a range that is searched at once
 _COARSEST = 8  # px of the image in a pixel of the coarsest level
 _SURE = 0.5  # correlation from which on what was found from coarse to fine is taken
-_LEAST_PIXELS = 100  # of a template of a coarse level
+_LEAST_PIXELS = 100  # of a template of a coarse level, and of one that may be found again
 _TURN = np.pi / 12.0  # rad between the rotations that are tried: half of it blurs a small template little
+_REPEATED = 0.8  # correlation with another place from which on a texture is taken to repeat itself
 _SURE_SMALL = 0.65  # correlation from which on what a small template found is taken: chance alone has less
 
 
@@ -231,6 +232,41 @@ def seed_displacements(
 
     in_row_blocks(work, len(x), threads, block=8)
     return u, v, score
+
+
+def repeats_itself(
+    reference: NDArray[np.generic],
+    labels: NDArray[np.int32],
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    settings: SearchSettings,
+    threads: int = 1,
+) -> Mask:
+    """Return whether the sub-images about points (n,) are found again within the range that is searched.
+
+    As of `seed_displacements`; beyond 48 px nobody looks, and small pieces resemble others by chance. A place
+    is another one if the correlation falls to half on every way to it.
+    """
+    image, regions = np.asarray(reference, dtype=np.float64), labels.astype(np.float64)
+    half = settings.template_radius
+    reach = (min(settings.range_y, _NARROW), min(settings.range_x, _NARROW))
+    again = np.zeros(len(x), dtype=bool)
+
+    def work(start: int, stop: int) -> None:
+        for k in range(start, stop):
+            row, column = int(y[k]), int(x[k])
+            template, inside = _patch(image, row, column, half, half)
+            own, _ = _patch(regions, row, column, half, half)
+            inside &= own == regions[row, column]
+            if np.count_nonzero(inside) < _LEAST_PIXELS:
+                continue
+            searched, measured = _patch(image, row, column, half + reach[0], half + reach[1])
+            lagged = masked_correlation(template, inside, searched, measured)
+            islands, _ = ndimage.label(lagged > 0.5)
+            again[k] = bool((lagged[islands != islands[reach]] >= _REPEATED).any())
+
+    in_row_blocks(work, len(x), threads, block=8)
+    return again
 
 
 def turned_patch(

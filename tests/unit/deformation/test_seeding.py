@@ -9,6 +9,7 @@ from scipy import ndimage
 from sms_jobs.metrology.deformation.seeding import (
     SearchSettings,
     masked_correlation,
+    repeats_itself,
     seed_displacements,
     seed_warps,
 )
@@ -136,3 +137,17 @@ def test_small_templates_are_for_what_has_no_good_match(rng: np.random.Generator
     warp, same = seed_warps(image, np.roll(image, 3, axis=1), labels, x, y, settings)
     np.testing.assert_array_equal(same, score)
     np.testing.assert_array_equal(warp, np.stack([u, 0 * u, 0 * u, v, 0 * u, 0 * u], axis=1))
+
+
+def test_a_grid_is_found_again_and_speckle_is_not(rng: np.random.Generator) -> None:
+    size, period = 200, 16.0
+    y, x = np.mgrid[0:size, 0:size].astype(np.float64)
+    grid = 1600.0 + 400.0 * (np.cos(2 * np.pi * x / period) + np.cos(2 * np.pi * y / period))
+    speckled = 1600.0 + 8000.0 * ndimage.gaussian_filter(rng.normal(size=grid.shape), 2.0)
+    image = np.where(x < size / 2, grid, speckled) + rng.normal(0.0, 20.0, grid.shape)
+    labels = np.where(x < size / 2, 1, 2).astype(np.int32)
+    at = np.array([50, 150]), np.array([100, 100])
+    np.testing.assert_array_equal(repeats_itself(image, labels, *at, SearchSettings()), [True, False])
+    # Nothing within less than a period is like a grid's own place.
+    near = SearchSettings(range_x=7, range_y=7)
+    np.testing.assert_array_equal(repeats_itself(image, labels, *at, near), [False, False])
