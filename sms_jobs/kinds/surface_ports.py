@@ -13,7 +13,7 @@ from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Need, Port
 from sms_jobs.kinds.products import MEASURED, PHASE, SURFACE, Product
 from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.fields import Surface
+from sms_jobs.records.fields import DisplacementField, Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import View, view_of
@@ -130,3 +130,8 @@ def independent_covariance(surface: Surface) -> NDArray[np.floating]:
     """Return what of `position_covariance` is independent from pixel to pixel; of subsets nothing is."""
     covariance = position_covariance(surface)
     return covariance if surface.subset_radius_px == 0 else 0.0 * covariance
+
+
+def bias_in_space(moved: DisplacementField) -> NDArray[np.floating] | None:
+    """Return the part of a displacement's covariance (6, rows, columns) that is no noise; None for none."""
+    return None if moved.bias is None else covariance_in_space(moved.bias)

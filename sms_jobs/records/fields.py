@@ -174,8 +174,9 @@ class DisplacementField:
     """Displacement of the material point seen by each pixel of the reference image.
 
     Errors of neighbouring pixels go together: those of shape over `averaging_radius_px`, those of the match
-    over `subset_radius_px`; 0 where they are independent. Frame and unit are those of the surface: in the
-    plane of an image there is no displacement along Z.
+    over `subset_radius_px`; 0 where they are independent. The part of the covariance that is bias goes
+    together over as much as a gauge, and no mean makes it less. Frame and unit are those of the surface: in
+    the plane of an image there is no displacement along Z.
     """
 
     view: str
@@ -187,6 +188,13 @@ class DisplacementField:
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
     averaging_radius_px: float = 0.0
     subset_radius_px: int = 0
+    bias: Single | None = array(
+        f"{UNIT}^2",
+        "part of the covariance that is no noise: what the images have against the displacement",
+        VECTOR_IMAGE,
+        SYMMETRIC,
+        default=None,
+    )
 
 
 StrainMeasure = Literal["green-lagrange", "small"]

@@ -7,13 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from sms_jobs.kinds.deformation.correlate_parameters import (
     CorrelateParameters,
     match_settings,
     search_settings,
 )
-from sms_jobs.kinds.deformation.dense_fields import field_in_plane, field_in_space
+from sms_jobs.kinds.deformation.dense_fields import (
+    field_in_plane,
+    field_in_space,
+    image_displacement,
+)
 from sms_jobs.kinds.deformation.textured_state import (
     CALIBRATION_OF_SHAPE,
     TexturedState,
@@ -38,13 +43,13 @@ from sms_jobs.kinds.products import DISPLACEMENT, MATCHES, REGIONS
 from sms_jobs.kinds.surface_ports import state_ports
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation import correlation
-from sms_jobs.metrology.deformation.correlation import PreparedImages, prepare_images
+from sms_jobs.metrology.deformation.correlation import Matches, PreparedImages, prepare_images
 from sms_jobs.metrology.deformation.incremental import Followed, follow, match_in_steps
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, match_nodes
 from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
-from sms_jobs.metrology.deformation.splitting import Split, split_regions
+from sms_jobs.metrology.deformation.splitting import Split, cut_out, split_regions
 from sms_jobs.metrology.geometry.planes import covariance_in_space
-from sms_jobs.metrology.images.segmentation import ContinuousRegions, in_order
+from sms_jobs.metrology.images.segmentation import ContinuousRegions
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, ImageMatches, Region, Regions
 from sms_jobs.records.reasons import Reason
@@ -84,20 +89,33 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     last = None
     if inputs.has(_MATCHED_BEFORE):
         last = read_later(inputs, _BEFORE, parameters, before)
-    grid, steps = _match(inputs, before, last, after, parameters)
+    images = _prepared(before, after, parameters)
+    grid, steps = _match(inputs, images, before, last, after, parameters)
     apart = _come_apart(grid, before, after, parameters)
     if apart:
         # Subsets must not look across what has opened: its sides are regions of their own from here on.
         progress(0.5, f"{len(apart.pieces)} regions have come apart")
-        before = before.with_regions(in_order(apart.labels), parameters)
-        grid, steps = _match(inputs, before, last, after, parameters)
-    progress(0.7, summary(grid.matches.ending, apart))
-    matches = matches_record(grid, before.regions.labels, steps)
+        before = before.parted(apart.labels, parameters)
+        images = replace(images, labels=before.matched)
+        grid, steps = _match(inputs, images, before, last, after, parameters)
+    progress(0.6, summary(grid.matches.ending, apart))
     reference, threads = inputs.context, inputs.threads
+    image = image_displacement(grid, images, before, parameters, threads)
+    cut = cut_out(before.told, image.verified.unlike, parameters.minimum_region_area_px)
+    if cut is not None:
+        out = (before.told > 0) & (cut == 0)
+        area = np.count_nonzero(out)
+        progress(0.65, f"nothing is alike on {area} px; matching again what is about them")
+        before = before.parted(cut, parameters)
+        images = replace(images, labels=before.matched)
+        known = _far_from(grid, out, parameters.subset_radius_px)
+        grid, steps = _match(inputs, images, before, last, after, parameters, known)
+        image = image_displacement(grid, images, before, parameters, threads).without(out)
+    matches = matches_record(grid, before.regions.labels, steps)
     if before.surface.has_depth:
-        field = field_in_space(grid, before, after, reference, parameters, threads)
+        field = field_in_space(image, before, after, reference, parameters, threads)
     else:
-        field = field_in_plane(grid, matches, before, reference, parameters, threads)
+        field = field_in_plane(image, matches, before, reference, parameters)
     progress(1.0, "looked up the displacement")
     yield DatasetOutput(
         inputs.subject,
@@ -119,16 +137,35 @@ def _come_apart(
     return split if split.pieces else None
 
 
+def _far_from(grid: GridMatches, out: NDArray[np.bool_], radius: int) -> GridMatches:
+    """Return the matches whose subsets hold nothing of some pixels (rows, columns)."""
+    near = ndimage.maximum_filter(out, 2 * radius + 1)
+    kept = ~near[grid.y, grid.x]
+    matches = Matches(*(values[kept] for values in vars(grid.matches).values()))
+    return GridMatches(grid.x[kept], grid.y[kept], matches)
+
+
+def _prepared(before: TexturedState, after: TexturedState, parameters: CorrelateParameters) -> PreparedImages:
+    return prepare_images(
+        before.texture,
+        after.texture,
+        before.matched,
+        (before.noise, after.noise),
+        parameters.interpolation,
+    )
+
+
 def _match(
     inputs: Inputs,
+    direct: PreparedImages,
     before: TexturedState,
     last: TexturedState | None,
     after: TexturedState,
     parameters: CorrelateParameters,
+    known: GridMatches | None = None,
 ) -> tuple[GridMatches, NDArray[np.int32] | None]:
     """Match the points of a grid, and count the steps where the reference is not always the first state."""
-    labels = before.matched
-    nodes = sample_nodes(labels, parameters.spacing_px, parameters.edge_spacing_px)
+    nodes = sample_nodes(before.matched, parameters.spacing_px, parameters.edge_spacing_px)
     settings = match_settings(parameters, parameters.minimum_subset_part)
     grid = GridSettings(
         parameters.spacing_px,
@@ -140,19 +177,14 @@ def _match(
     search = search_settings(parameters)
     how = (settings, grid, search, inputs.threads)
 
-    def prepared(state: TexturedState, regions: NDArray[np.int32]) -> PreparedImages:
-        noise = (state.noise, after.noise)
-        return prepare_images(state.texture, after.texture, regions, noise, parameters.interpolation)
-
     if last is None:
-        found = match_nodes(prepared(before, labels), after.texture, nodes, *how)
+        found = match_nodes(direct, after.texture, nodes, *how, known)
         if parameters.reference == "first":
             return found, None
         return found, (found.matches.ending == correlation.CONVERGED).astype(np.int32)
     followed = _followed(inputs.read(_MATCHED_BEFORE, MATCHES), nodes)
-    between = prepared(last, last.matched)
+    between = _prepared(last, after, parameters)
     if parameters.reference == "auto":
-        direct = prepared(before, labels)
         return match_in_steps(direct, between, after.texture, nodes, followed, *how)
     matches, steps = follow(between, after.texture, nodes, followed, *how)
     return GridMatches(nodes.x, nodes.y, matches), steps
@@ -203,7 +235,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both surfaces",
-    version=10,
+    version=11,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(CALIBRATION_OF_SHAPE, *_REFERENCE.all, *_DEFORMED.all, *_BEFORE.all, _MATCHED_BEFORE),

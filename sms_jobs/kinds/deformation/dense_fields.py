@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -12,8 +14,10 @@ from sms_jobs.kinds.deformation.textured_state import TexturedState
 from sms_jobs.kinds.point_matches import trusted_points
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.deformation import displacement
+from sms_jobs.metrology.deformation.correlation import PreparedImages
 from sms_jobs.metrology.deformation.displacement import blend_matches, displacement_field
 from sms_jobs.metrology.deformation.matching import GridMatches
+from sms_jobs.metrology.deformation.verification import Verified, verify_displacement
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.records.fields import DisplacementField, ImageMatches
 from sms_jobs.records.reasons import Reason
@@ -26,8 +30,50 @@ _PIXEL_REASONS = {
 }
 
 
-def field_in_space(
+@dataclass(frozen=True)
+class ImageDisplacement:
+    """The matches of points, spread to every pixel and held against the images.
+
+    Attributes
+    ----------
+    value
+        (2, rows, columns): u and v in px.
+    variance
+        (2, rows, columns), of u and v by noise, in px^2.
+    verified
+        What the images say.
+    """
+
+    value: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    verified: Verified
+
+    def without(self, out: NDArray[np.bool_]) -> ImageDisplacement:
+        """Return it with pixels (rows, columns) on which the images are known to disagree."""
+        return replace(self, verified=replace(self.verified, agrees=self.verified.agrees & ~out))
+
+
+def image_displacement(
     grid: GridMatches,
+    images: PreparedImages,
+    before: TexturedState,
+    parameters: CorrelateParameters,
+    threads: int,
+) -> ImageDisplacement:
+    """Spread the matches over their regions, and verify what comes of that."""
+    surface, labels = before.surface, before.told
+    position = surface.position if surface.has_depth else in_space(pixels_as_plane(labels.shape))
+    value, variance = blend_matches(
+        trusted_points(grid, labels), position, labels, parameters.subset_radius_px, threads
+    )
+    verified = verify_displacement(
+        images, value, parameters.subset_radius_px, parameters.shape_order, parameters.smoothing_px, threads
+    )
+    return ImageDisplacement(value, variance, verified)
+
+
+def field_in_space(
+    image: ImageDisplacement,
     before: TexturedState,
     after: TexturedState,
     reference: str,
@@ -38,18 +84,23 @@ def field_in_space(
     # Positions that come from subsets are averages already.
     subsets = before.surface.subset_radius_px
     averaging = 0.0 if subsets else parameters.averaging_radius_px
+    agrees = image.verified.agrees
     found = displacement_field(
-        trusted_points(grid, before.regions.labels),
+        image.value,
+        image.variance,
+        image.verified.bias,
         _shape(before),
         _shape(after),
-        before.interior,
-        subset_radius=parameters.subset_radius_px,
+        before.interior & agrees,
         averaging_radius=averaging,
         threads=threads,
     )
     reason = before.surface.reason.copy()
     for status, why in _PIXEL_REASONS.items():
         reason[(found.status == status) & (reason == Reason.VALID)] = np.uint32(why)
+    reason[~agrees & (before.surface.reason == Reason.VALID)] = np.uint32(Reason.IMAGES_DISAGREE)
+    for values in (found.displacement, found.covariance, found.image_displacement, found.bias):
+        values[:, reason != 0] = np.nan
     return DisplacementField(
         before.surface.view,
         reference,
@@ -60,6 +111,7 @@ def field_in_space(
         reason,
         averaging,
         max(parameters.subset_radius_px, subsets),
+        found.bias.astype(np.float32),
     )
 
 
@@ -69,39 +121,35 @@ def _shape(state: TexturedState) -> tuple[NDArray[np.float64], NDArray[np.floati
 
 
 def field_in_plane(
-    grid: GridMatches,
+    image: ImageDisplacement,
     matches: ImageMatches,
     before: TexturedState,
     reference: str,
     parameters: CorrelateParameters,
-    threads: int,
 ) -> DisplacementField:
-    """Spread the matches over the image, whose plane the specimen does not leave."""
-    labels, surface = before.matched, before.surface
-    image, variance = blend_matches(
-        trusted_points(grid, labels),
-        in_space(pixels_as_plane(labels.shape)),
-        labels,
-        parameters.subset_radius_px,
-        threads,
+    """Return the displacement in the plane of the image, which the specimen does not leave."""
+    surface, value, bias = before.surface, image.value, image.verified.bias
+    near = _near_a_match(matches, surface.reason.shape, parameters.spacing_px)
+    reason = _reasons(np.isnan(value[0]) | ~near, before, matches)
+    reason[~image.verified.agrees & (surface.reason == Reason.VALID) & before.of_interest] = np.uint32(
+        Reason.IMAGES_DISAGREE
     )
-    near = _near_a_match(matches, labels.shape, parameters.spacing_px)
-    reason = _reasons(np.isnan(image[0]) | ~near, before, matches)
-    for field in (image, variance):
+    for field in (value, bias):
         field[:, reason != 0] = np.nan
     size = 1.0 if surface.mm_per_px is None else surface.mm_per_px
-    u, v = image
-    covariance = size**2 * np.stack([variance[0], 0.0 * variance[0], variance[1]])
+    u, v = value
+    own, biased = (size**2 * np.stack([v[0], 0.0 * v[0], v[1]]) for v in (image.variance, bias))
     return DisplacementField(
         surface.view,
         reference,
         surface.unit,
         size * np.stack([u, -v]),
-        covariance.astype(np.float32),
-        image,
+        (own + biased).astype(np.float32),
+        value,
         reason,
         0.0,
         parameters.subset_radius_px,
+        biased.astype(np.float32),
     )
 
 

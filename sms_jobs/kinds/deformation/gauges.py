@@ -24,7 +24,7 @@ from sms_jobs.kinds.kind import (
     deformed_views,
 )
 from sms_jobs.kinds.products import DISPLACEMENT, GAUGES, REGIONS, SURFACE
-from sms_jobs.kinds.surface_ports import independent_covariance, surface_port
+from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, surface_port
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.gauges import GaugePlace, GaugeValue, read_gauge
 from sms_jobs.metrology.deformation.strain_errors import independent_equivalent
@@ -127,6 +127,7 @@ def read_gauges(
         covariance = independent_equivalent(
             own,
             at_rest,
+            bias_in_space(moved),
             averaging_radius_px=moved.averaging_radius_px,
             subset_radius_px=moved.subset_radius_px,
             disc_radius_px=float(np.sqrt(place.length * place.width / np.pi)) / pitch,
@@ -186,7 +187,7 @@ def _readings(found: list[GaugeValue], surface: Surface, parameters: GaugesParam
 KIND = Kind(
     name="gauges",
     summary="strain that virtual gauges at given places read, from stored displacement",
-    version=2,
+    version=3,
     scope=Scope.TUPLE,
     parameters=GaugesParameters,
     inputs=(_MOVED, *_REFERENCE.all),

@@ -23,7 +23,7 @@ from sms_jobs.kinds.kind import (
     deformed_views,
 )
 from sms_jobs.kinds.products import DISPLACEMENT, REGIONS, STRAIN, SURFACE
-from sms_jobs.kinds.surface_ports import independent_covariance, surface_port
+from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, surface_port
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.strain import surface_strain
@@ -121,6 +121,7 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
         independent_equivalent(
             covariance_in_space(moved.covariance),
             independent_covariance(surface),
+            bias_in_space(moved),
             averaging_radius_px=moved.averaging_radius_px,
             subset_radius_px=moved.subset_radius_px,
             disc_radius_px=0.5 * gauge_length / pitch,
@@ -165,7 +166,7 @@ def _statistics(field: StrainField, surface: Surface) -> dict[str, float]:
 KIND = Kind(
     name="strain",
     summary="strain in the tangent plane, with principal and equivalent strain, over a stated gauge length",
-    version=4,
+    version=5,
     scope=Scope.TUPLE,
     parameters=StrainParameters,
     inputs=(_MOVED, *_REFERENCE.all),

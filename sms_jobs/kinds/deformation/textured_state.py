@@ -16,7 +16,7 @@ from sms_jobs.kinds.shape.textures import filtered, white_texture
 from sms_jobs.kinds.surface_ports import StatePorts, position_covariance
 from sms_jobs.metrology.deformation.correlation import Noise
 from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
-from sms_jobs.metrology.images.segmentation import ContinuousRegions, label_regions, pixel_footprint
+from sms_jobs.metrology.images.segmentation import ContinuousRegions, in_order, label_regions, pixel_footprint
 from sms_jobs.metrology.images.texture_extent import textured_pixels
 from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import Measurement
@@ -53,6 +53,18 @@ class TexturedState:
     of_interest: NDArray[np.bool_]
     interior: NDArray[np.bool_]
     matched: NDArray[np.int32]
+
+    @property
+    def told(self) -> NDArray[np.int32]:
+        """Return the regions (rows, columns) to whose pixels matches are spread."""
+        return self.regions.labels if self.surface.has_depth else self.matched
+
+    def parted(self, labels: NDArray[np.int32], parameters: CorrelateParameters) -> TexturedState:
+        """Return it with other regions (rows, columns), of which some have come apart."""
+        regions = in_order(labels)
+        if self.surface.has_depth:
+            return self.with_regions(regions, parameters)
+        return replace(self, regions=regions, matched=regions.labels)
 
     def with_regions(self, regions: ContinuousRegions, parameters: CorrelateParameters) -> TexturedState:
         """Return it with regions that end at discontinuities."""

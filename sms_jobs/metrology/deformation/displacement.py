@@ -30,6 +30,13 @@ _BLEND = {6: (1.633, 1.39), WARP: (1.48, 0.81)}
 blended matches over that of one (by quadrature): see `blend_matches`."""
 
 
+_HALF_DISC = 0.29
+"""Mean distance of the matches about a pixel from it, in radii of blending, if they fill half a disc."""
+_CARRIED, _CHANCE = 0.25, 5.0
+"""By trial at borders: the part of such matches' scatter that noise alone makes an error, and that scatter in
+variances of the blend."""
+
+
 @dataclass(frozen=True)
 class ImagePoints:
     """Matched points: `x`, `y` (n,) in px, `region` (n,), and their displacement.
@@ -61,6 +68,8 @@ class DenseDisplacement:
         (6, rows, columns) in mm^2, packed XX, XY, XZ, YY, YZ, ZZ.
     image_displacement
         (2, rows, columns): u and v in px.
+    bias
+        (6, rows, columns) in mm^2: the part of the covariance that comes of the bias of the match.
     status
         (rows, columns): 0 or why there is no value; then all of the above are NaN.
     """
@@ -68,6 +77,7 @@ class DenseDisplacement:
     displacement: Floats
     covariance: Floats
     image_displacement: Floats
+    bias: Floats
     status: NDArray[np.int32]
 
 
@@ -99,8 +109,8 @@ def _blend_rows(
     bent = warp.shape[1] > 6
     for r in range(start, stop):
         for c in range(labels.shape[1]):
-            total = 0.0
-            sums = np.zeros(4)
+            total, off_x, off_y = 0.0, 0.0, 0.0
+            sums, squares = np.zeros(4), np.zeros(2)
             row = r // side
             column = c // side
             for j in range(max(row - cells, 0), min(row + cells + 1, first.shape[0])):
@@ -120,17 +130,29 @@ def _blend_rows(
                             continue
                         w = (1.0 - d2) ** 2 / (sigma[m, 0] ** 2 + sigma[m, 1] ** 2)
                         total += w
-                        sums[0] += w * (warp[m, 0] + warp[m, 1] * dx + warp[m, 2] * dy)
-                        sums[1] += w * (warp[m, 3] + warp[m, 4] * dx + warp[m, 5] * dy)
+                        off_x += w * dx
+                        off_y += w * dy
+                        u = warp[m, 0] + warp[m, 1] * dx + warp[m, 2] * dy
+                        v = warp[m, 3] + warp[m, 4] * dx + warp[m, 5] * dy
                         if bent:
                             xx, xy, yy = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
-                            sums[0] += w * (warp[m, 6] * xx + warp[m, 7] * xy + warp[m, 8] * yy)
-                            sums[1] += w * (warp[m, 9] * xx + warp[m, 10] * xy + warp[m, 11] * yy)
+                            u += warp[m, 6] * xx + warp[m, 7] * xy + warp[m, 8] * yy
+                            v += warp[m, 9] * xx + warp[m, 10] * xy + warp[m, 11] * yy
+                        sums[0] += w * u
+                        sums[1] += w * v
+                        squares[0] += w * u * u
+                        squares[1] += w * v * v
                         sums[2] += w * sigma[m, 0] ** 2
                         sums[3] += w * sigma[m, 1] ** 2
-            for a in range(2):
-                value[a, r, c] = sums[a] / total if total > 0.0 else np.nan
-                variance[a, r, c] = noise * sums[2 + a] / total if total > 0.0 else np.nan
+            value[:, r, c] = np.nan
+            variance[:, r, c] = np.nan
+            if total > 0.0:
+                one_sided = (off_x * off_x + off_y * off_y) / (total * reach * _HALF_DISC) ** 2
+                for a in range(2):
+                    mean, own = sums[a] / total, noise * sums[2 + a] / total
+                    scatter = max(squares[a] / total - mean * mean, 0.0)
+                    value[a, r, c] = mean
+                    variance[a, r, c] = own + one_sided * max(_CARRIED * scatter, scatter - _CHANCE * own)
 
 
 def pixel_pitch(xyz: Floats, labels: NDArray[np.int32], quantile: float) -> float:
@@ -182,6 +204,10 @@ def blend_matches(
 
     Neighbouring subsets share most of their pixels, so blending does not average their noise; with that of
     the gradients it comes to 1.39 times the mean variance, to 0.81 times that of subsets of second order.
+
+    Where all matches lie to one side, nothing cancels: by how much they differ about the pixel, beyond what
+    noise makes them differ, is added to the variance, in full where they fill half a disc, less where their
+    middle is nearer.
     """
     rows, columns = labels.shape
     radii, noise = _BLEND[points.warp.shape[1]]
@@ -214,12 +240,12 @@ def _between_regions(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
 
 
 def displacement_field(
-    points: ImagePoints,
+    image: Floats,
+    variance: Floats,
+    bias: Floats,
     reference: tuple[Floats, NDArray[np.floating], NDArray[np.int32]],
     deformed: tuple[Floats, NDArray[np.floating], NDArray[np.int32]],
     interior: NDArray[np.bool_],
-    *,
-    subset_radius: int,
     averaging_radius: float,
     threads: int = 1,
 ) -> DenseDisplacement:
@@ -227,15 +253,14 @@ def displacement_field(
 
     Parameters
     ----------
-    points
-        Matches to trust.
+    image, variance, bias
+        (2, rows, columns): u and v in px at each pixel, NaN where there is none (changed in place), their
+        variances by noise in px^2, and those that are no noise.
     reference, deformed
         Of each state: positions (3, rows, columns) in mm, their covariances (6, rows, columns) in mm^2 and
         the labels of its regions (rows, columns).
     interior
         (rows, columns): pixels of the reference far enough from their region's edge to see nothing else.
-    subset_radius
-        Of the matches, in px.
     averaging_radius
         Within which the displacement is averaged, in px: see `average_in_region`. 0 where the errors of the
         positions go together over more than that, and an average would gain nothing.
@@ -252,7 +277,6 @@ def displacement_field(
     xyz, covariance, labels = reference
     end_xyz, end_covariance, end_labels = deformed
     rows, columns = labels.shape
-    image, variance = blend_matches(points, xyz, labels, subset_radius, threads)
     y, x = np.mgrid[0:rows, 0:columns]
     end_x, end_y = x + image[0], y + image[1]
     end, _, slope = interpolate_in_region(end_xyz, end_covariance[:0], end_labels, end_x, end_y, threads)
@@ -276,9 +300,12 @@ def displacement_field(
     stray = apart > OUTLIER**2 * (total[0] + total[3] + total[5])
     status[(status == 0) & (stray | np.isnan(moved[0]))] = NO_SHAPE_AT_END
     status[(status == 0) & _between_regions(labels)] = OUTSIDE_REGION
+    biased = np.zeros_like(spread)
     for packed, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
         for axis in range(2):
-            spread[packed] += slope[i, axis] * slope[j, axis] * variance[axis]
-    for field in (moved, spread, image):
+            along = slope[i, axis] * slope[j, axis]
+            biased[packed] += along * bias[axis]
+            spread[packed] += along * (variance[axis] + bias[axis])
+    for field in (moved, spread, biased, image):
         field[:, status != 0] = np.nan
-    return DenseDisplacement(moved, spread, image, status)
+    return DenseDisplacement(moved, spread, image, biased, status)

@@ -1,4 +1,7 @@
-"""Regions of the reference that have come apart by the deformed state: a crack, a disbond."""
+"""Regions of the reference that have come apart by the deformed state: a crack, a disbond.
+
+The measured shape of the deformed state tells, or, of a camera alone, where the images disagree.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,7 @@ Labels: TypeAlias = NDArray[np.int32]
 
 _LEAST_PART = 0.05  # of a region's matched points that must lie in a piece of it
 _LEAST_POINTS = 6
+_LEAST_CLUSTER = 12  # px that disagree together: noise alone makes a few do so
 
 
 @dataclass(frozen=True)
@@ -91,3 +95,46 @@ def _label_at(labels: Labels, x: Floats, y: Floats) -> Labels:
     rows, columns = labels.shape
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     return np.where(inside, labels[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)], 0)
+
+
+def cut_out(labels: Labels, disagree: NDArray[np.bool_], least_area: int) -> Labels | None:
+    """Take out of regions what two images disagree on, and part what holds together by it alone.
+
+    Parameters
+    ----------
+    labels
+        (rows, columns), 0 for no region.
+    disagree
+        (rows, columns); clusters of fewer than 12 pixels are left to be chance.
+    least_area
+        Smaller pieces are dropped, in px.
+
+    Returns
+    -------
+    (rows, columns): the largest piece of a region keeps its number, others have new ones; None where there
+    is nothing to take out.
+    """
+    import cv2
+
+    def pieces(of: NDArray[np.bool_]) -> tuple[Labels, Ints]:
+        _, numbers, table, _ = cv2.connectedComponentsWithStats(of.astype(np.uint8), connectivity=4)
+        return np.asarray(numbers, dtype=np.int32), np.asarray(table[:, cv2.CC_STAT_AREA], dtype=np.int64)
+
+    cluster, area = pieces(disagree & (labels > 0))
+    area[0] = 0
+    out = (area >= _LEAST_CLUSTER)[cluster]
+    if not out.any():
+        return None
+    found = np.zeros_like(labels)
+    following = int(labels.max()) + 1
+    for number in np.unique(labels[labels > 0]):
+        piece, area = pieces((labels == number) & ~out)
+        area[0] = 0
+        name = np.zeros(len(area), dtype=np.int32)
+        for rank, k in enumerate(np.argsort(-area, kind="stable")):
+            if area[k] < max(least_area, 1):
+                break
+            name[k] = number if rank == 0 else following
+            following += rank > 0
+        found += name[piece]
+    return found

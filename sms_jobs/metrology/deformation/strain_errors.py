@@ -12,10 +12,13 @@ from sms_jobs.metrology.geometry.transforms import pack, unpack
 
 Floats: TypeAlias = NDArray[np.float64]
 
+_OF_STRAIN = 0.5  # part of a bias that has the shape of a strain over a gauge disc
+
 
 def independent_equivalent(
     covariance: NDArray[np.floating],
     cloud_covariance: NDArray[np.floating],
+    bias: NDArray[np.floating] | None = None,
     *,
     averaging_radius_px: float,
     subset_radius_px: float,
@@ -27,6 +30,8 @@ def independent_equivalent(
     ----------
     covariance, cloud_covariance
         (6, rows, columns), of the displacement and of the reference positions, in mm^2.
+    bias
+        (6, rows, columns), the part of the displacement's covariance that is no noise; None for none.
     averaging_radius_px, subset_radius_px
         Distances over which the displacement's errors of shape and of match go together; 0 for none.
     disc_radius_px
@@ -39,8 +44,19 @@ def independent_equivalent(
     factors a and b fit the exact quadrature over both filters to 10 % for q below 1.5. The part of shape is
     twice the cloud's covariance before averaging, which divides it by 5 pi radius^2 / 9 and weighs pixels by
     their inverse variance, so that what counts is their harmonic mean; the rest is the match's, of which the
-    median is taken, and blending makes it 1.39 times that of one subset.
+    median is taken, and blending makes it 1.39 times that of one subset. Bias goes together over as much as
+    the whole disc: n pixels disturb the strain as n times its covariance would, independent from pixel to
+    pixel, if it has the shape that strain has, and half of that is counted.
     """
+    if bias is not None:
+        noise = independent_equivalent(
+            covariance - bias,
+            cloud_covariance,
+            averaging_radius_px=averaging_radius_px,
+            subset_radius_px=subset_radius_px,
+            disc_radius_px=disc_radius_px,
+        )
+        return np.asarray(noise + _OF_STRAIN * np.pi * disc_radius_px**2 * bias)
     if averaging_radius_px == 0.0 and subset_radius_px == 0.0:
         return np.asarray(covariance, dtype=np.float64)
     shape = 2.0 * _harmonic_mean(np.asarray(cloud_covariance, dtype=np.float64), averaging_radius_px)

@@ -14,7 +14,7 @@ Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]
 Ints: TypeAlias = NDArray[np.int64]
 
-_RIM = 5  # px at an image's border where reflection bends its spline: the effect falls by 0.43 a pixel
+RIM = 5  # px at an image's border where reflection bends its spline: the effect falls by 0.43 a pixel
 
 
 @kernel
@@ -41,11 +41,11 @@ def collect(
     """
     rows, columns = labels.shape
     label = labels[cy, cx]
-    left = max(-radius, _RIM - cx)
-    right = min(radius, columns - 1 - _RIM - cx)
-    top = max(-radius, _RIM - cy)
-    bottom = min(radius, rows - 1 - _RIM - cy)
-    whole = inside(warp, cx, cy, left, right, top, bottom, rows, columns, -_RIM)
+    left = max(-radius, RIM - cx)
+    right = min(radius, columns - 1 - RIM - cx)
+    top = max(-radius, RIM - cy)
+    bottom = min(radius, rows - 1 - RIM - cy)
+    whole = inside(warp, cx, cy, left, right, top, bottom, rows, columns, -RIM)
     box[0], box[1], box[2], box[3] = right, left, bottom, top
     count = 0
     width = max(right - left + 1, 0)
@@ -70,7 +70,7 @@ def collect(
                 column = np.uint64(cx + i)
                 if labels[row, column] != label:
                     continue
-                if not whole and not inside(warp, cx, cy, i, i, j, j, rows, columns, -_RIM):
+                if not whole and not inside(warp, cx, cy, i, i, j, j, rows, columns, -RIM):
                     continue
                 dx[count] = i
                 dy[count] = j

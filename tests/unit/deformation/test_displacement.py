@@ -19,6 +19,7 @@ from sms_jobs.metrology.deformation.displacement import (
 
 ROWS, COLUMNS = 60, 70
 PITCH = 0.8
+NO_BIAS = np.zeros((2, ROWS, COLUMNS))
 
 
 def surface(slope: float = 0.3) -> np.ndarray:
@@ -131,11 +132,11 @@ def test_a_rigid_shift_is_measured_everywhere() -> None:
     covariance = np.zeros((6, ROWS, COLUMNS))
     covariance[[0, 3, 5]] = 1e-6
     found = displacement_field(
-        points_on(labels, moved),
+        *blend_matches(points_on(labels, moved), xyz, labels, 8),
+        NO_BIAS,
         (xyz, covariance, labels),
         (end, covariance, np.ones_like(labels)),
         labels > 0,
-        subset_radius=8,
         averaging_radius=3.0,
     )
     valid = found.status == 0
@@ -160,8 +161,8 @@ def test_end_points_without_shape_have_no_displacement() -> None:
     end[:, holes == 0] = np.nan
     still = np.zeros((2, 6))
     found = displacement_field(
-        points_on(labels, still), (surface(), covariance, labels), (end, covariance, holes),
-        labels > 0, subset_radius=8, averaging_radius=3.0,
+        *blend_matches(points_on(labels, still), surface(), labels, 8), NO_BIAS,
+        (surface(), covariance, labels), (end, covariance, holes), labels > 0, averaging_radius=3.0,
     )  # fmt: skip
     assert (found.status[31:39, 31:44] == displacement.NO_SHAPE_AT_END).all()
     assert (found.status[holes == 1] == 0).all()
@@ -182,11 +183,11 @@ def test_covariance_is_that_of_the_scatter(rng: np.random.Generator) -> None:
         points = ImagePoints(x, y, np.ones(len(x), np.int32), warp, np.full((len(x), 2), match_sigma))
         noise = [sigma[:, None, None] * rng.normal(size=xyz.shape) for _ in range(2)]
         found = displacement_field(
-            points,
+            *blend_matches(points, xyz + noise[0], labels, 8),
+            NO_BIAS,
             (xyz + noise[0], covariance, labels),
             (xyz + noise[1], covariance, labels),
             labels > 0,
-            subset_radius=8,
             averaging_radius=3.0,
         )
         total.append(found.displacement[:, 20:40:4, 20:40:4])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sms_jobs.metrology.deformation.splitting import split_regions
+from sms_jobs.metrology.deformation.splitting import cut_out, split_regions
 
 
 def grid(rows: int, columns: int, step: int) -> tuple[np.ndarray, np.ndarray]:
@@ -56,3 +56,39 @@ def test_nothing_matched_parts_nothing() -> None:
     none = np.zeros(0, np.int64)
     split = split_regions(labels, labels, none, none, np.zeros((0, 6)))
     assert split.pieces == {}
+
+
+def test_what_the_images_disagree_on_is_cut_out() -> None:
+    labels = np.zeros((60, 80), np.int32)
+    labels[5:55, 5:75] = 1
+    crack = np.zeros(labels.shape, bool)
+    crack[:, 48:50] = True
+    crack[20, 20] = True  # chance
+    found = cut_out(labels, crack, 100)
+    assert found is not None
+    assert set(np.unique(found)) == {0, 1, 2}
+    # The larger piece keeps its number; a single pixel is no cluster and stays.
+    assert (found[5:55, 5:48] == 1).all()
+    assert (found[5:55, 50:75] == 2).all()
+    assert (found[:, 48:50] == 0).all()
+    assert cut_out(labels, np.zeros_like(crack), 100) is None
+
+
+def test_a_crack_that_ends_within_a_region_leaves_it_one() -> None:
+    labels = np.ones((60, 80), np.int32)
+    crack = np.zeros(labels.shape, bool)
+    crack[:40, 48:50] = True
+    found = cut_out(labels, crack, 100)
+    assert found is not None
+    np.testing.assert_array_equal(found, np.where(crack, 0, 1))
+
+
+def test_small_pieces_are_dropped() -> None:
+    labels = np.ones((60, 80), np.int32)
+    ring = np.zeros(labels.shape, bool)
+    ring[20:31, 20:31] = True
+    ring[22:29, 22:29] = False
+    found = cut_out(labels, ring, 100)
+    assert found is not None
+    assert (found[20:31, 20:31] == 0).all()
+    assert (found > 0).sum() == 60 * 80 - 121

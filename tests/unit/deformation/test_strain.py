@@ -191,6 +191,28 @@ def test_independent_errors_stay_as_they_are(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(same, covariance)
 
 
+def test_a_bias_is_counted_as_one_error_of_the_whole_gauge() -> None:
+    """A displacement that errs by a slow sine: no mean over the gauge's pixels makes that smaller."""
+    xyz, gauge_mm, amplitude = plane(), 12.0, 0.01
+    wrong = np.zeros_like(xyz)
+    wrong[0] = amplitude * np.sin(np.pi * xyz[0] / (2.0 * gauge_mm))
+    biased = NONE.copy()
+    biased[0] = np.mean(wrong[0] ** 2)
+    equivalent = independent_equivalent(
+        biased,
+        NONE,
+        biased,
+        averaging_radius_px=0.0,
+        subset_radius_px=0,
+        disc_radius_px=0.5 * gauge_mm / PITCH,
+    )
+    found = surface_strain(xyz, wrong, equivalent, ALL, gauge_length=gauge_mm, green_lagrange=False)
+    inner = np.s_[14:-14, 14:-14]
+    observed = np.sqrt(np.mean(found.strain[0][inner] ** 2))
+    # Half of the worst shape is counted; a slow sine is less steep than that.
+    assert 0.5 < observed / np.mean(found.sigma[0][inner]) < 1.3
+
+
 def test_threads_do_not_matter(rng: np.random.Generator) -> None:
     xyz, moved = cylinder(), rng.normal(size=(3, ROWS, COLUMNS))
     one = surface_strain(xyz, moved, NONE + 1.0, ALL, gauge_length=6.0, threads=1)

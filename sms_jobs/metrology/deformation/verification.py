@@ -1,0 +1,319 @@
+"""What two images say of a displacement that is told for every pixel: by how much it may be off, and where.
+
+A displacement is laid on the images, and what they do not share is looked at in windows smaller than the
+subsets that it comes from. Where the windows ask for another displacement by more than noise does, the
+subsets could not follow: the surface bends, cracks or hides behind something within one of them. Where the
+images differ by more than a displacement can mend, they do not show the same thing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.deformation.correlation import Noise, PreparedImages
+from sms_jobs.metrology.deformation.subsets import RIM
+from sms_jobs.metrology.images.smoothing import (
+    noise_after_smoothing,
+    noise_in_windows,
+    noise_of_differences,
+    noise_of_pixels,
+)
+from sms_jobs.metrology.images.spline import KERNEL_CODE, PADDING, spline_values
+
+Floats: TypeAlias = NDArray[np.float64]
+Mask: TypeAlias = NDArray[np.bool_]
+
+_WINDOW = 0.3  # radius of the windows, in subset radii: a tenth of a subset's pixels
+_SCALES = (4.0, 1.0, 0.5)  # half the sides of squares over which windows are averaged, in subset radii
+_ASKED_FOR = 3.0  # standard errors from which on a mean over windows is no chance
+_ALONE = 4.0  # and standard deviations from which on one window is none
+_AT_MOST = 2.0  # standard errors by which the mean of a smaller square bounds that of a larger one
+_DISAGREE = 3.0  # variance left over, in units of the noise or, where that is more, of the median of all
+_FINE = 0.4  # radius of means that are taken off what is coarse, in subset radii
+_FAR = 2.0  # px: a step of more than about a speckle's radius says nothing
+_OTHER = 8.0  # median deviations from which on a pixel is not asked about the light
+_LEAST_SHARE = 0.1  # of a subset's pixels that must be there to tell how rough the images are
+_UNLIKE = 0.36  # of a window's texture that only one image has: a correlation of 0.8
+_LEFT_BY_FIT = {0: 1.0, 1: 0.6, 2: 0.45}
+"""By the order of subsets, the part of a window's noise that the displacement has not followed; by trial."""
+_DEPENDENT = 0.7  # of a window's pixels: neighbours that count as one; by trial
+_WHOLE_BIAS = 1.25
+"""Variance of the bias over that of what windows see: they are too large for all of it; by trial, on waves of
+one to four subset widths."""
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What the images say of a displacement.
+
+    Attributes
+    ----------
+    bias
+        (2, rows, columns), variance of u and v in px^2 beyond that of noise; 0 where nothing speaks for any.
+    agrees
+        (rows, columns): whether the images show the same thing there, as far as anybody can tell.
+    unlike
+        (rows, columns), of those that do not: whether hardly anything is the same, though most else is.
+    """
+
+    bias: Floats
+    agrees: Mask
+    unlike: Mask
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    """In px: radius of subsets, of windows, of means that are coarse, and of squares of windows."""
+
+    subset: int
+    window: int
+    coarse: int
+    squares: tuple[int, ...]
+
+    @classmethod
+    def of(cls, radius: int) -> _Sizes:
+        """Return what goes with subsets of a radius."""
+        window = max(2, round(_WINDOW * radius))
+        squares = tuple(max(window, round(scale * radius)) for scale in _SCALES)
+        return cls(radius, window, max(2, round(_FINE * radius)), squares)
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Factors on the noise that is told: of a pixel's variance, of what windows see, and of differences."""
+
+    pixel: float
+    window: float
+    rough: float
+
+
+@kernel
+def _carry_rows(start: int, coefficients: Floats, code: int, image: Floats, carried: Floats) -> None:
+    """Fill rows of the deformed image where the displacement leads to, NaN for and at the images' borders."""
+    rows, columns = image.shape[1:]
+    stride = coefficients.shape[1]
+    last_column, last_row = stride - 2 * PADDING - 1, coefficients.shape[0] - 2 * PADDING - 1
+    first = np.empty(columns, dtype=np.int64)
+    s, t, values = np.empty(columns), np.empty(columns), np.empty(columns)
+    where = np.empty(columns, dtype=np.int64)
+    for r in range(rows):
+        count = 0
+        carried[r] = np.nan
+        if start + r < RIM or start + r > last_row - RIM:
+            continue
+        for c in range(RIM, columns - RIM):
+            x, y = c + image[0, r, c], start + r + image[1, r, c]
+            if not (x >= RIM and y >= RIM and x <= last_column - RIM and y <= last_row - RIM):
+                continue
+            column, row = np.int64(x + PADDING), np.int64(y + PADDING)
+            s[count] = x + PADDING - column
+            t[count] = y + PADDING - row
+            first[count] = (row - 2) * stride + column - 2
+            where[count] = c
+            count += 1
+        spline_values(coefficients, code, count, first, s, t, values)
+        for k in range(count):
+            carried[r, where[k]] = values[k]
+
+
+def _means(values: Floats, radius: int) -> Floats:
+    """Return the means over squares of 2 radius + 1 pixels, of what is 0 beyond the border."""
+    import cv2
+
+    size = (2 * radius + 1, 2 * radius + 1)
+    return np.asarray(cv2.boxFilter(values, -1, size, borderType=cv2.BORDER_CONSTANT))
+
+
+def _left_over(
+    f: Floats, g: Floats, known: Mask, trusted: Mask, radius: int
+) -> tuple[Floats, Floats, Floats]:
+    """Return f - b g and the gain b as zero-normalised matching has them in a subset, and f less its mean.
+
+    Means and gain are those of the `trusted` pixels: one that shows something else is no light.
+    """
+    weight = np.maximum(_means(trusted.astype(np.float64), radius), 1e-12)
+
+    def mean(values: Floats) -> Floats:
+        return np.asarray(_means(np.where(trusted, values, 0.0), radius) / weight)
+
+    f_mean, g_mean = mean(f), mean(g)
+    gg = mean(g * g) - g_mean**2
+    gain = np.where(gg > 0.0, (mean(f * g) - f_mean * g_mean) / np.where(gg > 0.0, gg, 1.0), 0.0)
+    return np.where(known, f - f_mean - gain * (g - g_mean), 0.0), gain, np.where(known, f - f_mean, 0.0)
+
+
+def _mean_square(asked: Floats, spread: Floats, known: Mask, sizes: _Sizes) -> Floats:
+    """Return the mean square of what windows ask for, (rows, columns) in px^2, beyond the variance by noise.
+
+    Windows count by what they know. A mean over a square counts where it is significant; that over a larger
+    square does so too, as far as the smaller ones leave room for it.
+    """
+    usable = known & np.isfinite(asked) & (spread > 0.0) & (np.abs(asked) < _FAR)
+    asked, noise = np.where(usable, asked, 0.0), np.where(usable, spread, 1.0)
+    typical = float(np.median(noise[usable])) if usable.any() else 1.0
+    # Running sums do not bear weights of very different sizes.
+    weight = np.where(usable, typical / (noise + typical), 0.0) ** 2
+    found = np.zeros(asked.shape)
+    for scale in sizes.squares:
+        total = np.maximum(_means(weight, scale), 1e-9)
+        mean = _means(weight * (asked**2 - noise), scale) / total
+        independent = (2 * scale + 1) ** 2 / (_DEPENDENT * (2 * sizes.window + 1) ** 2)
+        chance = np.maximum(_means((weight * noise) ** 2, scale), 0.0)
+        error = np.sqrt(2.0 * chance / independent) / total
+        bound = np.minimum(found, np.maximum(mean, 0.0) + _AT_MOST * error)
+        found = np.maximum(bound, np.where(mean > _ASKED_FOR * error, mean, 0.0))
+    alone = usable & (asked**2 > _ALONE**2 * noise)
+    return np.maximum(found, np.where(alone, asked**2, 0.0))
+
+
+def _roughness(residual: Floats, variance: Floats, known: Mask, radius: int) -> Floats:
+    """Return by how much more than noise residuals scatter from pixel to pixel, at least 1.
+
+    In the mixed fourth difference, in which what differs over some pixels hardly shows.
+    """
+    rough = np.zeros_like(residual)
+    rows = residual[:-2] - 2.0 * residual[1:-1] + residual[2:]
+    rough[1:-1, 1:-1] = rows[:, :-2] - 2.0 * rows[:, 1:-1] + rows[:, 2:]
+    inner = np.asarray(ndimage.minimum_filter(known, 3, mode="constant"))
+    squares = np.where(inner, rough**2 / variance, 0.0)
+    share = _means(inner.astype(np.float64), radius)
+    everywhere = float(np.mean(squares[inner])) if inner.any() else 1.0
+    enough = share > _LEAST_SHARE
+    return np.maximum(
+        np.where(enough, _means(squares, radius) / np.where(enough, share, 1.0), everywhere), 1.0
+    )
+
+
+def verify_displacement(
+    images: PreparedImages,
+    image: Floats,
+    radius: int,
+    order: int,
+    smoothing_px: float,
+    threads: int = 1,
+) -> Verified:
+    """Compare the images along a displacement that subsets have measured.
+
+    Parameters
+    ----------
+    images
+        The two images, with the noise that `match_points` is told.
+    image
+        (2, rows, columns): u and v in px, NaN where there is none.
+    radius, order
+        Of the subsets: half their side in px, and the order of their deformation.
+    smoothing_px
+        Standard deviation of the filter that both images have passed.
+    threads
+        How many threads to use; the result does not depend on it.
+
+    Notes
+    -----
+    In every window of a tenth of a subset's pixels the residual r = f - b g(x + u) asks for the displacement
+    d = (sum J J^T)^-1 sum J r (a Gauss-Newton step). The variance of d by noise is known; what the square of
+    d has more is bias: of the shape function, of blending, of what only one image shows. It is averaged over
+    neighbouring windows as far as its own significance allows. The sum of r^2 over a window, in units of the
+    noise, tells where the images differ: more than three times what noise or, where the noise is not well
+    known, the median window has.
+    """
+    rows = images.labels.shape[0]
+    known = np.asarray(np.isfinite(image).all(axis=0))
+    sizes = _Sizes.of(radius)
+    noise = _factors(images, known, smoothing_px, sizes.window, _LEFT_BY_FIT[order])
+    bias = np.zeros(image.shape)
+    misfit = np.full(known.shape, np.nan, dtype=np.float32)
+    halo = max(sizes.squares) + sizes.window + radius
+
+    def work(start: int, stop: int) -> None:
+        top, bottom = max(start - halo, 0), min(stop + halo, rows)
+        square, left_over = _in_band(images, image, top, bottom, sizes, noise)
+        own = np.s_[start - top : stop - top]
+        bias[:, start:stop] = _WHOLE_BIAS * square[:, own]
+        misfit[start:stop] = left_over[own]
+
+    in_row_blocks(work, rows, threads, block=256)
+    judged = misfit[~np.isnan(misfit)]
+    usual = max(1.0, float(np.median(judged))) if len(judged) else 1.0
+    bias[:, ~known] = 0.0
+    with np.errstate(invalid="ignore"):
+        agrees = ~(misfit > _DISAGREE * min(usual, 1e6))
+    return Verified(bias, agrees, np.isposinf(misfit) & (usual <= _DISAGREE))
+
+
+def _factors(
+    images: PreparedImages, known: Mask, smoothing_px: float, window: int, left_by_fit: float
+) -> _Noise:
+    """Return what of the noise that matching is told a pixel has, and windows see."""
+    told = noise_after_smoothing(images.reference, known, smoothing_px)
+    slopes = [np.where(known, slope, 0.0) for slope in (images.gradient_x, images.gradient_y)]
+    seen = float(np.mean([noise_in_windows(slope, smoothing_px, window) for slope in slopes]))
+    return _Noise(
+        noise_of_pixels(smoothing_px) / told,
+        left_by_fit * seen / told,
+        noise_of_differences(smoothing_px) / told,
+    )
+
+
+def _variance(noise: Noise, level: Floats) -> Floats:
+    return np.asarray(noise.floor + noise.slope * level)
+
+
+def _in_band(
+    images: PreparedImages, image: Floats, top: int, bottom: int, sizes: _Sizes, noise: _Noise
+) -> tuple[Floats, Floats]:
+    """Return for rows top .. bottom the mean square of what windows ask for (2, ..), and their misfit."""
+    band = np.s_[top:bottom]
+    f = images.reference[band]
+    g = np.empty(f.shape)
+    _carry_rows(top, images.coefficients, KERNEL_CODE[images.interpolant], image[:, band], g)
+    # The rim of a region, which is not matched, mixes with what lies behind it.
+    known = np.isfinite(g) & (images.labels[band] > 0)
+    g = np.where(known, g, 0.0)
+    squares = _left_over(f, g, known, known, max(sizes.squares))[0] ** 2
+    typical = float(np.median(squares[known])) if known.any() else 0.0
+    like = known & (squares <= _OTHER**2 * typical)
+    residual, gain, texture = _left_over(f, g, known, like, sizes.subset)
+    gx, gy = (np.where(known, slope[band], 0.0) for slope in (images.gradient_x, images.gradient_y))
+    variance = _variance(images.noise[0], f) + gain**2 * _variance(images.noise[1], g)
+    roughness = _roughness(residual, noise.rough * variance, known, sizes.subset)
+    asked, spread = _asked_for(gx, gy, residual, noise.window * variance, sizes.window)
+    square = np.stack(
+        [_mean_square(a, roughness * s, known, sizes) for a, s in zip(asked, spread, strict=True)]
+    )
+    x, y, fine = (np.where(like, one - _means(one, sizes.coarse), 0.0) for one in (gx, gy, residual))
+    asked, spread = _asked_for(x, y, fine, noise.pixel * variance, sizes.subset)
+    with np.errstate(invalid="ignore"):
+        sure = known & (asked**2 > _ALONE**2 * roughness * spread)
+    square = np.maximum(square, np.where(sure, asked**2, 0.0))
+    return square, _misfit(residual, texture, noise.pixel * variance, roughness, known, sizes.window)
+
+
+def _misfit(
+    residual: Floats, texture: Floats, variance: Floats, roughness: Floats, known: Mask, window: int
+) -> Floats:
+    """Return the mean square of the residual over windows, in variances; infinite where little is alike."""
+    seen = np.maximum(_means(known.astype(np.float64), window), 1e-12)
+    relative = np.where(known, residual**2 / np.where(known, variance, 1.0), 0.0)
+    misfit = np.where(known, _means(relative, window) / seen, np.nan)
+    unlike = _means(residual**2, window) > _UNLIKE * _means(texture**2, window)
+    misfit[unlike & known & (misfit > _DISAGREE * roughness)] = np.inf
+    return misfit
+
+
+def _asked_for(
+    gx: Floats, gy: Floats, residual: Floats, variance: Floats, radius: int
+) -> tuple[Floats, Floats]:
+    """Return the displacement (2, ..) in px that windows about each pixel ask for, and its variance."""
+    xx, xy, yy = (_means(a * b, radius) for a, b in ((gx, gx), (gx, gy), (gy, gy)))
+    along_x, along_y = _means(gx * residual, radius), _means(gy * residual, radius)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        determinant = xx * yy - xy**2
+        asked = np.stack([yy * along_x - xy * along_y, xx * along_y - xy * along_x]) / determinant
+        spread = variance / (2 * radius + 1) ** 2 * np.stack([yy, xx]) / determinant
+    return asked, spread

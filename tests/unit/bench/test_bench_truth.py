@@ -1,0 +1,51 @@
+"""The pairs on which correlation breaks are true, and nothing that is wrong in them is called valid."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from sms_jobs.bench.groups.truth import judged
+from sms_jobs.bench.truth_pairs import READ_NOISE, TruthPair, pairs
+
+SEED = 7
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[str, TruthPair]:
+    found = [make() for make in pairs(SEED, quick=True)]
+    return {f"{pair.group}, {pair.name}": pair for pair in found}
+
+
+def test_the_second_image_shows_what_the_displacement_says(made: dict[str, TruthPair]) -> None:
+    """Carried back along it, it differs from the first by the noise of both: 28 levels, less what the spline
+    smooths of the second's, whose part is 0.5 to 1 of its variance."""
+    assert len(made) == 12
+    for name, pair in made.items():
+        if pair.group in {"blur", "light", "dust"}:
+            continue  # light, focus and the sensor's own pattern are no displacement
+        row, column = np.mgrid[0:512, 0:512].astype(np.float64)
+        u, v = np.nan_to_num(pair.displacement)
+        back = ndimage.map_coordinates(pair.deformed.astype(np.float64), [row + v, column + u], order=5)
+        known = np.isfinite(pair.displacement).all(axis=0)
+        # Pixels that mix both sides of a crack or of an outline are no material point.
+        known &= ndimage.minimum_filter(known, 9) & (np.abs(column - 255.5) > 4.0)
+        known[:30], known[-30:], known[:, :30], known[:, -30:] = False, False, False, False
+        left = (back - pair.reference)[known]
+        assert READ_NOISE * np.sqrt(1.4) < np.std(left) < READ_NOISE * np.sqrt(2.05), name
+        assert abs(np.mean(left)) < 0.5, name
+
+
+@pytest.mark.parametrize("group", ["sine", "crack", "dust", "outline"])
+def test_what_is_wrong_is_not_called_valid(made: dict[str, TruthPair], group: str) -> None:
+    """At most a hundred in a million: what is left lies together, in one place of a pair or none."""
+    found = [judged(pair, 1) for pair in made.values() if pair.group == group]
+    valid = sum(one.valid for one in found)
+    assert valid > 0.3 * sum(one.seen for one in found)
+    assert sum(one.silent for one in found) <= 1e-4 * valid
+
+
+def test_a_grid_that_may_be_a_period_off_has_no_value(made: dict[str, TruthPair]) -> None:
+    (pair,) = (pair for pair in made.values() if pair.group == "grid")
+    assert judged(pair, 1).valid == 0

@@ -1,0 +1,126 @@
+"""What the images say of a displacement: what it is off by, and where they show something else."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from sms_jobs.metrology.deformation.correlation import (
+    CONVERGED,
+    MatchSettings,
+    Noise,
+    PreparedImages,
+    prepare_images,
+)
+from sms_jobs.metrology.deformation.displacement import ImagePoints, blend_matches
+from sms_jobs.metrology.deformation.matching import GridSettings, match_grid
+from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.deformation.verification import Verified, verify_displacement
+from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
+from sms_jobs.metrology.images.smoothing import noise_after_smoothing, smooth
+
+SIZE, RADIUS, SMOOTHING, NOISE = 160, 10, 0.6, 20.0
+INNER = np.s_[:, 30:-30, 30:-30]
+SHIFT = (0.4, -0.3)
+"""Of the second image, in px."""
+
+
+@cache
+def levels(pattern_of: object, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    pattern = pattern_of.random(seed, SIZE)  # type: ignore[attr-defined]
+    return pattern.image(SIZE), pattern.image(SIZE, lambda x, y: (x - SHIFT[0], y - SHIFT[1]))
+
+
+def prepared(pattern_of: object, told: float = NOISE, true: float = NOISE, seed: int = 3) -> PreparedImages:
+    rng = np.random.default_rng(seed)
+    images = [smooth(one + rng.normal(0.0, true, one.shape), SMOOTHING) for one in levels(pattern_of, seed)]
+    factor = noise_after_smoothing(images[0], np.ones((SIZE, SIZE), bool), SMOOTHING)
+    noise = Noise(told**2 * factor, 0.0)
+    return prepare_images(*images, np.ones((SIZE, SIZE), np.int32), (noise, noise))
+
+
+def measured(images: PreparedImages) -> np.ndarray:
+    """Return the displacement of every pixel as subsets find it: it follows their noise."""
+    settings, labels = MatchSettings(radius=RADIUS), images.labels
+    found = match_grid(images, images.deformed, settings, GridSettings(), SearchSettings(8, 8))
+    sure = found.matches.ending == CONVERGED
+    x, y = found.x[sure], found.y[sure]
+    points = ImagePoints(x, y, labels[y, x], found.matches.warp[sure], found.matches.sigma[sure])
+    return blend_matches(points, in_space(pixels_as_plane(labels.shape)), labels, RADIUS)[0]
+
+
+def verified(images: PreparedImages, image: np.ndarray, threads: int = 1) -> Verified:
+    return verify_displacement(images, image, RADIUS, 1, SMOOTHING, threads)
+
+
+def test_of_what_subsets_find_nothing_is_said(speckle: object) -> None:
+    images = prepared(speckle)
+    found = verified(images, measured(images))
+    # Three standard errors of a skew mean on three scales, and four of each window, of which some pass.
+    assert np.mean(found.bias[INNER] > 0.0) < 0.15
+    assert np.sqrt(found.bias[INNER].mean()) < 0.01
+    assert np.mean(found.agrees) > 0.995
+    assert not found.unlike.any()
+
+
+@pytest.mark.parametrize("off", [0.05, 0.1, 0.3])
+def test_what_it_is_off_by_is_found(speckle: object, off: float) -> None:
+    """The mean square that windows ask for, which noise of 0.02 px a window disturbs, times 1.25."""
+    images = prepared(speckle)
+    image = measured(images)
+    image[0] += off
+    found = verified(images, image)
+    # Some ten independent windows in the smallest square: 40 % of a variance, 20 % of its root.
+    assert np.sqrt(np.median(found.bias[0][INNER[1:]])) == pytest.approx(np.sqrt(1.25) * off, rel=0.25)
+    assert np.sqrt(np.mean(found.bias[1][INNER[1:]])) < 0.5 * off
+
+
+def test_a_part_that_went_elsewhere_is_another_thing(speckle: object) -> None:
+    """Three pixels, more than half a speckle: no step of any size mends that."""
+    images = prepared(speckle)
+    image, edge = measured(images), 2 * SIZE // 3
+    image[0, :, edge:] += 3.0
+    found = verified(images, image)
+    assert np.mean(found.agrees[30:-30, edge + 4 : -30]) < 0.1
+    assert np.mean(found.unlike[30:-30, edge + 4 : -30]) > 0.9
+    assert np.mean(found.agrees[30:-30, 30 : edge - 4]) > 0.99
+    assert not found.unlike[:, : edge - 4].any()
+
+
+def test_noise_that_nobody_told_of_is_no_bias(speckle: object) -> None:
+    """Three times the noise: it scatters from pixel to pixel as noise does."""
+    images = prepared(speckle, told=NOISE / 3.0)
+    found = verified(images, measured(images))
+    assert np.mean(found.bias[INNER] > 0.0) < 0.15
+    assert np.mean(found.agrees) > 0.99
+
+
+def test_where_there_is_no_displacement_nothing_is_judged(speckle: object) -> None:
+    images = prepared(speckle)
+    image = measured(images)
+    image[:, 40:90, 50:100] = np.nan
+    found = verified(images, image)
+    hole = np.isnan(image[0])
+    assert (found.bias[:, hole] == 0.0).all()
+    assert found.agrees[hole].all()
+    assert np.mean(found.agrees) > 0.995
+
+
+def test_neither_threads_nor_bands_change_anything(speckle: object) -> None:
+    """Of an image thrice as high, rows 256 and on are another band than the same rows of its first third."""
+    images = prepared(speckle)
+    image = measured(images)
+    image[0] += 0.1
+    tall = prepare_images(
+        np.tile(images.reference, (3, 1)), np.tile(images.deformed, (3, 1)),
+        np.ones((3 * SIZE, SIZE), np.int32), images.noise,
+    )  # fmt: skip
+    one, two = (verified(tall, np.tile(image, (1, 3, 1)), threads) for threads in (1, 2))
+    np.testing.assert_array_equal(one.bias, two.bias)
+    np.testing.assert_array_equal(one.agrees, two.agrees)
+    # What a band takes for typical weighs windows a little differently.
+    np.testing.assert_allclose(
+        np.sqrt(one.bias[0, 246:270, 45:-45]), np.sqrt(one.bias[0, 86:110, 45:-45]), rtol=0.1
+    )
