@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import pi
 
-_UNITS: tuple[dict[str, float], ...] = (
-    {"nm": 1e-6, "um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3},
-    {"n": 1.0, "kn": 1e3, "mn": 1e6},
-    {"rad": 1.0, "mrad": 1e-3, "deg": pi / 180.0},
-    {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0},
-    {"strain": 1.0, "millistrain": 1e-3, "microstrain": 1e-6},
-    {"pa": 1.0, "kpa": 1e3, "mpa": 1e6, "gpa": 1e9},
-    {"b": 1.0, "bytes": 1.0, "kb": 1e3, "mb": 1e6, "gb": 1e9},
-)
-"""Each for one quantity; forces are seldom measured in millinewtons, so that mn is a meganewton."""
+from sms_jobs.records.units import FAMILIES
+
+_UNITS = tuple({unit.lower(): size for unit, size in family.items()} for family in FAMILIES)
+"""Names may be written in small letters; forces are seldom in millinewtons, so that mn is a meganewton."""
 
 
 def in_other_units(name: str) -> Iterator[tuple[str, float]]:
