@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sms_jobs.instruments.holding import Hold, HoldDetector
+from sms_jobs.instruments.holding import Hold, HoldDetector, StandstillDetector
 
 HOLD = Hold(1000.0, 5.0, 10.0)
 
@@ -40,3 +40,19 @@ def test_held_means_that_nothing_was_outside_for_that_long(steps: list[tuple[flo
             inside.append(t)
         expected = bool(inside) and now - inside[-1] >= HOLD.for_s
         assert detector.held(now, value) == expected
+
+
+def test_a_counter_stands_still_at_its_number() -> None:
+    detector = StandstillDetector(1000, 2.0)
+    told = [(0, 998.0), (1, 998.0), (4, 998.0), (5, 1001.0), (6, 1002.0), (7.9, 1002.0), (8, 1002.0)]
+    assert [detector.held(t, v) for t, v in told] == [False] * 6 + [True]
+
+
+def test_a_counter_that_goes_on_is_enough_where_nothing_has_to_stand() -> None:
+    detector = StandstillDetector(1000, 0.0)
+    assert [detector.held(t, v) for t, v in [(0, 999.0), (1, 1000.0), (2, 1001.0)]] == [False, True, True]
+
+
+def test_what_is_no_number_counts_nothing() -> None:
+    detector = StandstillDetector(1000, 2.0)
+    assert [detector.held(t, float("nan")) for t in (0.0, 20.0)] == [False, False]
