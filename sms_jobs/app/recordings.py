@@ -109,9 +109,7 @@ def record(
     process
         Process each state as soon as it is recorded.
     """
-    requests = [Request(KIND.name, {"doubtful": "ask" if ask else "keep"}, states)]
-    if process:
-        requests.append(Request(PIPELINE, {}, states))
+    requests = recordings.requests(states, ask=ask, process=process)
     done = submit_to(services.catalogue, campaign, requests, datetime.now(UTC), by=services.actor.name)
     return Begun(done.job_ids, done.kinds.count(KIND.name), submitted(done, KIND.name))
 

@@ -16,6 +16,7 @@ from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.kept_sets import forget, kept
 from sms_jobs.jobs.chosen import Chosen
+from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND, stage_angles
 from sms_jobs.records.job import JobState
@@ -24,7 +25,7 @@ from sms_jobs.records.subject import Subject
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign, LoadState
 
-_OPEN = (JobState.QUEUED, JobState.RUNNING, JobState.LOST, JobState.NEEDS_OPERATOR, JobState.FAILED)
+OPEN = (JobState.QUEUED, JobState.RUNNING, JobState.LOST, JobState.NEEDS_OPERATOR, JobState.FAILED)
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ def open_recordings(session: Session, spool: Path) -> list[OpenRecording]:
         select(JobRow)
         .where(
             JobRow.kind == KIND.name,
-            JobRow.state.in_(_OPEN),
+            JobRow.state.in_(OPEN),
         )
         .order_by(JobRow.position)
     )
@@ -112,6 +113,12 @@ def open_recordings(session: Session, spool: Path) -> list[OpenRecording]:
             )
         )
     return found
+
+
+def requests(states: tuple[str, ...], *, ask: bool, process: bool) -> list[Request]:
+    """Return what records some states, asking about doubtful sets and processing each where wished."""
+    found = [Request(KIND.name, {"doubtful": "ask" if ask else "keep"}, states)]
+    return [*found, Request(PIPELINE, {}, states)] if process else found
 
 
 def next_state(session: Session, name: str) -> LoadState | None:
@@ -180,7 +187,7 @@ def unrecorded(session: Session, name: str) -> tuple[LoadState, ...]:
         for subject in session.scalars(
             select(JobRow.subject)
             .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
-            .where(CampaignRow.name == name, JobRow.kind == KIND.name, JobRow.state.in_(_OPEN))
+            .where(CampaignRow.name == name, JobRow.kind == KIND.name, JobRow.state.in_(OPEN))
         )
     }
     return tuple(s for s in campaign.states if s.label not in recorded | coming)

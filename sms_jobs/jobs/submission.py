@@ -6,6 +6,7 @@ is made ready before, and whoever enters it only looks whether the jobs that it 
 
 from __future__ import annotations
 
+import hashlib
 import random
 import secrets
 import time
@@ -41,6 +42,7 @@ TableRows: TypeAlias = tuple[type[Any], list[dict[str, Any]]]
 _TRIES = 20
 """So often a plan is made anew because what it builds on has changed before it was entered."""
 _PAUSE_S = 0.05
+_ID_BYTES = 8
 
 
 @dataclass(frozen=True)
@@ -169,8 +171,16 @@ def draft(
     priority: int = 0,
     use_cache: bool = True,
     by: str = "",
+    key: str = "",
 ) -> Draft:
-    """Plan requests, as `submit_to` does, and write nothing."""
+    """Plan requests, as `submit_to` does, and write nothing.
+
+    Parameters
+    ----------
+    key
+        Of what asks for these jobs once: the same key gives the same ids, which cannot be entered twice.
+        Empty for ids that are drawn.
+    """
     row = campaigns.campaign_row(session, campaign_name)
     campaign = campaigns.definition(row)
 
@@ -188,7 +198,7 @@ def draft(
         return None if file_id is None else Existing(file_id=file_id)
 
     jobs = plan(campaign, requests, find)
-    ids = tuple(secrets.token_hex(8) for _ in jobs)
+    ids = tuple(_job_id(key, job) for job in jobs)
     producers = {i.existing.job_id for job in jobs for i in job.inputs if i.existing is not None}
     return Draft(
         row.id,
@@ -199,6 +209,14 @@ def draft(
         tuple(sorted(job_id for job_id in producers if job_id is not None)),
         tuple(_rows(row.id, campaign, jobs, ids, now, priority, use_cache, by)),
     )
+
+
+def _job_id(key: str, job: PlannedJob) -> str:
+    """Return the id of a new job; that of a key and a job is always the same."""
+    if not key:
+        return secrets.token_hex(_ID_BYTES)
+    asked = f"{key}/{job.kind.name}/{job.subject}"
+    return hashlib.sha256(asked.encode()).hexdigest()[: 2 * _ID_BYTES]
 
 
 def enter(session: Session, planned: Draft) -> Submission:

@@ -1,0 +1,202 @@
+"""`sms acquire plan`: which state of a test is recorded next, and when, whether or not somebody is there."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from sms_jobs import bootstrap
+from sms_jobs.app import planned_recordings
+from sms_jobs.app.planned_recordings import InTime, When
+from sms_jobs.cli import completion, output
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.errors import InvalidInput
+from sms_jobs.records.shown.planned_recordings import PlannedRecording
+from sms_jobs.records.units import duration_s
+
+_LONGEST_S = 30 * 86400.0
+
+
+class _PlanOrCommand(TyperGroup):
+    """A group whose first word may be a campaign, of which recordings are planned then."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Put the command that plans before a word that is none."""
+        if args and args[0] not in self.commands:
+            args = ["add", *args]
+        return super().resolve_command(ctx, args)
+
+
+app = typer.Typer(
+    cls=_PlanOrCommand,
+    help="Plans of recordings: what is recorded next, and when, with 'sms up' alone.",
+    no_args_is_help=True,
+)
+
+Campaign = Annotated[
+    str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
+]
+States = Annotated[
+    list[str] | None,
+    typer.Argument(help="Labels of states.", autocompletion=completion.state_labels, show_default=False),
+]
+
+
+@app.command()
+def add(
+    campaign: Campaign,
+    every: Annotated[
+        str | None, typer.Option(help="Record a state every 30s, 15min or 2h; the first at once.")
+    ] = None,
+    next_: Annotated[
+        bool, typer.Option("--next", help="Record each state as soon as the one before it is recorded.")
+    ] = False,
+    state: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--state",
+            "-s",
+            help="This state; can be repeated. All that are not recorded, planned or skipped if not given.",
+            autocompletion=completion.state_labels,
+        ),
+    ] = None,
+    ask: Annotated[
+        bool, typer.Option("--ask", help="Ask an operator about a doubtful set instead of keeping it.")
+    ] = False,
+    process: Annotated[
+        bool, typer.Option("--process", help="Process each state as soon as it is recorded.")
+    ] = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Plan recordings of a campaign; 'sms acquire plan CAMPAIGN ...' is the same.
+
+    The service ('sms up') on the host of the rig makes them, one after the other, whether or not anybody is
+    logged in. Of a state that is planned already it changes what is waited for.
+
+    Example: sms acquire plan wing-fatigue --every 15min --process
+
+    Example: sms acquire plan wing-fatigue --state S07 --next
+    """
+    when = _when(every, next_)
+    with bootstrap.services(home) as services:
+        found = planned_recordings.plan(
+            services, campaign, when, tuple(state or ()), ask=ask, process=process
+        )
+    _tell(found, as_json)
+
+
+def _when(every: str | None, in_turn: bool) -> When:
+    """Return what is waited for; `InvalidInput` unless one thing is."""
+    if [every is not None, in_turn].count(True) != 1:
+        raise InvalidInput("say what to wait for: one of --every TIME and --next")
+    if every is not None:
+        return InTime(duration_s(every, "--every", 1.0, _LONGEST_S))
+    return InTime()
+
+
+@app.command()
+def show(
+    campaign: Annotated[
+        str | None,
+        typer.Argument(help="Name of the campaign; all with something left to record if not given."),
+    ] = None,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Show what is recorded next and what it waits for, and what comes after it.
+
+    Example: sms acquire plan show wing-fatigue
+    """
+    with bootstrap.services(home) as services:
+        found = planned_recordings.show(services, campaign)
+    _tell(found, as_json)
+
+
+@app.command()
+def hold(campaign: Campaign, states: States = None, home: Home = None) -> None:
+    """Hold the plan back, or some of its states; those behind them wait, too. What is being recorded goes on.
+
+    Example: sms acquire plan hold wing-fatigue
+    """
+    with bootstrap.services(home) as services:
+        held = planned_recordings.hold(services, campaign, tuple(states or ()))
+    output.say(f"held back: {_listed(held)}; 'sms acquire plan go {campaign}' lets them go on")
+
+
+@app.command()
+def go(campaign: Campaign, states: States = None, home: Home = None) -> None:
+    """Let what was held back go on.
+
+    Example: sms acquire plan go wing-fatigue
+    """
+    with bootstrap.services(home) as services:
+        going = planned_recordings.go(services, campaign, tuple(states or ()))
+    output.say(f"goes on: {_listed(going)}")
+
+
+@app.command()
+def skip(campaign: Campaign, states: States = None, home: Home = None) -> None:
+    """Leave states out of the plan, the next one if none is named; the plan goes on with the one behind.
+
+    Example: sms acquire plan skip wing-fatigue S05
+    """
+    with bootstrap.services(home) as services:
+        skipped = planned_recordings.skip(services, campaign, tuple(states or ()))
+    output.say(f"skipped: {_listed(skipped)}")
+
+
+@app.command()
+def move(
+    campaign: Campaign,
+    state: Annotated[
+        str,
+        typer.Argument(help="The state that is moved.", autocompletion=completion.state_labels),
+    ],
+    before: Annotated[
+        str | None,
+        typer.Option(help="It comes before this state.", autocompletion=completion.state_labels),
+    ] = None,
+    last: Annotated[bool, typer.Option("--last", help="It comes last.")] = False,
+    home: Home = None,
+) -> None:
+    """Let a planned state come before another one, or last.
+
+    Example: sms acquire plan move wing-fatigue S09 --before S04
+    """
+    if (before is not None) is last:
+        raise InvalidInput("say where it is to come: one of --before STATE and --last")
+    with bootstrap.services(home) as services:
+        planned_recordings.move(services, campaign, state, before)
+    output.say(f"{state} comes {'last' if before is None else f'before {before}'}")
+
+
+@app.command()
+def drop(campaign: Campaign, states: States = None, home: Home = None) -> None:
+    """Forget the plan of a campaign, or some of its states. What was recorded stays.
+
+    Example: sms acquire plan drop wing-fatigue
+    """
+    with bootstrap.services(home) as services:
+        dropped = planned_recordings.drop(services, campaign, tuple(states or ()))
+    output.say(f"forgotten: {_listed(dropped)}")
+
+
+def _listed(states: list[str]) -> str:
+    return ", ".join(states) or "nothing"
+
+
+def _tell(found: list[PlannedRecording], as_json: bool) -> None:
+    if as_json:
+        output.print_json_list(found)
+        return
+    for one in found:
+        if one.is_next:
+            output.print_sentence(f"{one.campaign}/{one.state} is next: {one.waits_for}")
+    output.print_table(
+        ["campaign", "state", "waits for", "is", "due", "note"],
+        [(r.campaign, r.state, r.trigger, r.status, r.due_at, r.note) for r in found],
+        empty="nothing is planned; see 'sms acquire plan --help'",
+    )

@@ -1,0 +1,58 @@
+"""What is planned to be recorded while a test goes on, and what it waits for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from enum import Enum
+
+
+class Status(Enum):
+    """How far a planned recording has come."""
+
+    PLANNED = "planned"
+    BEGUN = "begun"
+    RECORDED = "recorded"
+    SKIPPED = "skipped"
+
+
+@dataclass(frozen=True)
+class PlannedRecording:
+    """One recording of a plan.
+
+    Attributes
+    ----------
+    campaign, state
+        Of which it is.
+    trigger
+        What it waits for, in words.
+    status
+        "planned", "held", "recorded" or "skipped"; once it has begun, the state of its job.
+    is_next
+        Whether it comes next.
+    waits_for
+        Of the next one, what keeps it from being recorded now; empty for others.
+    due_at
+        When it was due, once it has begun.
+    seen, seen_at
+        What its channel read last, and when; None where it waits for none.
+    job_id
+        Of its recording; None before it has begun.
+    planned_by
+        Who has planned it.
+    note
+        What was found when it was recorded, or keeps its channel from being read; empty where nothing does.
+    """
+
+    campaign: str
+    state: str
+    trigger: str
+    status: str
+    is_next: bool
+    waits_for: str
+    due_at: datetime | None
+    seen: float | None
+    seen_at: datetime | None
+    job_id: str | None
+    planned_by: str
+    note: str
