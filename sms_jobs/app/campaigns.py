@@ -56,6 +56,36 @@ def create(services: Services, plan: Path) -> Campaign:
     return loaded.campaign
 
 
+@use_case(Right.RECORD)
+def add_state(services: Services, name: str, label: str, load_n: float | None = None) -> Campaign:
+    """Give a campaign one more state behind its own, while its test goes on, and return it.
+
+    Nothing that is recorded changes, nor the plan that it was made from.
+
+    Parameters
+    ----------
+    load_n
+        As it is planned, in N; None where nothing is.
+
+    Raises
+    ------
+    NotFound
+        There is no such campaign.
+    Conflict
+        It has such a state, or is changed by somebody else just now.
+    InvalidInput
+        It is a calibration session, or the label is none.
+    """
+    # Which load the kinds; nothing else here needs them.
+    from sms_jobs.jobs.importing import amend_campaign, with_state
+    from sms_jobs.records.campaign import LoadState
+
+    before = definition(services, name)
+    after = with_state(before, LoadState(label, load_n))
+    amend_campaign(services.catalogue, services.archive, before, after, datetime.now(UTC))
+    return after
+
+
 @dataclass(frozen=True)
 class Campaigns:
     """The newest campaigns, and how many there are in all."""

@@ -13,6 +13,7 @@ from sms_jobs.app import campaigns
 from sms_jobs.cli import completion, output, simulated
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.records.units import typed
 
 app = typer.Typer(
     help="Campaigns: a specimen, its load states, and how they are measured.", no_args_is_help=True
@@ -67,6 +68,35 @@ def create(
         f"campaign {campaign.name} has {len(campaign.states)} states and {len(campaign.views)} views; "
         f"next: {following}"
     )
+
+
+@app.command("add-state")
+def add_state(
+    campaign: Annotated[
+        str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
+    ],
+    label: Annotated[str, typer.Argument(help="Of the new state, such as S12.")],
+    load: Annotated[
+        str | None, typer.Option(help="As it is planned, with its unit, such as 20kN.", show_default=False)
+    ] = None,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Give a campaign one more state behind its own, while its test goes on.
+
+    What is recorded stays as it is, and so does the test plan that the campaign was made from.
+
+    Example: sms campaign add-state wing-fatigue S12 --load 20kN
+    """
+    load_n = None if load is None else typed(load, "--load").in_unit("N", "--load")
+    with bootstrap.services(home) as services:
+        found = campaigns.add_state(services, campaign, label, load_n)
+    if as_json:
+        output.print_json({"campaign": campaign, "state": label, "states": len(found.states)})
+    else:
+        output.say(
+            f"campaign {campaign} has {len(found.states)} states; 'sms acquire plan' plans the new one"
+        )
 
 
 @app.command("list")

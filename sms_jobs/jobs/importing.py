@@ -177,6 +177,23 @@ def with_states(campaign: Campaign, labels: Iterable[str]) -> Campaign:
     return replace(campaign, states=campaign.states + added)
 
 
+def with_state(campaign: Campaign, state: LoadState) -> Campaign:
+    """Return a campaign of a specimen with one more state behind its own.
+
+    Raises
+    ------
+    Conflict
+        It has a state of that label.
+    InvalidInput
+        It is a calibration session.
+    """
+    if campaign.session is not None:
+        raise InvalidInput(f"{campaign.name} is a calibration session, whose poses are those of its plan")
+    if any(state.label == one.label for one in campaign.states):
+        raise Conflict(f"campaign {campaign.name} has a state {state.label} already; choose another label")
+    return replace(campaign, states=(*campaign.states, state))
+
+
 def measured_at(session: Session, campaign: Campaign) -> dict[str, datetime]:
     """Return when the states of a campaign were held: as they say, or when they were first recorded."""
     query = (
