@@ -15,12 +15,13 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
 from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.jobs import inquiry
+from sms_jobs.jobs import inquiry, planned_recordings
 from sms_jobs.jobs.chosen import of_campaign
 from sms_jobs.jobs.inquiry import WorkerView
 from sms_jobs.records.job import ALIVE_WITHIN
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.estimates import Outlook
+from sms_jobs.records.shown.planned_recordings import PlannedRecording
 
 if TYPE_CHECKING:
     from sms_jobs.workers.supervisor import Supervisor
@@ -46,6 +47,8 @@ class Status:
         Those that are alive.
     outlook
         How the jobs that have not ended come along; None where there are none.
+    planned
+        The recording that comes next of each plan.
     """
 
     home: Path
@@ -56,6 +59,7 @@ class Status:
     jobs: dict[str, int]
     workers: tuple[WorkerView, ...]
     outlook: Outlook | None
+    planned: tuple[PlannedRecording, ...]
 
 
 @use_case(Right.READ)
@@ -75,6 +79,7 @@ def status(services: Services) -> Status:
             counted,
             tuple(inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)),
             ahead,
+            tuple(one for one in planned_recordings.shown(session, datetime.now(UTC)) if one.is_next),
         )
 
 

@@ -83,6 +83,7 @@ def status(home: Home = None, as_json: Json = False) -> None:
             "archive_free": size(found.archive_free_bytes),
         }
         | ({} if found.outlook is None else {"ahead": outlook_text(found.outlook)})
+        | {f"next of {one.campaign}": f"{one.state}, {one.waits_for}" for one in found.planned}
     )
 
 
