@@ -27,10 +27,10 @@ logger = logging.getLogger(__name__)
 
 _READ_EVERY_S = 0.2
 _LOOK_EVERY_S = 1.0
-_RENEW_EVERY_S = 5.0
-_LATE_S = 15.0
+_RENEW_EVERY_S = 3.0
+_LATE_S = 4.0
 _CONNECT_AGAIN_S = 5.0
-_HELD_FOR = timedelta(seconds=30)
+_HELD_FOR = timedelta(seconds=12)
 """A rig whose watcher was killed is free again after it; longer than an instrument keeps silent at most."""
 _LONGEST_GAP_S = 5.0
 """Between two readings; what was between them is not known, and what stayed before does not count."""
@@ -179,6 +179,8 @@ class Planner(threading.Thread):
             self._let_go(rig)
             self._note(watch.due, ahead)
             return
+        if rig not in self._watches and not self._could_begin(watch.due, now):
+            return
         if moment >= watch.renew_at:
             with catalogue.writing() as session:
                 watched_rigs.hold(session, rig, watch.holder, now, _HELD_FOR)
@@ -215,8 +217,17 @@ class Planner(threading.Thread):
             self._note(one, str(error))
             return False
         if job is not None:
-            logger.info("%s/%s is recorded by job %s, planned %s", one.campaign, one.label, job, one.trigger)
+            logger.info("%s/%s begins as job %s: %s", one.campaign, one.label, job, one.trigger)
         return job is not None
+
+    def _could_begin(self, one: Due, now: datetime) -> bool:
+        """Say whether a recording could begin now: what is wrong is told before the load has come."""
+        try:
+            due_recordings.rehearse(self._services.catalogue, one, now)
+        except SmsError as error:
+            self._note(one, str(error))
+            return False
+        return True
 
     def _note(self, one: Due, words: str) -> None:
         if one.note != words:

@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue.campaigns import campaign_row, definition
+from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.jobs import planned_recordings
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
-from sms_jobs.records.triggers import Every, InTurn, Trigger
+from sms_jobs.records.triggers import Counted, Every, Holding, InTurn, Trigger
+from sms_jobs.records.units import Typed
 
 if TYPE_CHECKING:
-    pass
+    from sms_jobs.records.campaign import LoadState
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,45 @@ class InTime:
     every_s: float | None = None
 
 
-When = InTime
+@dataclass(frozen=True)
+class AtLoad:
+    """Record each state when a channel has stayed near what the test plan says of it.
+
+    Attributes
+    ----------
+    channel
+        Of the rig.
+    tolerance
+        How near, in the unit of the channel or one of its family.
+    for_s
+        How long it must have stayed there.
+    """
+
+    channel: str
+    tolerance: Typed
+    for_s: float
+
+
+@dataclass(frozen=True)
+class AtCycles:
+    """Record the states one after the other, each when a counter of the rig has come to its number.
+
+    Attributes
+    ----------
+    counts
+        One a state, each greater than the one before.
+    channel
+        That counts.
+    for_s
+        How long it must have stood still; 0 where the machine goes on.
+    """
+
+    counts: tuple[int, ...]
+    channel: str
+    for_s: float
+
+
+When: TypeAlias = InTime | AtLoad | AtCycles
 
 
 @use_case(Right.RECORD)
@@ -52,11 +93,12 @@ def plan(
     Raises
     ------
     NotFound
-        There is no such campaign or state.
+        There is no such campaign or state; or the rig of the channel is not connected to this host.
     Conflict
         A state is recorded, or being recorded; or nothing is left.
     InvalidInput
-        The campaign is a calibration session, before whose poses somebody has to be there.
+        The campaign is a calibration session, before whose poses somebody has to be there; the test plan does
+        not say what the channel reads at a state; or what is waited for does not fit channel or states.
     """
     # Which loads the kinds; nothing else here needs them.
     from sms_jobs.jobs import due_recordings
@@ -64,14 +106,57 @@ def plan(
     now = datetime.now(UTC)
     with services.catalogue.reading() as session:
         left = due_recordings.plannable(session, campaign, states)
-    wanted = [(state.label, _trigger(when)) for state in left]
+        rig = definition(campaign_row(session, campaign)).rig
+    wanted = _wanted(services, rig, left, when, named=bool(states))
     with services.catalogue.writing() as session:
         planned_recordings.put(session, campaign, wanted, services.actor.name, now, ask=ask, process=process)
         return planned_recordings.shown(session, now, campaign)
 
 
-def _trigger(when: When) -> Trigger:
-    return InTurn() if when.every_s is None else Every(when.every_s)
+def _wanted(
+    services: Services, rig: str, states: Sequence[LoadState], when: When, *, named: bool
+) -> list[tuple[str, Trigger]]:
+    """Return by state what its recording waits for; of those that nobody has `named` only the first may."""
+    if isinstance(when, InTime):
+        trigger = InTurn() if when.every_s is None else Every(when.every_s)
+        return [(state.label, trigger) for state in states]
+    unit = _unit(services, rig, when.channel)
+    if isinstance(when, AtLoad):
+        return [(state.label, _holding(state, when, unit)) for state in states]
+    if len(when.counts) > len(states) or (named and len(when.counts) < len(states)):
+        raise InvalidInput(
+            f"{len(when.counts)} numbers of cycles are given for {len(states)} states; give one for each, or "
+            "add states with 'sms campaign add-state'"
+        )
+    return [
+        (state.label, Counted(when.channel, count, when.for_s))
+        for state, count in zip(states, when.counts, strict=False)
+    ]
+
+
+def _holding(state: LoadState, when: AtLoad, unit: str) -> Holding:
+    # Which loads the instruments, as the states have by now.
+    from sms_jobs.jobs.recordings import state_value
+
+    target = state_value(state, when.channel)
+    if when.channel == "load_n":
+        target = Typed(f"{target:g}N", target, "N").in_unit(unit, f"the load of {state.label}")
+    tolerance = when.tolerance.in_unit(unit, "--tolerance")
+    if tolerance <= 0.0:
+        raise InvalidInput(
+            f"--tolerance is '{when.tolerance.text}', and no reading is ever that near: give one above 0"
+        )
+    return Holding(when.channel, unit, target, tolerance, when.for_s)
+
+
+def _unit(services: Services, rig: str, channel: str) -> str:
+    """Return the unit of a channel of a rig of this host."""
+    channels = services.stations.rig(rig).serial.channels
+    found = next((one for one in channels if one.name == channel), None)
+    if found is None:
+        known = ", ".join(one.name for one in channels) or "none"
+        raise NotFound(f"rig {rig} has no channel '{channel}'; it has {known}")
+    return found.unit
 
 
 @use_case(Right.READ)

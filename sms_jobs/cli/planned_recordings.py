@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Any
 
 import typer
@@ -9,14 +10,18 @@ from typer.core import TyperGroup
 
 from sms_jobs import bootstrap
 from sms_jobs.app import planned_recordings
-from sms_jobs.app.planned_recordings import InTime, When
+from sms_jobs.app.planned_recordings import AtCycles, AtLoad, InTime, When
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
-from sms_jobs.records.units import duration_s
+from sms_jobs.records.units import duration_s, typed
 
 _LONGEST_S = 30 * 86400.0
+_HOLD = "5s"
+_LONGEST_HOLD_S = 86400.0
+_COUNTER = "cycles"
+_DIGITS = 15
 
 
 class _PlanOrCommand(TyperGroup):
@@ -47,6 +52,26 @@ States = Annotated[
 @app.command()
 def add(
     campaign: Campaign,
+    on: Annotated[
+        str | None,
+        typer.Option(
+            help="Channel of the rig: a state is recorded when it holds the state's value. With --at-cycles "
+            "the channel that counts, 'cycles' if not given."
+        ),
+    ] = None,
+    tolerance: Annotated[
+        str | None, typer.Option(help="How near the channel must be, with its unit, such as 500N.")
+    ] = None,
+    hold: Annotated[
+        str | None,
+        typer.Option(
+            help="How long it must have stayed there, or have stood still, such as 10s; 5s if not given."
+        ),
+    ] = None,
+    at_cycles: Annotated[
+        str | None,
+        typer.Option(help="Record a state at each of these numbers of cycles, such as 1000,2000,5000."),
+    ] = None,
     every: Annotated[
         str | None, typer.Option(help="Record a state every 30s, 15min or 2h; the first at once.")
     ] = None,
@@ -76,11 +101,15 @@ def add(
     The service ('sms up') on the host of the rig makes them, one after the other, whether or not anybody is
     logged in. Of a state that is planned already it changes what is waited for.
 
+    Example: sms acquire plan wing-fatigue --on load_n --tolerance 500N --hold 10s
+
+    Example: sms acquire plan wing-fatigue --at-cycles 1000,2000,5000
+
     Example: sms acquire plan wing-fatigue --every 15min --process
 
     Example: sms acquire plan wing-fatigue --state S07 --next
     """
-    when = _when(every, next_)
+    when = _when(on, tolerance, hold, at_cycles, every, next_)
     with bootstrap.services(home) as services:
         found = planned_recordings.plan(
             services, campaign, when, tuple(state or ()), ask=ask, process=process
@@ -88,13 +117,47 @@ def add(
     _tell(found, as_json)
 
 
-def _when(every: str | None, in_turn: bool) -> When:
-    """Return what is waited for; `InvalidInput` unless one thing is."""
-    if [every is not None, in_turn].count(True) != 1:
-        raise InvalidInput("say what to wait for: one of --every TIME and --next")
-    if every is not None:
-        return InTime(duration_s(every, "--every", 1.0, _LONGEST_S))
-    return InTime()
+def _when(
+    on: str | None,
+    tolerance: str | None,
+    hold: str | None,
+    at_cycles: str | None,
+    every: str | None,
+    in_turn: bool,
+) -> When:
+    """Return what is waited for; raise `InvalidInput` unless it is one thing, with all that it needs."""
+    at_load = on is not None and at_cycles is None
+    if [at_load, at_cycles is not None, every is not None, in_turn].count(True) != 1:
+        raise InvalidInput(
+            "say what to wait for: one of --on CHANNEL, --at-cycles NUMBERS, --every TIME and --next"
+        )
+    if at_load is (tolerance is None):
+        raise InvalidInput(
+            f"say with --tolerance how near {on} must be to a state's value, such as 500N"
+            if at_load
+            else "--tolerance goes with --on CHANNEL; leave it out"
+        )
+    if hold is not None and (every is not None or in_turn):
+        raise InvalidInput("--hold goes with --on and --at-cycles; leave it out")
+    for_s = duration_s(hold or _HOLD, "--hold", 0.0, _LONGEST_HOLD_S)
+    if at_cycles is not None:
+        return AtCycles(_counts(at_cycles), on or _COUNTER, for_s)
+    if on is not None and tolerance is not None:
+        return AtLoad(on, typed(tolerance, "--tolerance"), for_s)
+    return InTime(None if every is None else duration_s(every, "--every", 1.0, _LONGEST_S))
+
+
+def _counts(text: str) -> tuple[int, ...]:
+    """Return numbers of cycles, each greater than the one before; `InvalidInput` for anything else."""
+    words = [word.strip() for word in text.split(",")]
+    if not all(word.isascii() and word.isdigit() and len(word) <= _DIGITS for word in words):
+        raise InvalidInput(
+            f"--at-cycles is '{text}', and should be whole numbers with commas between, such as 1000,2000"
+        )
+    counts = tuple(map(int, words))
+    if any(later <= earlier for earlier, later in pairwise(counts)):
+        raise InvalidInput(f"--at-cycles is '{text}', and each number should exceed the one before")
+    return counts
 
 
 @app.command()

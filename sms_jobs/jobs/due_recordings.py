@@ -23,7 +23,7 @@ from sms_jobs.catalogue.planned_tables import PlannedRecordingRow
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs import locks, planned_recordings, recordings
 from sms_jobs.jobs.planned_recordings import Planned
-from sms_jobs.jobs.submission import draft, enter, while_outdated
+from sms_jobs.jobs.submission import Draft, draft, enter, while_outdated
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records import triggers
@@ -236,12 +236,22 @@ def begin(
     return while_outdated(partial(_begin, catalogue, one, due_at, now, holder))
 
 
-def _begin(catalogue: Catalogue, one: Due, due_at: datetime, now: datetime, holder: str | None) -> str | None:
+def rehearse(catalogue: Catalogue, one: Due, now: datetime) -> None:
+    """Raise what `begin` would, and enter nothing; the kinds are loaded then, so that it takes no time."""
+    with catalogue.reading() as session:
+        _drafted(session, one, now)
+
+
+def _drafted(session: Session, one: Due, now: datetime) -> Draft:
     wanted = recordings.requests((one.label,), ask=one.ask, process=one.process)
+    return draft(session, one.campaign, wanted, now, by=f"plan of {one.planned_by}"[:80], key=one.key)
+
+
+def _begin(catalogue: Catalogue, one: Due, due_at: datetime, now: datetime, holder: str | None) -> str | None:
     with catalogue.reading() as session:
         if _others(session, one.campaign, one.label) is not None:
             return None
-        planned = draft(session, one.campaign, wanted, now, by=f"plan of {one.planned_by}"[:80], key=one.key)
+        planned = _drafted(session, one, now)
     submitted = planned.submission
     job_id = submitted.job_ids[submitted.kinds.index(KIND.name)]
     with catalogue.writing() as session:

@@ -20,6 +20,8 @@ FAMILIES: Final[tuple[dict[str, float], ...]] = (
     {"B": 1.0, "bytes": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9},
 )
 """Each for one quantity, in its own unit first."""
+NO_UNIT: Final = "1"
+"""Of a number that only counts, which is typed without a unit."""
 
 _TYPED = re.compile(r"\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>[^\s\d]\S*)?\s*")
 
@@ -57,6 +59,8 @@ class Typed:
         """
         family = next((f for f in FAMILIES if unit in f), {unit: 1.0})
         among = f"{', '.join(family)}, such as {self.number:g}{unit}"
+        if unit == NO_UNIT and not self.unit:
+            return self.number
         if not self.unit:
             raise InvalidInput(f"{what} is '{self.text}', which has no unit: write it in {among}")
         if self.unit not in family:

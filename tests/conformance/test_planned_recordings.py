@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -19,10 +21,11 @@ from sms_jobs.jobs import due_recordings, planned_recordings, watched_rigs
 from sms_jobs.jobs.due_recordings import Due
 from sms_jobs.jobs.recordings import requests
 from sms_jobs.jobs.submission import submit
+from sms_jobs.records import triggers
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
-from sms_jobs.records.triggers import Every, InTurn, Trigger
+from sms_jobs.records.triggers import Counted, Every, Holding, InTurn, Trigger
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 LABELS = [f"S{number:02d}" for number in range(4)]
@@ -203,6 +206,40 @@ def test_one_recording_follows_another_after_its_time(test_plan: Catalogue) -> N
     assert one.trigger.due(one.before, NOW + 12.0 * MINUTE) == NOW + 10.0 * MINUTE
     # Nobody was there for half an hour: one is made up for, and the grid stays.
     assert one.trigger.due(one.before, NOW + 34.0 * MINUTE) == NOW + 30.0 * MINUTE
+
+
+HOLDING = Holding("load_n", "N", 1000.0, 50.0, 10.0)
+COUNTED = Counted("cycles", 1000, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("trigger", "before", "after", "said"),
+    [
+        (HOLDING, (950.0, 960.0), (1040.0, 1050.0), None),
+        (
+            HOLDING,
+            (990.0, 1000.0),
+            (1000.0, 1051.0),
+            r"read 990 to 1051 N, not load_n = 1000 \+- 50 N",
+        ),
+        (HOLDING, (949.0, 1000.0), (1000.0, 1000.0), "load_n read 949 to 1000 N"),
+        (COUNTED, (1003.0, 1003.0), (1003.0, 1003.0), None),
+        (COUNTED, (1003.0, 1003.0), (1003.0, 1004.0), "cycles read 1003 to 1004: it did not stand still"),
+        (replace(COUNTED, for_s=0.0), (1003.0, 1003.0), (1009.0, 1009.0), None),
+    ],
+)
+def test_what_was_not_recorded_as_planned_is_told(
+    trigger: Holding | Counted, before: tuple[float, float], after: tuple[float, float], said: str | None
+) -> None:
+    name = trigger.channel
+    found = due_recordings.doubt(trigger, {f"{name}_before": before, f"{name}_after": after})
+    assert found is None if said is None else re.search(said, found or "")
+    assert due_recordings.doubt(trigger, {}) == f"{name} was not read while it was recorded"
+
+
+def test_triggers_are_kept_as_they_are() -> None:
+    for trigger in (InTurn(), Every(900.0), HOLDING, COUNTED):
+        assert triggers.from_json(json.loads(json.dumps(triggers.as_json(trigger)))) == trigger
 
 
 def test_a_rig_that_somebody_wants_is_not_watched(test_plan: Catalogue) -> None:

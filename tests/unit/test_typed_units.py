@@ -19,6 +19,7 @@ from sms_jobs.records.units import duration_s, time_words, typed
         ("250ms", "s", 0.25),
         ("300um", "mm", 0.3),
         ("0.5degC", "degC", 0.5),
+        ("3", "1", 3.0),
     ],
 )
 def test_a_unit_is_converted_within_its_family(text: str, unit: str, number: float) -> None:

@@ -1,0 +1,159 @@
+"""What people type to plan the recordings of a test, and what they are told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import select
+from support.command import answer, inside
+
+from sms_jobs import bootstrap
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue.models import FileRow
+from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.records.campaign import CampaignDefinition, LoadState
+from sms_jobs.virtual_rig.campaigns import small_plate
+
+RIG = """
+name = "bench"
+cameras = [{ name = "C1", driver = "simulated", columns = 128, rows = 128 }]
+projectors = [{ name = "P1", driver = "simulated", columns = 256, rows = 192 }]
+file_channels = [
+    { name = "load_n", path = "load.csv", column = "load", unit = "kN" },
+    { name = "cycles", path = "load.csv", column = "cycles", unit = "1" },
+    { name = "crack", path = "load.csv", column = "crack", unit = "mm" },
+]
+"""
+PLAN = "the file of a test plan"
+
+
+@pytest.fixture
+def services(home: Path, tmp_path: Path) -> Iterator[Services]:
+    """A home with a test of four states at 0, 10, 20 and 30 kN, and its rig."""
+    bootstrap.initialise(home)
+    (tmp_path / "rig.toml").write_text(RIG)
+    calibration, campaign = small_plate("wing")
+    states = tuple(LoadState(f"S{n:02d}", 10_000.0 * n) for n in range(4))
+    rig = replace(calibration.rig, name="bench")
+    with bootstrap.services(home) as found:
+        found.stations.add(tmp_path / "rig.toml", replace=False)
+        record, calibration = replace(campaign, rig="bench", states=states), replace(calibration, rig=rig)
+        register_campaign(found.catalogue, found.archive, record, calibration, datetime.now(UTC), PLAN)
+        yield found
+
+
+def plan(services: Services, *words: str) -> Any:
+    return answer("acquire", "plan", *words, "--home", str(services.settings.home))
+
+
+def triggers(services: Services, *words: str) -> dict[str, str]:
+    return {one["state"]: one["trigger"] for one in plan(services, *words)}
+
+
+def refused(services: Services, *words: str) -> tuple[int, str]:
+    done = inside(*words, "--home", str(services.settings.home))
+    return done.returncode, done.stderr
+
+
+def test_loads_are_in_the_unit_of_the_channel(services: Services) -> None:
+    found = triggers(services, "wing", "--on", "load_n", "--tolerance", "500N", "--hold", "1min")
+    assert found["S02"] == "load_n = 20 +- 0.5 kN for 1 min"
+    assert list(found) == ["S00", "S01", "S02", "S03"]
+
+
+def test_each_number_of_cycles_is_for_a_state(services: Services) -> None:
+    found = triggers(services, "wing", "--at-cycles", "1000,2000", "--hold", "0s")
+    assert found == {"S00": "cycles >= 1000", "S01": "cycles >= 2000"}
+    # What is left follows, and one that is planned waits for something else from now on.
+    assert triggers(services, "wing", "--next")["S03"] == "in its turn"
+    found = triggers(services, "add", "wing", "--state", "S01", "--every", "90min")
+    assert list(found.values()) == ["cycles >= 1000", "every 90 min", "in its turn", "in its turn"]
+
+
+def test_what_comes_next_is_told_with_what_it_waits_for(services: Services) -> None:
+    plan(services, "wing", "--on", "load_n", "--tolerance", "500N")
+    inside("acquire", "plan", "skip", "wing", "--home", str(services.settings.home))
+    home = str(services.settings.home)
+    told = inside("acquire", "plan", "show", "--home", home).stdout
+    assert "wing/S01 is next: waits for load_n = 10 +- 0.5 kN for 5 s" in told
+    assert "no worker serves rig-bench" in told
+    assert "next of wing  S01, waits for load_n" in inside("status", "--home", home).stdout
+    assert "held back: S01, S02, S03" in inside("acquire", "plan", "hold", "wing", "--home", home).stderr
+    assert [one["status"] for one in answer("status", "--home", home)["planned"]] == ["held"]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ("wing", 2, "say what to wait for"),
+        ("wing --next --every 5s", 2, "say what to wait for"),
+        ("wing --on load_n --at-cycles 5 --next", 2, "say what to wait for"),
+        ("wing --every 15", 2, "'15', which has no unit: write it in s, ms, min, h"),
+        ("wing --every 15m", 2, "'m' is no unit of it"),
+        ("wing --every 0s", 2, "between 1 and"),
+        ("wing --on load_n", 2, "--tolerance how near load_n must be"),
+        ("wing --on load_n --tolerance 500", 2, "'500', which has no unit: write it in N, kN, MN"),
+        ("wing --on load_n --tolerance 5mm", 2, "'mm' is no unit of it"),
+        ("wing --on load_n --tolerance 0N", 2, "give one above 0"),
+        ("wing --on load_n --tolerance 5N --hold 10", 2, "'10', which has no unit"),
+        ("wing --on crack --tolerance 1mm", 2, "does not say what crack is at state S00"),
+        ("wing --on strain --tolerance 1mm", 3, "rig bench has no channel 'strain'; it has load_n"),
+        ("wing --at-cycles 1,1", 2, "should exceed the one before"),
+        ("wing --at-cycles 1k", 2, "should be whole numbers"),
+        ("wing --at-cycles 1,2,3,4,5", 2, "5 numbers of cycles are given for 4 states"),
+        ("wing --at-cycles 1 -s S00 -s S01", 2, "1 numbers of cycles are given for 2 states"),
+        ("wing --at-cycles 5 --tolerance 1N", 2, "--tolerance goes with --on"),
+        ("wing --every 5s --hold 1s", 2, "--hold goes with"),
+        ("tail --next", 3, "no campaign 'tail'"),
+        ("wing --next -s S09", 2, "no state S09"),
+        ("show tail", 3, "no campaign 'tail'"),
+        ("skip wing", 3, "nothing is left to record"),
+        ("hold wing", 3, "nothing is planned of wing"),
+        ("move wing S01", 2, "say where it is to come"),
+        ("move wing S01 --last", 3, "nothing is planned of wing/S01"),
+    ],
+)
+def test_what_is_not_clear_is_refused(services: Services, words: str, code: int, said: str) -> None:
+    assert (code, True) == (
+        (found := refused(services, "acquire", "plan", *words.split()))[0],
+        said in found[1],
+    )
+    assert plan(services, "show") == []
+
+
+def test_a_state_is_added_while_the_test_goes_on(services: Services) -> None:
+    home = str(services.settings.home)
+    before = answer("campaign", "show", "wing", "--home", home)
+    plan(services, "wing", "--next")
+    assert answer("campaign", "add-state", "wing", "S04", "--load", "45kN", "--home", home)["states"] == 5
+    after = answer("campaign", "show", "wing", "--home", home)
+    assert after["campaign"]["states"][:4] == before["campaign"]["states"]
+    assert (after["campaign"]["states"][4]["load_n"], after["plan"]) == (45_000.0, PLAN)
+    assert triggers(services, "wing", "--every", "10s")["S04"] == "every 10 s"
+    with services.catalogue.reading() as session:
+        paths = session.scalars(select(FileRow.path).where(FileRow.source == "campaign")).all()
+    with services.archive.open_unrecorded(max(paths)) as dataset:
+        kept = dataset.read("campaign", CampaignDefinition)
+    assert ([s.label for s in kept.campaign.states][-1], kept.plan) == ("S04", PLAN)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ("wing S03 --load 1N", 4, "has a state S03 already"),
+        ("wing S04 --load 20", 2, "'20', which has no unit: write it in N, kN, MN, such as 20N"),
+        ("wing S04 --load 20mm", 2, "'mm' is no unit of it"),
+        ("wing S/4", 2, "cannot be the name of a state"),
+        ("tail S04", 3, "no campaign 'tail'"),
+    ],
+)
+def test_a_state_that_cannot_be_added_is_refused(
+    services: Services, words: str, code: int, said: str
+) -> None:
+    found = refused(services, "campaign", "add-state", *words.split())
+    assert (found[0], said in found[1]) == (code, True)
