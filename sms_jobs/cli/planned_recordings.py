@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import typer
 from typer.core import TyperGroup
@@ -27,10 +27,13 @@ _DIGITS = 15
 class _PlanOrCommand(TyperGroup):
     """A group whose first word may be a campaign, of which recordings are planned then."""
 
+    otherwise: ClassVar[str] = "add"
+    """The command that is meant where the first word is none."""
+
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Put the command that plans before a word that is none."""
+        """Put the command that is meant before a word that is none."""
         if args and args[0] not in self.commands:
-            args = ["add", *args]
+            args = [self.otherwise, *args]
         return super().resolve_command(ctx, args)
 
 

@@ -70,6 +70,8 @@ def complaint(command: str) -> str:
     while isinstance(found, TyperGroup):
         if not rest or rest[0].startswith("-"):
             return "" if set(rest) <= {"--help"} else f"{' '.join(path)} has no options"
+        if rest[0] not in found.commands and (otherwise := getattr(found, "otherwise", "")):
+            rest = [otherwise, *rest]
         if rest[0] not in found.commands:
             return f"there is no command '{' '.join([*path, rest[0]])}'"
         path, found, rest = [*path, rest[0]], found.commands[rest[0]], rest[1:]
