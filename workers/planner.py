@@ -140,9 +140,11 @@ class Planner(threading.Thread):
             elif isinstance(trigger, Every):
                 if (at := trigger.due(one.before, now)) is not None:
                     self._begin(one, at)
+            elif one.rig in watched:
+                self._note(one, f"the plan of {watched[one.rig].due.campaign} watches rig {one.rig} first")
             elif rig_queue(one.rig) in self._served():
                 holder = f"the plan of {one.campaign}, worker {self._worker_id}"
-                watched.setdefault(one.rig, Watch(one, trigger, holder))
+                watched[one.rig] = Watch(one, trigger, holder)
         for rig in list(self._watches):
             if rig not in watched or _key(watched[rig]) != _key(self._watches[rig]):
                 self._let_go(rig)

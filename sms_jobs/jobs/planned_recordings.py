@@ -62,6 +62,7 @@ def next_ones(session: Session) -> list[Planned]:
         select(PlannedRecordingRow.campaign_id, func.min(PlannedRecordingRow.position))
         .where(OPEN)
         .group_by(PlannedRecordingRow.campaign_id)
+        .order_by(PlannedRecordingRow.campaign_id)
     )
     places = session.execute(first).all()
     return [
