@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from sqlalchemy import select
@@ -16,8 +18,10 @@ from sms_jobs.app import planned_recordings
 from sms_jobs.app.planned_recordings import AtCycles, AtLoad, InTime, When
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import JobRow
-from sms_jobs.errors import NotFound
-from sms_jobs.jobs import locks, queues
+from sms_jobs.errors import LinkLost, NotFound
+from sms_jobs.instruments.connection import channel_reader
+from sms_jobs.instruments.simulated.serial.simulation import simulate
+from sms_jobs.jobs import due_recordings, locks, queues
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
@@ -33,6 +37,14 @@ file_channels = [
     { name = "load_n", path = "LOAD", column = "load", unit = "N" },
     { name = "cycles", path = "LOAD", column = "cycles", unit = "1" },
 ]
+"""
+SERIAL = """
+[[channels]]
+name = "load_n"
+link = { port = "PORT" }
+protocol = { terminator = "\\r", reply_terminator = "\\r\\n" }
+request = "L?"
+unit = "N"
 """
 QUEUE = "rig-bench"
 
@@ -110,6 +122,32 @@ def test_a_load_is_waited_for_and_the_rig_held_meanwhile(
     turn(planner)
     # The rig is free for the recording in the same transaction.
     assert (recorded(services), rig_is_held_by(services)) == (["wing/S01"], [])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+def test_a_wire_is_let_go_of_before_the_recording_begins(
+    services: Services, planner: Planner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link, load_n = tmp_path / "ports" / "load_n", [90.0]
+    head, _, _ = RIG.partition("file_channels")
+    (tmp_path / "serial.toml").write_text(head + SERIAL.replace("PORT", str(link)))
+    serial = services.stations.add(tmp_path / "serial.toml", replace=True).serial
+    with simulate(serial, link.parent, {"load_n": lambda _now: load_n[0]}):
+        planned_recordings.plan(services, "wing", at_load(), ["S01"])
+        turn(planner)
+        with pytest.raises(LinkLost), channel_reader(services.stations.rig("bench"), "load_n"):
+            pass  # the wire is in use
+        begin, free = due_recordings.begin, []
+
+        def watched(*given: Any) -> str | None:
+            with channel_reader(services.stations.rig("bench"), "load_n") as read:
+                free.append(read())
+            return begin(*given)
+
+        monkeypatch.setattr("sms_jobs.workers.planner.due_recordings.begin", watched)
+        load_n[0] = 99.0
+        turn(planner)
+    assert (free, recorded(services)) == ([99.0], ["wing/S01"])
 
 
 def test_a_count_is_waited_for(services: Services, planner: Planner, tmp_path: Path) -> None:
