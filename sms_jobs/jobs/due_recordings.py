@@ -27,7 +27,7 @@ from sms_jobs.jobs.submission import Draft, draft, enter, while_outdated
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records import triggers
-from sms_jobs.records.job import JobState
+from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.shown.planned_recordings import Status
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.triggers import Counted, Holding, Trigger
@@ -223,8 +223,7 @@ def begin(
 ) -> str | None:
     """Enter the recording of a state, and return the id of its job; None where that is not to be any more.
 
-    It is not where somebody else has begun it, held it back or changed it since `due`, or where another job
-    records the state.
+    It is not where somebody else has begun it, held it back or changed it since `due`.
 
     Parameters
     ----------
@@ -232,6 +231,13 @@ def begin(
         By which time it begins.
     holder
         That holds the rig meanwhile and gives it back in the same transaction.
+
+    Raises
+    ------
+    Conflict
+        Another job records the state.
+    InvalidInput, NotFound, PlanOutdated
+        See `submission.submit_to`.
     """
     return while_outdated(partial(_begin, catalogue, one, due_at, now, holder))
 
@@ -243,14 +249,16 @@ def rehearse(catalogue: Catalogue, one: Due, now: datetime) -> None:
 
 
 def _drafted(session: Session, one: Due, now: datetime) -> Draft:
+    if (other := _others(session, one.campaign, one.label)) is not None:
+        raise Conflict(
+            f"job {other[:SHORT_ID]} records {one.campaign}/{one.label} already; 'sms acquire list' shows it"
+        )
     wanted = recordings.requests((one.label,), ask=one.ask, process=one.process)
     return draft(session, one.campaign, wanted, now, by=f"plan of {one.planned_by}"[:80], key=one.key)
 
 
 def _begin(catalogue: Catalogue, one: Due, due_at: datetime, now: datetime, holder: str | None) -> str | None:
     with catalogue.reading() as session:
-        if _others(session, one.campaign, one.label) is not None:
-            return None
         planned = _drafted(session, one, now)
     submitted = planned.submission
     job_id = submitted.job_ids[submitted.kinds.index(KIND.name)]

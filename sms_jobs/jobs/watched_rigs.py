@@ -12,6 +12,7 @@ from sms_jobs.catalogue.planned_tables import PlannedRecordingRow
 from sms_jobs.jobs import locks
 from sms_jobs.kinds.kind import rig_queue
 from sms_jobs.records.job import SHORT_ID, JobState
+from sms_jobs.records.shown.planned_recordings import Status
 
 
 def comes_first(session: Session, rig: str, now: datetime, holder: str) -> str | None:
@@ -50,5 +51,9 @@ def note_reading(session: Session, row_id: int, seen: float | None, now: datetim
 
 
 def note(session: Session, row_id: int, words: str) -> None:
-    """Note what keeps a planned recording from being watched, or from beginning."""
-    session.execute(update(PlannedRecordingRow).where(PlannedRecordingRow.id == row_id).values(note=words))
+    """Note what keeps a planned recording from being watched, or from beginning, while it has not begun."""
+    session.execute(
+        update(PlannedRecordingRow)
+        .where(PlannedRecordingRow.id == row_id, PlannedRecordingRow.status == Status.PLANNED.value)
+        .values(note=words)
+    )

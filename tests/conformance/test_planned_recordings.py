@@ -14,7 +14,7 @@ from support.jobs import NOW
 
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.models import FileRow, JobRow
 from sms_jobs.catalogue.planned_tables import PlannedRecordingRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.jobs import due_recordings, planned_recordings, watched_rigs
@@ -153,8 +153,31 @@ def test_what_somebody_else_records_is_not_recorded_again(test_plan: Catalogue) 
     found = due(test_plan)
     with test_plan.writing() as session:
         submit(session, "wing", requests(("S00",), ask=False, process=False), NOW)
-    assert due_recordings.begin(test_plan, found, NOW, NOW) is None
+    with pytest.raises(Conflict, match="records wing/S00 already"):
+        due_recordings.begin(test_plan, found, NOW, NOW)
     assert jobs(test_plan) == ["wing/S00"]
+
+
+def test_what_came_in_otherwise_is_not_recorded_again(test_plan: Catalogue) -> None:
+    put(test_plan, *LABELS)
+    with test_plan.writing() as session:
+        number = campaigns.campaign_id(session, "wing")
+        session.add(
+            FileRow(
+                source="measurement",
+                path="wing/S00/imported.h5",
+                content_hash="imported",
+                size_bytes=1,
+                media_type="application/x-hdf5",
+                created_at=NOW,
+                campaign_id=number,
+                state_id=campaigns.state_ids(session, number)["S00"],
+                view="C1P1",
+            )
+        )
+    due_recordings.settle(test_plan)
+    assert (shown(test_plan)[0].status, shown(test_plan)[0].note) == ("recorded", "recorded outside the plan")
+    assert (due(test_plan).label, jobs(test_plan)) == ("S01", [])
 
 
 def test_the_plan_is_held_moved_and_dropped_while_it_goes_on(test_plan: Catalogue) -> None:
