@@ -32,6 +32,12 @@ if TYPE_CHECKING:
 
 STYLES: tuple[str, ...] = get_args(Style)
 """Names of the files of other programs that calibrations are written as."""
+_ENDINGS: dict[str, tuple[str, ...]] = {
+    "opencv-yaml": (".yml", ".yaml"),
+    "opencv-xml": (".xml",),
+    "opencv-json": (".json",),
+    "thesis-xml": (".xml",),
+}
 
 
 def distortion() -> tuple[str, ...]:
@@ -261,6 +267,34 @@ def decide(services: Services, number: int, campaign: str | None, *, in_use: boo
         return Decision(search.calibration_view(session, number), new)
 
 
+def style_for(out: Path, style: str | None) -> str:
+    """Return the style of a file: the one that is asked for, else the only one whose files end so.
+
+    Raises `InvalidInput` for a style that is none, a file that ends otherwise, or one that may be of several.
+    """
+    listed = ", ".join(f"{name} (*{', *'.join(endings)})" for name, endings in _ENDINGS.items())
+    if style is not None:
+        _checked_style(style)
+        if out.suffix not in _ENDINGS[style]:
+            endings = " or ".join(_ENDINGS[style])
+            raise InvalidInput(f"'{out}' must end in {endings} to be a file of {style}; there are {listed}")
+        return style
+    fitting = [name for name, endings in _ENDINGS.items() if out.suffix in endings]
+    if not fitting:
+        raise InvalidInput(f"'{out}' ends as no style does; end it as one of {listed}")
+    if len(fitting) > 1:
+        raise InvalidInput(f"'{out}' may be a file of {' or '.join(fitting)}; say which with --as")
+    return fitting[0]
+
+
+def _checked_style(style: str) -> Style:
+    styles: tuple[Style, ...] = get_args(Style)
+    chosen = next((one for one in styles if one == style), None)
+    if chosen is None:
+        raise InvalidInput(f"--as should be one of {', '.join(STYLES)}, not '{style}'")
+    return chosen
+
+
 @dataclass(frozen=True)
 class CalibrationText:
     """A calibration as a file of another program, and what that file cannot say."""
@@ -289,10 +323,7 @@ def export(services: Services, number: int, style: str, *, pixel_pitch_um: float
     from sms_jobs.formats.interchange.calibration_files import calibration_text
     from sms_jobs.records.sensors import Calibration
 
-    styles: tuple[Style, ...] = get_args(Style)
-    chosen = next((one for one in styles if one == style), None)
-    if chosen is None:
-        raise InvalidInput(f"--as should be one of {', '.join(STYLES)}, not '{style}'")
+    chosen = _checked_style(style)
     with services.catalogue.reading() as session:
         view = search.calibration_view(session, number)
     with services.archive.open(view) as dataset:

@@ -24,8 +24,15 @@ _Six = tuple[float, float, float, float, float, float]
 
 def export(
     number: Annotated[int, typer.Argument(help="Number of a calibration; see 'sms calibration list'.")],
-    style: Annotated[str, typer.Option("--as", help=f"One of {', '.join(STYLES)}.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
+    style: Annotated[
+        str | None,
+        typer.Option(
+            "--as",
+            help=f"One of {', '.join(STYLES)}; the suffix of --out decides if not given, but for .xml.",
+            show_default=False,
+        ),
+    ] = None,
     pixel_pitch_um: Annotated[
         float,
         typer.Option(
@@ -47,6 +54,7 @@ def export(
 
     Example: sms calibration export 3 --as opencv-yaml --out hall-3.yml
     """
+    style = calibrations.style_for(out, style)
     writing.check_new_file(out, force)
     with bootstrap.services(home) as services:
         found = calibrations.export(services, number, style, pixel_pitch_um=pixel_pitch_um)

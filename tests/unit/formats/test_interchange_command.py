@@ -89,7 +89,7 @@ def test_the_thesiss_parameters_become_a_calibration_of_their_own(made: Path, tm
 
 def test_a_second_calibration_of_a_rig_waits_for_a_word(made: Path, tmp_path: Path) -> None:
     out, at = tmp_path / "next.json", ("--home", str(made))
-    answer("calibration", "export", "1", "--as", "opencv-json", "--out", str(out), *at)
+    assert answer("calibration", "export", "1", "--out", str(out), *at)["style"] == "opencv-json"
     later = ("--valid-from", "2026-05-05T10:00:00+02:00")
     told = " ".join(inside("calibration", "import", str(out), *later, *at).stderr.split())
     number = told.split()[1]
@@ -124,6 +124,9 @@ def test_a_second_calibration_of_a_rig_waits_for_a_word(made: Path, tmp_path: Pa
         (("import", str(WRONG / "skew.yml"), "--size", "P1=big"), 2, "as in P1=1920x1080, not 'P1=big'"),
         (("export", "99", "--as", "opencv-yaml", "--out", "x.yml"), 3, "99"),
         (("export", "1", "--as", "matlab", "--out", "x.m"), 2, "--as should be one of opencv-yaml"),
+        (("export", "1", "--as", "opencv-yaml", "--out", "x.json"), 2, "must end in .yml or .yaml"),
+        (("export", "1", "--out", "x.xml"), 2, "may be a file of opencv-xml or thesis-xml"),
+        (("export", "1", "--out", "x.m"), 2, "opencv-json (*.json)"),
         (("export", "1", "--as", "opencv-yaml", "--out", str(WRONG / "skew.yml")), 4, "--force"),
     ],
     ids=lambda value: value if isinstance(value, str) else None,
