@@ -68,8 +68,8 @@ class ExportOptions:
     Attributes
     ----------
     form
-        Name of a format; by the ending of the file that is named if it is None, and without one the sealed
-        file itself is copied.
+        Name of a format; by the ending of the file that is named if it is None. Where no file is named, or
+        one that ends as the sealed file does, that is copied.
     record
         The mesh of the file, or all that the format can hold if it is None.
     fields
@@ -96,7 +96,7 @@ def export(services: Services, chosen: Chosen, out: Path | None, options: Export
     Raises
     ------
     InvalidInput
-        The choice, the format or the fields contradict each other or the file.
+        The choice, the format, the ending or the fields contradict each other or the file.
     NotFound
         There is no such file, campaign or result.
     Conflict
@@ -141,18 +141,21 @@ def _views(services: Services, chosen: Chosen) -> list[FileView]:
 
 
 def _export(services: Services, view: FileView, out: Path | None, options: ExportOptions) -> list[Path]:
+    from sms_jobs.formats.exporters import all_exporters
     from sms_jobs.formats.exporters.sources import source_for
 
-    if options.form == _PLAIN_HDF5:
+    form = _form(view, out, options)
+    if form == _PLAIN_HDF5:
         return [_repacked(services, view, out, options)]
-    exporter = _exporter(view, out, options)
-    if exporter is None:
+    if form is None:
+        if options.fields or options.record:
+            raise InvalidInput("--fields and --record need a format: add --as, see 'sms data formats'")
         target = _target(out, PurePosixPath(view.path).name, options.force)
         services.archive.verify_bytes(view)
         with writing.new_file(target, options.force) as part:
             services.archive.copy_out(view.path, part)
         return [target]
-    written = []
+    written, exporter = [], all_exporters()[form]
     with services.archive.open(view) as dataset:
         names = [options.record] if options.record else _records(dataset, exporter)
         if len(names) > 1 and out is not None and not out.is_dir():
@@ -179,8 +182,6 @@ def _repacked(services: Services, view: FileView, out: Path | None, options: Exp
 
     if options.fields or options.record:
         raise InvalidInput("hdf5 takes the whole file; leave out --fields and --record")
-    if view.media_type != DATASET_MEDIA_TYPE:
-        raise InvalidInput(_NO_DATASET.format(number=view.id, media_type=view.media_type))
     target = _target(out, f"{view.subject.replace('/', '-')}-{view.source}.h5", options.force)
     services.archive.verify_bytes(view)
     with writing.new_file(target, options.force) as part, services.archive.local(view.path) as sealed:
@@ -188,25 +189,40 @@ def _repacked(services: Services, view: FileView, out: Path | None, options: Exp
     return target
 
 
-def _exporter(view: FileView, out: Path | None, options: ExportOptions) -> Exporter | None:
-    """Return what writes the file; None where the sealed file itself is copied."""
-    from sms_jobs.formats.exporters import all_exporters
+def _form(view: FileView, out: Path | None, options: ExportOptions) -> str | None:
+    """Return the name of the format that is written; None where the sealed file itself is copied.
 
-    form = options.form
-    if form is None and out is not None and not out.is_dir() and view.media_type == DATASET_MEDIA_TYPE:
-        fitting = [e for e in all_exporters().values() if out.name.endswith(e.suffix)]
-        form = max(fitting, key=lambda e: len(e.suffix)).name if fitting else None
-    if form is None:
-        if options.fields or options.record:
-            raise InvalidInput("--fields and --record need a format: add --as, see 'sms data formats'")
-        return None
-    if form not in all_exporters():
-        names = ", ".join(sorted([*all_exporters(), _PLAIN_HDF5]))
-        raise InvalidInput(f"there is no export format '{form}'; choose one of {names}")
-    exporter = all_exporters()[form]
-    if view.media_type != DATASET_MEDIA_TYPE:
+    A file that is named has to end as files of the format do, and says which where none was asked for.
+    """
+    suffixes = {one.name: one.suffix for one in formats()}
+    listed = ", ".join(f"{name} (*{suffix})" for name, suffix in suffixes.items())
+    form, dataset = options.form, view.media_type == DATASET_MEDIA_TYPE
+    if form is not None and form not in suffixes:
+        raise InvalidInput(f"there is no export format '{form}'; choose one of {', '.join(suffixes)}")
+    if form is not None and not dataset:
         raise InvalidInput(_NO_DATASET.format(number=view.id, media_type=view.media_type))
-    return exporter
+    if out is None or out.is_dir():
+        return form
+    if form is not None:
+        # Of tecplot-block too the last ending is enough: programs go by that.
+        ending = f".{suffixes[form].rpartition('.')[2]}"
+        if out.suffix != ending:
+            raise InvalidInput(f"'{out}' must end in {ending} to be a file of {form}; there are {listed}")
+        return form
+    sealed = PurePosixPath(view.path).suffix
+    if out.suffix == sealed:
+        return None
+    if not dataset:
+        raise InvalidInput(
+            f"'{out}' must end in {sealed}: file {view.id} is a {view.media_type} document and is copied as "
+            "it is"
+        )
+    fitting = [name for name, suffix in suffixes.items() if out.name.endswith(suffix)]
+    if not fitting:
+        raise InvalidInput(
+            f"'{out}' ends as no format does, and is no folder that is there; end it as one of {listed}"
+        )
+    return max(fitting, key=lambda name: len(suffixes[name]))
 
 
 def _records(dataset: ArchivedDataset, exporter: Exporter) -> list[str]:

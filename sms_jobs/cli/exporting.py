@@ -75,7 +75,8 @@ def export(
 ) -> None:
     """Write a result for other programs, or copy a sealed file, e.g. a report, out of the archive.
 
-    Without --as, and with no suffix of --out that names a format, the sealed file itself is copied.
+    Without --as the suffix of --out says the format; without either, or with the suffix of the sealed file,
+    that is copied as it is.
 
     Example: sms data export 42 --as ply --fields "deviation,sigma of deviation" -o deviation.ply
 

@@ -18,7 +18,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.cli import exporting, importing_surface
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
-from sms_jobs.formats.exporters import exporter_named
+from sms_jobs.formats.exporters import all_exporters, exporter_named
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.reindexing import reindex, unknown_files
 from sms_jobs.jobs.submission import submit
@@ -192,6 +192,26 @@ def test_several_records_need_a_choice_or_a_folder(services: Services, home: Pat
     with pytest.raises(Conflict, match="exists already"):
         export(home, number, form="ptx")
     export(home, number, form="ptx", force=True)
+
+
+def test_the_ending_of_a_file_is_that_of_its_format(services: Services, home: Path, here: Path) -> None:
+    number = str(stored(services, "merge", "plate/S01", {"mesh": mesh()}))
+    page = str(stored(services, "report", "plate", None))
+    for given, words in (
+        ({"file": number, "out": here / "x.html"}, r"ends as no format does.* ply \(\*\.ply\)"),
+        ({"file": number, "out": here / "no-folder"}, "no folder that is there"),
+        ({"file": number, "form": "ply", "out": here / "x"}, r"must end in \.ply to be a file of ply"),
+        ({"file": number, "form": "hdf5", "out": here / "x.ply"}, r"must end in \.h5"),
+        ({"file": page, "out": here / "x.ply"}, r"must end in \.html"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            export(home, **given)  # type: ignore[arg-type]
+    for form in all_exporters().values():
+        with pytest.raises(InvalidInput, match=f"to be a file of {form.name}; there are"):
+            export(home, number, form=form.name, out=here / "x.html")
+    assert list(here.iterdir()) == []
+    export(home, number, form="tecplot-block", out=here / "x.dat")
+    assert "DATAPACKING=BLOCK" in (here / "x.dat").read_text().replace(" ", "")
 
 
 def test_wrong_requests_are_refused_with_a_way_out(services: Services, home: Path, here: Path) -> None:
