@@ -10,7 +10,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app import files, finding, writing
 from sms_jobs.cli import completion, found_files, output
-from sms_jobs.cli.found_files import After, As, Columns, FindOptions, Force, Format, Limit, Out
+from sms_jobs.cli.found_files import After, As, Columns, FindOptions, Force, Limit, Out
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.shown.files import Ancestor
 from sms_jobs.records.sizes import size
@@ -44,7 +44,7 @@ def find(
     limit: Limit = 50,
     after: After = None,
     columns: Columns = None,
-    form: As = Format.TABLE,
+    form: As = None,
     out: Out = None,
     force: Force = False,
     home: Home = None,
@@ -148,7 +148,7 @@ def plot(
 
     Example: sms data plot 17 --field strain --component xx --out strain.png
     """
-    writing.check_new_file(out, force)
+    writing.check_new_file(out, force, (".png",))
     with bootstrap.services(home) as services:
         png = files.picture(services, file, record=record, field=field, component=component)
     writing.write_file(out, png, force)

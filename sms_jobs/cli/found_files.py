@@ -40,13 +40,17 @@ Columns = Annotated[
     typer.Option(help="What to tell of each file, with commas between: file,subject,load_kN,param.method."),
 ]
 As = Annotated[
-    Format,
+    Format | None,
     typer.Option(
         "--format",
-        help="table; json with the key of the next page; lines of JSON; csv; parquet (a file).",
+        help="table; json with the key of the next page; lines of JSON; csv; parquet (a file).  "
+        "[default: by the suffix of --out, else table]",
+        show_default=False,
     ),
 ]
-Out = Annotated[Path | None, typer.Option("--out", "-o", help="File to write; the screen if not given.")]
+Out = Annotated[
+    Path | None, typer.Option("--out", "-o", help="File to write, .csv or .parquet; else the screen.")
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
 
 _SHOWN = ("file", "kind", "subject", "type", "size", "created")
@@ -60,7 +64,7 @@ class FindOptions:
     limit: int
     after: int | None
     columns: str | None
-    form: Format
+    form: Format | None
     out: Path | None
     force: bool
     as_json: bool
@@ -68,16 +72,18 @@ class FindOptions:
 
 def tell(home: Path | None, ask: Callable[[bootstrap.Services], Question], options: FindOptions) -> None:
     """Find files and print or write them."""
-    _refuse(options)
+    form = _form(options)
     names = None if options.columns is None else column_names(options.columns)
     with bootstrap.services(home) as services:
         pages = finding.find(services, ask(services), columns=names, after=options.after, limit=options.limit)
         first = next(pages)
         found = chain([first], pages)
-        _tell(first, found, names, options)
+        _tell(first, found, names, form, options)
 
 
-def _tell(first: Page, pages: Iterator[Page], names: list[str] | None, options: FindOptions) -> None:
+def _tell(
+    first: Page, pages: Iterator[Page], names: list[str] | None, form: Format, options: FindOptions
+) -> None:
     last = first.next
 
     def files() -> Iterator[Found]:
@@ -88,25 +94,25 @@ def _tell(first: Page, pages: Iterator[Page], names: list[str] | None, options: 
 
     if options.as_json:
         output.print_json_list(_object(one, names) for one in files())
-    elif options.form is Format.JSON:
+    elif form is Format.JSON:
         objects = [_object(one, names) for one in files()]
         output.print_json({"files": objects, "next": last})
         return
-    elif options.form is Format.LINES:
+    elif form is Format.LINES:
         for one in files():
             output.print_line(_object(one, names))
         output.print_json({"next": last})
         return
-    elif options.form is Format.TABLE:
+    elif form is Format.TABLE:
         columns = names or [*_SHOWN, *(c for c in first.columns if c not in _SHOWN)]
         output.print_table(columns, (_row(one, columns) for one in files()), empty="there is no such file")
     else:
-        _write(options, names or [*_WRITTEN, *(c for c in first.columns if c not in _WRITTEN)], files())
+        _write(form, options, names or [*_WRITTEN, *(c for c in first.columns if c not in _WRITTEN)], files())
     if last is not None:
         output.say(f"there are more; go on with --after {last}")
 
 
-def _write(options: FindOptions, columns: list[str], files: Iterator[Found]) -> None:
+def _write(form: Format, options: FindOptions, columns: list[str], files: Iterator[Found]) -> None:
     rows = (_row(one, columns) for one in files)
     if options.out is None:
         text = io.StringIO(newline="")
@@ -114,7 +120,7 @@ def _write(options: FindOptions, columns: list[str], files: Iterator[Found]) -> 
         output.print_text(text.getvalue())
         return
     with writing.new_file(options.out, options.force) as part:
-        if options.form is Format.PARQUET:
+        if form is Format.PARQUET:
             count = write_parquet(part, columns, rows)
         else:
             with part.open("w", encoding="utf-8", newline="") as stream:
@@ -122,17 +128,26 @@ def _write(options: FindOptions, columns: list[str], files: Iterator[Found]) -> 
     output.say(f"wrote {count} files into {options.out}")
 
 
-def _refuse(options: FindOptions) -> None:
-    """Refuse what does not go together, before anything is looked for."""
-    if options.as_json and options.form is not Format.TABLE:
-        raise InvalidInput(f"--json and --format {options.form.value} exclude each other; give one of them")
-    if options.out is None:
-        if options.form is Format.PARQUET:
-            raise InvalidInput("a Parquet file cannot be shown on a screen; say where to write it with --out")
-        return
-    if options.as_json or options.form not in (Format.CSV, Format.PARQUET):
+def _form(options: FindOptions) -> Format:
+    """Return how the answer is told; refuse what does not go together, before anything is looked for."""
+    if options.out is not None:
+        return _form_of_file(options, options.out)
+    form = options.form or Format.TABLE
+    if options.as_json and form is not Format.TABLE:
+        raise InvalidInput(f"--json and --format {form.value} exclude each other; give one of them")
+    if form is Format.PARQUET:
+        raise InvalidInput("a Parquet file cannot be shown on a screen; say where to write it with --out")
+    return form
+
+
+def _form_of_file(options: FindOptions, out: Path) -> Format:
+    """Return the format of a file: the one that is asked for, else that of its suffix."""
+    written = {".csv": Format.CSV, ".parquet": Format.PARQUET}
+    if options.as_json or options.form not in (None, *written.values()):
         raise InvalidInput("--out writes --format csv or --format parquet; the rest goes to the screen")
-    writing.check_new_file(options.out, options.force)
+    endings = tuple(s for s, form in written.items() if options.form in (None, form))
+    writing.check_new_file(out, options.force, endings)
+    return written[out.suffix]
 
 
 def _value(one: Found, name: str) -> Any:

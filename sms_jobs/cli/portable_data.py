@@ -150,7 +150,7 @@ def unpack(
 def provenance(
     what: Annotated[str, typer.Argument(help="Number or archive path of a file, or name of a campaign.")],
     out: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File to write; the screen if not given.")
+        Path | None, typer.Option("--output", "-o", help="JSON file to write; the screen if not given.")
     ] = None,
     force: Force = False,
     home: Home = None,
@@ -163,7 +163,7 @@ def provenance(
     Example: sms data provenance 17 --output strain.prov.json; sms data provenance wing-fatigue
     """
     if out is not None:
-        writing.check_new_file(out, force)
+        writing.check_new_file(out, force, (".json",))
     with bootstrap.services(home) as services:
         found = packing.provenance(services, what)
     document = found.document

@@ -9,7 +9,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app import finding
 from sms_jobs.cli import found_files, output
-from sms_jobs.cli.found_files import After, As, Columns, FindOptions, Force, Format, Limit, Out
+from sms_jobs.cli.found_files import After, As, Columns, FindOptions, Force, Limit, Out
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import SmsError
 
@@ -76,7 +76,7 @@ def run(
     limit: Limit = 50,
     after: After = None,
     columns: Columns = None,
-    form: As = Format.TABLE,
+    form: As = None,
     out: Out = None,
     force: Force = False,
     home: Home = None,

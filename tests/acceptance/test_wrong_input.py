@@ -193,6 +193,10 @@ def test_output_files_are_not_replaced_unasked(made: Path, tmp_path: Path) -> No
     out = tmp_path / "out.h5"
     out.write_text("precious")
     refused(made, CONFLICT, "data", "export", "1", "--out", str(out), words=("--force",))
-    refused(made, CONFLICT, "data", "plot", "1", "--out", str(out), words=("--force",))
+    image = tmp_path / "out.png"
+    image.write_text("precious")
+    refused(made, CONFLICT, "data", "plot", "1", "--out", str(image), words=("--force",))
+    refused(made, USAGE, "data", "plot", "1", "--out", str(tmp_path / "x.html"), words=(".png",))
+    refused(made, USAGE, "data", "provenance", "1", "--output", str(tmp_path / "x.html"), words=(".json",))
     refused(made, USAGE, "data", "export", "1", "--out", str(tmp_path / "no" / "x.h5"), words=("folder",))
     assert out.read_text() == "precious"

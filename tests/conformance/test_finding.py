@@ -380,6 +380,7 @@ def test_every_format_tells_the_same(home: Path, capsys: pytest.CaptureFixture[s
         ("find", text, "--format", "parquet"),
         ("find", text, "--json", "--format", "csv"),
         ("find", text, "--out", str(tmp_path / "a.txt")),
+        ("find", text, "--format", "csv", "--out", str(tmp_path / "a.parquet")),
         ("find", "--columns", "file,,kind"),
         ("find", "--columns", "file,nothing"),
         ("find", "strain where"),
@@ -421,7 +422,7 @@ def test_what_is_found_goes_into_a_parquet_file(
     asked = ("find", "calibration where length_rms_um > 100")
     (listed,) = json.loads(run(capsys, *asked, "--json", *at))
     path = tmp_path / "found.parquet"
-    run(capsys, *asked, "--format", "parquet", "--out", str(path), *at)
+    run(capsys, *asked, "--out", str(path), *at)
     (row,) = parquet.read_table(path).to_pylist()
     assert row["length_rms_um"] == 250.0
     assert row["created"] == datetime.fromisoformat(listed["created_at"])
