@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session, aliased
 from sms_jobs.catalogue import search
 from sms_jobs.catalogue.models import CalibrationUseRow, FileRow
 from sms_jobs.catalogue.query_conditions import Conditions
-from sms_jobs.catalogue.query_fields import Field, Fields, Vocabulary
+from sms_jobs.catalogue.query_fields import Fields, Vocabulary
 from sms_jobs.catalogue.query_language import (
     UNWRITTEN,
     AllOf,
@@ -28,6 +28,7 @@ from sms_jobs.catalogue.query_language import (
     comparisons,
     conjuncts,
 )
+from sms_jobs.catalogue.query_names import Field
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.shown.files import Found, Page
 
@@ -163,9 +164,9 @@ def _asked(fields: Fields, query: Query, columns: Sequence[str] | None) -> dict[
     if columns is not None:
         return {c: fields.field(Name(c, 0), c) for c in columns}
     tests = [test for test in comparisons(query.condition) if test.name.at != UNWRITTEN]
-    named = {test.name.text: fields.field(test.name, query.text) for test in tests}
+    compared = [fields.tested(test, query.text) for test in tests]
     # A calibration that a query compares stands in the query itself.
-    return {name: field for name, field in named.items() if field.type != "calibration"}
+    return {field.name: field for field in compared if field.type != "calibration"}
 
 
 def _found_files(session: Session, ids: Sequence[int], asked: dict[str, Field]) -> Iterator[Found]:
@@ -183,7 +184,7 @@ def _value(field: Field, value: Any) -> Any:
         # The database has them in no certain order.
         return None if value is None else ", ".join(sorted(value.split(","), key=int))
     if field.type == "parameter":
-        value = (value or {}).get(field.parameter)
+        value = (value or {}).get(field.stored)
         value = value if value is None or isinstance(value, bool | int | float | str) else str(value)
     if field.factor == 1.0 or not isinstance(value, int | float):
         return value

@@ -7,11 +7,11 @@ number of files that are looked at.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from difflib import get_close_matches
 from functools import cache, cached_property
-from typing import Any, Literal, NoReturn, TypeAlias
+from typing import Any, Literal
 
 from sqlalchemy import ColumnElement, Select, String, case, cast, func, literal, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
@@ -30,10 +30,8 @@ from sms_jobs.catalogue.models import (
     SpecimenRow,
     StatisticRow,
 )
-from sms_jobs.catalogue.quantities import in_other_units
-from sms_jobs.catalogue.query_language import Name, refuse
-
-Type: TypeAlias = Literal["number", "text", "time", "prefix", "campaign", "calibration", "parameter"]
+from sms_jobs.catalogue.query_language import Name, Test, refuse
+from sms_jobs.catalogue.query_names import Field, Resolver, Source, Type, built_in, listed, stored_name
 
 
 class Vocabulary:
@@ -62,45 +60,6 @@ class Vocabulary:
     def parameters(self) -> frozenset[str]:
         """Return the names of all parameters."""
         return self._learnt[1]
-
-
-@dataclass(frozen=True)
-class Source:
-    """A selection of the numbers of files, and the column of it that an index is on."""
-
-    files: Select[int]
-    indexed: ColumnElement[Any]
-
-
-@dataclass(frozen=True)
-class Field:
-    """Something that can be asked about a file.
-
-    Attributes
-    ----------
-    name
-        As it was asked for.
-    type
-        What it is compared with; a prefix is a text of which the beginning is enough.
-    column
-        Its value for a row of `file`.
-    factor
-        A value in the unit of `name` times this is one in the unit of the column.
-    sources
-        Select the numbers of files by indexes, which together find every file; empty where there is none.
-    of_state
-        A column of `load_state` that has an index and is the value of every file of its state.
-    parameter
-        The name of a parameter of jobs.
-    """
-
-    name: str
-    type: Type
-    column: ColumnElement[Any]
-    factor: float = 1.0
-    sources: tuple[Source, ...] = ()
-    of_state: ColumnElement[Any] | None = None
-    parameter: str = ""
 
 
 def _of(key: ColumnElement[bool], column: InstrumentedAttribute[Any]) -> ColumnElement[Any]:
@@ -191,12 +150,10 @@ def _built_in(dialect: str) -> dict[str, Field]:
         Field("path", "text", FileRow.path.expression),
         Field("size_bytes", "number", FileRow.size_bytes.expression),
     )
-    return {field.name: field for field in fields}
+    return {field.name: replace(field, stored=field.name) for field in fields}
 
 
-_LONG = {"max": "maximum", "min": "minimum", "med": "median", "avg": "mean"}
 _SPACES = ("statistic", "channel", "param")
-_LISTED = 40
 
 
 class Fields:
@@ -207,42 +164,29 @@ class Fields:
         self._vocabulary = vocabulary
         self._built_in = _built_in(session.get_bind().dialect.name)
         self._names: dict[str, tuple[str, ...]] = {}
-        self._found: dict[str, Field] = {}
+        self._resolver = Resolver(self._look, self.names)
 
     def field(self, name: Name, text: str) -> Field:
-        """Return what a name of a query means.
+        """Return what a name of a query means; raises as `Resolver.field` does."""
+        self._refuse_unknown_space(name, text)
+        return self._resolver.field(name, text)
 
-        Raises
-        ------
-        InvalidInput
-            Nothing is called so; the message points at the place in `text` and names what there is.
-        """
-        if name.text in self._found:
-            return self._found[name.text]
-        space, dot, rest = name.text.partition(".")
-        if dot:
-            if space.lower() not in _SPACES:
-                refuse(
-                    text, name.at, f"'{space}.' has no meaning; there are {_listed(f'{s}.' for s in _SPACES)}"
-                )
-            look_up = {"statistic": self._statistic, "channel": self._channel, "param": self._parameter}
-            found = look_up[space.lower()](rest, name.text)
-        else:
-            found = self._plain(name.text)
-        if not isinstance(found, Field):
-            self._refuse(name, text, found, space.lower() if dot else "")
-        self._found[name.text] = found
-        return found
+    def tested(self, part: Test, text: str) -> Field:
+        """Return what a test compares, in the unit of its values; raises as `Resolver.tested` does."""
+        self._refuse_unknown_space(part.name, text)
+        return self._resolver.tested(part, text)
 
-    def _refuse(self, name: Name, text: str, found: list[str], space: str) -> NoReturn:
-        if found:
-            refuse(text, name.at, f"'{name.text}' may mean {_listed(found)}; write which")
-        names = self.names(space)
-        near = get_close_matches(name.text.lower(), [k.lower() for k in names], n=1, cutoff=0.5)
-        hint = next((f"; did you mean '{k}'" for k in names if [k.lower()] == near), "")
-        more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-        listed = f"there are {_listed(names[:_LISTED])}{more}" if names else "there are none of that sort yet"
-        refuse(text, name.at, f"nothing is called '{name.text}'{hint}; {listed}")
+    def _refuse_unknown_space(self, name: Name, text: str) -> None:
+        space, dot, _ = name.text.partition(".")
+        if dot and space.lower() not in _SPACES:
+            refuse(text, name.at, f"'{space}.' has no meaning; there are {listed(f'{s}.' for s in _SPACES)}")
+
+    def _look(self, name: str) -> Field | list[str]:
+        space, dot, rest = name.partition(".")
+        if not dot:
+            return self._plain(name)
+        look_up = {"statistic": self._statistic, "channel": self._channel, "param": self._parameter}
+        return look_up[space.lower()](rest, name)
 
     def refuse_unknown_kind(self, kind: Name, text: str) -> None:
         """Raise `InvalidInput` where no file is, and none can become, of that kind."""
@@ -252,7 +196,7 @@ class Fields:
         kinds = sorted(self._vocabulary.kinds | there)
         near = get_close_matches(kind.text, kinds, n=1, cutoff=0.5)
         hint = f"; did you mean '{near[0]}'" if near else ""
-        refuse(text, kind.at, f"there is no kind '{kind.text}'{hint}; there are {_listed(kinds)}")
+        refuse(text, kind.at, f"there is no kind '{kind.text}'{hint}; there are {listed(kinds)}")
 
     def names(self, space: str = "") -> list[str]:
         """Return all names, or those behind `statistic.`, `channel.` or `param.`."""
@@ -266,12 +210,9 @@ class Fields:
         return names
 
     def _plain(self, name: str) -> Field | list[str]:
-        numbers = {n: f for n, f in self._built_in.items() if f.type == "number"}
-        if name.lower() in self._built_in:
-            return self._built_in[name.lower()]
-        for other, factor in in_other_units(name.lower()):
-            if other in numbers:
-                return replace(numbers[other], name=name, factor=factor)
+        own = built_in(name, self._built_in.values())
+        if own is not None:
+            return own
         # A name in full comes before the beginning of another: temp_c is not temp_c_before.
         for whole in (True, False):
             found = self._statistic(name, name, whole) or self._channel(name, name, whole)
@@ -286,7 +227,7 @@ class Fields:
             )
             rows = select(StatisticRow.file_id).where(StatisticRow.name == stored)
             source = Source(rows, StatisticRow.value.expression)
-            return Field(written, "number", value, factor, (source,))
+            return Field(written, "number", value, factor, (source,), stored=stored)
 
         return self._stored(name, self._distinct(StatisticRow.name), made, whole)
 
@@ -298,7 +239,8 @@ class Fields:
             )
             rows = select(FileRow.id).join(ChannelRow, ChannelRow.state_id == FileRow.state_id)
             entered = Source(rows.where(ChannelRow.name == stored), ChannelRow.value.expression)
-            return Field(written, "number", func.coalesce(read, value), factor, (recorded, entered))
+            value = func.coalesce(read, value)
+            return Field(written, "number", value, factor, (recorded, entered), stored=stored)
 
         return self._stored(name, self._channels(), made, whole)
 
@@ -309,32 +251,15 @@ class Fields:
     def _parameter(self, name: str, written: str) -> Field | list[str]:
         def made(stored: str, factor: float) -> Field:
             value = _of(JobRow.id == FileRow.job_id, JobRow.parameters)
-            return Field(written, "parameter", value, factor, parameter=stored)
+            return Field(written, "parameter", value, factor, stored=stored)
 
         return self._stored(name, tuple(sorted(self._vocabulary.parameters)), made)
 
     def _stored(
         self, name: str, stored: tuple[str, ...], made: Callable[[str, float], Field], whole: bool = False
     ) -> Field | list[str]:
-        """Return the one that is meant: exactly, in another unit, or the only one that begins so.
-
-        With `whole` a beginning is not enough.
-        """
-        if name in stored:
-            return made(name, 1.0)
-        lower = {s.lower(): s for s in stored}
-        first, _, rest = name.lower().partition("_")
-        long = f"{_LONG[first]}_{rest}" if first in _LONG and rest else name.lower()
-        for written in (name.lower(), long):
-            if written in lower:
-                return made(lower[written], 1.0)
-            for other, factor in in_other_units(written):
-                if other in lower:
-                    return made(lower[other], factor)
-        if whole:
-            return []
-        begun = [s for s in stored if s.lower().startswith(f"{long}_")]
-        return made(begun[0], 1.0) if len(begun) == 1 else begun
+        found = stored_name(name, stored, whole)
+        return found if isinstance(found, list) else made(*found)
 
     def _distinct(self, column: InstrumentedAttribute[str]) -> tuple[str, ...]:
         """Return the different values of an indexed column."""
@@ -358,9 +283,9 @@ def _different(column: InstrumentedAttribute[str]) -> Select[str]:
 def parameter_as(kept: Field, type_: Literal["number", "text", "truth"], dialect: str) -> ColumnElement[Any]:
     """Return a parameter of the job that made a file, None where it is of another type."""
     document = JobRow.parameters
-    value = document[kept.parameter]
+    value = document[kept.stored]
     if dialect == "sqlite":
-        sort = func.json_type(document, literal(f'$."{kept.parameter}"', String))
+        sort = func.json_type(document, literal(f'$."{kept.stored}"', String))
     else:
         sort = func.json_typeof(value)
     sorts: Mapping[str, tuple[tuple[str, ...], ColumnElement[Any]]] = {
@@ -372,7 +297,3 @@ def parameter_as(kept: Field, type_: Literal["number", "text", "truth"], dialect
     # Reading a text as a number would be an error on PostgreSQL.
     chosen = case((sort.in_(names), typed), else_=None)
     return select(chosen).where(JobRow.id == FileRow.job_id).correlate(FileRow).scalar_subquery()
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(names)

@@ -1,4 +1,4 @@
-"""The language of `sms data find`: text in, a tree of conditions out; what the names mean stands elsewhere.
+"""The language of `sms data find` and `states`: text in, a tree of conditions out, whatever names mean.
 
 `docs/query.md` describes it for people. The grammar, with words in any case:
 
@@ -7,8 +7,9 @@
     all        = condition { "and" condition }
     condition  = "not" condition | "(" any ")" | name test
     test       = ( "=" | "!=" | "<" | "<=" | ">" | ">=" | "~" ) value
-               | [ "not" ] "in" "(" value { "," value } ")"
+               | [ "not" ] "in" ( time | "(" value { "," value } ")" )
                | [ "not" ] "between" value "and" value
+    value      = number [ unit ] | time | text
 """
 
 from __future__ import annotations
@@ -52,11 +53,15 @@ class Name:
 
 @dataclass(frozen=True)
 class Value:
-    """What it is compared with: a number, a time or a text; `text` as it was written, without quotes."""
+    """What it is compared with: a number, a time or a text; `text` as it was written, without quotes.
+
+    Of a month, `value` is its begin. A number may have a unit, as it was written.
+    """
 
     value: float | datetime | str
     text: str
     at: int
+    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -130,7 +135,7 @@ def refuse(text: str, at: int, why: str) -> NoReturn:
 
 
 class _Token(Enum):
-    TIME = r"\d{4}-\d{2}-\d{2}(?:T\d{2}:\d{2}(?::\d{2}(?:\.\d+)?)?(?:Z|[+-]\d{2}:?\d{2})?)?(?![\w.])"
+    TIME = r"\d{4}-\d{2}(?:-\d{2}(?:T\d{2}:\d{2}(?::\d{2}(?:\.\d+)?)?(?:Z|[+-]\d{2}:?\d{2})?)?)?(?![\w.-])"
     NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![\w.])"
     TEXT = r"'(?:[^']|'')*'|\"(?:[^\"]|\"\")*\""
     WORD = r"[^\W\d][\w-]*(?:\.\w[\w-]*)*"
@@ -138,6 +143,8 @@ class _Token(Enum):
     SPACE = r"\s+"
 
 
+YEAR = re.compile(r"[12]\d{3}")
+"""A number that is a year where it is compared with a time."""
 _TOKEN = re.compile("|".join(f"(?P<{t.name}>{t.value})" for t in _Token))
 _KEYWORDS = frozenset({"where", "and", "or", "not", "in", "between"})
 
@@ -160,7 +167,12 @@ def _pieces(text: str) -> Iterator[_Piece]:
             if text[at] in "'\"":
                 refuse(text, at, "this quotation mark is not closed")
             if text[at].isdigit():
-                refuse(text, at, "this is neither a number nor a time; put other values in quotation marks")
+                refuse(
+                    text,
+                    at,
+                    "this is neither a number nor a time; put a space before a unit, and other values in "
+                    "quotation marks",
+                )
             refuse(text, at, f"the character '{text[at]}' has no meaning here; put texts in quotation marks")
         token = _Token[str(found.lastgroup)]
         if token is not _Token.SPACE:
@@ -266,7 +278,11 @@ class _Parser:
 
     def values(self) -> tuple[Value, ...]:
         if not self.sign("("):
-            self.fail("after 'in' a list in parentheses was expected, like (S01, S02)")
+            if self.here.token is not _Token.TIME and not YEAR.fullmatch(self.here.text):
+                self.fail(
+                    "after 'in' a list in parentheses was expected, like (S01, S02), or a time like 2026-05"
+                )
+            return (self.value(),)
         found = [self.value()]
         while self.sign(","):
             found.append(self.value())
@@ -280,7 +296,9 @@ class _Parser:
             value: float | datetime | str = float(piece.text)
             if not isfinite(float(piece.text)):
                 self.fail("this number is too large")
-        elif piece.token is _Token.TIME:
+            self.step()
+            return Value(value, piece.text, piece.at, self.unit())
+        if piece.token is _Token.TIME:
             value = self._time(piece.text)
         elif piece.token is _Token.TEXT:
             mark = piece.text[0]
@@ -294,13 +312,19 @@ class _Parser:
         self.step()
         return Value(value, piece.text, piece.at)
 
+    def unit(self) -> str:
+        """Step over the unit of a number and return it, empty where none stands there."""
+        after = self.pieces[min(self.place + 1, len(self.pieces) - 1)]
+        ends = after.token is None or after.is_word("and", "or") or after.text in (",", ")")
+        return self.step().text if self._names_next() and ends else ""
+
     def _names_next(self) -> bool:
         return self.here.token is _Token.WORD and self.here.text.lower() not in _KEYWORDS
 
     def _time(self, text: str) -> datetime:
         try:
             # Without a zone it is the time of the place where the question is asked.
-            return datetime.fromisoformat(text).astimezone()
+            return datetime.fromisoformat(f"{text}-01" if len(text) == len("2026-05") else text).astimezone()
         except (ValueError, OverflowError):
             self.fail("this day or time does not exist")
 
@@ -329,6 +353,13 @@ def comparisons(condition: Condition | None) -> Iterator[Test]:
             yield from comparisons(part)
     elif condition is not None:
         yield condition
+
+
+def values_of(test: Test) -> tuple[Value, ...]:
+    """Return what a name is compared with."""
+    if isinstance(test, Membership):
+        return test.values
+    return (test.low, test.high) if isinstance(test, Between) else (test.value,)
 
 
 def conjuncts(condition: Condition | None) -> tuple[Condition, ...]:

@@ -169,6 +169,11 @@ QUESTIONS: list[tuple[str, Callable[[Plain], bool]]] = [
         lambda f: f.temp_c < 3.0 and not since(f, "2020-01-06T00:00Z"),
     ),
     ("channel.load_kN > 1900 and state = S41", lambda f: f.load_n > 1.9e6 and f.state == "S41"),
+    ("load > 1.9 MN and state = S41", lambda f: f.load_n > 1.9e6 and f.state == "S41"),
+    ("load_n between 100 and 200 kN", lambda f: 1e5 <= f.load_n <= 2e5),
+    ("median_sigma < 1 um", lambda f: number(f, "median_sigma_mm") < 1e-3),
+    ("median_von_mises > 990 microstrain", lambda f: number(f, "median_von_mises_strain") > 990e-6),
+    ("param.gauge_length = 3 cm and state = S07", lambda f: (f.id - 10000) % 3 == 0 and f.state == "S07"),
 ]
 
 
@@ -214,6 +219,9 @@ def test_a_day_lasts_from_midnight_to_midnight(catalogue: Catalogue) -> None:
     assert count("between 2026-04-01 and 2026-05-01") == 5
     assert count("> 2026-05-01") == count("< 2026-05-01") == count("!= 2026-05-01") == 0
     assert count("> 2026-05-01T12:00") == 2
+    assert count("in 2026-05") == count("= 2026-05") == count("in 2026") == count("<= 2026-05") == 5
+    assert count("in (2026-04, 2026-06)") == count("> 2026") == count("< 2026-05") == 0
+    assert count("not in 2026-04") == count("between 2026-04 and 2026-05") == count("> 2025-12") == 5
     assert count(">= 2026-05-01T12:00") == 3
 
 
@@ -276,6 +284,14 @@ def whole_tables(session: Any, dialect: str, sql: str, values: Any) -> set[str]:
         ("calibration > 1", "compared with =, != or in"),
         ("calibration = new", "asked for by its number"),
         ("param.method in (fdr, 3)", "values of different sorts"),
+        ("load > 50", "'load' needs a unit.*or load_N or load_kN or load_MN, at character 1 "),
+        ("load > 50 lb", "'lb' is no unit that is known; there are nm, .*at character 8 "),
+        ("load > 50 mm", "'load' is in N, kN, MN, and '50 mm' is another quantity, at character 8 "),
+        ("load > 50 kn", "'kn' is no unit"),
+        ("valid_fraction < 50 N", "'valid_fraction' has no unit that is known, and '50 N'"),
+        ("view = 5 mm", "'view' has no unit that is known"),
+        ("load in (1 N, 2 kN)", "the values of 'load' have several units"),
+        ("lod > 50 kN", "nothing is called 'lod'; did you mean 'load_n'"),
     ],
 )
 def test_what_cannot_be_asked_is_pointed_at(catalogue: Catalogue, text: str, words: str) -> None:

@@ -26,6 +26,7 @@ from sms_jobs.catalogue.query_language import (
     comparisons,
     conjuncts,
     parse,
+    values_of,
 )
 from sms_jobs.errors import InvalidInput
 
@@ -47,7 +48,7 @@ def written(condition: Condition) -> str:
 def value(one: Value) -> str:
     if isinstance(one.value, str):
         return "'" + one.text.replace("'", "''") + "'"
-    return one.text
+    return f"{one.text} {one.unit}".rstrip()
 
 
 def meaning(condition: Condition) -> object:
@@ -56,17 +57,15 @@ def meaning(condition: Condition) -> object:
         return ("not", meaning(condition.condition))
     if isinstance(condition, AllOf | AnyOf):
         return (type(condition), [meaning(part) for part in condition.conditions])
-    if isinstance(condition, Membership):
-        return (condition.name.text, "in", [v.value for v in condition.values])
-    if isinstance(condition, Between):
-        return (condition.name.text, condition.low.value, condition.high.value)
-    return (condition.name.text, condition.operator, condition.value.value)
+    sort = "in" if isinstance(condition, Membership) else getattr(condition, "operator", "between")
+    return (condition.name.text, sort, [(v.value, v.unit) for v in values_of(condition)])
 
 
 names = st.sampled_from(["load_kN", "max_principal", "channel.temp_c", "param.method", "Où"]).map(
     lambda text: Name(text, 0)
 )
-numbers = st.floats(-1e12, 1e12).map(lambda x: Value(x, repr(x), 0))
+units = st.sampled_from(["", "kN", "\u00b5m"])
+numbers = st.builds(lambda x, unit: Value(x, repr(x), 0, unit), st.floats(-1e12, 1e12), units)
 texts = st.text(st.characters(blacklist_characters="\0", blacklist_categories=("Cs",)), max_size=8).map(
     lambda text: Value(text, text, 0)
 )
@@ -149,6 +148,16 @@ def test_times_without_a_zone_are_local() -> None:
         assert test.value.value == meant
 
 
+def test_a_month_begins_with_its_first_day_and_a_year_is_a_number() -> None:
+    for text in ("time in 2026-05", "time in (2026-05)", "time = 2026-05"):
+        (test,) = comparisons(parse(text).condition)
+        (month,) = values_of(test)
+        assert month.value == datetime.fromisoformat("2026-05-01").astimezone()
+        assert month.text == "2026-05"
+    (test,) = comparisons(parse("time in 2026").condition)
+    assert [v.value for v in values_of(test)] == [2026.0]
+
+
 @pytest.mark.parametrize(
     ("text", "place", "words"),
     [
@@ -163,6 +172,8 @@ def test_times_without_a_zone_are_local() -> None:
         ("a = 'S01", 5, "not closed"),
         ("a = 10mm", 5, "neither a number nor a time"),
         ("a = 2026-02-30", 5, "does not exist"),
+        ("a in 2026-13", 6, "does not exist"),
+        ("a > 5 kN kN", 7, "'and', 'or' or the end"),
         ("a & b", 3, "no meaning here"),
         ("a not = 3", 7, "'in' or 'between'"),
         ("a = 1e999", 5, "too large"),
