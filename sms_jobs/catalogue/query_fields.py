@@ -124,7 +124,8 @@ def _specimen() -> ColumnElement[Any]:
 
 
 @cache
-def _built_in(dialect: str) -> dict[str, Field]:
+def file_fields() -> dict[str, Field]:
+    """Return what every catalogue knows of a file, by name."""
     campaign = _of(CampaignRow.id == FileRow.campaign_id, CampaignRow.name)
     version = _of(ResultRow.file_id == FileRow.id, ResultRow.kind_version)
     created = Source(select(FileRow.id), FileRow.created_at.expression)
@@ -162,7 +163,7 @@ class Fields:
     def __init__(self, session: Session, vocabulary: Vocabulary) -> None:
         self._session = session
         self._vocabulary = vocabulary
-        self._built_in = _built_in(session.get_bind().dialect.name)
+        self._built_in = file_fields()
         self._names: dict[str, tuple[str, ...]] = {}
         self._resolver = Resolver(self._look, self.names)
 
@@ -265,12 +266,12 @@ class Fields:
         """Return the different values of an indexed column."""
         key = str(column)
         if key not in self._names:
-            self._names[key] = tuple(sorted(self._session.scalars(_different(column))))
+            self._names[key] = tuple(sorted(self._session.scalars(different(column))))
         return self._names[key]
 
 
 @cache
-def _different(column: InstrumentedAttribute[str]) -> Select[str]:
+def different(column: InstrumentedAttribute[str]) -> Select[str]:
     """Select the different values of an indexed column: one look into the index for each."""
     seen = select(func.min(column).label("name")).cte("seen", recursive=True)
     other = aliased(column.class_)

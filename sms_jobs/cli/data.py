@@ -12,6 +12,12 @@ _TABLE = {
         "cli.archived",
         "find",
     ),
+    "states": Command(
+        "Find load states by what is known of them and what their results tell; "
+        "docs/query.md has the language.",
+        "cli.found_states",
+        "states",
+    ),
     "show": Command(
         "Show a file: what it is about, its statistics, what was read while it was "
         "recorded, and its records.",

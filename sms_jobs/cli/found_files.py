@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from itertools import chain
@@ -59,7 +59,7 @@ _WRITTEN = ("file", "kind", "subject", "path", "size_bytes", "content_hash", "cr
 
 @dataclass(frozen=True)
 class FindOptions:
-    """Which of the files that meet a query are shown, and how."""
+    """Which of the files or states that meet a query are shown, and how."""
 
     limit: int
     after: int | None
@@ -72,7 +72,7 @@ class FindOptions:
 
 def tell(home: Path | None, ask: Callable[[bootstrap.Services], Question], options: FindOptions) -> None:
     """Find files and print or write them."""
-    form = _form(options)
+    form = form_of(options)
     names = None if options.columns is None else column_names(options.columns)
     with bootstrap.services(home) as services:
         pages = finding.find(services, ask(services), columns=names, after=options.after, limit=options.limit)
@@ -107,13 +107,16 @@ def _tell(
         columns = names or [*_SHOWN, *(c for c in first.columns if c not in _SHOWN)]
         output.print_table(columns, (_row(one, columns) for one in files()), empty="there is no such file")
     else:
-        _write(form, options, names or [*_WRITTEN, *(c for c in first.columns if c not in _WRITTEN)], files())
+        columns = names or [*_WRITTEN, *(c for c in first.columns if c not in _WRITTEN)]
+        write(form, options, columns, (_row(one, columns) for one in files()), "files")
     if last is not None:
         output.say(f"there are more; go on with --after {last}")
 
 
-def _write(form: Format, options: FindOptions, columns: list[str], files: Iterator[Found]) -> None:
-    rows = (_row(one, columns) for one in files)
+def write(
+    form: Format, options: FindOptions, columns: Sequence[str], rows: Iterable[Sequence[Any]], what: str
+) -> None:
+    """Write a table as CSV or Parquet into the file that is named, or CSV on the screen."""
     if options.out is None:
         text = io.StringIO(newline="")
         write_csv(text, columns, rows)
@@ -125,10 +128,10 @@ def _write(form: Format, options: FindOptions, columns: list[str], files: Iterat
         else:
             with part.open("w", encoding="utf-8", newline="") as stream:
                 count = write_csv(stream, columns, rows)
-    output.say(f"wrote {count} files into {options.out}")
+    output.say(f"wrote {count} {what} into {options.out}")
 
 
-def _form(options: FindOptions) -> Format:
+def form_of(options: FindOptions) -> Format:
     """Return how the answer is told; refuse what does not go together, before anything is looked for."""
     if options.out is not None:
         return _form_of_file(options, options.out)

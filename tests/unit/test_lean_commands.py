@@ -54,6 +54,7 @@ def test_looking_around_needs_no_catalogue(words: str) -> None:
     "words",
     [
         *("status", "job list", "campaign list", "data find", "data find load_n>1", "data query list"),
+        *("data states", "data states load_n>1"),
         *("calibration list", "rig list", "queue list", "lock list", "worker list"),
         *("person list", "audit list", "notify list", "data pins"),
     ],

@@ -1,0 +1,119 @@
+"""`sms data states`: the load states that meet a query, across campaigns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from sms_jobs import bootstrap
+from sms_jobs.app import finding
+from sms_jobs.app.finding import column_names
+from sms_jobs.app.finding_states import find_states
+from sms_jobs.cli import completion, found_files, output
+from sms_jobs.cli.found_files import As, FindOptions, Force, Format, Out
+from sms_jobs.cli.output import Home, Json
+from sms_jobs.records.shown.states import MET_BY, FoundState, StatePage, table_of
+
+_MARKED = "{} *"
+
+
+def states(
+    query: Annotated[
+        str | None,
+        typer.Argument(help="What to find, in quotation marks: 'load > 50 kN and time in 2026-05'."),
+    ] = None,
+    kind: Annotated[
+        str | None, typer.Option(help="Only with a result of this kind; statistics are those of it.")
+    ] = None,
+    campaign: Annotated[
+        str | None,
+        typer.Option(
+            "--campaign", "-c", help="Only of this campaign.", autocompletion=completion.campaign_names
+        ),
+    ] = None,
+    state: Annotated[str | None, typer.Option(help="Only of this label.")] = None,
+    view: Annotated[str | None, typer.Option(help="Only where this view meets the query.")] = None,
+    limit: Annotated[int, typer.Option(help="At most so many.", min=1, max=100_000)] = 50,
+    after: Annotated[
+        int | None, typer.Option(help="Go on after this state: the 'next' of the page before.", min=1)
+    ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            help="What to tell of each state, with commas between: campaign,state,load_kN,temp_c,merge.faces."
+        ),
+    ] = None,
+    form: As = None,
+    out: Out = None,
+    force: Force = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Find load states by what is known of them and what their results tell; docs/query.md has the language.
+
+    Example: sms data states 'load > 50 kN and strain.valid_fraction < 0.8 and time in 2026-05'
+    """
+    asked = finding.question(query or "", kind=kind, campaign=campaign, state=state, view=view)
+    options = FindOptions(limit, after, columns, form, out, force, as_json)
+    form = found_files.form_of(options)
+    names = None if columns is None else column_names(columns)
+    with bootstrap.services(home) as services:
+        pages = list(find_states(services, asked, columns=names, after=after, limit=limit))
+    _tell(pages, form, options)
+
+
+def _tell(pages: Sequence[StatePage], form: Format, options: FindOptions) -> None:
+    columns, by_view, last = pages[0].columns, pages[0].by_view, pages[-1].next
+    found = [one for page in pages for one in page.found]
+    if options.as_json:
+        output.print_json_list(map(_object, found))
+    elif form is Format.JSON:
+        output.print_json({"states": [_object(one) for one in found], "next": last})
+        return
+    elif form is Format.LINES:
+        for one in found:
+            output.print_line(_object(one))
+        output.print_json({"next": last})
+        return
+    elif form is Format.TABLE:
+        titles, rows = _shown(columns, by_view, found)
+        output.print_table(titles, rows, empty="there is no such state")
+        if any(_marked(one, view) for one in found for view in one.views):
+            output.say("of the views those with a * meet the query")
+    else:
+        titles, cells = table_of(columns, by_view, found)
+        found_files.write(form, options, titles, cells, "states")
+    if last is not None:
+        output.say(f"there are more; go on with --after {last}")
+
+
+def _object(one: FoundState) -> dict[str, Any]:
+    told = dict(one.values) | {"views": one.views}
+    return told if one.met_by is None else told | {MET_BY: one.met_by}
+
+
+def _shown(
+    columns: Sequence[str], by_view: Sequence[str], states: Sequence[FoundState]
+) -> tuple[list[str], list[list[str]]]:
+    """Return titles and rows for people: of a state what its views tell stands below each other."""
+    whole = [name for name in columns if name not in by_view]
+    with_views = bool(by_view) or any(one.met_by is not None for one in states)
+    titles = [*whole, *(["view"] if with_views else []), *by_view]
+
+    def row(one: FoundState) -> list[str]:
+        cells = [output.shown(one.values[name]) for name in whole]
+        views = sorted({*one.views, *(one.met_by or ())})
+        if with_views:
+            cells.append("\n".join(_MARKED.format(view) if _marked(one, view) else view for view in views))
+        of_views = ((output.shown(one.views.get(view, {}).get(name)) for view in views) for name in by_view)
+        return [*cells, *("\n".join(lines) for lines in of_views)]
+
+    return titles, [row(one) for one in states]
+
+
+def _marked(state: FoundState, view: str) -> bool:
+    """Say whether a view is to be told from others of its state by that it meets the query."""
+    met = state.met_by or ()
+    return view in met and any(other not in met for other in state.views)
