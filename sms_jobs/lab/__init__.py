@@ -19,6 +19,7 @@ from sms_jobs.errors import ConfigurationError
 from sms_jobs.lab.datasets import MISSING, dataset_of
 from sms_jobs.lab.source import Home, Source
 from sms_jobs.records.shown.files import FileView, Found
+from sms_jobs.records.shown.states import table_of
 
 if TYPE_CHECKING:
     import pandas
@@ -58,10 +59,6 @@ class FoundFiles:
 
         Raises `ConfigurationError` where pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise ConfigurationError(MISSING.format(package="pandas")) from error
         rows = [
             {
                 "file": f.file.id,
@@ -72,7 +69,15 @@ class FoundFiles:
             | f.values
             for f in self.found
         ]
-        return pandas.DataFrame(rows, columns=list(dict.fromkeys([*_OF_EVERY_FILE, *self.columns])))
+        return _frames().DataFrame(rows, columns=list(dict.fromkeys([*_OF_EVERY_FILE, *self.columns])))
+
+
+def _frames() -> Any:
+    try:
+        import pandas
+    except ImportError as error:
+        raise ConfigurationError(MISSING.format(package="pandas")) from error
+    return pandas
 
 
 class Lab:
@@ -120,6 +125,41 @@ class Lab:
         """
         pages = list(self._source.find(query, columns, limit))
         return FoundFiles(pages[0].columns, tuple(found for page in pages for found in page.found))
+
+    def states(
+        self, query: str = "", *, columns: Sequence[str] | None = None, limit: int = 100_000
+    ) -> pandas.DataFrame:
+        """Find load states in the language of docs/query.md, across campaigns.
+
+        Parameters
+        ----------
+        columns
+            What to tell of each state; campaign, state, load, time and what the query compares if it is None.
+        limit
+            At most so many states.
+
+        Returns
+        -------
+        A row for each state. What results of views tell has a column for each view, such as
+        `strain.valid_fraction C1P2`; `met_by` has the views that meet a question about views. Where there
+        are more states, `attrs["next"]` is the number of the last; else it is None.
+
+        Raises
+        ------
+        InvalidInput
+            The query cannot be understood.
+        NotFound
+            It names a campaign that is not there.
+        ConfigurationError
+            pandas is not installed.
+        """
+        frames = _frames()
+        pages = list(self._source.states(query, columns, limit))
+        found = [one for page in pages for one in page.found]
+        titles, rows = table_of(pages[0].columns, pages[0].by_view, found)
+        table: pandas.DataFrame = frames.DataFrame(list(rows), columns=titles)
+        table.attrs["next"] = pages[-1].next
+        return table
 
     def read(self, what_of: str | int, what: str | None = None) -> xarray.Dataset:
         """Read the newest record about a subject, or a record of a file, with units, sigma and provenance.

@@ -21,6 +21,7 @@ from sms_jobs.app.waiting import Waited, timed_out
 from sms_jobs.lab.connection import Connection
 from sms_jobs.records.shown.estimates import Estimate
 from sms_jobs.records.shown.files import FileView, Found, Page
+from sms_jobs.records.shown.states import FoundState, StatePage
 
 _PAGE = 1000
 _WAIT_S = 25.0
@@ -61,16 +62,27 @@ class Server:
 
     def find(self, query: str, columns: Sequence[str] | None, limit: int) -> Iterator[Page]:
         """Yield the files that meet a query, page by page; at least one page."""
+        for told in self._pages("/data/find", "files", query, columns, limit):
+            yield _page(told)
+
+    def states(self, query: str, columns: Sequence[str] | None, limit: int) -> Iterator[StatePage]:
+        """Yield the states that meet a query, page by page; at least one page."""
+        for told in self._pages("/data/states", "found", query, columns, limit):
+            yield _state_page(told)
+
+    def _pages(
+        self, where: str, what: str, query: str, columns: Sequence[str] | None, limit: int
+    ) -> Iterator[dict[str, Any]]:
         asked: dict[str, Any] = {"query": query}
         if columns is not None:
             asked["columns"] = ",".join(columns)
         while True:
-            page = _page(self._connection.get("/data/find", asked | {"limit": min(limit, _PAGE)}))
-            yield page
-            limit -= len(page.found)
-            if limit <= 0 or page.next is None:
+            told = self._connection.get(where, asked | {"limit": min(limit, _PAGE)})
+            yield told
+            limit -= len(told[what])
+            if limit <= 0 or told["next"] is None:
                 return
-            asked["after"] = page.next
+            asked["after"] = told["next"]
 
     def newest(self, subject: str, what: str) -> StoredRecord:
         """Return the newest record of a name, or of a kind, about a subject."""
@@ -138,12 +150,27 @@ class Server:
 
 
 def _page(told: dict[str, Any]) -> Page:
-    times = set(told["times"])
-    found = []
-    for one in told["files"]:
-        values = {
-            name: datetime.fromisoformat(value) if name in times and value is not None else value
-            for name, value in one["values"].items()
-        }
-        found.append(Found(_FILE.validate_python(one), values))
+    found = (
+        Found(_FILE.validate_python(one), _values(one["values"], told["times"])) for one in told["files"]
+    )
     return Page(tuple(told["columns"]), tuple(found), told["next"])
+
+
+def _state_page(told: dict[str, Any]) -> StatePage:
+    found = (
+        FoundState(
+            one["id"],
+            _values(one["values"], told["times"]),
+            one["views"],
+            None if one["met_by"] is None else tuple(one["met_by"]),
+        )
+        for one in told["found"]
+    )
+    return StatePage(tuple(told["columns"]), tuple(told["by_view"]), tuple(found), told["next"])
+
+
+def _values(told: dict[str, Any], times: Sequence[str]) -> dict[str, Any]:
+    return {
+        name: datetime.fromisoformat(value) if name in times and value is not None else value
+        for name, value in told.items()
+    }

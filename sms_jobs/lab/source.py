@@ -10,10 +10,12 @@ from typing import Protocol
 
 from sms_jobs import bootstrap
 from sms_jobs.app import finding, jobs, reading, waiting
+from sms_jobs.app.finding_states import find_states
 from sms_jobs.app.jobs import Explanation, Submitted, Work
 from sms_jobs.app.reading import StoredRecord
 from sms_jobs.app.waiting import Waited
 from sms_jobs.records.shown.files import Page
+from sms_jobs.records.shown.states import StatePage
 
 
 class Source(Protocol):
@@ -25,6 +27,9 @@ class Source(Protocol):
 
     def find(self, query: str, columns: Sequence[str] | None, limit: int) -> Iterable[Page]:
         """Yield the files that meet a query, page by page; at least one page."""
+
+    def states(self, query: str, columns: Sequence[str] | None, limit: int) -> Iterable[StatePage]:
+        """Yield the states that meet a query, page by page; at least one page."""
 
     def newest(self, subject: str, what: str) -> StoredRecord:
         """Return the newest record of a name, or of a kind, about a subject."""
@@ -72,6 +77,10 @@ class Home:
     def find(self, query: str, columns: Sequence[str] | None, limit: int) -> Iterable[Page]:
         """Yield the files that meet a query, page by page; at least one page."""
         return finding.find(self._services, finding.question(query), columns=columns, limit=limit)
+
+    def states(self, query: str, columns: Sequence[str] | None, limit: int) -> Iterable[StatePage]:
+        """Yield the states that meet a query, page by page; at least one page."""
+        return find_states(self._services, finding.question(query), columns=columns, limit=limit)
 
     def newest(self, subject: str, what: str) -> StoredRecord:
         """Return the newest record of a name, or of a kind, about a subject."""

@@ -118,6 +118,24 @@ def test_what_is_found_is_walked_through_and_tabled(lab: Lab) -> None:
         lab.find("strain where")
 
 
+def test_states_are_a_table_here_and_at_a_server(folder: Path, address: str) -> None:
+    campaign, state, view = ADDRESS.split("/")
+    with sms_jobs.open(folder / "sms-demo") as here, sms_jobs.connect(address) as there:
+        for query in ("", "load < 1 N", "strain.valid_fraction > 0 and load < 100 kN", "load > 1e9 N"):
+            assert here.states(query).equals(there.states(query)), query
+        columns = ["state", "load_kN", "strain.valid_fraction"]
+        table = there.states(f"campaign = {campaign} and strain.valid_fraction > 0", columns=columns)
+        assert list(table.columns) == ["state", "load_kN", f"strain.valid_fraction {view}", "met_by"]
+        found = here.find("strain", columns=["valid_fraction", "load_kN"]).table()
+        assert table[f"strain.valid_fraction {view}"].tolist() == found["valid_fraction"].tolist()
+        assert table["load_kN"].tolist() == found["load_kN"].tolist()
+        assert table["state"].tolist() == [state]
+        assert table.attrs["next"] is None
+        assert there.states(limit=1).attrs["next"] == here.states(limit=1).attrs["next"] is not None
+        with pytest.raises(InvalidInput, match="needs a unit"):
+            there.states("load > 50")
+
+
 def test_a_field_is_what_was_archived_and_says_so(lab: Lab) -> None:
     strain = lab.read(ADDRESS, "strain")
     file = next(iter(lab.find("kind = strain")))

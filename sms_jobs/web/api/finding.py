@@ -1,4 +1,4 @@
-"""Files are found, and questions kept."""
+"""Files and load states are found, and questions kept."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from pydantic import Field
 
 from sms_jobs.app import finding
 from sms_jobs.app.finding import Question
+from sms_jobs.app.finding_states import find_states
 from sms_jobs.bootstrap import Services
 from sms_jobs.records.shown.files import Page
+from sms_jobs.records.shown.states import FoundState
 from sms_jobs.web.asked import Asked, Name, Text
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer, returned
@@ -72,6 +74,51 @@ def find(
     """Find files."""
     asked = finding.question(query, kind=kind, campaign=campaign, state=state, view=view)
     return _page(services, asked, columns, limit, after)
+
+
+@dataclass(frozen=True)
+class FoundStatesPage:
+    """Some load states, the newest campaign first.
+
+    Attributes
+    ----------
+    columns, by_view, times
+        Names of the values; those of them that each view has its own of, and those that are times.
+    found
+        Each with its `values`, those of its `views`, and the views that meet the question.
+    next
+        What to go on after; None on the last page.
+    """
+
+    columns: tuple[str, ...]
+    by_view: tuple[str, ...]
+    times: tuple[str, ...]
+    found: tuple[FoundState, ...]
+    next: int | None
+
+
+@ROUTES.offer("GET", "/data/states", find_states, answers=FoundStatesPage)
+def states(
+    services: Acting,
+    query: Annotated[str, Query(max_length=10_000, description="In the language of docs/query.md.")] = "",
+    kind: Text | None = None,
+    campaign: Text | None = None,
+    state: Text | None = None,
+    view: Text | None = None,
+    columns: Annotated[
+        Text | None,
+        Query(description="What to tell of each state, with commas between; else what is compared."),
+    ] = None,
+    limit: Limit = 50,
+    after: After = None,
+) -> Any:
+    """Find load states."""
+    asked = finding.question(query, kind=kind, campaign=campaign, state=state, view=view)
+    names = None if columns is None else finding.column_names(columns)
+    page = next(find_states(services, asked, columns=names, after=after, limit=limit))
+    whole = [name for name in page.columns if name not in page.by_view]
+    times = (n for n in whole if any(isinstance(one.values[n], datetime) for one in page.found))
+    return answer(FoundStatesPage(page.columns, page.by_view, tuple(times), page.found, page.next))
 
 
 @ROUTES.offer("GET", "/data/queries", finding.queries, answers=returned(finding.queries))
