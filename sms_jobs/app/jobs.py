@@ -17,7 +17,7 @@ from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.estimates import estimate_planned, outlook
 from sms_jobs.jobs.inquiry import Event, JobView
 from sms_jobs.jobs.logs import job_log
-from sms_jobs.jobs.planning import PIPELINE, Request
+from sms_jobs.jobs.planning import PIPELINE, Refused, Request
 from sms_jobs.jobs.submission import Submission, draft, enter, while_outdated
 from sms_jobs.jobs.turns import planning_turn
 from sms_jobs.records.job import JobState
@@ -75,6 +75,25 @@ class Work:
 
 
 @dataclass(frozen=True)
+class Refusal:
+    """A state that is left out of a submission, or a job of the whole campaign.
+
+    Attributes
+    ----------
+    subject
+        As campaign/state, or the campaign.
+    why
+        What the first of its jobs lacks.
+    jobs
+        How many of its jobs are left out, by kind.
+    """
+
+    subject: str
+    why: str
+    jobs: dict[str, int]
+
+
+@dataclass(frozen=True)
 class Submitted:
     """Jobs that were submitted, or would be.
 
@@ -88,33 +107,44 @@ class Submitted:
         When they will have ended.
     jobs
         What they are waited for by.
+    refused
+        States that are left out, with what needs their results: the others do not wait for them.
     """
 
     job_ids: tuple[str, ...]
     counted: dict[str, int]
     estimate: Estimate
     jobs: Chosen
+    refused: tuple[Refusal, ...]
 
     @classmethod
-    def told(cls, job_ids: Sequence[str], counted: dict[str, int], estimate: Estimate) -> Submitted:
+    def told(
+        cls,
+        job_ids: Sequence[str],
+        counted: dict[str, int],
+        estimate: Estimate,
+        refused: tuple[Refusal, ...],
+    ) -> Submitted:
         """Return jobs that a server tells of: they are known by their ids."""
-        return cls(tuple(job_ids), counted, estimate, Chosen(tuple(job_ids)))
+        return cls(tuple(job_ids), counted, estimate, Chosen(tuple(job_ids)), refused)
 
 
 @use_case(Right.COMPUTE)
 def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitted:
     """Submit jobs and say how long they will take; with `dry_run`, say so alone.
 
+    States whose jobs lack something are left out, and told with their reasons.
+
     Raises
     ------
     NotFound
-        There is no such campaign or kind, or something that it needs.
+        There is no such campaign or kind, or every state lacks something.
     InvalidInput
         A parameter, state or view is not one of them.
     """
     requests, now = work.requests, datetime.now(UTC)
 
-    def attempt() -> tuple[Submission, Estimate]:
+    def attempt() -> tuple[Submission, Estimate, tuple[Refused, ...]]:
         with services.catalogue.reading() as session:
             planned = draft(
                 session,
@@ -127,16 +157,17 @@ def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitte
             )
             ahead = estimate_planned(session, planned, now, services.settings.workers)
         if dry_run:
-            return planned.submission, ahead
+            return planned.submission, ahead, planned.refused
         with services.catalogue.writing() as session:
-            return enter(session, planned), ahead
+            return enter(session, planned), ahead, planned.refused
 
     with planning_turn(services.settings.home):
-        done, ahead = while_outdated(attempt)
+        done, ahead, refused = while_outdated(attempt)
     if not dry_run and len(done.job_ids) >= upkeep.MANY:
         upkeep.analyse(services.catalogue)
     counted = {name: done.kinds.count(name) for name in dict.fromkeys(done.kinds)}
-    return Submitted(done.job_ids, counted, ahead, chosen.submitted(done))
+    told = tuple(Refusal(str(one.subject), str(one.error), dict(one.jobs)) for one in refused)
+    return Submitted(done.job_ids, counted, ahead, chosen.submitted(done), told)
 
 
 @use_case(Right.READ)

@@ -11,7 +11,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app import jobs as jobs_
 from sms_jobs.app import kinds as kinds_
-from sms_jobs.app.jobs import Work
+from sms_jobs.app.jobs import Refusal, Work
 from sms_jobs.app.waiting import Waited, Waiting, wait_for
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.kind_options import CONTEXT, KindCommand, split_words
@@ -21,6 +21,9 @@ from sms_jobs.cli.waiting import estimate_text, followed, outlook_text
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.sizes import size
+
+_FINDINGS = 6
+_MOST_REFUSED = 20
 
 app = typer.Typer(help="Jobs: submit, follow and mend them.", no_args_is_help=True)
 
@@ -80,6 +83,9 @@ def submit(
 ) -> None:
     """Submit jobs for the tuples of a campaign, and say when they will have ended.
 
+    A state whose jobs lack something, such as its recording, is left out and named with the reason; the
+    others are submitted, and the exit code is 6. Where no state is left, nothing is submitted.
+
     The estimate comes from how long such jobs have taken before. Of a single kind, a parameter can be given
     like an option: `--help` after the kind shows them.
 
@@ -98,20 +104,32 @@ def submit(
     )
     with bootstrap.services(home) as services:
         done = jobs_.submit(services, work, dry_run=dry_run)
-        if as_json and dry_run:
-            output.print_json({"campaign": campaign, "jobs": done.counted, "estimate": done.estimate})
-        elif as_json and not wait:
-            output.print_json({"campaign": campaign, "jobs": done.job_ids, "estimate": done.estimate})
+        if as_json and (dry_run or not wait):
+            jobs = done.counted if dry_run else done.job_ids
+            told = {"campaign": campaign, "jobs": jobs, "estimate": done.estimate, "refused": done.refused}
+            output.print_json(told)
         elif not as_json:
             what = ", ".join(f"{count} {name}" for name, count in done.counted.items())
             would = "would submit" if dry_run else "submitted"
             output.say(f"{would} {len(done.job_ids)} jobs: {what}" if what else "there is nothing to do")
             if what:
                 output.say(estimate_text(done.estimate, datetime.now(UTC)))
+        _tell_refused(done.refused)
         if wait:
             with followed() as tell:
                 waited = wait_for(services, done.jobs, tell=tell)
             _tell_waited(waited, as_json)
+    if done.refused:
+        raise typer.Exit(_FINDINGS)
+
+
+def _tell_refused(refused: Sequence[Refusal]) -> None:
+    """Say which states are left out and why, as many as fit a screen."""
+    for one in refused[:_MOST_REFUSED]:
+        jobs = ", ".join(f"{count} {name}" for name, count in one.jobs.items())
+        output.say(f"refused: {one.subject} ({jobs}): {one.why}")
+    if len(refused) > _MOST_REFUSED:
+        output.say(f"refused: {len(refused) - _MOST_REFUSED} more; --json tells of all")
 
 
 @app.command()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.errors import InvalidInput, NotFound, SmsError
 from sms_jobs.kinds import all_kinds, kind_named
 from sms_jobs.kinds.kind import (
     CALIBRATION,
@@ -78,13 +78,67 @@ class PlannedJob:
     inputs: tuple[PlannedInput, ...]
 
 
+@dataclass(frozen=True)
+class Refused:
+    """A state that is left out of a plan with all its jobs, or a job of a whole campaign, and why.
+
+    Attributes
+    ----------
+    subject
+        The state, as campaign/state, or the campaign.
+    error
+        Why: what the first of its jobs lacks.
+    jobs
+        How many of its jobs are left out, by kind.
+    """
+
+    subject: Subject
+    error: SmsError
+    jobs: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The jobs that can be planned, each after those it needs, and what cannot be."""
+
+    jobs: tuple[PlannedJob, ...]
+    refused: tuple[Refused, ...]
+
+
 _Key = tuple[str, Subject]
+
+
+@dataclass
+class _Node:
+    """A job on its way into a plan: its inputs, each with the job that makes it or what exists of it."""
+
+    inputs: list[tuple[Need, _Key | None, Existing | None]] = field(default_factory=list)
+    error: SmsError | None = None
+
+    @property
+    def producers(self) -> tuple[_Key, ...]:
+        return tuple(dict.fromkeys(producer for _, producer, _ in self.inputs if producer is not None))
 
 
 def plan(
     campaign: Campaign, requests: Sequence[Request], find: Callable[[Need], Existing | None]
 ) -> tuple[PlannedJob, ...]:
-    """Expand requests into jobs, each after the jobs whose results it needs.
+    """Expand requests into jobs, each after the jobs whose results it needs: all of them, or none.
+
+    Raises as `plan_possible` does, and for each state that cannot be planned.
+    """
+    found = plan_possible(campaign, requests, find)
+    if found.refused:
+        raise found.refused[0].error
+    return found.jobs
+
+
+def plan_possible(
+    campaign: Campaign, requests: Sequence[Request], find: Callable[[Need], Existing | None]
+) -> Plan:
+    """Expand requests into jobs, each after the jobs whose results it needs, for the states that allow it.
+
+    A state one of whose jobs lacks something is refused as a whole, and so is what needs its results.
 
     Parameters
     ----------
@@ -100,58 +154,112 @@ def plan(
     InvalidInput
         A kind, parameter, state or view does not exist, or a kind can do nothing in this campaign.
     NotFound
-        A job would need a result that neither exists nor is part of the plan.
+        Every job that was asked for would need a result that neither exists nor is part of the plan.
     """
     requested = _expand(campaign, requests)
     parameters = {
         name: checked_parameters(one.kind, {**campaign.processing.get(name, {}), **one.request.parameters})
         for name, one in requested.items()
     }
-    # A kind that has nothing to do in this campaign makes nothing that others could wait for.
-    makers = {one.kind.makes or name: one.kind for name, one in requested.items() if one.subjects}
-    jobs: dict[_Key, None] = {}
-    for name, one in requested.items():
-        for subject in _selected(one):
-            jobs[(name, subject)] = None
-    # What cannot be asked for twice is made where it was asked for and nowhere else.
-    once = {name for name, one in requested.items() if not one.kind.repeatable(parameters[name])}
-    asked_for = frozenset(key for key in jobs if key[0] in once)
-    producers: dict[_Key, dict[_Key, None]] = {}
-    inputs: dict[_Key, list[tuple[Need, _Key | None, Existing | None]]] = {}
-    # A requested kind also makes what the other jobs need of it, e.g. the reference state's shape.
-    pending = deque(jobs)
+    asked = {(name, subject): None for name, one in requested.items() for subject in _selected(one)}
+    nodes = _connected(campaign, requested, parameters, asked, find)
+    refused = _refused(nodes)
+    wanted = [key for key in asked if key not in refused]
+    if refused and not wanted:
+        raise next(iter(refused.values()))
+    # What only refused jobs would have needed is left out with them.
+    kept, pending = dict.fromkeys(wanted), deque(wanted)
     while pending:
-        key = pending.popleft()
-        name, subject = key
-        found = inputs.setdefault(key, [])
-        producers.setdefault(key, {})
-        for need in requested[name].kind.checked_needs(campaign, subject, parameters[name]):
-            # What is needed of another campaign must be there: this plan is not about it.
-            here = need.subject.campaign == campaign.name
-            maker = makers.get(need.source) if here else None
-            producer = None if maker is None else (maker.name, covering(maker, need.subject))
-            if producer is not None and producer[0] in once and producer not in asked_for:
-                producer = None
-            existing = None if producer is not None else _existing(need, find, f"{name} {subject}")
-            if producer is not None:
-                if producer not in jobs:
-                    jobs[producer] = None
-                    pending.append(producer)
-                producers[key][producer] = None
-            found.append((need, producer, existing))
-    order = _ordered(jobs, producers)
+        new = [one for one in nodes[pending.popleft()].producers if one not in kept]
+        kept.update(dict.fromkeys(new))
+        pending.extend(new)
+    order = _ordered({key: nodes[key].producers for key in nodes if key in kept})
     place = {key: i for i, key in enumerate(order)}
-    return tuple(
+    jobs = tuple(
         PlannedJob(
-            requested[key[0]].kind,
-            key[1],
-            parameters[key[0]],
+            requested[name].kind,
+            subject,
+            parameters[name],
             tuple(
                 PlannedInput(need, existing, None if producer is None else place[producer])
-                for need, producer, existing in inputs[key]
+                for need, producer, existing in nodes[name, subject].inputs
             ),
         )
-        for key in order
+        for name, subject in order
+    )
+    return Plan(jobs, _told(refused))
+
+
+def _connected(
+    campaign: Campaign,
+    requested: Mapping[str, _Requested],
+    parameters: Mapping[str, Parameters],
+    asked: Mapping[_Key, None],
+    find: Callable[[Need], Existing | None],
+) -> dict[_Key, _Node]:
+    """Return the jobs that were asked for and those that they need, with what is to be had for each."""
+    # A kind that has nothing to do in this campaign makes nothing that others could wait for.
+    makers = {one.kind.makes or name: one.kind for name, one in requested.items() if one.subjects}
+    # What cannot be asked for twice is made where it was asked for and nowhere else.
+    once = {name for name, one in requested.items() if not one.kind.repeatable(parameters[name])}
+    # A requested kind also makes what the other jobs need of it, e.g. the reference state's shape.
+    nodes, pending = {key: _Node() for key in asked}, deque(asked)
+
+    def connect(node: _Node, name: str, subject: Subject) -> None:
+        for need in requested[name].kind.checked_needs(campaign, subject, parameters[name]):
+            # What is needed of another campaign must be there: this plan is not about it.
+            maker = makers.get(need.source) if need.subject.campaign == campaign.name else None
+            producer = None if maker is None else (maker.name, covering(maker, need.subject))
+            if producer is not None and producer[0] in once and producer not in asked:
+                producer = None
+            existing = None if producer is not None else _existing(need, find, f"{name} {subject}")
+            node.inputs.append((need, producer, existing))
+
+    while pending:
+        key = pending.popleft()
+        try:
+            connect(nodes[key], *key)
+        except (InvalidInput, NotFound) as error:
+            nodes[key].error = error
+        for producer in nodes[key].producers:
+            if producer not in nodes:
+                nodes[producer] = _Node()
+                pending.append(producer)
+    return nodes
+
+
+def _refused(nodes: Mapping[_Key, _Node]) -> dict[_Key, SmsError]:
+    """Return the jobs that cannot be planned, with the error behind each: those that lack something first.
+
+    With a job all others of its state are refused, and with those what needs their results.
+    """
+    refused = {key: node.error for key, node in nodes.items() if node.error is not None}
+    dependents: dict[_Key, list[_Key]] = {}
+    of_state: dict[str, list[_Key]] = {}
+    for key, node in nodes.items():
+        for producer in node.producers:
+            dependents.setdefault(producer, []).append(key)
+        if key[1].state is not None:
+            of_state.setdefault(key[1].state, []).append(key)
+    pending = deque(refused)
+    while pending:
+        key = pending.popleft()
+        for other in (*of_state.pop(key[1].state or "", ()), *dependents.get(key, ())):
+            if other not in refused:
+                refused[other] = refused[key]
+                pending.append(other)
+    return refused
+
+
+def _told(refused: Mapping[_Key, SmsError]) -> tuple[Refused, ...]:
+    """Return what is refused by states, and the kinds of the whole campaign each by itself."""
+    by_place: dict[tuple[Subject, str], list[_Key]] = {}
+    for key in refused:
+        subject = replace(key[1], view=None)
+        by_place.setdefault((subject, "" if subject.state is not None else key[0]), []).append(key)
+    return tuple(
+        Refused(subject, refused[keys[0]], Counter(name for name, _ in keys))
+        for (subject, _), keys in by_place.items()
     )
 
 
@@ -259,9 +367,9 @@ def covering(kind: Kind[Any], subject: Subject) -> Subject:
     return replace(subject, view=None) if kind.scope is Scope.STATE else subject
 
 
-def _ordered(jobs: Mapping[_Key, None], producers: Mapping[_Key, Mapping[_Key, None]]) -> list[_Key]:
+def _ordered(producers: Mapping[_Key, Sequence[_Key]]) -> list[_Key]:
     try:
-        return list(TopologicalSorter({key: tuple(producers[key]) for key in jobs}).static_order())
+        return list(TopologicalSorter(producers).static_order())
     except CycleError as error:
         raise InvalidInput("the requested kinds need each other's results in a circle") from error
 

@@ -285,7 +285,7 @@ def _fire(catalogue: Catalogue, due: _Due, now: datetime) -> str | None:
             return None
         if planned is not None:
             enter(session, planned)
-        else:
+        if planned is None or planned.refused:
             what = f"schedule {due.schedule}, {due.moment.isoformat(timespec='minutes')}"
             occurrences.enter(session, Topic.SCHEDULE_MISSED, due.order.campaign, what, now, outcome)
     return outcome
@@ -307,7 +307,12 @@ def _planned(catalogue: Catalogue, name: str, order: Order, now: datetime) -> tu
         raise
     except SmsError as error:
         return None, f"failed: {error}"
-    return planned, f"submitted {len(planned.jobs)} jobs"
+    outcome = f"submitted {len(planned.jobs)} jobs"
+    if planned.refused:
+        first, others = planned.refused[0], len(planned.refused) - 1
+        more = f" and {others} more" if others else ""
+        outcome += f"; refused {first.subject}{more}: {first.error}"
+    return planned, outcome
 
 
 def _expression(row: ScheduleRow) -> Expression:

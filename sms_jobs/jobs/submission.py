@@ -27,7 +27,15 @@ from sms_jobs.catalogue.parts import parts
 from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
 from sms_jobs.errors import PlanOutdated
 from sms_jobs.jobs import calibration_choice
-from sms_jobs.jobs.planning import Existing, PlannedInput, PlannedJob, Request, covering, plan
+from sms_jobs.jobs.planning import (
+    Existing,
+    PlannedInput,
+    PlannedJob,
+    Refused,
+    Request,
+    covering,
+    plan_possible,
+)
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, Kind, Need
 from sms_jobs.records.job import ACTIVE, JobState
@@ -71,6 +79,8 @@ class Draft:
         Jobs of earlier submissions that these wait for.
     rows
         What is to be entered, by table; each table after those that it refers to.
+    refused
+        States that could not be planned.
     """
 
     campaign_id: int
@@ -80,6 +90,13 @@ class Draft:
     jobs: tuple[PlannedJob, ...]
     producers: tuple[str, ...]
     rows: tuple[TableRows, ...]
+    refused: tuple[Refused, ...] = ()
+
+    def whole(self) -> Draft:
+        """Return this draft if it has all that was asked for; raise why a state was refused otherwise."""
+        if self.refused:
+            raise self.refused[0].error
+        return self
 
     @property
     def submission(self) -> Submission:
@@ -103,9 +120,8 @@ def submit(
     by: str = "",
 ) -> Submission:
     """Plan requests and enter their jobs in one writing session, as `submit_to` does in two."""
-    return enter(
-        session, draft(session, campaign_name, requests, now, priority=priority, use_cache=use_cache, by=by)
-    )
+    planned = draft(session, campaign_name, requests, now, priority=priority, use_cache=use_cache, by=by)
+    return enter(session, planned.whole())
 
 
 def submit_to(
@@ -118,12 +134,12 @@ def submit_to(
     use_cache: bool = True,
     by: str = "",
 ) -> Submission:
-    """Plan requests and enter their jobs; where something changes in between, plan again.
+    """Plan requests and enter all their jobs or none; where something changes in between, plan again.
 
     Parameters
     ----------
     campaign_name, requests
-        See `planning.plan`.
+        See `planning.plan_possible`.
     now
         With time zone.
     priority
@@ -147,7 +163,7 @@ def submit_to(
 
     def entered(planned: Draft) -> Submission:
         with catalogue.writing() as session:
-            return enter(session, planned)
+            return enter(session, planned.whole())
 
     return while_outdated(lambda: entered(drafted()))
 
@@ -173,7 +189,7 @@ def draft(
     by: str = "",
     key: str = "",
 ) -> Draft:
-    """Plan requests, as `submit_to` does, and write nothing.
+    """Plan requests for the states that allow it, and write nothing; raises as `plan_possible` does.
 
     Parameters
     ----------
@@ -197,7 +213,8 @@ def draft(
             file_id = campaigns.newest_file(session, need.source, need.subject, DATASET_MEDIA_TYPE)
         return None if file_id is None else Existing(file_id=file_id)
 
-    jobs = plan(campaign, requests, find)
+    found = plan_possible(campaign, requests, find)
+    jobs = found.jobs
     ids = tuple(_job_id(key, job) for job in jobs)
     producers = {i.existing.job_id for job in jobs for i in job.inputs if i.existing is not None}
     return Draft(
@@ -208,6 +225,7 @@ def draft(
         jobs,
         tuple(sorted(job_id for job_id in producers if job_id is not None)),
         tuple(_rows(row.id, campaign, jobs, ids, now, priority, use_cache, by)),
+        found.refused,
     )
 
 

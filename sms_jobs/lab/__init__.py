@@ -206,6 +206,8 @@ class Lab:
     ) -> Submitted:
         """Submit jobs of a kind, or the "pipeline", for the tuples of a campaign, and say how long they take.
 
+        States whose jobs lack something are left out; `refused` of the answer tells which and why.
+
         Parameters
         ----------
         states, views

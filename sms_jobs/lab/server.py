@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from sms_jobs.app import reading
-from sms_jobs.app.jobs import Explanation, Submitted, Work
+from sms_jobs.app.jobs import Explanation, Refusal, Submitted, Work
 from sms_jobs.app.reading import RecordParts, StoredRecord
 from sms_jobs.app.waiting import Waited, timed_out
 from sms_jobs.lab.connection import Connection
@@ -114,7 +114,9 @@ class Server:
             "dry_run": dry_run,
         }
         done = self._connection.post("/jobs", body)
-        return Submitted.told(done["jobs"], done["counted"], _ESTIMATE.validate_python(done["estimate"]))
+        refused = tuple(Refusal(**one) for one in done["refused"])
+        estimate = _ESTIMATE.validate_python(done["estimate"])
+        return Submitted.told(done["jobs"], done["counted"], estimate, refused)
 
     def wait(self, job: Submitted | str, timeout_s: float | None) -> Waited:
         """Return how jobs ended, once all have."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
 from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.jobs.planning import Existing, PlannedJob, Request, plan
+from sms_jobs.jobs.planning import Existing, PlannedJob, Request, plan, plan_possible
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Need
 from sms_jobs.records.campaign import Campaign
@@ -103,6 +104,65 @@ def test_what_is_needed_of_another_campaign_must_be_there() -> None:
 def test_what_is_missing_is_named() -> None:
     with pytest.raises(NotFound, match="measurement of hat/S00/C1P1"):
         plan(CAMPAIGN, [Request("reconstruct")], only_calibration)
+
+
+def without(*lacking: str) -> Callable[[Need], Existing | None]:
+    """Return a search that finds everything but the measurements of some tuples."""
+
+    def find(need: Need) -> Existing | None:
+        missing = need.source == MEASUREMENT and str(need.subject) in lacking
+        return None if missing else Existing(file_id=1)
+
+    return find
+
+
+def test_a_state_that_lacks_something_is_refused_and_the_others_are_planned() -> None:
+    found = plan_possible(CAMPAIGN, [Request("pipeline")], without("hat/S02/C1P2"))
+    # S02 has 4 views; the other two deformed states and the reference are as if there were no S02.
+    assert counted(found.jobs) == {
+        "reconstruct": 12,
+        "correlate": 8,
+        "strain": 8,
+        "merge": 2,
+        "export": 2,
+        "assess": 12,
+    }
+    assert {job.subject.state for job in found.jobs} == {"S00", "S01", "S03"}
+    refused, report = found.refused
+    assert str(refused.subject) == "hat/S02"
+    assert "hat/S02/C1P2 needs the measurement of hat/S02/C1P2" in str(refused.error)
+    assert refused.jobs == {
+        "reconstruct": 4,
+        "correlate": 4,
+        "strain": 4,
+        "merge": 1,
+        "export": 1,
+        "assess": 4,
+    }
+    # The report of the campaign shows every state.
+    assert (str(report.subject), report.jobs) == ("hat", {"report": 1})
+    assert "needs the measurement of hat/S02/C1P2" in str(report.error)
+    for place, job in enumerate(found.jobs):
+        assert all(i.producer is None or i.producer < place for i in job.inputs)
+    with pytest.raises(NotFound, match="measurement of hat/S02/C1P2"):
+        plan(CAMPAIGN, [Request("pipeline")], without("hat/S02/C1P2"))
+
+
+def test_what_needs_a_refused_state_is_refused_with_it() -> None:
+    previous = Request("pipeline", {"correlate.reference": "previous"})
+    found = plan_possible(CAMPAIGN, [previous], without("hat/S02/C1P1"))
+    assert [str(one.subject) for one in found.refused] == ["hat/S02", "hat/S03", "hat"]
+    assert {job.subject.state for job in found.jobs} == {"S00", "S01"}
+
+
+def test_nothing_is_planned_where_every_state_is_refused() -> None:
+    # All are compared with the reference; of one state alone nothing is left.
+    for request, lacking in (
+        (Request("pipeline"), "hat/S00/C1P1"),
+        (Request("pipeline", states=("S02",)), "hat/S02/C2P2"),
+    ):
+        with pytest.raises(NotFound, match=f"measurement of {lacking}"):
+            plan_possible(CAMPAIGN, [request], without(lacking))
 
 
 def test_a_campaign_on_a_real_rig_is_neither_simulated_nor_assessed() -> None:

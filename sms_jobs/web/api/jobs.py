@@ -12,7 +12,7 @@ from fastapi import Query
 from pydantic import Field
 
 from sms_jobs.app import jobs, waiting
-from sms_jobs.app.jobs import Explanation, JobStory, Remaining, Work
+from sms_jobs.app.jobs import Explanation, JobStory, Refusal, Remaining, Work
 from sms_jobs.app.waiting import Waiting
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import WaitTimedOut
@@ -71,12 +71,13 @@ class SomeJobs(Asked):
 
 @dataclass(frozen=True)
 class SubmittedJobs:
-    """Jobs that were submitted, or would be, how many of each kind, and when they will have ended."""
+    """Jobs that were submitted, or would be, how many of each kind, when they end, and what is left out."""
 
     campaign: str
     jobs: tuple[str, ...]
     counted: dict[str, int]
     estimate: Estimate
+    refused: tuple[Refusal, ...]
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ def list_jobs(
 def submit(services: Acting, body: Submission) -> Any:
     """Submit jobs, or say what would be submitted."""
     done = jobs.submit(services, body.work, dry_run=body.dry_run)
-    return answer(SubmittedJobs(body.campaign, done.job_ids, done.counted, done.estimate))
+    return answer(SubmittedJobs(body.campaign, done.job_ids, done.counted, done.estimate, done.refused))
 
 
 @ROUTES.offer("GET", "/jobs/remaining", jobs.remaining, answers=Remaining)

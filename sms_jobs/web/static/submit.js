@@ -18,5 +18,6 @@ form?.addEventListener("done", (event) => {
     if (unknown.length) lines.push(`Longer, as ${unknown.join(", ")} never ran here.`);
     if (ahead.paused.length) lines.push(`Paused: ${ahead.paused.join(", ")}.`);
   }
+  for (const one of told.refused) lines.push(`Left out is ${one.subject}: ${one.why}.`);
   form.querySelector(".outcome").textContent = lines.join(" ");
 });
