@@ -245,6 +245,8 @@ def check(
 ) -> None:
     """Decide from ordinary measurements, by their ray gaps, whether the calibration still holds.
 
+    "Points off" is what the smallest change of the sensors that explains the gap does to the measured points.
+
     The exit code is 6 when one does not.
 
     Example: sms calibration check wing-fatigue/S00/C1P1 wing-fatigue/S00/C2P2
@@ -255,7 +257,15 @@ def check(
         output.print_json_list(found)
     else:
         output.print_table(
-            ["tuple", "calibration", "verdict", "gap, rms [um]", "points off, rms [um]", "because"],
+            [
+                "tuple",
+                "calibration",
+                "verdict",
+                "gap, rms [um]",
+                "points off, rms [um]",
+                "sigma [um]",
+                "because",
+            ],
             [
                 (
                     f.subject,
@@ -263,6 +273,7 @@ def check(
                     f.check.verdict,
                     f"{1e3 * f.check.gap_rms_mm:.1f}",
                     f"{1e3 * f.check.point_change_rms_mm:.1f}",
+                    f"{1e3 * f.check.point_change_sigma_mm:.1f}",
                     f.check.reason,
                 )
                 for f in found

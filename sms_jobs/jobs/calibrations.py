@@ -322,7 +322,6 @@ def drift_of(
         gap_sigma=points.ray_gap_sigma,
         baseline_rms_mm=baseline_mm,
         covariance=known.covariance(names),
-        volume=_corners(known.calibration.volume),
         options=DriftOptions(false_alarm=false_alarm),
     )
 

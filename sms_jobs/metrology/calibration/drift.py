@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.gap_blocks import GapBlocks, block_gaps
-from sms_jobs.metrology.calibration.pair_points import Parameters, box_grid, meet_rays, moved_sensor
+from sms_jobs.metrology.calibration.pair_points import Parameters, meet_rays, moved_sensor
 from sms_jobs.metrology.calibration.sensor_derivatives import gap_derivatives
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, project
 
@@ -109,7 +109,9 @@ class DriftCheck:
     changes
         The smallest change of the pair, in plausible units, that explains the gap.
     point_change_rms_mm, point_change_sigma_mm
-        What it does to points, measured ones or those of the volume: rms, and standard deviation of that.
+        What it does to the measured points: rms, and standard deviation of that. Of places where nothing was
+        measured the gap tells nothing: there the same explanation is an extrapolation, and beyond the images
+        that of a lens's polynomial.
     """
 
     verdict: Verdict
@@ -175,7 +177,6 @@ def check_drift(
     gap_sigma: NDArray[np.floating] | None = None,
     baseline_rms_mm: float = 0.0,
     covariance: Floats | None = None,
-    volume: tuple[Floats, Floats] | None = None,
     options: DriftOptions | None = None,
 ) -> DriftCheck:
     """Decide by the ray gap whether the calibration of a pair still holds.
@@ -195,8 +196,6 @@ def check_drift(
         Systematic gap that the calibration left when it was new: rms, noise taken out.
     covariance
         (p, p) of the pair's parameters, the camera's first: what the calibration did not know.
-    volume
-        Low and high corner, (3,) each in mm, where points matter; None for the measured ones.
     options
         How.
 
@@ -207,7 +206,8 @@ def check_drift(
     side, since it is not known which pattern the calibration left.
     The part of m^T S^-1 m that changes explain is chi-square with as many degrees of freedom as the gap
     tells, the rest chi-square with those that remain; both are tested, so that each has half of the
-    probability of a false alarm. Raises `InvalidInput` for maps that do not fit each other.
+    probability of a false alarm. Where the rest is larger than its expectation, the explanation's variances
+    are larger in the same ratio. Raises `InvalidInput` for maps that do not fit each other.
     """
     chosen = options or DriftOptions()
     if xyz.shape != (3, *gap.shape) or (gap_sigma is not None and gap_sigma.shape != gap.shape):
@@ -233,7 +233,7 @@ def check_drift(
     if covariance is not None:
         spread += derivatives @ covariance @ derivatives.T
     fit = _explain(blocks.gap, patterns, spread)
-    return _judged(blocks, fit, patterns, spread, by_change * unit, unit, (camera, projector), volume, chosen)
+    return _judged(blocks, fit, patterns, spread, by_change * unit, unit, (camera, projector), chosen)
 
 
 def _covariance(blocks: GapBlocks, patterns: Floats, baseline: float) -> Floats:
@@ -253,8 +253,11 @@ def _explain(gap: Floats, patterns: Floats, spread: Floats) -> _Fit:
     directions, information = vectors[:, seen], values[seen]
     estimate = directions @ ((directions.T @ (a.T @ m)) / information)
     statistic = float(np.sum((directions.T @ (a.T @ m)) ** 2 / information))
-    covariance = (directions / information) @ directions.T
-    return _Fit(estimate, covariance, directions, statistic, float(m @ m) - statistic)
+    rest = float(m @ m) - statistic
+    # A change that leaves more than is expected is not known as well as if it left nothing.
+    excess = max(1.0, rest / (len(gap) - len(information)))
+    covariance = excess * (directions / information) @ directions.T
+    return _Fit(estimate, covariance, directions, statistic, rest)
 
 
 def _detectable(patterns: Floats, spread: Floats, threshold: float) -> float:
@@ -277,7 +280,6 @@ def _judged(
     by_unit: Floats,
     unit: Floats,
     pair: tuple[Parameters, Parameters],
-    volume: tuple[Floats, Floats] | None,
     options: DriftOptions,
 ) -> DriftCheck:
     from scipy.stats import chi2
@@ -304,7 +306,7 @@ def _judged(
     else:
         reason = "the gap tells no change of the pair to a third of what is plausible: measure more pixels"
     left = blocks.gap - patterns @ fit.estimate
-    rms, sigma = _point_change(fit, by_unit, pair, blocks.point if volume is None else box_grid(*volume))
+    rms, sigma = _point_change(fit, by_unit, pair, blocks.point)
     return DriftCheck(
         verdict,
         reason,

@@ -188,6 +188,10 @@ def test_other_gap_patterns_are_drift_that_nothing_explains(rng: np.random.Gener
     result = check(Measurement(found.gap + wave, found.sigma, found.xyz))
     assert result.verdict == "drifted"
     assert result.rest_statistic > result.rest_threshold
+    # What no change explains makes the explanation as uncertain as it is large.
+    excess = np.sqrt(result.rest_statistic / result.rest_freedom)
+    assert excess > 5.0
+    assert result.point_change_sigma_mm > 0.8 * excess * check(found).point_change_sigma_mm
 
 
 def test_outliers_are_left_out_and_few_pixels_tell_nothing(rng: np.random.Generator) -> None:

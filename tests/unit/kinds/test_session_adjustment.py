@@ -25,7 +25,7 @@ from sms_jobs.records.artefacts import BallBar, CircleBoard
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import FringeSequence
-from sms_jobs.records.sensors import Rig, Sensor
+from sms_jobs.records.sensors import Box, Rig, Sensor
 from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import bending_rig
 from sms_jobs.virtual_rig.sessions import calibration_session, on_site_session, small_session
@@ -217,3 +217,9 @@ def test_a_measurement_tells_whether_its_calibration_holds() -> None:
         assert found.blocks > 12
     # A turn of 1 mrad at 1.2 m moves the light by 1.2 mm; a part of that across the rays' plane is the gap.
     assert verdicts == ["holds", "drifted"]
+    assert 0.0 < found.point_change_rms_mm < 1.2
+    # A volume that nobody thought about reaches to where no sensor sees: the measured points are the same.
+    wide = replace(moved, volume=Box((-2000.0, -2000.0, -2000.0), (2000.0, 2000.0, 2000.0)))
+    which = KnownCalibration(1, "", wide, held["uncertainty"], None)
+    again = drift_of(which, "C1P2", FringeSequence(), phase, cloud, 0.01, 0.001, 2)
+    assert again.point_change_rms_mm == found.point_change_rms_mm
