@@ -23,7 +23,9 @@ def points(
     file: Annotated[Path, typer.Argument(help="Table (CSV) of points; see docs/import.md.")],
     campaign: CampaignName,
     rig: Annotated[str, typer.Option(help="Rig that is calibrated.")],
-    view: Annotated[str, typer.Option(help="Camera and projector that saw the board, C1P1, or C1 alone.")],
+    view: Annotated[
+        str, typer.Option(help="Camera and projector that saw the board, C1P1, cameras, C1C2, or C1 alone.")
+    ],
     size: Annotated[
         list[str], typer.Option(help="Image size of each sensor in px, as C1=1280x960; repeat for the other.")
     ],
@@ -43,10 +45,14 @@ def points(
 ) -> None:
     """Import points of a board that another program has found, as a calibration session of its own.
 
-    They stand where the job kind observe-board would have put them: calibrate-boards goes on with them.
+    They stand where the job kind observe-board would have put them: calibrate-boards goes on with them. The
+    table of several cameras has columns C1_x_px, C1_y_px, C2_x_px, C2_y_px; what a camera lacks is empty.
 
     Example: sms import points corners.csv -c june --rig desk --view C1P1 --size C1=1280x960 --size
     P1=1024x768
+
+    Example: sms import points corners.csv -c june --rig stereo --view C1C2 --size C1=1280x960 --size
+    C2=1280x960
     """
     task = Task(
         file,

@@ -153,20 +153,21 @@ def import_observations(
     catalogue: Catalogue,
     archive: Archive,
     campaign: Campaign,
-    observations: Mapping[str, BoardObservation],
+    observations: Mapping[str, Mapping[str, BoardObservation]],
     parameters: Mapping[str, Any],
     now: datetime,
 ) -> None:
-    """Seal and index what another program saw of the board of a session of one view: all of it, or nothing.
+    """Seal and index what another program saw of the board of a session, by pose and view: all, or nothing.
 
     It stands where `observe-board` would have put it, without a job.
     """
     kind = kind_named(OBSERVE_BOARD)
-    subjects = [Subject(campaign.name, label, campaign.views[0]) for label in observations]
     with Repository(catalogue, archive).batch() as batch:
-        for subject, observation in zip(subjects, observations.values(), strict=True):
-            provenance = brought_in(kind.name, subject, now, version=kind.version, parameters=parameters)
-            batch.seal({BOARD.name: observation}, provenance)
+        for label, of_pose in observations.items():
+            for view, observation in of_pose.items():
+                subject = Subject(campaign.name, label, view)
+                provenance = brought_in(kind.name, subject, now, version=kind.version, parameters=parameters)
+                batch.seal({BOARD.name: observation}, provenance)
         batch.enter()
 
 

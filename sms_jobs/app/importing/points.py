@@ -33,7 +33,8 @@ class Task:
     session, rig
         Calibration session that is to be made, and the rig that it calibrates.
     view
-        Camera and projector that saw the board, or a camera alone.
+        Camera and projector that saw the board, several cameras, or a camera alone. Of several cameras the
+        session has each as a view of its own, as that of images has.
     sizes
         Columns and rows of each of these, by name.
     sigma_px
@@ -57,7 +58,7 @@ class Task:
 
 @dataclass(frozen=True)
 class ImportedPoints:
-    """The board, and how many points of it were seen in each pose."""
+    """The board, and how many points of it were seen in each pose; of several cameras, by pose/camera."""
 
     board: Chessboard
     counts: dict[str, int]
@@ -83,7 +84,7 @@ def import_points(services: Services, task: Task, *, dry_run: bool = False) -> I
         specimen=Specimen(BOARD),
         rig=task.rig,
         states=tuple(LoadState(label, time=at, artefact=BOARD) for label in table.observations),
-        views=(task.view,),
+        views=tuple(str(one) for one in view_of(task.view).recordings),
         session=CalibrationSession({BOARD: board}, _sensors(task.view, task.sizes)),
     )
     if existing_campaign(services, task.session) is not None:
@@ -92,7 +93,12 @@ def import_points(services: Services, task: Task, *, dry_run: bool = False) -> I
         register_campaign(services.catalogue, services.archive, made, None, now)
         parameters = {"file": str(task.file), "source_sha256": table.sha256, "sigma_px": task.sigma_px}
         import_observations(services.catalogue, services.archive, made, table.observations, parameters, now)
-    return ImportedPoints(board, {pose: len(s.point) for pose, s in table.observations.items()})
+    counts = {
+        pose if len(made.views) == 1 else f"{pose}/{view}": len(seen.point)
+        for pose, of_pose in table.observations.items()
+        for view, seen in of_pose.items()
+    }
+    return ImportedPoints(board, counts)
 
 
 def _sensors(view: str, sizes: Mapping[str, tuple[int, int]]) -> tuple[SensorFormat, ...]:

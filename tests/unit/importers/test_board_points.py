@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from sqlalchemy import text
+from support.archives import Clock, run_jobs, work_again
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
@@ -15,12 +16,22 @@ from sms_jobs.catalogue import campaigns, schema
 from sms_jobs.catalogue.models import Table
 from sms_jobs.cli.importing import app
 from sms_jobs.errors import SmsError
-from sms_jobs.formats.importers.board_points import COLUMNS, PROJECTOR_COLUMNS, read_points
+from sms_jobs.formats.importers.board_points import (
+    CAMERA_COLUMNS,
+    PLACE_COLUMNS,
+    PROJECTOR_COLUMNS,
+    read_points,
+)
+from sms_jobs.jobs.calibrations import session_result
+from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.reindexing import reindex, unknown_files
 from sms_jobs.kinds.products import BOARD
+from sms_jobs.metrology.geometry.camera import Pose, project
+from sms_jobs.metrology.geometry.lens import Intrinsics
+from sms_jobs.metrology.geometry.transforms import rotation_matrix
 from sms_jobs.records.artefacts import Chessboard
 
-HEADER = ",".join(COLUMNS + PROJECTOR_COLUMNS) + "\n"
+HEADER = ",".join(PLACE_COLUMNS + CAMERA_COLUMNS + PROJECTOR_COLUMNS) + "\n"
 SIZES = ("--size", "C1=640x480", "--size", "P1=800x600")
 GRID = [(float(x), float(y)) for y in (0, 75, 150) for x in (0, 75, 150, 225)]
 
@@ -44,13 +55,13 @@ def file(tmp_path: Path) -> Path:
 def test_a_table_is_read_as_it_is(file: Path) -> None:
     found = read_points(file, "C1P1", 0.2)
     assert found.board == Chessboard(4, 3, 75.0)
-    assert [len(seen.point) for seen in found.observations.values()] == [12, 11]
-    seen = found.observations["A"]
+    assert [len(of_pose["C1P1"].point) for of_pose in found.observations.values()] == [12, 11]
+    seen = found.observations["A"]["C1P1"]
     np.testing.assert_array_equal(seen.point[:, :2], GRID)
     np.testing.assert_array_equal(seen.place * 75.0, GRID)
     np.testing.assert_array_equal(seen.projector_px, 2.0 * np.array(GRID))
     assert (seen.projector_sigma_px == 0.2).all()
-    alone = read_points(file, "C1", 0.2).observations["A"]
+    alone = read_points(file, "C1", 0.2).observations["A"]["C1"]
     assert alone.projector == ""
     assert np.isnan(alone.projector_px).all()
 
@@ -80,6 +91,58 @@ def test_points_stand_where_a_job_would_have_put_them(file: Path, tmp_path: Path
         assert [one.outcome for one in done_again] == ["indexed"] * 3, done_again
 
 
+def two_cameras(lacking: set[tuple[str, str]]) -> str:
+    """Return five poses of a board before two cameras; some poses are missing in one of these."""
+    cameras = {
+        name: (
+            Intrinsics(900.0, 900.0, 319.5, 239.5),
+            Pose.looking_at(np.array([at, 0.0, -600.0]), np.zeros(3), np.array([0.0, -1.0, 0.0])),
+        )
+        for name, at in (("C1", -150.0), ("C2", 150.0))
+    }
+    lines = ["state,board_x_mm,board_y_mm,C1_x_px,C1_y_px,C2_x_px,C2_y_px"]
+    board = np.array([(x, y, 0.0) for y in range(0, 161, 40) for x in range(0, 241, 40)])
+    turns = {
+        "A": (0.0, 0.0, 0.0),
+        "B": (0.5, 0.1, 0.2),
+        "C": (-0.2, 0.6, 1.5),
+        "D": (-0.5, -0.4, 0.3),
+        "E": (0.4, -0.6, -0.5),
+    }
+    for pose, turn in turns.items():
+        points = (board - [120.0, 80.0, 0.0]) @ rotation_matrix(np.array(turn)).T
+        images = {name: project(*camera, points) for name, camera in cameras.items()}
+        for k, (x, y, _) in enumerate(board):
+            cells = [
+                "," if (pose, n) in lacking else ",".join(map(repr, images[n][k].tolist())) for n in images
+            ]
+            lines.append(",".join([pose, repr(float(x)), repr(float(y)), *cells]))
+    return "\n".join(lines) + "\n"
+
+
+def test_points_of_two_cameras_calibrate_both(tmp_path: Path) -> None:
+    file, home = tmp_path / "points.csv", tmp_path / "home"
+    file.write_text(two_cameras({("D", "C2")}), encoding="utf-8")
+    bootstrap.initialise(home)
+    sizes = ("--size", "C1=640x480", "--size", "C2=640x480", "--sigma-px", "0.02")
+    options = ["points", str(file), "-c", "june", "--rig", "desk", "--view", "C1C2", *sizes, "--json"]
+    done = CliRunner().invoke(app, [*options, "--home", str(home)])
+    assert done.exit_code == 0, done.exception
+    counts = json.loads(done.stdout)["points"]
+    assert counts == {f"{pose}/{camera}": 35 for pose in "ABCE" for camera in ("C1", "C2")} | {
+        "D/C1": 35,
+        "D/C2": 0,
+    }
+    with bootstrap.services(home) as services:
+        work_again(services.catalogue, clock := Clock())
+        run_jobs(services.catalogue, services.archive, clock, [Request("calibrate-boards")], "june")
+        _, found = session_result(services.catalogue, services.archive, "june")
+    first, second = (found.calibration.rig.sensor(name).pose for name in ("C1", "C2"))
+    # Exact images of cameras 300 mm apart, as doubles: what is left is where the iterations stop.
+    assert np.linalg.norm(first.centre() - second.centre()) == pytest.approx(300.0, rel=1e-4)
+    assert found.calibration.rig.sensor("C2").intrinsics.fx == pytest.approx(900.0, rel=1e-4)
+
+
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
@@ -106,6 +169,10 @@ def test_a_table_that_is_wrong_is_refused(file: Path, change: object, complaint:
         (("--view", "C1P1", "--size", "C1=640x480"), "give --size of C1 and P1"),
         (("--view", "C1P1", "--size", "C1=640"), "--size should be as in"),
         (("--view", "P1", *SIZES), "'P1' is not a view"),
+        (
+            ("--view", "C1C2", "--size", "C1=9x9", "--size", "C2=9x9"),
+            "has no column C1_x_px, C1_y_px, C2_x_px",
+        ),
     ],
 )
 def test_options_that_contradict_are_refused(
