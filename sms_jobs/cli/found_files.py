@@ -43,8 +43,8 @@ As = Annotated[
     Format | None,
     typer.Option(
         "--format",
-        help="table; json with the key of the next page; lines of JSON; csv; parquet (a file).  "
-        "[default: by the suffix of --out, else table]",
+        help="table; json with the key of the next page; lines of JSON; csv; parquet (a file). By the suffix "
+        "of --out if not given, else table.",
         show_default=False,
     ),
 ]
