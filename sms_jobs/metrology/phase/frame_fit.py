@@ -1,0 +1,189 @@
+"""How well the frames of a recording are explained by the patterns that they are said to show.
+
+A pixel that sees one surface has the grey levels A + B_t cos(omega t + 2 pi k / q) in all frames of an
+orientation: one mean, one phase gradient, one modulation for each density. That leaves q n - n - 2 degrees of
+freedom, of which the phase error uses n - 1. What is left over, frame by frame and over many pixels, says of
+which frame something is told that is not so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.images.masks import phase_error_factor
+from sms_jobs.metrology.phase.grey_levels import GreyLevels
+from sms_jobs.metrology.phase.phase_stepping import phase_sigma, stepping_weights
+from sms_jobs.metrology.phase.temporal_unwrapping import unwrap
+
+Singles = NDArray[np.float32]
+
+_CAP = 9.0
+"""Of a squared misfit in units of its variance: what is off by more than three deviations is just wrong."""
+_LIT = 5.0  # standard deviations of noise by which the frames of a pixel scatter at least
+_SATURATED = 2  # frames of a pixel at full scale, at most: one that is overexposed shall be found
+_KEPT = 0.999
+_HARMONICS = 3
+
+
+@dataclass(frozen=True)
+class SampledFrames:
+    """Frames of one orientation at some pixels, and what they are said to show.
+
+    Attributes
+    ----------
+    levels
+        (densities * steps, pixels), grey levels of the camera's own type, densities slower than steps.
+    densities, steps
+        Without the density 0.
+    grey_levels
+        What they mean.
+    accepted_rad
+        Phase error of the fringes themselves that is accepted.
+    offsets
+        What the patterns of each density add to the phase, in rad; none if empty.
+    """
+
+    levels: NDArray[Any]
+    densities: tuple[int, ...]
+    steps: int
+    grey_levels: GreyLevels
+    accepted_rad: float
+    offsets: tuple[float, ...] = ()
+
+    @property
+    def accepted_level(self) -> float:
+        """Departure of a single frame, in units of the modulation, that moves a phase by `accepted_rad`.
+
+        A departure e moves it by (2/q) e sin(phase), of which this is the largest.
+        """
+        return self.accepted_rad * self.steps / 2.0
+
+
+@dataclass(frozen=True)
+class FrameFit:
+    """What frames leave unexplained.
+
+    Attributes
+    ----------
+    consistent
+        (pixels,): where the phases of all densities belong to one phase gradient.
+    misfit
+        (densities, steps): mean squared departure of a frame over the consistent pixels (all of them where
+        these are few), in units of noise and of what is accepted; single pixels count for at most 9.
+    total
+        The same over all frames and pixels: what explanations are compared by.
+    residual
+        (densities, pixels): phase less the one that the gradient predicts, in rad.
+    weight
+        (densities, pixels): inverse variance of `residual` in rad^-2, with what is accepted.
+    shift, shift_sigma
+        (densities,): mean of `residual` over the consistent pixels, and its standard deviation.
+    """
+
+    consistent: NDArray[np.bool_]
+    misfit: Singles
+    total: float
+    residual: Singles
+    weight: Singles
+    shift: Singles
+    shift_sigma: Singles
+
+    @property
+    def share(self) -> float:
+        """Part of the pixels that are consistent; 0 where there are none."""
+        return float(self.consistent.mean()) if self.consistent.size else 0.0
+
+
+def lit_pixels(levels: NDArray[Any], grey_levels: GreyLevels) -> NDArray[np.bool_]:
+    """Return the pixels, (pixels,), whose frames (frames, pixels) differ by more than noise and are in range.
+
+    It needs no word about what the frames show.
+    """
+    mean = levels.mean(axis=0, dtype=np.float32)
+    scatter = levels.std(axis=0, dtype=np.float32)
+    saturated = np.count_nonzero(levels >= grey_levels.full_scale, axis=0)
+    return np.asarray((scatter > _LIT * np.sqrt(grey_levels.variance(mean))) & (saturated <= _SATURATED))
+
+
+def fit_frames(sampled: SampledFrames) -> FrameFit:
+    """Fit mean, phase gradient and modulations to every pixel, and say what is left.
+
+    Raises `InvalidInput` for densities that leave the gradient ambiguous.
+
+    Notes
+    -----
+    The second and the third harmonic of each density, one amplitude for all pixels, are taken out: a
+    projector that is not linear is no fault of a frame. They do not shift the phases in the mean over a
+    fringe.
+    """
+    densities, steps, grey = sampled.densities, sampled.steps, sampled.grey_levels
+    found = unwrap(
+        sampled.levels[:, None, :],
+        densities,
+        steps,
+        full_scale=grey.full_scale,
+        gain=grey.gain,
+        read_noise=grey.read_noise,
+        offsets=sampled.offsets,
+    )
+    omega = np.nan_to_num(found.omega[0])
+    stack = sampled.levels.reshape(len(densities), steps, -1).astype(np.float32)
+    mean, modulation = found.mean_intensity[0], found.modulation[0]
+    noise = np.sqrt(grey.variance(mean))
+    cosine, sine = stepping_weights(steps).astype(np.float32)
+    z = np.einsum("k,tkp->tp", cosine, stack) + 1j * np.einsum("k,tkp->tp", sine, stack)
+    phase = np.multiply.outer(densities, omega) + np.reshape(sampled.offsets or 0.0, (-1, 1))
+    expected = np.exp(1j * phase).astype(np.complex64)
+    turned = z * expected.conj()
+    fringe = expected * np.maximum(turned.real, 0.0)
+    departure = _without_harmonics(stack - mean, fringe, expected, modulation)
+    np.square(departure, out=departure)
+    departure /= np.square(noise) + np.square(sampled.accepted_level * modulation)
+    np.minimum(departure, _CAP, out=departure)
+    residual = np.angle(turned).astype(np.float32)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        limit = phase_error_factor(len(densities), _KEPT) * phase_sigma(noise, modulation, steps)
+        limit = np.hypot(limit, sampled.accepted_rad)
+        weight = 1.0 / (np.square(phase_sigma(noise, np.abs(z), steps)) + sampled.accepted_rad**2)
+    error = found.phase_error[0]
+    consistent = ~found.ambiguous[0] & (np.isnan(error) | (error < limit)) & np.isfinite(found.omega[0])
+    judged = consistent if consistent.any() else np.ones_like(consistent)
+    count = np.sqrt(np.count_nonzero(judged))
+    return FrameFit(
+        consistent,
+        departure[:, :, judged].mean(axis=2),
+        float(departure.mean()),
+        residual,
+        weight.astype(np.float32),
+        residual[:, judged].mean(axis=1),
+        residual[:, judged].std(axis=1) / np.float32(count),
+    )
+
+
+def _without_harmonics(
+    departure: Singles, fringe: NDArray[np.complex64], expected: NDArray[np.complex64], modulation: Singles
+) -> Singles:
+    """Take the fringes and their harmonics from frames (densities, steps, pixels) less their mean.
+
+    `fringe` and `expected`, (densities, pixels), are the fringe at step 0 and its phasor.
+    """
+    steps = departure.shape[1]
+    turns = np.exp(2j * pi * np.arange(steps) / steps).astype(np.complex64)
+    wave = fringe
+    for n in range(1, _HARMONICS + 1):
+        turn = turns**n
+        if n > 1:
+            wave = modulation * expected**n
+            seen = np.einsum("k,tkp->tp", turn.conj(), departure)
+            # Where a step turns the harmonic by half a turn or not at all, its cosine alone is seen.
+            power = np.square(wave.real) if 2 * n % steps == 0 else 0.5 * np.square(np.abs(wave))
+            total = np.maximum(steps * power.sum(axis=1), np.finfo(np.float32).tiny)
+            wave = wave * (np.sum((seen * wave.conj()).real, axis=1) / total)[:, None]
+        for k in range(steps):
+            departure[:, k] -= turn[k].real * wave.real - turn[k].imag * wave.imag
+    return departure
