@@ -67,6 +67,12 @@ class PhaseParameters(Parameters):
     maximum_phase_error_rad: float = Field(
         0.02, ge=0.0, description="phase error of the fringes themselves that is accepted on top of the noise"
     )
+    maximum_motion_px: float = Field(
+        0.05,
+        gt=0.0,
+        description="shift of the image between the fringes of two densities that is accepted: beyond, the "
+        "recording is refused",
+    )
     maximum_ray_gap_to_noise: float = Field(
         4.0, gt=0.0, description="largest gap between the rays in standard deviations from noise"
     )

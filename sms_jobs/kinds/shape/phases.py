@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Progress
 from sms_jobs.kinds.shape.foreign_patterns import coarse_gradient, offsets_of, refuse_foreign_patterns
+from sms_jobs.kinds.shape.frame_watch import FramePatches, check_frames
 from sms_jobs.kinds.shape.fringe_response import SampledResponse, SampleParameters, sampled_response
 from sms_jobs.kinds.shape.phase_task import (
     UNWRAPPING,
@@ -68,8 +69,9 @@ class Phases:
 def find_phases(task: PhaseTask, progress: Progress) -> Phases:
     """Return the phases of a tuple, its returns if there can be several, and the pixels not to be trusted.
 
-    Raises `MeasurementFailed` when the response is to be corrected and cannot be found, and `InvalidInput`
-    for ranging without a geometry.
+    Raises `MeasurementFailed` when the frames are not what is told of them, or when the response is to be
+    corrected and cannot be found, and `InvalidInput` for ranging without a geometry and for a wrong number of
+    frames.
     """
     measurement, parameters = task.measurement, task.parameters
     if parameters.method != UNWRAPPING and task.geometry is None:
@@ -77,7 +79,12 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
     sequence = measurement.sequence
     if parameters.method != UNWRAPPING or parameters.response != "none":
         refuse_foreign_patterns(task.subject, measurement, f"method={UNWRAPPING} with response=none")
-    _, rows, columns = measurement.frames.shape
+    count, rows, columns = measurement.frames.shape
+    if count != sequence.frames:
+        raise InvalidInput(
+            f"the recording of {task.subject} has {count} frames and its fringe sequence {sequence.frames}: "
+            "correct the fringe sequence, or record again"
+        )
     phase = PhaseMaps.unset(sequence.orientations_rad, rows, columns, bracketed=sequence.exposures != (1.0,))
     reason = np.zeros((rows, columns), np.uint32)
     returns = None
@@ -85,15 +92,19 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
         returns = ReturnMaps.unset(sequence.orientations_rad, parameters.returns, rows, columns)
     response = _response(task)
     ripples = [] if response is None else _ripples(response, sequence.steps)
+    patches = FramePatches(rows, columns)
     known = Known([] if parameters.method == UNWRAPPING else transfers(task), ripples)
     for slab, frames, exposure in exposed_slabs(measurement, task.threads):
         if parameters.method == UNWRAPPING:
             _unwrap_slab(task, known, slab, frames, phase, reason)
         else:
             range_slab(task, known, slab, frames, phase, returns, reason)
+        patches.take(slab, frames)
         del frames  # before the next slab is asked for: two of them are in memory, not three
         _at_exposure_one(slab, exposure, phase, returns)
         progress(0.8 * slab.stop / rows, f"found phases in {slab.stop} of {rows} rows")
+    accepted = parameters.maximum_phase_error_rad
+    check_frames(task.subject, measurement, patches.stacked(), accepted, parameters.maximum_motion_px)
     return Phases(phase, returns, reason, response)
 
 

@@ -1,0 +1,214 @@
+"""Whether the frames of a tuple are what is told of them: checked on patches of the image, said in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import degrees
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import MeasurementFailed
+from sms_jobs.kinds.shape.foreign_patterns import offsets_of
+from sms_jobs.metrology.images.frame_motion import image_shifts
+from sms_jobs.metrology.phase.frame_fit import FrameFit, SampledFrames, fit_frames, lit_pixels
+from sms_jobs.metrology.phase.frame_mishaps import Mishap, agree, few_agree, find_mishap
+from sms_jobs.metrology.phase.phase_jumps import find_jump
+from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.subject import Subject
+
+_PAIRS = (4, 16)  # of rows, at least and at most: one for 32 rows
+_ROWS_A_PAIR = 32
+_BLOCKS, _BLOCK_PX = 8, 16  # of neighbouring columns
+_LEAST_PIXELS = 200  # that are lit: of fewer nothing is said
+_SURE = 6.0  # standard deviations
+_OF_ONE_FRAME = ("exchanged", "dark", "doubled", "gain", "other")
+_HOPELESS = 0.1
+"""Of the lit pixels whose phases agree: below, those that agree may do so by chance."""
+
+
+class FramePatches:
+    """Small patches of all frames, spread over the image, taken from slabs of rows as they come by."""
+
+    def __init__(self, rows: int, columns: int) -> None:
+        pairs = int(np.clip(rows // _ROWS_A_PAIR, *_PAIRS))
+        first = rows * (2 * np.arange(pairs) + 1) // (2 * pairs) & ~1  # slabs begin at even rows
+        self._first = np.unique(first[first + 1 < rows])
+        blocks = min(_BLOCKS, columns // _BLOCK_PX)
+        start = columns * (2 * np.arange(blocks) + 1) // (2 * max(blocks, 1)) - _BLOCK_PX // 2
+        self._columns = start[:, None] + np.arange(_BLOCK_PX)
+        self._taken: list[NDArray[Any]] = []
+
+    def take(self, rows: slice, frames: NDArray[Any]) -> None:
+        """Keep what lies in a slab (frames, rows, columns)."""
+        for row in self._first[(self._first >= rows.start) & (self._first < rows.stop)] - rows.start:
+            # (frames, 2, blocks, columns) -> (blocks, frames, 2, columns)
+            self._taken.append(np.moveaxis(frames[:, row : row + 2][..., self._columns], 2, 0))
+
+    def stacked(self) -> NDArray[Any]:
+        """Return what was kept, (frames, patches, 2, columns)."""
+        if not self._taken:
+            return np.empty((0, 0, 2, _BLOCK_PX), np.uint16)
+        return np.ascontiguousarray(np.moveaxis(np.concatenate(self._taken), 0, 1))
+
+
+def check_frames(
+    subject: Subject, measurement: Measurement, patches: NDArray[Any], accepted_rad: float, motion_px: float
+) -> None:
+    """Check that the frames agree with the fringe sequence and with each other.
+
+    Parameters
+    ----------
+    patches
+        From `FramePatches`, (patterns, patches, 2, columns).
+    accepted_rad
+        Phase error of the fringes themselves that is accepted.
+    motion_px
+        Shift of the image between the fringes of two densities that is accepted.
+
+    Raises
+    ------
+    MeasurementFailed
+        They do not; it names the frame, or the word about them, that is wrong.
+
+    Notes
+    -----
+    Nothing is said of frames with a Gray code, nor where fewer than 200 of the sampled pixels are lit.
+    """
+    if measurement.gray_code is not None or not patches.size:
+        return
+    sequence, grey = measurement.sequence, measurement.grey_levels
+    densities = tuple(t for t in sequence.densities if t)
+    every = np.arange(len(patches))
+    places = [every[sequence.frames_of(k, uniform=False)] for k in range(len(sequence.orientations_rad))]
+    flat = patches.reshape(len(patches), -1)
+    lit = np.logical_and.reduce([lit_pixels(flat[own], grey) for own in places])
+    if np.count_nonzero(lit) < _LEAST_PIXELS:
+        return
+    offsets = offsets_of(measurement)
+    told = tuple(
+        SampledFrames(flat[own][:, lit], densities, sequence.steps, grey, accepted_rad, offsets)
+        for own in places
+    )
+    fits = tuple(fit_frames(one) for one in told)
+    mishap = None if agree(fits) else find_mishap(told, fits)
+    numbers = np.concatenate(places)
+    finding = ""
+    if mishap is None or mishap.what in _OF_ONE_FRAME:
+        touched = () if mishap is None else tuple(f // sequence.steps for f in mishap.frames)
+        finding = _motion(measurement, patches[numbers], touched, motion_px)
+    if not finding and mishap is not None:
+        finding = _in_words(mishap, _namer(measurement, numbers), densities)
+    finding = finding or _phases(measurement, fits, densities, accepted_rad)
+    if finding:
+        raise MeasurementFailed(f"the frames of {subject} are not what is told of them: {finding}")
+
+
+def _namer(measurement: Measurement, numbers: NDArray[np.intp]) -> Callable[[int], str]:
+    """Return what names a frame, among those without the density 0."""
+    shown = list(measurement.sequence.patterns())
+
+    def name(frame: int) -> str:
+        orientation, density, step = shown[numbers[frame]]
+        return f"{numbers[frame]} ({density} fringes along {degrees(orientation):g} deg, step {step})"
+
+    return name
+
+
+def _in_words(mishap: Mishap, name: Callable[[int], str], told: tuple[int, ...]) -> str:
+    """Say what is wrong, and what to do."""
+    again = "record them again"
+    if mishap.what == "count":
+        return (
+            f"where {mishap.told} fringes are told, the phases are those of {mishap.found:g}: correct the "
+            "fringe densities"
+        )
+    if mishap.what == "list":
+        found, were = (", ".join(map(str, some)) for some in (mishap.densities, told))
+        return f"the phases are those of {found} fringes, not of {were}: correct the fringe densities"
+    if mishap.what == "steps":
+        return f"they are runs of {mishap.found:g} phase steps, not of {mishap.told}: correct the phase steps"
+    if mishap.what == "exchanged":
+        one, other = map(name, mishap.frames)
+        return f"frames {one} and {other} have changed places: correct their order, or {again}"
+    (frame,) = map(name, mishap.frames)
+    if mishap.what == "missing":
+        return f"a frame is missing at {frame}, and those after it come one too early: {again}"
+    if mishap.what == "dark":
+        return f"frame {frame} is dark: {again}"
+    if mishap.what == "doubled":
+        return f"frame {frame} shows the same as frame {name(int(mishap.found))}: {again}"
+    if mishap.what == "gain":
+        return f"frame {frame} is {mishap.found:.2f} times as bright as it should be: {again}"
+    return f"frame {frame} does not show its pattern: {again}"
+
+
+def _motion(
+    measurement: Measurement, patches: NDArray[Any], touched: tuple[int, ...], accepted_px: float
+) -> str:
+    """Say between which fringes the image moves; nothing where it stands still, or cannot tell.
+
+    `touched` are the numbers of densities, counted over all orientations, whose frames are not as told.
+    """
+    sequence, grey = measurement.sequence, measurement.grey_levels
+    means = patches.reshape(-1, sequence.steps, *patches.shape[1:]).mean(axis=1, dtype=np.float32)
+    left = np.setdiff1d(np.arange(len(means)), touched)
+    if left.size < 2:
+        return ""
+    noise = float(np.sqrt(grey.variance(np.array([means.mean()]))[0] / sequence.steps))
+    found = image_shifts(means[left], patches.max(axis=0) < grey.full_scale, noise)
+    if np.isnan(found.shift).any():
+        return ""
+    low, high, both = found.shift.argmin(axis=0), found.shift.argmax(axis=0), np.arange(2)
+    moved = found.shift[high, both] - found.shift[low, both]
+    sigma = np.hypot(found.sigma[high, both], found.sigma[low, both])
+    if not np.any((moved > accepted_px) & (moved > _SURE * sigma)):
+        return ""
+    # Where it moves most from one density to the next.
+    at = int(np.argmax(np.sum(np.square(np.diff(found.shift, axis=0)), axis=1)))
+    before, after = (_fringes(measurement, int(left[i])) for i in (at, at + 1))
+    return (
+        f"the image moves by {np.hypot(*moved):.2g} px while they are recorded, most between {before} and "
+        f"{after}, and {accepted_px:g} px are accepted: keep camera and specimen still and record again"
+    )
+
+
+def _fringes(measurement: Measurement, place: int) -> str:
+    """Name the fringes of a density, counted over all orientations without the density 0."""
+    densities = [t for t in measurement.sequence.densities if t]
+    orientation = measurement.sequence.orientations_rad[place // len(densities)]
+    return f"{densities[place % len(densities)]} fringes along {degrees(orientation):g} deg"
+
+
+def _phases(
+    measurement: Measurement, fits: tuple[FrameFit, ...], densities: tuple[int, ...], accepted_rad: float
+) -> str:
+    """Say where the phases of the densities do not belong to one still surface; nothing where they do."""
+    for k, fit in enumerate(fits):
+        first = k * len(densities)
+        off = (np.abs(fit.shift) > accepted_rad) & (np.abs(fit.shift) > _SURE * fit.shift_sigma)
+        if not (few_agree(fit) or off.any()):
+            continue
+        jump = find_jump(fit, densities)
+        if jump is not None and abs(jump.change_rad) > accepted_rad:
+            before, after = (_fringes(measurement, first + i) for i in (jump.before, jump.after))
+            return (
+                f"the phase of {max(densities)} fringes changes by {abs(jump.change_rad):.2g} rad between "
+                f"{before} and {after}: keep camera and specimen still and record again"
+            )
+        if off.any() and not few_agree(fit):
+            worst = int(np.argmax(np.abs(fit.shift)))
+            return (
+                f"the phases of {_fringes(measurement, first + worst)} lie {abs(fit.shift[worst]):.2g} rad "
+                f"beside those of the others, and {accepted_rad:g} rad are accepted: keep camera and "
+                "specimen still and record again"
+            )
+        if fit.share < _HOPELESS:
+            along = degrees(measurement.sequence.orientations_rad[k])
+            return (
+                f"the phases along {along:g} deg agree in {fit.share:.0%} of the lit pixels only, which may "
+                "be by chance: see that densities, steps and order are right and that nothing moved; if "
+                "several surfaces are seen or the projector is not linear, raise maximum_phase_error_rad"
+            )
+    return ""
