@@ -12,8 +12,14 @@ from numpy.typing import NDArray
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.shape.foreign_patterns import offsets_of
 from sms_jobs.metrology.images.frame_motion import image_shifts
-from sms_jobs.metrology.phase.frame_fit import FrameFit, SampledFrames, fit_frames, lit_pixels
-from sms_jobs.metrology.phase.frame_mishaps import Mishap, agree, few_agree, find_mishap
+from sms_jobs.metrology.phase.frame_fit import (
+    FrameFit,
+    SampledFrames,
+    fit_frames,
+    lit_pixels,
+    share_by_chance,
+)
+from sms_jobs.metrology.phase.frame_mishaps import Mishap, find_mishap
 from sms_jobs.metrology.phase.phase_jumps import find_jump
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.subject import Subject
@@ -24,8 +30,8 @@ _BLOCKS, _BLOCK_PX = 8, 16  # of neighbouring columns
 _LEAST_PIXELS = 200  # that are lit: of fewer nothing is said
 _SURE = 6.0  # standard deviations
 _OF_ONE_FRAME = ("exchanged", "dark", "doubled", "gain", "other")
-_HOPELESS = 0.1
-"""Of the lit pixels whose phases agree: below, those that agree may do so by chance."""
+_BY_CHANCE = 2.0
+"""Times as many pixels may agree as phases that do not belong together, before any of them is believed."""
 
 
 class FramePatches:
@@ -54,7 +60,12 @@ class FramePatches:
 
 
 def check_frames(
-    subject: Subject, measurement: Measurement, patches: NDArray[Any], accepted_rad: float, motion_px: float
+    subject: Subject,
+    measurement: Measurement,
+    patches: NDArray[Any],
+    accepted_rad: float,
+    motion_px: float,
+    ranged: bool,
 ) -> None:
     """Check that the frames agree with the fringe sequence and with each other.
 
@@ -66,6 +77,8 @@ def check_frames(
         Phase error of the fringes themselves that is accepted.
     motion_px
         Shift of the image between the fringes of two densities that is accepted.
+    ranged
+        Whether pixels may see several surfaces.
 
     Raises
     ------
@@ -86,13 +99,14 @@ def check_frames(
     lit = np.logical_and.reduce([lit_pixels(flat[own], grey) for own in places])
     if np.count_nonzero(lit) < _LEAST_PIXELS:
         return
-    offsets = offsets_of(measurement)
     told = tuple(
-        SampledFrames(flat[own][:, lit], densities, sequence.steps, grey, accepted_rad, offsets)
+        SampledFrames(
+            flat[own][:, lit], densities, sequence.steps, grey, accepted_rad, offsets_of(measurement), ranged
+        )
         for own in places
     )
     fits = tuple(fit_frames(one) for one in told)
-    mishap = None if agree(fits) else find_mishap(told, fits)
+    mishap = None if all(fit.agrees for fit in fits) else find_mishap(told, fits)
     numbers = np.concatenate(places)
     finding = ""
     if mishap is None or mishap.what in _OF_ONE_FRAME:
@@ -100,7 +114,7 @@ def check_frames(
         finding = _motion(measurement, patches[numbers], touched, motion_px)
     if not finding and mishap is not None:
         finding = _in_words(mishap, _namer(measurement, numbers), densities)
-    finding = finding or _phases(measurement, fits, densities, accepted_rad)
+    finding = finding or _phases(measurement, told, fits)
     if finding:
         raise MeasurementFailed(f"the frames of {subject} are not what is told of them: {finding}")
 
@@ -181,34 +195,32 @@ def _fringes(measurement: Measurement, place: int) -> str:
     return f"{densities[place % len(densities)]} fringes along {degrees(orientation):g} deg"
 
 
-def _phases(
-    measurement: Measurement, fits: tuple[FrameFit, ...], densities: tuple[int, ...], accepted_rad: float
-) -> str:
+def _phases(measurement: Measurement, told: tuple[SampledFrames, ...], fits: tuple[FrameFit, ...]) -> str:
     """Say where the phases of the densities do not belong to one still surface; nothing where they do."""
-    for k, fit in enumerate(fits):
-        first = k * len(densities)
-        off = (np.abs(fit.shift) > accepted_rad) & (np.abs(fit.shift) > _SURE * fit.shift_sigma)
-        if not (few_agree(fit) or off.any()):
+    for k, (one, fit) in enumerate(zip(told, fits, strict=True)):
+        first, accepted = k * len(one.densities), one.accepted_rad
+        off = (np.abs(fit.shift) > accepted) & (np.abs(fit.shift) > _SURE * fit.shift_sigma)
+        if not (fit.few_agree or off.any()):
             continue
-        jump = find_jump(fit, densities)
-        if jump is not None and abs(jump.change_rad) > accepted_rad:
+        jump = find_jump(fit, one.densities)
+        if jump is not None and abs(jump.change_rad) > accepted:
             before, after = (_fringes(measurement, first + i) for i in (jump.before, jump.after))
             return (
-                f"the phase of {max(densities)} fringes changes by {abs(jump.change_rad):.2g} rad between "
-                f"{before} and {after}: keep camera and specimen still and record again"
+                f"the phase of {max(one.densities)} fringes changes by {abs(jump.change_rad):.2g} rad "
+                f"between {before} and {after}: keep camera and specimen still and record again"
             )
-        if off.any() and not few_agree(fit):
+        if off.any() and not fit.few_agree:
             worst = int(np.argmax(np.abs(fit.shift)))
             return (
                 f"the phases of {_fringes(measurement, first + worst)} lie {abs(fit.shift[worst]):.2g} rad "
-                f"beside those of the others, and {accepted_rad:g} rad are accepted: keep camera and "
-                "specimen still and record again"
+                f"beside those of the others, and {accepted:g} rad are accepted: keep camera and specimen "
+                "still and record again"
             )
-        if fit.share < _HOPELESS:
+        if fit.share <= _BY_CHANCE * share_by_chance(one):
             along = degrees(measurement.sequence.orientations_rad[k])
             return (
-                f"the phases along {along:g} deg agree in {fit.share:.0%} of the lit pixels only, which may "
-                "be by chance: see that densities, steps and order are right and that nothing moved; if "
-                "several surfaces are seen or the projector is not linear, raise maximum_phase_error_rad"
+                f"the phases along {along:g} deg agree in {fit.share:.1%} of the lit pixels, which is "
+                "hardly more than chance: see that densities, steps and order are right, and that nothing "
+                "moved"
             )
     return ""

@@ -103,8 +103,14 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
         del frames  # before the next slab is asked for: two of them are in memory, not three
         _at_exposure_one(slab, exposure, phase, returns)
         progress(0.8 * slab.stop / rows, f"found phases in {slab.stop} of {rows} rows")
-    accepted = parameters.maximum_phase_error_rad
-    check_frames(task.subject, measurement, patches.stacked(), accepted, parameters.maximum_motion_px)
+    check_frames(
+        task.subject,
+        measurement,
+        patches.stacked(),
+        parameters.maximum_phase_error_rad + _largest_ripple(ripples),
+        parameters.maximum_motion_px,
+        ranged=parameters.method != UNWRAPPING,
+    )
     return Phases(phase, returns, reason, response)
 
 
@@ -116,6 +122,11 @@ def _response(task: PhaseTask) -> SampledResponse | None:
 
 def _ripples(response: SampledResponse, steps: int) -> list[RippleTable]:
     return [ripple_table(one, response.densities, steps) for one in response.responses]
+
+
+def _largest_ripple(ripples: list[RippleTable]) -> float:
+    """Return the largest phase error, in rad, that harmonics are known to make; 0 where nothing is known."""
+    return max((float(table.residual.max()) for table in ripples), default=0.0)
 
 
 def _at_exposure_one(rows: slice, exposure: Singles, phase: PhaseMaps, returns: ReturnMaps | None) -> None:

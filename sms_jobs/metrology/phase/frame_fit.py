@@ -8,7 +8,7 @@ which frame something is told that is not so.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import Any
 
@@ -27,6 +27,8 @@ _CAP = 9.0
 _LIT = 5.0  # standard deviations of noise by which the frames of a pixel scatter at least
 _SATURATED = 2  # frames of a pixel at full scale, at most: one that is overexposed shall be found
 _KEPT = 0.999
+_MISFIT = 1.0  # of a frame: noise and what is accepted, together
+_TO_OTHERS = 3.0  # times the median frame's misfit
 _HARMONICS = 3
 
 
@@ -46,6 +48,8 @@ class SampledFrames:
         Phase error of the fringes themselves that is accepted.
     offsets
         What the patterns of each density add to the phase, in rad; none if empty.
+    ranged
+        Whether pixels may see several surfaces, so that their phases need not belong to one gradient.
     """
 
     levels: NDArray[Any]
@@ -54,6 +58,16 @@ class SampledFrames:
     grey_levels: GreyLevels
     accepted_rad: float
     offsets: tuple[float, ...] = ()
+    ranged: bool = False
+
+    @property
+    def least_share(self) -> float:
+        """Part of the lit pixels whose phases agree, below which something must be wrong.
+
+        Half of them; a tenth where pixels may see several surfaces; nine tenths of two densities, which agree
+        by chance in many pixels.
+        """
+        return 0.1 if self.ranged else 0.9 if len(self.densities) == 2 else 0.5
 
     @property
     def accepted_level(self) -> float:
@@ -81,6 +95,8 @@ class FrameFit:
         (densities, pixels): phase less the one that the gradient predicts, in rad.
     weight
         (densities, pixels): inverse variance of `residual` in rad^-2, with what is accepted.
+    least_share
+        That of the sampled frames.
     shift, shift_sigma
         (densities,): mean of `residual` over the consistent pixels, and its standard deviation.
     """
@@ -90,6 +106,7 @@ class FrameFit:
     total: float
     residual: Singles
     weight: Singles
+    least_share: float
     shift: Singles
     shift_sigma: Singles
 
@@ -97,6 +114,21 @@ class FrameFit:
     def share(self) -> float:
         """Part of the pixels that are consistent; 0 where there are none."""
         return float(self.consistent.mean()) if self.consistent.size else 0.0
+
+    @property
+    def few_agree(self) -> bool:
+        """Whether the phases of so few of the pixels agree that something must be wrong."""
+        return self.share < self.least_share
+
+    @property
+    def guilty(self) -> NDArray[np.bool_]:
+        """Which frames (densities, steps) depart by more than noise, what is accepted, and the others."""
+        return np.asarray(self.misfit > max(_MISFIT, _TO_OTHERS * float(np.median(self.misfit))))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the frames are explained by what is told of them."""
+        return not (self.few_agree or self.guilty.any())
 
 
 def lit_pixels(levels: NDArray[Any], grey_levels: GreyLevels) -> NDArray[np.bool_]:
@@ -160,6 +192,7 @@ def fit_frames(sampled: SampledFrames) -> FrameFit:
         float(departure.mean()),
         residual,
         weight.astype(np.float32),
+        sampled.least_share,
         residual[:, judged].mean(axis=1),
         residual[:, judged].std(axis=1) / np.float32(count),
     )
@@ -187,3 +220,16 @@ def _without_harmonics(
         for k in range(steps):
             departure[:, k] -= turn[k].real * wave.real - turn[k].imag * wave.imag
     return departure
+
+
+def share_by_chance(sampled: SampledFrames) -> float:
+    """Return the part of the pixels whose phases would agree if those of the densities had nothing in common.
+
+    The densities are taken from different pixels, drawn with a fixed seed. Three standard deviations of a
+    count are added.
+    """
+    random = np.random.default_rng(0)
+    stack = sampled.levels.reshape(len(sampled.densities), sampled.steps, -1)
+    mixed = [levels[:, random.permutation(stack.shape[2])] for levels in stack]
+    count = stack.shape[2] * fit_frames(replace(sampled, levels=np.concatenate(mixed))).share
+    return float((count + 3.0 * np.sqrt(max(count, 1.0))) / stack.shape[2])

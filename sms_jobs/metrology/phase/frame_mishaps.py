@@ -23,13 +23,11 @@ Levels = NDArray[Any]
 Fits = tuple[FrameFit, ...]
 What = Literal["count", "list", "steps", "exchanged", "dark", "doubled", "gain", "other", "missing"]
 
-_LEAST_SHARE = 0.5
-_LEAST_OF_TWO = 0.9
 _EXPLAINED = 0.6  # of the pixels agree with an explanation
-_MISFIT = 1.0  # of a frame: noise and what is accepted, together
-_TO_OTHERS = 3.0  # times the median frame's misfit
 _TRIED = 500  # pixels
-_MOST_FRAMES = 100  # of which every two are exchanged; of longer recordings those that fit badly
+_MOST_FRAMES = 100  # of which every two are exchanged
+_FEW_FRAMES, _FEW_DENSITIES, _NEAR = 12, 3, 3
+"""Of a longer recording these that fit worst are tried, and these numbers of fringes beside those told."""
 _SAME = (
     2.0  # squared difference of two frames of one pattern, in units of its expectation from noise, at most
 )
@@ -61,25 +59,6 @@ class Mishap:
     densities: tuple[int, ...] = ()
 
 
-def guilty_frames(fit: FrameFit) -> NDArray[np.bool_]:
-    """Return which frames (densities, steps) depart by more than noise, what is accepted, and the others."""
-    return np.asarray(fit.misfit > max(_MISFIT, _TO_OTHERS * float(np.median(fit.misfit))))
-
-
-def few_agree(fit: FrameFit) -> bool:
-    """Say whether the phases of so few of the lit pixels agree that something must be wrong.
-
-    Half of them do not, or a tenth where there are two densities: phases that do not belong together agree
-    there in many pixels by chance.
-    """
-    return fit.share < (_LEAST_OF_TWO if len(fit.misfit) == 2 else _LEAST_SHARE)
-
-
-def agree(fits: Fits) -> bool:
-    """Say whether the frames of every orientation agree with what is told of them."""
-    return not any(few_agree(fit) or guilty_frames(fit).any() for fit in fits)
-
-
 def find_mishap(told: tuple[SampledFrames, ...], fits: Fits) -> Mishap | None:
     """Find what is wrong with frames that do not agree; None where no single change explains them.
 
@@ -92,7 +71,7 @@ def find_mishap(told: tuple[SampledFrames, ...], fits: Fits) -> Mishap | None:
     """
     step = max(1, told[0].levels.shape[1] // _TRIED)
     thin = tuple(replace(one, levels=np.ascontiguousarray(one.levels[:, ::step])) for one in told)
-    wrong = any(few_agree(fit) for fit in fits)
+    wrong = any(fit.few_agree for fit in fits)
     if wrong and (steps := _steps(thin)):
         return Mishap("steps", told=told[0].steps, found=steps)
     best, least = None, sum(fit.total for fit in fits)
@@ -106,7 +85,7 @@ def find_mishap(told: tuple[SampledFrames, ...], fits: Fits) -> Mishap | None:
         except InvalidInput:  # a list of densities that leaves the phase ambiguous
             continue
         total = sum(fit.total for fit in now)
-        if total < least and all(fit.share >= _EXPLAINED and not guilty_frames(fit).any() for fit in now):
+        if total < least and all(fit.share >= _EXPLAINED and not fit.guilty.any() for fit in now):
             best, least = mishap, total
     if best is not None:
         return _named(best, thin) if best.what == "other" else best
@@ -119,11 +98,11 @@ def _explanations(
     """Yield what may be wrong, and the frames with that mended."""
     each, count = len(told[0].levels), len(told) * len(told[0].levels)
     levels = np.concatenate([one.levels for one in told])
-    doubtful = [few_agree(fit) or bool(guilty_frames(fit).any()) for fit in fits]
+    doubtful = [not fit.agrees for fit in fits]
     suspects = [f for f in range(count) if doubtful[f // each]]
-    if len(suspects) > _MOST_FRAMES:
-        bad = np.concatenate([fit.misfit.ravel() for fit in fits])
-        suspects = sorted(sorted(suspects, key=lambda f: -bad[f])[:_MOST_FRAMES])
+    misfit = np.concatenate([fit.misfit.ravel() for fit in fits])
+    if count > _MOST_FRAMES:
+        suspects = sorted(sorted(suspects, key=lambda f: -misfit[f])[:_FEW_FRAMES])
 
     def changed(frames: Levels, touched: set[int]) -> tuple[SampledFrames, ...]:
         parts = frames.reshape(len(told), each, -1)
@@ -139,22 +118,32 @@ def _explanations(
         yield Mishap("exchanged", (f, g)), changed(swapped, {f // each, g // each})
     if not wrong:
         return
-    for f in range(count - 1):
+    for f in range(count - 1) if count <= _MOST_FRAMES else suspects:
         shifted = np.concatenate([levels[:f], levels[f : f + 1], levels[f:-1]])
         k = f // each
         own = replace(told[k], levels=shifted.reshape(len(told), each, -1)[k])
         shifted[f] = _expected(own, f % each)
         yield Mishap("missing", (f,)), changed(shifted, set(range(k, len(told))))
-    for mishap, densities in _other_words(told[0].densities):
+    worst = None if count <= _MOST_FRAMES else misfit.reshape(len(told), len(told[0].densities), -1)
+    for mishap, densities in _other_words(told[0].densities, worst):
         yield mishap, tuple(replace(one, densities=densities) for one in told)
 
 
-def _other_words(told: tuple[int, ...]) -> Iterator[tuple[Mishap, tuple[int, ...]]]:
-    """Yield densities that may have been shown instead: one is another, or all are another named list."""
+def _other_words(
+    told: tuple[int, ...], misfit: NDArray[np.float32] | None
+) -> Iterator[tuple[Mishap, tuple[int, ...]]]:
+    """Yield densities that may have been shown instead: one is another, or all are another named list.
+
+    With the `misfit` of (orientations, densities, steps) those that fit worst alone are changed, by little.
+    """
     largest = 2 * max(told) + 2
-    for i, t in enumerate(told):
+    doubted = list(range(len(told)))
+    if misfit is not None:
+        doubted = sorted(doubted, key=lambda i: -misfit[:, i].sum())[:_FEW_DENSITIES]
+    for i in doubted:
+        t = told[i]
         for other in range(1, largest):
-            if other not in told:
+            if other not in told and (misfit is None or abs(other - t) <= _NEAR):
                 yield Mishap("count", told=t, found=other), (*told[:i], other, *told[i + 1 :])
     named = {tuple(t for t in make(s) if t) for make in SEQUENCES.values() for s in range(2, largest)}
     each = {one for densities in named | {told} for one in (densities, densities[::-1])}
