@@ -182,7 +182,7 @@ def rms_off(off: Floats, where: Flags) -> tuple[float, float]:
 
 UNMASKED = {
     "maximum_phase_error_rad": 10.0,
-    "maximum_ray_gap_mm": 1000.0,
+    "calibration_sigma_px": 300.0,
     "minimum_pair_margin": 0.0,
 }
 """Every pixel that is measured inside the volume counts, however doubtful: the thesis masks none of them."""

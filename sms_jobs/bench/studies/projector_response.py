@@ -28,7 +28,7 @@ GAMMAS = (1.0, 1.3, 1.8)
 STEPS = (3, 4, 5)
 DENSITIES = {"temporal-unwrapping": (32, 31, 30, 28, 24, 16), "fdr": tuple(range(32))}
 _TUPLE = Subject("plate", "S00", "C1P1")
-_ROUGH: dict[str, Any] = {"maximum_phase_error_rad": 0.5, "maximum_ray_gap_mm": 5.0}
+_ROUGH: dict[str, Any] = {"maximum_phase_error_rad": 0.5, "calibration_sigma_px": 1.25}
 
 
 def judged(gamma: float, steps: int, method: Any) -> tuple[Cell, ...]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
 from sms_jobs.kinds.kind import Parameters
+from sms_jobs.metrology.calibration.expected_gap import pixel_size
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.images.masks import high_phase_error, low_modulation
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
@@ -76,10 +77,11 @@ class PhaseParameters(Parameters):
     maximum_ray_gap_to_noise: float = Field(
         4.0, gt=0.0, description="largest gap between the rays in standard deviations from noise"
     )
-    maximum_ray_gap_mm: float = Field(
-        0.2,
+    calibration_sigma_px: float | None = Field(
+        None,
         ge=0.0,
-        description="gap between the rays, from calibration, that is accepted on top of the noise",
+        description="standard deviation of the gap between the rays from the calibration, in pixels of the "
+        "projector; what the calibration says of itself if not given, 0.05 where it says nothing",
     )
     response: Literal["none", "measured"] = Field(
         "none",
@@ -110,10 +112,25 @@ class PhaseParameters(Parameters):
 
 @dataclass(frozen=True)
 class Geometry:
-    """Where sensors and specimen are: by this returns are paired."""
+    """Where sensors and specimen are: by this returns are paired.
+
+    Attributes
+    ----------
+    pair, volume
+        Of the calibration.
+    gap_sigma_px
+        Standard deviation of the ray gap from the calibration, in pixels of the projector.
+    """
 
     pair: SensorPair
     volume: Box
+    gap_sigma_px: float
+
+    def gap_sigma_mm(self, xyz: Floats) -> Singles:
+        """Return the same in mm, (rows, columns), at points (3, rows, columns) in mm."""
+        inner, pose = self.pair.projector.intrinsics, self.pair.projector.pose
+        size = pixel_size((inner, pose), np.moveaxis(xyz, 0, -1))
+        return np.asarray(self.gap_sigma_px * size, np.float32)
 
 
 @dataclass(frozen=True)

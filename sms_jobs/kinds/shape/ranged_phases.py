@@ -108,7 +108,9 @@ def _paired(task: PhaseTask, rows: slice, found: list[Returns]) -> Pairing:
     """Choose, pixel by pixel, the returns of the orientations that belong to one point."""
     if task.geometry is None:
         raise InvalidInput(f"method={task.parameters.method} needs a calibration; set method={UNWRAPPING}")
-    volume, parameters = task.geometry.volume, task.parameters
+    geometry, parameters = task.geometry, task.parameters
+    low, high = geometry.volume.low, geometry.volume.high
+    middle = np.reshape(np.add(low, high) / 2.0, (3, 1, 1))
     densities = np.array(task.measurement.sequence.densities, dtype=np.float64)
     candidates = CandidateReturns(
         np.stack([f.omega for f in found]),
@@ -116,13 +118,13 @@ def _paired(task: PhaseTask, rows: slice, found: list[Returns]) -> Pairing:
         np.stack([f.amplitude for f in found]),
     )
     rule = PairingRule(
-        volume.low,
-        volume.high,
-        gap_floor_mm=parameters.maximum_ray_gap_mm / parameters.maximum_ray_gap_to_noise,
+        low,
+        high,
+        gap_floor_mm=float(geometry.gap_sigma_mm(middle)[0, 0]),
         density_rms=float(np.sqrt(np.mean(densities**2))),
         least_gap=parameters.pair_rule == "least-gap",
     )
-    return task.geometry.pair.choose(rows, candidates, rule)
+    return geometry.pair.choose(rows, candidates, rule)
 
 
 def _merged_sigma(task: PhaseTask, found: list[Returns], pairing: Pairing) -> Singles:

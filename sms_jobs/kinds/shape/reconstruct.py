@@ -39,11 +39,14 @@ from sms_jobs.kinds.kind import (
     Scope,
     fringe_tuples,
 )
-from sms_jobs.kinds.products import CALIBRATED, MEASURED, PHASE, RETURNS, SURFACE, Product
+from sms_jobs.kinds.products import CALIBRATED, MEASURED, PHASE, RETURNS, SURFACE, UNCERTAINTY, Product
+from sms_jobs.kinds.shape.direction_check import check_directions
 from sms_jobs.kinds.shape.fringe_response import SampledResponse
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, PhaseTask, mark
 from sms_jobs.kinds.shape.phases import find_phases, sensor_pair
 from sms_jobs.kinds.valid_parts import fractions
+from sms_jobs.metrology.calibration.expected_gap import expected_gap_px
+from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge, large_ray_gap, outside_box
 from sms_jobs.metrology.phase.response import corrected_gradient
@@ -57,6 +60,8 @@ from sms_jobs.records.views import Role
 
 # Of good pixels 0.2 % fail by noise: four that touch each other do so once in many million images.
 _SMALLEST_GAP = 4
+_UNSTATED_PX = 0.05
+"""Ray gap from a calibration that says nothing of itself; one with residuals of 0.1 px has about that."""
 
 Reasons = NDArray[np.uint32]
 
@@ -78,7 +83,7 @@ class ReconstructParameters(PhaseParameters):
 
 
 _FRAMES = Port("measurement", MEASUREMENT, (MEASURED,))
-_CALIBRATION = Port("calibration", CALIBRATION, (CALIBRATED,))
+_CALIBRATION = Port("calibration", CALIBRATION, (CALIBRATED, UNCERTAINTY))
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: ReconstructParameters) -> Iterable[Need]:
@@ -104,10 +109,11 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
             f"{camera.columns} x {camera.rows} px: choose the calibration of the camera that recorded them"
         )
     pair = sensor_pair(camera, projector, measurement.sequence, inputs.threads)
-    geometry = Geometry(pair, calibration.volume)
+    geometry = Geometry(pair, calibration.volume, _gap_sigma_px(inputs, parameters, calibration))
     task = PhaseTask(inputs.subject, measurement, parameters, inputs.threads, geometry)
     found = find_phases(task, progress)
     phase, reason = found.maps, found.reason
+    check_directions(inputs.subject, geometry, phase, reason == Reason.VALID)
     blur, beside = correct_texture(
         phase.omega,
         phase.omega_sigma,
@@ -121,7 +127,7 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     mark(reason, beside, Reason.OUTSIDE_REGION)
     progress(0.9, "corrected for the texture")
     points = pair.meet(phase.omega, phase.omega_sigma)
-    _mark_points(points, calibration, parameters, reason)
+    _mark_points(points, geometry, parameters, reason)
     surface = _as_surface(str(inputs.view), points, reason)
     progress(1.0, "triangulated")
     statistics = _statistics(points, phase, reason, blur)
@@ -136,17 +142,33 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     yield DatasetOutput(inputs.subject, records, statistics)
 
 
+def _gap_sigma_px(inputs: Inputs, parameters: ReconstructParameters, calibration: Calibration) -> float:
+    """Return by how much the rays may miss each other because of the calibration, in projector pixels."""
+    if parameters.calibration_sigma_px is not None:
+        return parameters.calibration_sigma_px
+    if not inputs.has(_CALIBRATION, UNCERTAINTY):
+        return _UNSTATED_PX
+    names = (inputs.view.camera, inputs.view.projector)
+    camera, projector = ((s.intrinsics, s.pose) for s in map(calibration.rig.sensor, names))
+    places = box_grid(np.array(calibration.volume.low), np.array(calibration.volume.high), per_side=3)
+    covariance = inputs.read(_CALIBRATION, UNCERTAINTY).of(names)
+    return expected_gap_px(camera, projector, covariance, places)
+
+
 def _mark_points(
-    points: Triangulation, calibration: Calibration, parameters: ReconstructParameters, reason: Reasons
+    points: Triangulation, geometry: Geometry, parameters: ReconstructParameters, reason: Reasons
 ) -> None:
-    """Mark the pixels whose point cannot be trusted; one whose rays do not meet at all is out of volume."""
-    outside = outside_box(points.xyz, calibration.volume.low, calibration.volume.high)
-    nowhere = np.isnan(points.xyz[0]) & (reason & Reason.SATURATED == 0)
+    """Mark the pixels whose point cannot be trusted.
+
+    One whose rays do not meet, or so flatly that its covariance is beyond all numbers, is out of volume.
+    """
+    outside = outside_box(points.xyz, geometry.volume.low, geometry.volume.high)
+    nowhere = ~np.isfinite(points.covariance.sum(axis=0)) & (reason & Reason.SATURATED == 0)
     mark(reason, outside | nowhere, Reason.OUT_OF_VOLUME)
     apart = large_ray_gap(
         points.ray_gap,
         points.ray_gap_sigma,
-        parameters.maximum_ray_gap_mm,
+        geometry.gap_sigma_mm(points.xyz),
         parameters.maximum_ray_gap_to_noise,
     )
     mark(reason, apart, Reason.LARGE_RAY_GAP)

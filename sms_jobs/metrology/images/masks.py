@@ -30,13 +30,14 @@ def outside_box(xyz: Floating, low: tuple[float, float, float], high: tuple[floa
     return np.asarray(np.any((xyz < corner_low) | (xyz > corner_high), axis=0))
 
 
-def large_ray_gap(ray_gap: Floating, ray_gap_sigma: Floating, limit_mm: float, sigmas: float) -> Mask:
+def large_ray_gap(
+    ray_gap: Floating, ray_gap_sigma: Floating, calibration_sigma: Floating, sigmas: float
+) -> Mask:
     """Return where the rays miss each other by more than noise and calibration explain.
 
-    The noise may take `sigmas` standard deviations and the calibration `limit_mm`; they add as squares.
+    They may by `sigmas` standard deviations of both together, whose squares add; all lengths are in mm.
     """
-    allowed = np.hypot(sigmas * ray_gap_sigma, limit_mm)
-    return np.asarray(np.abs(ray_gap) > allowed)
+    return np.asarray(np.abs(ray_gap) > sigmas * np.hypot(ray_gap_sigma, calibration_sigma))
 
 
 def at_edge(valid: Mask, smallest_gap: int) -> Mask:

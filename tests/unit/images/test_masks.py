@@ -32,7 +32,7 @@ def test_a_box_holds_its_faces() -> None:
 def test_noise_and_calibration_share_the_ray_gap() -> None:
     gap = np.array([0.49, -0.49, 0.51, -0.51])
     np.testing.assert_array_equal(
-        large_ray_gap(gap, np.full(4, 0.1), limit_mm=0.3, sigmas=4.0), [False, False, True, True]
+        large_ray_gap(gap, np.full(4, 0.1), np.full(4, 0.075), sigmas=4.0), [False, False, True, True]
     )
 
 
@@ -41,7 +41,7 @@ def test_missing_values_fail_no_test() -> None:
     assert not high_phase_error(lost, 0.1).any()
     assert not low_modulation(lost, 0.1).any()
     assert not outside_box(np.full((3, 1, 1), np.nan), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)).any()
-    assert not large_ray_gap(lost, lost, 0.1, 4.0).any()
+    assert not large_ray_gap(lost, lost, lost, 4.0).any()
 
 
 @pytest.mark.parametrize("fitted", [2, 3, 6])

@@ -125,7 +125,7 @@ def test_good_pixels_are_kept_and_dark_ones_are_not(plain: Tuple, speckled: Tupl
 
 def test_the_textures_error_is_corrected_and_the_rest_is_stated(speckled: Tuple) -> None:
     corrected, _, output = speckled.reconstruct()
-    raw, _, _ = speckled.reconstruct(ReconstructParameters(blur_px=0.0, maximum_ray_gap_mm=1.0))
+    raw, _, _ = speckled.reconstruct(ReconstructParameters(blur_px=0.0, calibration_sigma_px=0.25))
     z = error_in_sigmas(corrected, speckled.shape)
     # What the correction leaves is not Gaussian: its size is stated to a quarter.
     assert np.median(z) / 0.6745 == pytest.approx(1.0, abs=0.25)

@@ -160,7 +160,7 @@ def test_the_half_that_is_lit_twice_is_as_flat_as_the_other() -> None:
     assert apart.sum() > 0.7 * twice.sum()
     # Two returns 1.5 bins apart have 1.02 times the error of one, and the tilt of the plate a few percent.
     assert off_plane(cloud, apart) < 1.1 * off_plane(cloud, once)
-    unwrapped: Surface = scene.reconstruct(maximum_phase_error_rad=10.0, maximum_ray_gap_mm=50.0).records[
+    unwrapped: Surface = scene.reconstruct(maximum_phase_error_rad=10.0, calibration_sigma_px=12.0).records[
         "surface"
     ]
     # Unwrapping takes the sum of both returns for one: the thesis found 2.726 mm against 0.538 mm.

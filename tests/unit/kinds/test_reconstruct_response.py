@@ -70,7 +70,7 @@ def rippled(gamma: float, densities: tuple[int, ...], steps: int) -> Rippled:
     return Rippled(calibration, measurement, shape, inside)
 
 
-ROUGH = {"maximum_phase_error_rad": 0.5, "maximum_ray_gap_mm": 5.0}
+ROUGH = {"maximum_phase_error_rad": 0.5, "calibration_sigma_px": 1.25}
 
 
 @pytest.mark.parametrize(("densities", "method"), [(UNWRAPPED, "temporal-unwrapping"), (RANGED, "fdr")])

@@ -60,7 +60,7 @@ def test_the_predicted_ripple_is_that_of_the_shape() -> None:
     records, simulation = recorded(ProjectorResponse(1.8), FringeSequence(DENSITIES, 3))
     found, output = diagnosed(records)
     rough = reconstruct.ReconstructParameters(
-        blur_px=0.0, maximum_phase_error_rad=0.5, maximum_ray_gap_mm=5.0
+        blur_px=0.0, maximum_phase_error_rad=0.5, calibration_sigma_px=1.25
     )
     cloud = run_kind(reconstruct.KIND, SUBJECT, records, 1, rough).records["surface"]
     assert isinstance(cloud, Surface)
