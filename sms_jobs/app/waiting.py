@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import JobFailed, WaitTimedOut
 from sms_jobs.jobs import inquiry
 from sms_jobs.jobs.chosen import Chosen
+from sms_jobs.jobs.empty_results import EmptyResults, empty_results
 from sms_jobs.jobs.estimates import outlook
 from sms_jobs.records.job import UNSUCCESSFUL, JobState
 from sms_jobs.records.people import Right
@@ -51,10 +52,21 @@ class Waiting:
 
 @dataclass(frozen=True)
 class Waited:
-    """How many jobs ended in each state, and, where one did not succeed, what the last of these says."""
+    """How jobs ended.
+
+    Attributes
+    ----------
+    counted
+        How many in each state.
+    failure
+        Where one did not succeed, what the last of these says.
+    empty
+        Results in which nothing is valid, of jobs that succeeded.
+    """
 
     counted: dict[str, int]
     failure: str = ""
+    empty: EmptyResults = EmptyResults()
 
     @property
     def succeeded(self) -> int:
@@ -124,8 +136,6 @@ def wait_for(
             raise timed_out(active, counted, timeout_s or 0.0)
         taken = time.monotonic() - looked
         time.sleep(min(max(_EVERY_S, taken), _OUTLOOK_EVERY_S))
-    done = Waited(counted)
-    if not done.failures:
-        return done
     with services.catalogue.reading() as session:
-        return Waited(counted, inquiry.failure(session, some))
+        done = Waited(counted, empty=empty_results(session, some))
+        return replace(done, failure=inquiry.failure(session, some)) if done.failures else done

@@ -365,10 +365,13 @@ def given_parameters(settings: Sequence[str]) -> dict[str, Any]:
 
 def _tell_waited(waited: Waited, as_json: bool) -> None:
     """Print how jobs ended; raise `JobFailed` where one did not succeed."""
+    empty = waited.empty
     if as_json:
-        output.print_json({"jobs": waited.counted})
+        nothing = {"nothing_valid": {"jobs": empty.count, "latest": empty.latest}} if empty.count else {}
+        output.print_json({"jobs": waited.counted} | nothing)
     else:
-        output.say(
-            ", ".join(f"{count} {state}" for state, count in waited.counted.items()) or "there is no such job"
-        )
+        said = [f"{count} {state}" for state, count in waited.counted.items()] or ["there is no such job"]
+        output.say(", ".join(said) + (f", {empty.count} of them with nothing valid" if empty.count else ""))
+        if empty.count:
+            output.say(empty.latest)
     waited.require_success()

@@ -26,7 +26,7 @@ from sms_jobs.catalogue.models import (
 )
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import Conflict, NotFound
-from sms_jobs.jobs import calibration_choice, chosen, locks
+from sms_jobs.jobs import calibration_choice, chosen, empty_results, locks
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION
@@ -172,6 +172,7 @@ def explain(session: Session, job: JobRow, now: datetime) -> list[str]:
     elif job.state is JobState.RUNNING:
         say.append(f"it runs in process {job.pid} under worker {job.worker_id}, attempt {job.attempts}")
     elif job.state is JobState.SUCCEEDED:
+        say += empty_results.said_of(session, job)
         say += _why_computed(session, job)
         say += _staleness(session, job, now)
     return say

@@ -7,9 +7,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.records.reasons import Reason
+from sms_jobs.records.reasons import LOST_TO, Reason
 
 Mask: TypeAlias = NDArray[np.bool_]
+
+_LIT = 0.01  # of the image
 
 
 def fractions(valid: Mask, measurable: Mask) -> dict[str, float]:
@@ -28,6 +30,28 @@ def fractions(valid: Mask, measurable: Mask) -> dict[str, float]:
     """
     part = float((valid & measurable).sum()) / max(float(measurable.sum()), 1.0)
     return {"valid_fraction": part, "valid_fraction_of_image": float(valid.mean())}
+
+
+def losses(reason: NDArray[np.uint32]) -> dict[str, float]:
+    """Return, where nothing is valid, by which reasons the pixels are lost; nothing where something is.
+
+    Parameters
+    ----------
+    reason
+        (rows, columns).
+
+    Returns
+    -------
+    dict
+        `lost_to_large_ray_gap` and so on: which part of the pixels has a reason, of those that are lit, or of
+        the image where less than a hundredth is. A pixel may have several.
+    """
+    if (reason == Reason.VALID).any():
+        return {}
+    lit = (reason & np.uint32(Reason.LOW_MODULATION)) == 0
+    counted = reason[lit] if lit.mean() > _LIT else reason.ravel()
+    parts = {one: float(np.mean((counted & np.uint32(one)) != 0)) for one in Reason if one}
+    return {f"{LOST_TO}{str(one.name).lower()}": part for one, part in parts.items() if part}
 
 
 def textured(reason: NDArray[np.uint32]) -> Mask:

@@ -44,7 +44,7 @@ from sms_jobs.kinds.shape.direction_check import check_directions
 from sms_jobs.kinds.shape.fringe_response import SampledResponse
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, PhaseTask, mark
 from sms_jobs.kinds.shape.phases import find_phases, sensor_pair
-from sms_jobs.kinds.valid_parts import fractions
+from sms_jobs.kinds.valid_parts import fractions, losses
 from sms_jobs.metrology.calibration.expected_gap import expected_gap_px
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.triangulation import Triangulation
@@ -189,6 +189,7 @@ def _statistics(points: Triangulation, phase: PhaseMaps, reason: Reasons, blur: 
     lit = (reason & (Reason.LOW_MODULATION | Reason.OUT_OF_VOLUME)) == 0
     statistics = {
         **fractions(valid, lit),
+        **losses(reason),
         "blur_px": float(np.sqrt(blur.variance)),
     }
     if valid.any():

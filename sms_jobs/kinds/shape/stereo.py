@@ -38,7 +38,7 @@ from sms_jobs.kinds.kind import (
 from sms_jobs.kinds.point_matches import match_statistics, matches_record, summary, trusted_points
 from sms_jobs.kinds.products import CALIBRATED, MATCHES, MEASURED, SURFACE, Product
 from sms_jobs.kinds.shape.textures import white_texture
-from sms_jobs.kinds.valid_parts import fractions
+from sms_jobs.kinds.valid_parts import fractions, losses
 from sms_jobs.metrology.deformation.camera_matching import (
     RaySearch,
     TexturedCamera,
@@ -401,6 +401,7 @@ def _statistics(
     each = [match_statistics(one) for one in matches.values()]
     statistics = {
         **fractions(valid, labels > 0),
+        **losses(surface.reason),
         **{name: float(np.mean([one[name] for one in each if name in one])) for name in each[0]},
         "epipolar_rms_px": epipolar_px,
     }
