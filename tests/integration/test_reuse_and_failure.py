@@ -61,3 +61,21 @@ def test_a_failed_job_says_why_and_the_rest_goes_on(plate: Path) -> None:
     assert counted["failed"] >= 1
     assert counted["skipped"] >= 1
     assert counted["succeeded"] > 3  # the reference state and the other view
+
+
+def test_a_job_that_finds_nothing_says_so(plate: Path) -> None:
+    blind = ("--set", "reconstruct.minimum_modulation_to_noise=1e6", "--state", "S00", "--view", "C1P1")
+    with service(plate):
+        run(plate, "job", "wait", *run(plate, "job", "submit", "simulate", "-c", "plate")["jobs"])
+        done = sms("job", "submit", "reconstruct", "-c", "plate", *blind, "--wait", "--home", str(plate))
+        again = run(plate, "job", "submit", "reconstruct", "-c", "plate", *blind)["jobs"]
+        waited = run(plate, "job", "wait", *again)
+    assert done.returncode == 0
+    said = "reconstruct plate/S00/C1P1: nothing valid: of the lit pixels are lost 100% by low modulation"
+    assert "1 succeeded, 1 of them with nothing valid" in done.stderr
+    assert said in done.stderr
+    # A result that is reused is as empty.
+    assert waited["nothing_valid"]["jobs"] == 1
+    assert waited["nothing_valid"]["latest"].startswith(said)
+    why = run(plate, "job", "explain", *again)["explanation"]
+    assert any(sentence.startswith("nothing valid") for sentence in why)

@@ -17,6 +17,15 @@ from sms_jobs.bench.board_sessions import (
     parameter_z,
 )
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
+from sms_jobs.bench.fringe_mishaps import (
+    SILENT_MM,
+    SILENT_SIGMA,
+    is_named,
+    mishaps,
+    perfect_session,
+    reconstructed,
+    silent_points,
+)
 from sms_jobs.errors import CalibrationFailed
 
 _BOWS_MM = (0.1, 0.3, 0.5)
@@ -94,11 +103,59 @@ def _perfect(run: Run, seed: int) -> Iterator[Found]:
     )
 
 
+def _mishaps(run: Run, seed: int) -> Iterator[Found]:
+    """Yield how many of ten mishaps are named in all sessions, and the points that are silently wrong."""
+    sessions = 1 if run.quick else 4
+    missed: set[str] = set()
+    silent = lit = 0
+    names: set[str] = set()
+    for number in range(sessions):
+        random = np.random.default_rng(seed + number)
+        session = perfect_session(random)
+        for mishap in mishaps(session, random):
+            run.say(f"fringes_truth: {mishap.name}, session {number + 1} of {sessions}")
+            surface, said = reconstructed(session, mishap.measurement)
+            names.add(mishap.name)
+            if not is_named(mishap, said):
+                missed.add(mishap.name)
+            silent += silent_points(session, surface)
+            lit += int(session.shape.lit.sum())
+    yield Figure("mishaps_named", float(len(names - missed)), "1", float(len(names)), "at least")
+    yield Figure("mishaps_silent_per_million", 1e6 * silent / lit, "1", 0.0, "at most")
+    not_named = f"; not always named: {', '.join(sorted(missed))}" if missed else ""
+    yield Condition(
+        "mishaps",
+        f"{sessions} recordings of a plate by a camera of 128 px, each with one of "
+        f"{', '.join(sorted(names))}; named are those of which the refusal names the frame, the word or the "
+        "motion in every recording; silent are valid points, of all lit pixels, off by more than "
+        f"{SILENT_SIGMA:g} stated deviations and {SILENT_MM:g} mm; default parameters, noise, speckle, "
+        "exposure 0.3 to 1.1, gamma 1 to 1.2, defocus 0 to 1 px and three sequences drawn from seeds from "
+        f"{seed}{not_named}",
+    )
+
+
+def _accepted(run: Run, seed: int) -> Iterator[Found]:
+    """Yield how many recordings to which nothing happened are reconstructed."""
+    count = 4 if run.quick else _PERFECT
+    accepted, refused = 0, ""
+    for number in range(count):
+        run.say(f"fringes_truth: a recording to which nothing happened, {number + 1} of {count}")
+        session = perfect_session(np.random.default_rng(seed + 1000 + number))
+        _, said = reconstructed(session, session.measurement)
+        accepted += not said
+        refused = refused or said
+    yield Figure("perfect_recordings_accepted", float(accepted), "1", float(count), "at least")
+    first = f"; the first refusal: {refused}" if refused else ""
+    yield Condition("perfect_recordings", f"{count} of those recordings, seeds from {seed + 1000}{first}")
+
+
 def measure(run: Run) -> Iterator[Found]:
     """Yield the figures and their conditions; the seeds are new in every run."""
     seed = int(np.random.SeedSequence().generate_state(1)[0] % 1_000_000)
     yield from _bent(run, seed)
     yield from _perfect(run, seed)
+    yield from _mishaps(run, seed)
+    yield from _accepted(run, seed)
 
 
 GROUP = Group("fringes_truth", "figures where boards and frames are not what was told", warm_up, measure)

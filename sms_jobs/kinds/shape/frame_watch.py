@@ -30,8 +30,9 @@ _BLOCKS, _BLOCK_PX = 8, 16  # of neighbouring columns
 _LEAST_PIXELS = 200  # that are lit: of fewer nothing is said
 _SURE = 6.0  # standard deviations
 _OF_ONE_FRAME = ("exchanged", "dark", "doubled", "gain", "other")
-_BY_CHANCE = 2.0
-"""Times as many pixels may agree as phases that do not belong together, before any of them is believed."""
+_BY_CHANCE, _MORE = 2.0, 0.1
+"""Of phases that do not belong together some agree by chance: as many again, or a tenth of the others, are
+to agree before any is believed."""
 
 
 class FramePatches:
@@ -216,7 +217,8 @@ def _phases(measurement: Measurement, told: tuple[SampledFrames, ...], fits: tup
                 f"beside those of the others, and {accepted:g} rad are accepted: keep camera and specimen "
                 "still and record again"
             )
-        if fit.share <= _BY_CHANCE * share_by_chance(one):
+        by_chance = share_by_chance(one)
+        if fit.share <= min(_BY_CHANCE * by_chance, by_chance + _MORE * (1.0 - by_chance)):
             along = degrees(measurement.sequence.orientations_rad[k])
             return (
                 f"the phases along {along:g} deg agree in {fit.share:.1%} of the lit pixels, which is "

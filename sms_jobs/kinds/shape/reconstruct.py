@@ -163,7 +163,7 @@ def _mark_points(
     One whose rays do not meet, or so flatly that its covariance is beyond all numbers, is out of volume.
     """
     outside = outside_box(points.xyz, geometry.volume.low, geometry.volume.high)
-    nowhere = ~np.isfinite(points.covariance.sum(axis=0)) & (reason & Reason.SATURATED == 0)
+    nowhere = ~np.isfinite(points.covariance).all(axis=0) & (reason & Reason.SATURATED == 0)
     mark(reason, outside | nowhere, Reason.OUT_OF_VOLUME)
     apart = large_ray_gap(
         points.ray_gap,

@@ -24,6 +24,8 @@ Fits = tuple[FrameFit, ...]
 What = Literal["count", "list", "steps", "exchanged", "dark", "doubled", "gain", "other", "missing"]
 
 _EXPLAINED = 0.6  # of the pixels agree with an explanation
+_WORSE = 0.1  # by how much fewer may agree where frames agreed before
+_FEW = 0.5  # of the pixels agree, below which single frames are suspected
 _TRIED = 500  # pixels
 _MOST_FRAMES = 100  # of which every two are exchanged
 _FEW_FRAMES, _FEW_DENSITIES, _NEAR = 12, 3, 3
@@ -85,11 +87,18 @@ def find_mishap(told: tuple[SampledFrames, ...], fits: Fits) -> Mishap | None:
         except InvalidInput:  # a list of densities that leaves the phase ambiguous
             continue
         total = sum(fit.total for fit in now)
-        if total < least and all(fit.share >= _EXPLAINED and not fit.guilty.any() for fit in now):
+        if total < least and all(map(_explains, at_first, now)):
             best, least = mishap, total
-    if best is not None:
-        return _named(best, thin) if best.what == "other" else best
-    return None
+    return _named(best, thin) if best is not None and best.what == "other" else best
+
+
+def _explains(before: FrameFit, now: FrameFit) -> bool:
+    """Say whether a change explains frames: half of the pixels that did not agree do so now, or more."""
+    if now.guilty.any():
+        return False
+    if before.few_agree:
+        return now.share >= max(_EXPLAINED, 0.5 * (1.0 + before.share))
+    return now.share >= before.share - _WORSE
 
 
 def _explanations(
@@ -98,7 +107,7 @@ def _explanations(
     """Yield what may be wrong, and the frames with that mended."""
     each, count = len(told[0].levels), len(told) * len(told[0].levels)
     levels = np.concatenate([one.levels for one in told])
-    doubtful = [not fit.agrees for fit in fits]
+    doubtful = [fit.share < _FEW or bool(fit.guilty.any()) for fit in fits]
     suspects = [f for f in range(count) if doubtful[f // each]]
     misfit = np.concatenate([fit.misfit.ravel() for fit in fits])
     if count > _MOST_FRAMES:
@@ -118,7 +127,8 @@ def _explanations(
         yield Mishap("exchanged", (f, g)), changed(swapped, {f // each, g // each})
     if not wrong:
         return
-    for f in range(count - 1) if count <= _MOST_FRAMES else suspects:
+    first = suspects[0] if suspects else count
+    for f in range(first, count - 1) if count <= _MOST_FRAMES else suspects:
         shifted = np.concatenate([levels[:f], levels[f : f + 1], levels[f:-1]])
         k = f // each
         own = replace(told[k], levels=shifted.reshape(len(told), each, -1)[k])
@@ -188,5 +198,6 @@ def _named(mishap: Mishap, told: tuple[SampledFrames, ...]) -> Mishap:
     below = expected < 0.5 * one.grey_levels.full_scale
     if np.corrcoef(frame, expected)[0, 1] > _ALIKE and below.any():
         gain = float(np.median(frame[below] / np.maximum(expected[below], 1.0)))
-        return replace(mishap, what="gain", found=gain)
+        if abs(gain - 1.0) > one.accepted_level / 2.0:
+            return replace(mishap, what="gain", found=gain)
     return mishap

@@ -11,6 +11,7 @@ from sms_jobs.metrology.phase.frame_fit import FrameFit, Singles
 _KEPT = 0.999
 _EXPLAINED = 0.6  # of the pixels
 _LEAST_FREEDOM = 2
+_PRICE = 0.02  # of the pixels that a drift, or a density that is left out, has to explain besides
 _TINY = np.finfo(np.float32).tiny
 
 
@@ -51,7 +52,7 @@ def find_jump(fit: FrameFit, densities: tuple[int, ...]) -> PhaseJump | None:
     n = len(densities)
     t = np.array(densities, np.float32)[:, None]
     time = np.arange(n, dtype=np.float32)[:, None]
-    tried: list[tuple[float, int, int, float]] = []
+    tried: list[tuple[float, float, int, int, float]] = []
     for before in range(n - 1):
         for after in (before + 1, before + 2):
             freedom = before + 1 + n - after - 2
@@ -66,12 +67,13 @@ def find_jump(fit: FrameFit, densities: tuple[int, ...]) -> PhaseJump | None:
                 left += np.sum(w * np.square(r - own * slope), axis=0)
                 change += np.float32(sign) * slope
             share = float(np.mean(left < chi2.ppf(_KEPT, freedom)))
-            tried.append((share, before, after, float(np.median(change))))
+            skipped = _PRICE * (after - before - 1)
+            tried.append((share - skipped, share, before, after, float(np.median(change))))
     if n - 2 >= _LEAST_FREEDOM:
         left, rate = _drifting(fit.residual, fit.weight, t, time - time.mean())
         share = float(np.mean(left < chi2.ppf(_KEPT, n - 2)))
-        tried.append((share, 0, n - 1, float(np.median(rate)) * (n - 1)))
-    share, before, after, omega = max(tried, default=(0.0, 0, 0, 0.0))
+        tried.append((share - _PRICE, share, 0, n - 1, float(np.median(rate)) * (n - 1)))
+    _, share, before, after, omega = max(tried, default=(0.0, 0.0, 0, 0, 0.0))
     return PhaseJump(before, after, omega * max(densities)) if share >= _EXPLAINED else None
 
 
