@@ -156,7 +156,10 @@ def _in_words(mishap: Mishap, name: Callable[[int], str], told: tuple[int, ...])
         return f"frame {frame} shows the same as frame {name(int(mishap.found))}: {again}"
     if mishap.what == "gain":
         return f"frame {frame} is {mishap.found:.2f} times as bright as it should be: {again}"
-    return f"frame {frame} does not show its pattern: {again}"
+    return (
+        f"frame {frame} does not show its pattern, or the scene moved beside it: keep camera and specimen still "
+        f"and {again}"
+    )
 
 
 def _motion(
@@ -222,7 +225,7 @@ def _phases(measurement: Measurement, told: tuple[SampledFrames, ...], fits: tup
             along = degrees(measurement.sequence.orientations_rad[k])
             return (
                 f"the phases along {along:g} deg agree in {fit.share:.1%} of the lit pixels, which is "
-                "hardly more than chance: see that densities, steps and order are right, and that nothing "
-                "moved"
+                "hardly more than chance: see that densities, steps and order are right, that nothing moved, "
+                "and that the projector is linear"
             )
     return ""
