@@ -157,8 +157,8 @@ def _in_words(mishap: Mishap, name: Callable[[int], str], told: tuple[int, ...])
     if mishap.what == "gain":
         return f"frame {frame} is {mishap.found:.2f} times as bright as it should be: {again}"
     return (
-        f"frame {frame} does not show its pattern, or the scene moved beside it: keep camera and specimen still "
-        f"and {again}"
+        f"frame {frame} does not show its pattern, or the scene moved beside it: keep camera and specimen "
+        f"still and {again}"
     )
 
 

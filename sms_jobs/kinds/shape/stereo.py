@@ -367,7 +367,7 @@ def _surface(
     position, covariance = met.xyz.reshape(3, *shape), met.covariance.reshape(6, *shape).astype(np.float32)
     gap = met.ray_gap.reshape(shape).astype(np.float32)
     reason = np.zeros(shape, dtype=np.uint32)
-    missing = np.isnan(position[0])
+    missing = np.isnan(position[0]) | ~np.isfinite(covariance).all(axis=0)
     reason[missing] = Reason.NO_MATCH
     reason[labels == 0] = Reason.NO_TEXTURE
     reason[~missing & outside_box(position, calibration.volume.low, calibration.volume.high)] |= np.uint32(
