@@ -30,6 +30,7 @@ _BLOCKS, _BLOCK_PX = 8, 16  # of neighbouring columns
 _LEAST_PIXELS = 200  # that are lit: of fewer nothing is said
 _SURE = 6.0  # standard deviations
 _OF_ONE_FRAME = ("exchanged", "dark", "doubled", "gain", "other")
+_DISTURBING = 3.0  # times the accepted phase error
 _BY_CHANCE, _MORE = 2.0, 0.1
 """Of phases that do not belong together some agree by chance: as many again, or a tenth of the others, are
 to agree before any is believed."""
@@ -207,7 +208,9 @@ def _phases(measurement: Measurement, told: tuple[SampledFrames, ...], fits: tup
         if not (fit.few_agree or off.any()):
             continue
         jump = find_jump(fit, one.densities)
-        if jump is not None and abs(jump.change_rad) > accepted:
+        # A change that is hardly accepted would not make most pixels disagree.
+        least = _DISTURBING * accepted if fit.few_agree else accepted
+        if jump is not None and abs(jump.change_rad) > least:
             before, after = (_fringes(measurement, first + i) for i in (jump.before, jump.after))
             return (
                 f"the phase of {max(one.densities)} fringes changes by {abs(jump.change_rad):.2g} rad "
