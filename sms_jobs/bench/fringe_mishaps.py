@@ -64,8 +64,11 @@ class Mishap:
     named: tuple[tuple[str, ...], ...]
 
 
-def perfect_session(random: np.random.Generator) -> Session:
-    """Record a plate as it should be: noise, speckle, sequence, exposure, gamma and defocus are drawn."""
+def perfect_session(random: np.random.Generator, sequence: FringeSequence | None = None) -> Session:
+    """Record a plate as it should be: noise, speckle, exposure, gamma and defocus are drawn.
+
+    So is the sequence, where none is given.
+    """
     calibration, campaign = small_plate("plate")
     assert campaign.scene is not None
     assert campaign.scene.speckle is not None
@@ -78,8 +81,8 @@ def perfect_session(random: np.random.Generator) -> Session:
             gamma=float(random.uniform(1.0, 1.2)), defocus_px=float(random.uniform(0.0, 1.0))
         ),
     )
-    sequence = _SEQUENCES[random.integers(len(_SEQUENCES))]
-    measurement = _recorded(calibration, scene, sequence)
+    shown = sequence or _SEQUENCES[random.integers(len(_SEQUENCES))]
+    measurement = _recorded(calibration, scene, shown)
     return Session(calibration, scene, measurement, exact_shape(Simulation(scene, "C1", "P1", (), "S00")))
 
 

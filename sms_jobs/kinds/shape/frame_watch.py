@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import degrees
+from math import cos, degrees, pi
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ _BLOCKS, _BLOCK_PX = 8, 16  # of neighbouring columns
 _LEAST_PIXELS = 200  # that are lit: of fewer nothing is said
 _SURE = 6.0  # standard deviations
 _OF_ONE_FRAME = ("exchanged", "dark", "doubled", "gain", "other")
+_UNIFORM = 0.5  # of the modulation, by which a uniform field differs from the mean at least
 _DISTURBING = 3.0  # times the accepted phase error
 _BY_CHANCE, _MORE = 2.0, 0.1
 """Of phases that do not belong together some agree by chance: as many again, or a tenth of the others, are
@@ -116,9 +117,34 @@ def check_frames(
         finding = _motion(measurement, patches[numbers], touched, motion_px)
     if not finding and mishap is not None:
         finding = _in_words(mishap, _namer(measurement, numbers), densities)
-    finding = finding or _phases(measurement, told, fits)
+    finding = finding or _phases(measurement, told, fits) or _uniform(measurement, flat[:, lit], places)
     if finding:
         raise MeasurementFailed(f"the frames of {subject} are not what is told of them: {finding}")
+
+
+def _uniform(measurement: Measurement, levels: NDArray[Any], places: list[NDArray[np.intp]]) -> str:
+    """Say which frame of the density 0 is not the uniform field that is told; nothing where all are.
+
+    `levels` are (patterns, pixels), `places` the other frames of each orientation. The bright and the dark
+    field are as far from the mean of the fringes as these are, or farther: nothing blurs them.
+    """
+    shown = list(measurement.sequence.patterns())
+    for own in places:
+        fringes = levels[own].astype(np.float32)
+        mean, modulation = fringes.mean(axis=0), np.sqrt(2.0) * fringes.std(axis=0)
+        away = {}
+        for number, (orientation, density, step) in enumerate(shown):
+            if density == 0 and orientation == shown[own[0]][0]:
+                told = cos(2.0 * pi * step / measurement.sequence.steps)
+                away[number] = float(np.median((levels[number] - mean) / modulation)) / told
+        if min(away.values(), default=1.0) > _UNIFORM:
+            continue
+        if max(away.values()) < 0.0:
+            first, last = away
+            return f"frames {first} and {last}, bright and dark, have changed places: correct their order"
+        worst = min(away, key=lambda number: away[number])
+        return f"frame {worst} does not show the uniform field of the density 0: record them again"
+    return ""
 
 
 def _namer(measurement: Measurement, numbers: NDArray[np.intp]) -> Callable[[int], str]:

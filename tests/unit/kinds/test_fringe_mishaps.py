@@ -119,3 +119,18 @@ def test_patches_are_the_same_whatever_slabs_they_come_from(rng: np.random.Gener
     assert taken[0].shape == (6, 4 * 8, 2, 16)
     for other in taken[1:]:
         np.testing.assert_array_equal(taken[0], other)
+
+
+def test_uniform_fields_are_checked_too() -> None:
+    sequence = FringeSequence(tuple(range(6)))
+    one = perfect_session(np.random.default_rng(1), sequence)
+    frames = one.measurement.frames.rows(0, 128)
+    records = {"measurement": one.measurement, "calibration": one.calibration}
+    ranged = ReconstructParameters(method="fdr")
+    assert run_kind(KIND, SUBJECT, records, 1, ranged).statistics["valid_fraction"] > 0.8
+    for mended, said in (([1, 0], "frames 0 and 1, bright and dark"), ([1, 1], "frame 0 does not show")):
+        changed = frames.copy()
+        changed[:2] = frames[mended]
+        told = replace(one.measurement, frames=ArrayStack(changed))
+        with pytest.raises(MeasurementFailed, match=said):
+            run_kind(KIND, SUBJECT, records | {"measurement": told}, 1, ranged)
