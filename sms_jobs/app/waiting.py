@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
@@ -114,6 +115,7 @@ def wait_for(
     WaitTimedOut
         They have not ended in time; they go on.
     """
+    began = datetime.now(UTC)
     deadline = None if timeout_s is None else time.monotonic() + timeout_s
     before: dict[str, int] = {}
     outlook_at = soonest = 0.0
@@ -137,5 +139,5 @@ def wait_for(
         taken = time.monotonic() - looked
         time.sleep(min(max(_EVERY_S, taken), _OUTLOOK_EVERY_S))
     with services.catalogue.reading() as session:
-        done = Waited(counted, empty=empty_results(session, some))
+        done = Waited(counted, empty=empty_results(session, some, began))
         return replace(done, failure=inquiry.failure(session, some)) if done.failures else done

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime
 
 from sqlalchemy import Select, and_, func, select
 from sqlalchemy.orm import Session
@@ -26,9 +27,14 @@ class EmptyResults:
     latest: str = ""
 
 
-def empty_results(session: Session, some: Chosen) -> EmptyResults:
-    """Return which of some jobs have succeeded without a valid value."""
+def empty_results(session: Session, some: Chosen, began: datetime) -> EmptyResults:
+    """Return which of some jobs have succeeded without a valid value.
+
+    Where those that had ended before are not meant, it is those that have ended since `began`.
+    """
     found = _empty().where(*some.where)
+    if some.ended_before:
+        found = found.where(JobRow.finished_at >= began)
     count = session.scalar(select(func.count()).select_from(found.subquery())) or 0
     if not count:
         return EmptyResults()

@@ -11,10 +11,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.in_memory import run_kind
+from sms_jobs.bench.in_memory import InMemory, run_kind, unheard
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.kind import DatasetOutput
+from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
+from sms_jobs.records.calibration import CalibrationUncertainty
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
@@ -172,12 +174,39 @@ def test_a_wrong_calibration_opens_the_ray_gap(plain: Tuple) -> None:
     assert output.statistics["valid_fraction"] < 0.01
 
 
+@pytest.mark.parametrize(("sigma_px", "kept"), [(0.0, 0.0), (2.0, 0.8)])
+def test_gaps_are_judged_by_what_a_calibration_says_of_itself(
+    plain: Tuple, sigma_px: float, kept: float
+) -> None:
+    rig = plain.calibration.rig
+    # Of 4 px, across the plane of both rays; the rays miss each other by nearly as much.
+    moved = tuple(
+        replace(s, intrinsics=replace(s.intrinsics, cy=s.intrinsics.cy + 4.0 * (s.name == "P1")))
+        for s in rig.sensors
+    )
+    sigma = np.zeros((len(rig.sensors), PER_SENSOR))
+    sigma[[s.name == "P1" for s in rig.sensors], SENSOR_PARAMETERS.index("cy")] = sigma_px
+    uncertainty = CalibrationUncertainty(
+        tuple(s.name for s in rig.sensors), SENSOR_PARAMETERS, np.diag(sigma.ravel() ** 2)
+    )
+    calibration = replace(plain.calibration, rig=replace(rig, sensors=moved))
+    datasets = {
+        "measurement": InMemory(SUBJECT, {"measurement": plain.measurement}),
+        "calibration": InMemory(SUBJECT, {"calibration": calibration, "uncertainty": uncertainty}),
+    }
+    (output,) = KIND.run(Inputs(SUBJECT, None, datasets), ReconstructParameters(blur_px=0.0), unheard)
+    assert isinstance(output, DatasetOutput)
+    found = output.statistics["valid_fraction"]
+    assert found >= kept if kept else found == 0.0
+
+
 def test_a_dark_measurement_has_no_points_but_reasons(plain: Tuple) -> None:
     frames = np.full(plain.measurement.frames.shape, 40, np.uint16)
     cloud, _, output = plain.reconstruct(measurement=replace(plain.measurement, frames=ArrayStack(frames)))
     assert (cloud.reason != Reason.VALID).all()
     assert np.isnan(cloud.position).all()
     assert output.statistics["valid_fraction"] == 0.0
+    assert output.statistics["lost_to_low_modulation"] == 1.0
     assert all(np.isfinite(list(output.statistics.values())))
 
 
