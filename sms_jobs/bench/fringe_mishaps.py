@@ -124,8 +124,11 @@ def mishaps(session: Session, random: np.random.Generator) -> Iterator[Mishap]:
     yield Mishap("dark", changed(dark), ((*of_one, "is dark"),))
     brighter = frames.copy()
     gain = float(random.choice([0.7, 0.85, 1.15, 1.3]))
-    brighter[one] = np.minimum(np.rint(gain * frames[one]), right.full_scale)
-    yield Mishap("gain", changed(brighter), ((*of_one, "times as bright"),))
+    # A frame that is dark where the specimen is looks the same at any exposure.
+    level = frames[:, session.shape.lit].mean(axis=1)
+    bright = int(random.choice(np.flatnonzero(level >= np.median(level))))
+    brighter[bright] = np.minimum(np.rint(gain * frames[bright]), right.full_scale)
+    yield Mishap("gain", changed(brighter), ((f"frame {bright} (", "times as bright"),))
 
     place = int(random.integers(len(densities)))
     told = densities[place] + (1 if densities[place] + 1 not in densities else -1)

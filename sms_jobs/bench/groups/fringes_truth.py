@@ -127,7 +127,8 @@ def _mishaps(run: Run, seed: int) -> Iterator[Found]:
         "mishaps",
         f"{sessions} recordings of a plate by a camera of 128 px, each with one of "
         f"{', '.join(sorted(names))}; named are those of which the refusal names the frame, the word or the "
-        "motion in every recording; silent are valid points, of all lit pixels, off by more than "
+        "motion in every recording; the gain of 0.7 to 1.3 is of a frame not darker than the median; silent "
+        "are valid points, of all lit pixels, off by more than "
         f"{SILENT_SIGMA:g} stated deviations and {SILENT_MM:g} mm; default parameters, noise, speckle, "
         "exposure 0.3 to 1.1, gamma 1 to 1.2, defocus 0 to 1 px and three sequences drawn from seeds from "
         f"{seed}{not_named}",
