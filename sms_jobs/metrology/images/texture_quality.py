@@ -10,7 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.metrology.images.rounded_noise import variance_of_rounded
+
 Floats: TypeAlias = NDArray[np.float64]
+
+_SAME = 0.25  # grey levels by which the brightest pixels of two images of one brightness may differ
+_FINE = 1.0 / 16.0  # of a grey level, for what is no whole number
 
 _SLOPE_NOISE = 130.0 / 144.0
 """Variance of the slope filter (1, -8, 0, 8, -1) / 12 for white noise of variance 1."""
@@ -51,13 +56,14 @@ def noise_of_pair(first: NDArray[np.generic], second: NDArray[np.generic]) -> fl
 
     Notes
     -----
-    The standard deviation of the difference over sqrt(2), by the median of its distances to its own median,
-    which 1.4826 brings to a standard deviation: a few pixels that changed do not count.
+    The standard deviation of the difference over sqrt(2), see `variance_of_rounded`: a few pixels that
+    changed do not count.
     """
     a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    difference = b * (a.mean() / b.mean()) - a
-    spread = np.median(np.abs(difference - np.median(difference)))
-    return float(1.4826 * spread / sqrt(2.0))
+    ratio = float(a.mean() / b.mean())
+    # Images of one brightness differ by whole grey levels, others by anything.
+    step = 1.0 if abs(ratio - 1.0) * b.max() < _SAME else _FINE
+    return sqrt(0.5 * variance_of_rounded(b * ratio - a, step))
 
 
 def examine_texture(image: NDArray[np.generic], noise: float, full_scale: float) -> Texture:

@@ -2,7 +2,8 @@
 
 The steps of every density have one mean, whatever the texture is; how the means of two densities differ is
 noise. Where there is one density only, the frames' departure from a sinusoid has to serve, which takes at
-least four steps and counts the harmonics of the projector as noise.
+least four steps and counts harmonics of the projector as noise. Sums of grey levels are whole numbers: their
+variance is taken as that of such, see `rounded_noise`.
 """
 
 from __future__ import annotations
@@ -14,16 +15,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.images.rounded_noise import variance_of_rounded
 from sms_jobs.metrology.phase.phase_stepping import stepping_weights
 
 _BINS = 12
-_LEAST = 400  # pixels of a bin: a standard deviation from their median is good to 6 %
-_MEDIAN_OF_SQUARE = 0.4549  # of a standard normal variable
+_LEAST = 400  # pixels of a bin: a standard deviation from them is good to 4 %
+_LEAST_SWING = 4  # grey levels that a pixel's frames span: rounding is no noise where all are rounded alike
+_FINE = 1.0 / 16.0  # of a grey level, for what is no whole number
 
 
 @dataclass(frozen=True)
 class FrameNoise:
-    """Noise model of a camera in grey levels: variance = read_noise^2 + gain * grey level."""
+    """Noise model of a camera in grey levels: variance = read_noise^2 + gain * grey level.
+
+    The noise is that of recorded frames: rounding to whole grey levels is part of it, 1/12 of variance.
+    """
 
     gain: float
     read_noise: float
@@ -42,35 +48,43 @@ def noise_of_steps(frames: NDArray[Any], full_scale: int) -> FrameNoise | None:
     Returns
     -------
     None where one group of three steps leaves nothing to compare, or too few pixels are usable. The variance
-    of a bin of grey levels is the median square over 0.4549, which motion and edges hardly change.
+    of a bin of grey levels is taken within three standard deviations, which motion and edges hardly change.
     """
     groups, steps, rows, columns = frames.shape
     if groups < 2 and steps < 4:
         return None
     levels = frames.reshape(groups, steps, rows * columns)
-    levels = levels[:, :, levels.max(axis=(0, 1)) < full_scale].astype(np.float64)
+    highest, lowest = levels.max(axis=(0, 1)), levels.min(axis=(0, 1))
+    levels = levels[:, :, (highest < full_scale) & (highest >= lowest + _LEAST_SWING)].astype(np.int64)
     mean = levels.mean(axis=(0, 1))
     if groups > 1:
-        # The difference of two means of q frames has the variance 2 sigma^2 / q.
-        differences = np.diff(levels.mean(axis=1), axis=0) * np.sqrt(0.5 * steps)
-    else:
-        cosine, sine = (np.tensordot(w, levels[0], 1) for w in stepping_weights(steps))
-        angles = 2.0 * np.pi * np.arange(steps)[:, None] / steps
-        fit = mean + cosine * np.cos(angles) - sine * np.sin(angles)
-        # Three numbers are fitted to q frames.
-        differences = (levels[0] - fit) * np.sqrt(steps / (steps - 3.0))
-    return _line(mean, np.square(differences))
+        # Two sums of q frames differ by 2 q variances.
+        return _line(mean, np.diff(levels.sum(axis=1), axis=0), 2.0 * steps, 1.0)
+    if steps % 2 == 0:
+        # Sums with changing sign have none of the mean and none of the fringe.
+        return _line(mean, levels[:, ::2].sum(axis=1) - levels[:, 1::2].sum(axis=1), float(steps), 1.0)
+    cosine, sine = (np.tensordot(w, levels[0], 1) for w in stepping_weights(steps))
+    angles = 2.0 * np.pi * np.arange(steps)[:, None] / steps
+    fit = mean + cosine * np.cos(angles) - sine * np.sin(angles)
+    # Three numbers are fitted to q frames.
+    return _line(mean, levels[0] - fit, (steps - 3.0) / steps, _FINE)
 
 
-def _line(mean: NDArray[np.float64], squares: NDArray[np.float64]) -> FrameNoise | None:
-    """Fit the variance as a line over the grey level, neither of whose coefficients is negative."""
-    edges = np.unique(np.quantile(mean, np.linspace(0.0, 1.0, _BINS + 1))) if mean.size else np.empty(0)
+def _line(
+    mean: NDArray[np.float64], differences: NDArray[Any], variances: float, step: float
+) -> FrameNoise | None:
+    """Fit the variance as a line over the grey level, neither of whose coefficients is negative.
+
+    The differences, (any, pixels), are multiples of a step, and vary by so many variances of a frame.
+    """
+    bins = min(mean.size // _LEAST, _BINS)
+    edges = np.unique(np.quantile(mean, np.linspace(0.0, 1.0, bins + 1))) if bins else np.empty(0)
     level, variance = [], []
     for low, high in pairwise(edges):
         inside = (mean >= low) & (mean < high)
-        if inside.sum() >= _LEAST:
+        if inside.sum() >= 0.5 * _LEAST:  # fewer only where many have one level
             level.append(mean[inside].mean())
-            variance.append(np.median(squares[:, inside]) / _MEDIAN_OF_SQUARE)
+            variance.append(variance_of_rounded(differences[:, inside], step) / variances)
     if not level:
         return None
     x, y = np.array(level), np.array(variance)
