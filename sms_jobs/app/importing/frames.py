@@ -24,7 +24,7 @@ from sms_jobs.formats.importers.guess import Guess, guess_layout, with_options
 from sms_jobs.formats.importers.inspection import (
     CameraModel,
     Inspected,
-    camera_model,
+    camera_models,
     inspect,
     measurement_of,
     source_hash,
@@ -251,9 +251,9 @@ class _Import:
         inspected = _inspect_all(self.listing, self.layout, arrangement, tell)
         good = [one for one in inspected if not one.found.faults]
         remarks = list(dict.fromkeys(r for one in good for r in one.remarks))
-        camera = camera_model(self.listing.folder, good, self.layout) if good else None
-        if camera is not None:
-            remarks += camera.remarks
+        models, found = camera_models(good, self.layout) if good else ((), ())
+        cameras = {one.found: camera for one, camera in zip(good, models, strict=True)}
+        remarks += found
         remarks += self._calibrated_otherwise(definition.rig, good)
         if good and not dry_run:
             self._prepare(definition)
@@ -262,8 +262,7 @@ class _Import:
             if one.found.faults:
                 rows.append(outcome_of(one, "refused", "; ".join(one.found.faults)))
             else:
-                assert camera is not None
-                rows.append(self._enter(camera, one, dry_run))
+                rows.append(self._enter(cameras[one.found], one, dry_run))
             counted.one_more()
         return Outcome(tuple(rows), tuple(remarks), arrangement.left_out)
 
@@ -332,8 +331,10 @@ def _inspect_all(
 ) -> list[Inspected]:
     """Read every file once, before anything is written."""
     counted = Counted(tell, "reading", sum(len(t.files) for t in arrangement.tuples))
+    known = layout.gain is not None and layout.read_noise is not None
+    sequence = None if known else layout.sequence
     return [
-        inspect(listing.folder, t, layout.raw, layout.full_scale, counted.one_more)
+        inspect(listing.folder, t, layout.raw, layout.full_scale, counted.one_more, sequence)
         for t in arrangement.tuples
     ]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,11 @@ from sms_jobs.formats.importers.frames import FoundTuple, abridged
 from sms_jobs.formats.importers.image_files import ImageFacts, RawFormat, read_image
 from sms_jobs.formats.importers.layout import FrameLayout
 from sms_jobs.metrology.phase.frame_noise import FrameNoise, noise_of_steps
-from sms_jobs.records.measurement import FrameStack, Measurement
+from sms_jobs.records.measurement import FrameStack, FringeSequence, Measurement
 
 _NOISE_ROWS = 64
+_NOISE_GROUPS = 8  # sets of phase steps: seven differences of each of some ten thousand pixels are plenty
+_NAMED = 3  # tuples in a remark
 _FULL_SCALES = (1023, 4095, 16_383, 65_535)
 
 Progress = Callable[[], None]
@@ -40,22 +42,24 @@ class Inspected:
         What was done to some of them.
     recorded_at
         The earliest time of change of its files.
+    noise
+        Of its fringe frames, in all grey levels; None where they do not show it, or nobody asked.
     """
 
     found: FoundTuple
     facts: Mapping[str, ImageFacts]
     remarks: tuple[str, ...]
     recorded_at: datetime
+    noise: FrameNoise | None = None
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """Full scale and noise of the camera, and where they are from."""
+    """Full scale of a camera, and its noise in the frames of one tuple."""
 
     full_scale: int
     gain: float
     read_noise: float
-    remarks: tuple[str, ...] = field(default=(), compare=False)
 
 
 def inspect(
@@ -64,11 +68,14 @@ def inspect(
     raw: RawFormat | None = None,
     full_scale: int | None = None,
     progress: Progress = lambda: None,
+    sequence: FringeSequence | None = None,
 ) -> Inspected:
-    """Read every file of a tuple once and say whether they fit together.
+    """Read every file of a tuple once and say whether they fit together; with a sequence find their noise.
 
     Of a tuple that is refused by its names already nothing is read, however many files it has.
     """
+    telling = [] if found.faults or sequence is None else _telling(found, sequence)
+    sampled: dict[str, NDArray[Any]] = {}
     facts: dict[str, ImageFacts] = {}
     faults = list(found.faults)
     remarks: dict[str, None] = {}
@@ -77,11 +84,13 @@ def inspect(
         if name in facts:
             continue
         try:
-            _, about = read_image(folder / name, raw)
+            levels, about = read_image(folder / name, raw)
         except InvalidInput as error:
             faults.append(str(error))
         else:
             facts[name] = about
+            if name in telling:
+                sampled[name] = levels[_spread_rows(len(levels))]
             remarks |= dict.fromkeys(about.remarks)
             times.append((folder / name).stat().st_mtime)
             if about.dtype == "uint8" and Path(name).suffix.lower() in (".jpg", ".jpeg"):
@@ -90,7 +99,34 @@ def inspect(
     if not found.faults:
         faults += _differences(facts, found.fringes, full_scale)
     at = datetime.fromtimestamp(min(times), UTC) if times else datetime(1970, 1, 1, tzinfo=UTC)
-    return Inspected(replace(found, faults=abridged(faults)), facts, tuple(remarks), at)
+    noise = None
+    if sequence is not None and not faults:
+        noise = _noise([sampled[name] for name in telling], sequence.steps, full_scale)
+    return Inspected(replace(found, faults=abridged(faults)), facts, tuple(remarks), at, noise)
+
+
+def _telling(found: FoundTuple, sequence: FringeSequence) -> list[str]:
+    """Return the names of the frames that are to tell the noise: whole sets of steps, of no density 0."""
+    stack = np.arange(len(found.fringes))
+    each = range(len(sequence.orientations_rad))
+    shown = np.concatenate([stack[sequence.frames_of(k, uniform=False)] for k in each])
+    groups = shown.reshape(-1, sequence.steps)
+    chosen = groups[:: -(-len(groups) // _NOISE_GROUPS)]
+    return [found.fringes[index] for index in chosen.ravel()]
+
+
+def _spread_rows(rows: int) -> list[int]:
+    """Return at most so many rows as tell the noise, evenly spread."""
+    return sorted({rows * (2 * i + 1) // (2 * _NOISE_ROWS) for i in range(_NOISE_ROWS)})
+
+
+def _noise(sample: list[NDArray[Any]], steps: int, full_scale: int | None) -> FrameNoise | None:
+    """Return the noise that some rows of phase-stepped frames show; None where they do not.
+
+    Where the full scale is not known the highest level that there is will do: nothing lies above it.
+    """
+    stack = np.stack(sample).reshape(-1, steps, *sample[0].shape)
+    return noise_of_steps(stack, full_scale or int(stack.max()))
 
 
 def _differences(
@@ -175,29 +211,60 @@ def source_hash(one: Inspected, layout: FrameLayout) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
-def camera_model(folder: Path, inspected: Sequence[Inspected], layout: FrameLayout) -> CameraModel:
-    """Return the camera's full scale and noise: as the layout says, else as the frames show.
+def camera_models(
+    inspected: Sequence[Inspected], layout: FrameLayout
+) -> tuple[tuple[CameraModel, ...], tuple[str, ...]]:
+    """Return the camera of each tuple, and remarks: as the layout says, else as the tuple's frames show.
 
+    A tuple whose frames do not show their noise takes that of the first that does, whatever its camera.
     Raises `InvalidInput` where the full scale cannot be inferred.
     """
     remarks: list[str] = []
-    facts = [about for one in inspected for about in one.facts.values()]
     full_scale = layout.full_scale
     if full_scale is None:
+        facts = [about for one in inspected for about in one.facts.values()]
         full_scale = full_scale_of(facts, layout.raw, remarks)
-    gain, read_noise = layout.gain, layout.read_noise
-    if gain is None or read_noise is None:
-        found = _noise(folder, inspected[0], layout, full_scale)
-        if found is None:
-            found = usual_noise(full_scale, remarks)
-        else:
-            remarks.append(
-                f"noise found in the frames of {inspected[0].found.state}: gain {found.gain:.3g}, read noise "
-                f"{found.read_noise:.3g} grey levels"
-            )
-        gain = found.gain if gain is None else gain
-        read_noise = found.read_noise if read_noise is None else read_noise
-    return CameraModel(full_scale, gain, read_noise, tuple(remarks))
+    if layout.gain is not None and layout.read_noise is not None:
+        given = CameraModel(full_scale, layout.gain, layout.read_noise)
+        return (given,) * len(inspected), tuple(remarks)
+    telling = [one for one in inspected if one.noise is not None]
+    found = [one.noise for one in telling if one.noise is not None]
+    if found:
+        remarks += _noise_remarks(inspected, telling, found)
+    other = found[0] if found else usual_noise(full_scale, remarks)
+    models = []
+    for one in inspected:
+        own = one.noise or other
+        gain = own.gain if layout.gain is None else layout.gain
+        read_noise = own.read_noise if layout.read_noise is None else layout.read_noise
+        models.append(CameraModel(full_scale, gain, read_noise))
+    return tuple(models), tuple(remarks)
+
+
+def _noise_remarks(
+    inspected: Sequence[Inspected], telling: Sequence[Inspected], found: Sequence[FrameNoise]
+) -> list[str]:
+    """Say which noise the frames of tuples show, and which tuples take that of another."""
+    first = telling[0].found
+    if len(found) == 1:
+        gain, read_noise = f"{found[0].gain:.3g}", f"{found[0].read_noise:.3g}"
+        of = first.state
+    else:
+        gain = _range([one.gain for one in found])
+        read_noise = _range([one.read_noise for one in found])
+        of = f"each of {len(found)} tuples"
+    remarks = [f"noise found in the frames of {of}: gain {gain}, read noise {read_noise} grey levels"]
+    silent = [f"{one.found.state}/{one.found.view}" for one in inspected if one.noise is None]
+    if silent:
+        named = ", ".join(silent[:_NAMED]) + (f" and {len(silent) - _NAMED} more" if silent[_NAMED:] else "")
+        remarks.append(
+            f"too few pixels of {named} tell their noise: it is taken for that of {first.state}/{first.view}"
+        )
+    return remarks
+
+
+def _range(values: Sequence[float]) -> str:
+    return f"{min(values):.3g} to {max(values):.3g}"
 
 
 def usual_noise(full_scale: int, remarks: list[str]) -> FrameNoise:
@@ -236,18 +303,6 @@ def full_scale_of(facts: Sequence[ImageFacts], raw: RawFormat | None, remarks: l
         "another"
     )
     return full_scale
-
-
-def _noise(folder: Path, one: Inspected, layout: FrameLayout, full_scale: int) -> FrameNoise | None:
-    """Return the noise that the fringe frames of a tuple show; None where they do not."""
-    stack = FileFrames(folder, one.found.fringes, one.facts, layout.raw)
-    height = stack.shape[1]
-    rows = sorted({height * (2 * i + 1) // (2 * _NOISE_ROWS) for i in range(_NOISE_ROWS)})
-    sample = np.stack([stack.frame(i)[rows] for i in range(stack.shape[0])])
-    sequence = layout.sequence
-    each = len(sequence.orientations_rad)
-    shown = np.concatenate([sample[sequence.frames_of(k, uniform=False)] for k in range(each)])
-    return noise_of_steps(shown.reshape(-1, sequence.steps, *shown.shape[1:]), full_scale)
 
 
 def measurement_of(

@@ -13,7 +13,7 @@ import pytest
 from sms_jobs.formats.importers.folders import list_folder
 from sms_jobs.formats.importers.frames import arrange
 from sms_jobs.formats.importers.guess import guess_layout
-from sms_jobs.formats.importers.inspection import camera_model, inspect, measurement_of
+from sms_jobs.formats.importers.inspection import camera_models, inspect, measurement_of
 from sms_jobs.formats.importers.layout import layout_of
 from sms_jobs.kinds.shape.foreign_patterns import coarse_gradient, offsets_of
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
@@ -32,9 +32,9 @@ def measured(folder: Path, given: dict[str, Any]) -> tuple[dict[str, Any], Measu
     guess = guess_layout(listing, given, None)
     layout = layout_of(guess.table, "the guess")
     (found,) = arrange(listing, layout).tuples
-    one = inspect(listing.folder, found, layout.raw, layout.full_scale)
+    one = inspect(listing.folder, found, layout.raw, layout.full_scale, sequence=layout.sequence)
     assert not one.found.faults
-    camera = camera_model(listing.folder, [one], layout)
+    camera = camera_models([one], layout)[0][0]
     return guess.table, measurement_of(listing.folder, one, layout, camera, datetime(2020, 1, 1, tzinfo=UTC))
 
 
