@@ -40,6 +40,8 @@ class Reason(IntFlag):
     """Two ways of pairing the returns of the fringe orientations are about as likely, at different points."""
     OFF_REFERENCE = 1 << 13
     """No part of the reference surface faces the point: beside its rim, too far away, or turned away."""
+    BETWEEN_SURFACES = 1 << 14
+    """The pixel sees two surfaces, and its point lies between them, on neither."""
     IMAGES_DISAGREE = 1 << 15
     """Both images differ by more than their noise and a displacement: a crack, dust, something in front."""
     AMBIGUOUS_TEXTURE = 1 << 16

@@ -1,0 +1,262 @@
+"""Pixels that see two surfaces: their point lies between the two, on neither.
+
+Where the step between the surfaces is less than half a fringe, the phases of a mixed pixel are as
+proportional to the density as those of a good one, and no residual tells it. Its neighbours do: planes that
+are fitted to them on either side of it miss its point, one from the front and one from behind. Inverse depth
+is used throughout, which is linear over the image of a plane.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
+
+Floats: TypeAlias = NDArray[np.float64]
+Singles: TypeAlias = NDArray[np.float32]
+Mask: TypeAlias = NDArray[np.bool_]
+Pixel: TypeAlias = tuple[int, int]
+Limits: TypeAlias = tuple[float, float]
+
+_NEAR = 2.5  # standard deviations off a plane, both uncertainties together
+_BEND = 0.3  # footprints off a plane that a bent surface may be: a radius of 15 footprints, 3 px away
+_ROUGH = 3.0  # chi-square over its degrees of freedom, 6: seldom more of a plane, often of an edge
+_LEAST = 6  # of the nine pixels that tell a plane
+_LEAST_SURE = 6.0  # deviations of the pixel that is judged: what is worse known would hold anything
+_CURVES = (1.0, 0.0, 0.0)  # of what two planes differ by: what they may miss a point by, in each round
+_AXES = ((0, 1), (1, 0), (1, 1), (1, -1))  # (down, right)
+_REACH = (2, 3)  # px to the middle of a plane: planes of 3 x 3 px that leave the pixel itself out
+_SPAN = 4  # px from which planes are told
+_HOLDS = 3
+_BESIDE = np.ones((3, 3), np.uint8)
+
+_NOTHING, _HELD, _ALONE, _BETWEEN = range(4)
+"""Of a pixel along an axis: no plane, or those of both sides miss it from one side; one of them holds it;
+those of one side miss it, and the other has none; it lies between those of both sides."""
+
+
+@kernel
+def _plane(inverse: Floats, sigma: Floats, row: int, column: int, down: int, right: int, at: Floats) -> bool:
+    """Fit a plane to the 3 x 3 px about (row + down, column + right), and follow it to (row, column).
+
+    Its value there and the variance of that are written to `at`; `at[2]` is what a bend may add to the
+    variance. False where there is no plane: too few pixels, or an edge.
+    """
+    top, left = row + down - 1, column + right - 1
+    if top < 0 or left < 0 or top + 3 > inverse.shape[0] or left + 3 > inverse.shape[1]:
+        return False
+    here, least_sure = inverse[row, column], _LEAST_SURE * sigma[row, column]
+    n, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    sv, sxv, syv, svv, variance = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(3):
+        for j in range(3):
+            x, y, v, s = j - 1.0, i - 1.0, inverse[top + i, left + j] - here, sigma[top + i, left + j]
+            if np.isnan(v) or s > least_sure:
+                continue
+            n += 1.0
+            sx += x
+            sy += y
+            sxx += x * x
+            sxy += x * y
+            syy += y * y
+            sv += v
+            sxv += x * v
+            syv += y * v
+            svv += v * v
+            variance += s * s
+    if n < _LEAST:
+        return False
+    variance /= n
+    sxx -= sx * sx / n
+    sxy -= sx * sy / n
+    syy -= sy * sy / n
+    sxv -= sx * sv / n
+    syv -= sy * sv / n
+    svv -= sv * sv / n
+    area = sxx * syy - sxy * sxy
+    p, q = (sxv * syy - syv * sxy) / area, (syv * sxx - sxv * sxy) / area
+    left_over = (svv - p * sxv - q * syv) / (n - 3.0)
+    x, y = -right - sx / n, -down - sy / n
+    at[0] = here + sv / n + p * x + q * y
+    at[1] = variance * (1.0 / n + (x * x * syy - 2.0 * x * y * sxy + y * y * sxx) / area)
+    return bool(left_over <= _ROUGH * variance + at[2])
+
+
+@kernel
+def _mark_steps(
+    inverse: Floats, sigma: Floats, row: int, footprint: float, stepped: NDArray[np.uint8]
+) -> None:
+    """Set bit a for pixels of a row that may lie on a jump along axis a; on a plane for one in a hundred.
+
+    There lines through the pixels 2 and 4 px away on either side are a step apart, or one of them is missing.
+    Each line has a variance of 5, and two that miss a point by 2.5 deviations from either side are 8 apart.
+    """
+    columns = stepped.size
+    stepped[:] = 15
+    if row < _SPAN or row >= inverse.shape[0] - _SPAN or columns <= 2 * _SPAN:
+        return
+    inner = columns - 2 * _SPAN
+    own, inside = inverse[row, _SPAN : columns - _SPAN], stepped[_SPAN : columns - _SPAN]
+    deviation = sigma[row, _SPAN : columns - _SPAN]
+    inside[:] = 0
+    for axis, (down, right) in enumerate(_AXES):
+        a, b, c, d = _SPAN - 4 * right, _SPAN - 2 * right, _SPAN + 2 * right, _SPAN + 4 * right
+        first, second = inverse[row - 4 * down, a : a + inner], inverse[row - 2 * down, b : b + inner]
+        third, fourth = inverse[row + 2 * down, c : c + inner], inverse[row + 4 * down, d : d + inner]
+        bit = np.uint8(1 << axis)
+        for j in range(inner):
+            apart = abs((2.0 * second[j] - first[j]) - (2.0 * third[j] - fourth[j]))
+            near = apart < 8.0 * deviation[j] + _BEND * footprint * own[j]
+            inside[j] |= np.uint8(0) if near else bit
+
+
+@kernel
+def _missed(
+    inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int, limits: Limits, at: Floats
+) -> int:
+    """Return what the planes in a direction say of a pixel, 2 and 3 px away.
+
+    How many of them miss it, negative where it lies behind; 0 where there is none, 3 where one holds it.
+    """
+    row, column = pixel
+    bend, curve = limits
+    here, own = inverse[row, column], sigma[row, column]
+    count, first, first_limit, off = 0, 0.0, 0.0, 0.0
+    for reach in _REACH:
+        if not _plane(inverse, sigma, row, column, reach * down, reach * right, at):
+            continue
+        off, limit = here - at[0], sqrt(_NEAR * _NEAR * (at[1] + own * own) + bend * bend)
+        part = curve * abs(off - first) if count else 0.0
+        if abs(off) <= limit + part or (count and abs(first) <= first_limit + part):
+            return _HOLDS
+        count, first, first_limit = count + 1, off, limit
+    return count if off > 0.0 else -count
+
+
+@kernel
+def _along(
+    inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int, limits: Limits, at: Floats
+) -> int:
+    """Return what the planes along an axis say of a pixel: `_NOTHING`, `_HELD`, `_ALONE` or `_BETWEEN`."""
+    before = _missed(inverse, sigma, pixel, -down, -right, limits, at)
+    after = _missed(inverse, sigma, pixel, down, right, limits, at) if before != _HOLDS else _HOLDS
+    if after == _HOLDS:
+        return _HELD
+    if before * after < 0:
+        return _BETWEEN
+    row, column = pixel
+    r, c = _SPAN * down, _SPAN * abs(right)
+    within = r <= row < inverse.shape[0] - r and c <= column < inverse.shape[1] - c
+    return _ALONE if within and before * after == 0 and abs(before + after) == len(_REACH) else _NOTHING
+
+
+@kernel
+def _is_mixed(inverse: Floats, sigma: Floats, pixel: Pixel, stepped: int, limits: Limits, at: Floats) -> bool:
+    """Return whether a pixel lies between surfaces along a stepped axis, or alone and not held along two."""
+    alone, holding = False, 0
+    for axis, (down, right) in enumerate(_AXES):
+        if stepped >> axis & 1:
+            said = _along(inverse, sigma, pixel, down, right, limits, at)
+            if said == _BETWEEN:
+                return True
+            alone = alone or said == _ALONE
+            holding += 1 if said == _HELD else 0
+    if not alone:
+        return False
+    for axis, (down, right) in enumerate(_AXES):
+        if not stepped >> axis & 1 and holding < 2:
+            said = _along(inverse, sigma, pixel, down, right, limits, at)
+            holding += 1 if said == _HELD else 0
+    return holding < 2
+
+
+@kernel
+def _mixed_rows(
+    inverse: Floats,
+    sigma: Floats,
+    asked: Mask,
+    footprint: float,
+    curve: float,
+    start: int,
+    stop: int,
+    mixed: Mask,
+) -> None:
+    at, stepped = np.empty(3), np.empty(inverse.shape[1], np.uint8)
+    for row in range(start, stop):
+        if not asked[row].any():
+            continue
+        _mark_steps(inverse, sigma, row, footprint, stepped)
+        for column in range(inverse.shape[1]):
+            if stepped[column] and asked[row, column]:
+                bend = _BEND * footprint * inverse[row, column]
+                at[2] = 0.25 * bend * bend
+                pixel, limits = (row, column), (bend, curve)
+                mixed[row, column] = _is_mixed(inverse, sigma, pixel, stepped[column], limits, at)
+
+
+def between_surfaces(
+    xyz: Floats,
+    covariance: Singles,
+    known: Mask,
+    asked: Mask,
+    intrinsics: Intrinsics,
+    pose: Pose,
+    threads: int = 1,
+) -> Mask:
+    """Return the pixels whose point lies between two surfaces, beside a jump, and on neither.
+
+    Parameters
+    ----------
+    xyz, covariance
+        (3, rows, columns) in mm and (6, rows, columns) in mm^2, of the points, in the world.
+    known
+        (rows, columns): whose points tell where the surfaces are.
+    asked
+        (rows, columns), a part of them: which are to be judged.
+    intrinsics, pose
+        Of the camera.
+    threads
+        Number of threads; the result does not depend on it.
+
+    Returns
+    -------
+    (rows, columns).
+
+    Notes
+    -----
+    Planes of 3 x 3 px, 2 and 3 px away in eight directions, hold a point that is off them by 2.5 standard
+    deviations of both and 0.3 footprints of a pixel, or by as much as they differ there: on a bent surface
+    the farther one misses a point by 9/4 of what the nearer one does. A point is mixed where the planes of
+    two opposite directions miss it from either side, whatever others say, because along the edge its
+    neighbours are mixed as it is. It is mixed too where both of one direction miss it, there are none in the
+    opposite one, and no two axes hold it. What has been found is left out of the planes, and its neighbours
+    are judged twice more without allowance for a bend. At a crease planes miss from one side alone.
+
+    In front of a wall, a ball with a radius of 30 footprints is lost where it is steeper than about 60
+    degrees, one of 15 where it is steeper than 50: there it falls away as mixed pixels do.
+    """
+    import cv2
+
+    depth = np.tensordot(pose.matrix()[2], xyz, axes=1) + pose.translation[2]
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        inverse = np.where(known, 1.0 / depth, np.nan)
+        sigma = np.sqrt(covariance[0] + covariance[3] + covariance[5]) * inverse**2
+    mixed, left = np.zeros(asked.shape, np.bool_), asked
+    footprint = 1.0 / sqrt(intrinsics.fx * intrinsics.fy)
+    for curve in _CURVES:
+        found = np.zeros(asked.shape, np.bool_)
+
+        def work(start: int, stop: int, curve: float = curve, left: Mask = left, found: Mask = found) -> None:
+            _mixed_rows(inverse, sigma, left, footprint, curve, start, stop, found)
+
+        in_row_blocks(work, len(asked), threads)
+        mixed |= found
+        inverse[found] = np.nan
+        left = asked & ~mixed & (cv2.dilate(mixed.astype(np.uint8), _BESIDE) > 0)
+    return mixed

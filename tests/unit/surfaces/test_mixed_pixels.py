@@ -1,0 +1,81 @@
+"""Points between two surfaces are told from those of steps, creases and bends."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.lens import Intrinsics
+from sms_jobs.metrology.surfaces.mixed_pixels import between_surfaces
+
+ROWS, COLUMNS = 80, 100
+LENS = Intrinsics(1000.0, 1000.0, 50.0, 40.0)
+POSE = Pose.from_arrays(np.eye(3), np.zeros(3))
+Y, X = np.mgrid[:ROWS, :COLUMNS].astype(float)
+Depths = NDArray[np.float64]
+
+
+def judged(
+    depth: Depths, sigma: float, rng: np.random.Generator, threads: int = 1
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return what is marked of points at depths with noise, and which were there."""
+    noisy = depth + rng.normal(0.0, sigma, depth.shape)
+    xyz = np.stack([(X - LENS.cx) / LENS.fx * noisy, (Y - LENS.cy) / LENS.fy * noisy, noisy])
+    covariance = np.zeros((6, ROWS, COLUMNS), np.float32)
+    covariance[5] = sigma**2
+    known = np.isfinite(depth)
+    return between_surfaces(xyz, covariance, known, known, LENS, POSE, threads), known
+
+
+def step(angle: float) -> NDArray[np.float64]:
+    """Return the distance of every pixel from a straight edge, in px."""
+    return np.asarray((X - 50.3) * np.cos(angle) + (Y - 40.4) * np.sin(angle))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.1, 0.5, 0.8, 1.2, 1.5])
+@pytest.mark.parametrize("height", [3.0, 30.0])
+def test_what_lies_between_two_surfaces_is_marked(
+    rng: np.random.Generator, angle: float, height: float
+) -> None:
+    away = step(angle)
+    part = np.clip(away + 0.5, 0.0, 1.0)
+    found, _ = judged(1000.0 + height * part, 0.05, rng)
+    off = height * np.minimum(part, 1.0 - part)
+    inner = (X > 5) & (X < COLUMNS - 6) & (Y > 5) & (Y < ROWS - 6)
+    # Beyond ten deviations and one footprint, 1 mm; at the rim of the image there may be no plane to tell.
+    assert found[(off > 1.0) & inner].all()
+    assert found[off == 0.0].mean() < 1e-3
+
+
+@pytest.mark.parametrize(
+    "depth",
+    [
+        1000.0 + 0.3 * X + 0.2 * Y,
+        1000.0 + 40.0 * (step(0.4) > 0.0),
+        1000.0 + 3.0 * np.abs(step(0.7)),
+        1000.0 - np.sqrt(np.maximum(900.0 - (X - 50.0) ** 2 - (Y - 40.0) ** 2, 1.0)),
+    ],
+    ids=["plane", "step", "crease", "ball on a wall"],
+)
+def test_surfaces_as_they_are_stay(rng: np.random.Generator, depth: Depths) -> None:
+    found, known = judged(depth, 0.1, rng)
+    # At its rim, steeper than 60 degrees, the ball falls away as mixed pixels do.
+    rim = np.hypot(X - 50.0, Y - 40.0) > 26.0 if depth.min() < 975.0 else ~known
+    assert (found & ~rim).sum() <= 1
+
+
+def test_gaps_and_threads_change_nothing_else(rng: np.random.Generator) -> None:
+    depth = 1000.0 + 10.0 * np.clip(step(0.3) + 0.5, 0.0, 1.0)
+    depth[rng.random(depth.shape) < 0.01] = np.nan
+    depth[:, 70:75] = np.nan
+    state = rng.bit_generator.state
+    one, known = judged(depth, 0.1, rng)
+    rng.bit_generator.state = state
+    two, _ = judged(depth, 0.1, rng, threads=2)
+    np.testing.assert_array_equal(one, two)
+    assert not (one & ~known).any()
+    assert (one & (np.abs(step(0.3)) > sqrt(0.5))).mean() < 1e-3
