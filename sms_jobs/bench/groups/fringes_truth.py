@@ -26,16 +26,32 @@ from sms_jobs.bench.fringe_mishaps import (
     reconstructed,
     silent_points,
 )
+from sms_jobs.bench.plate_before_wall import random_scene, record
+from sms_jobs.bench.plate_before_wall import reconstructed as reconstructed_scene
 from sms_jobs.errors import CalibrationFailed
+from sms_jobs.kinds.shape.reconstruct import ReconstructParameters
+from sms_jobs.metrology.phase.frame_noise import noise_of_steps
+from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.reasons import Reason
 
 _BOWS_MM = (0.1, 0.3, 0.5)
 _MOST_Z = 1.5
 _PERFECT = 20
+_SILENT_MM, _SILENT_Z = 1.0, 10.0
+_METHODS = (
+    (FringeSequence((16, 15, 14, 12, 8)), ReconstructParameters()),
+    (FringeSequence(tuple(range(12))), ReconstructParameters(method="fdr", returns=2)),
+)
+_NOISES = (0.3, 0.5, 0.8, 1.3, 2.0, 3.0)  # grey levels of 255
+_FULL_SCALES = (255, 4095)
+_STEPS = (3, 4, 5)
 
 
 def warm_up() -> None:
-    """Compile what a calibration from boards uses."""
+    """Compile what a calibration from boards and a reconstruction use."""
     calibrated(board_session(BoardDesign(poses=6), 1))
+    for sequence, parameters in _METHODS:
+        reconstructed_scene(record(random_scene(np.random.default_rng(1)), sequence), parameters)
 
 
 def _bent(run: Run, seed: int) -> Iterator[Found]:
@@ -150,6 +166,67 @@ def _accepted(run: Run, seed: int) -> Iterator[Found]:
     yield Condition("perfect_recordings", f"{count} of those recordings, seeds from {seed + 1000}{first}")
 
 
+def _mixed(run: Run, seed: int) -> Iterator[Found]:
+    """Yield how many mixed pixels are far off and valid all the same, and what telling them costs."""
+    count = 2 if run.quick else 10
+    valid, silent, told, good, lost = 0, 0, 0, 0, 0
+    for number in range(count * len(_METHODS)):
+        run.say(f"fringes_truth: a plate before a wall, {number + 1} of {count * len(_METHODS)}")
+        sequence, parameters = _METHODS[number % len(_METHODS)]
+        seen = record(random_scene(np.random.default_rng(seed + number)), sequence)
+        cloud = reconstructed_scene(seen, parameters)
+        assert cloud.covariance is not None
+        sigma = np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0))
+        error, measured = seen.error(cloud.position), cloud.reason == Reason.VALID
+        valid += int((measured & seen.mixed).sum())
+        silent += int((measured & seen.mixed & (error > _SILENT_MM) & (error > _SILENT_Z * sigma)).sum())
+        between = cloud.reason == Reason.BETWEEN_SURFACES
+        told += int((between & seen.mixed).sum())
+        lost += int((between & ~seen.mixed).sum())
+        good += int(((between | measured) & ~seen.mixed).sum())
+    yield Figure("mixed_pixels_silent", float(silent), "1", 0.0, "at most")
+    yield Figure("mixed_pixels_good_lost", lost / good, "1", 0.01, "at most")
+    yield Condition(
+        "mixed_pixels",
+        f"{count} scenes each by unwrapping of 16, 15, 14, 12, 8 fringes and by ranging of two returns over "
+        "0 to 11: a square plate 3 to 150 mm before a wall at 1 m, edges at any angle, lit and in shadow, "
+        "plain or textured, a camera of 0.67 mm a pixel with 8 or 12 bits, rendered with 8 x 8 rays a pixel; "
+        f"silent are valid pixels with light of both surfaces or a part in the dark, {valid} in all, that "
+        f"are off either surface by over {_SILENT_MM:g} mm and {_SILENT_Z:g} stated deviations; {told} mixed "
+        f"pixels were told by lying between surfaces, and {lost} of {good} others; seeds from {seed}",
+    )
+
+
+def _noise(run: Run, seed: int) -> Iterator[Found]:
+    """Yield the worst ratio of the noise that frames are found to have and of what they have."""
+    random = np.random.default_rng(seed)
+    rows, columns = (32, 400) if run.quick else (64, 1000)
+    worst, at = 1.0, "none"
+    for full_scale in _FULL_SCALES:
+        for steps in _STEPS:
+            run.say(f"fringes_truth: noise of {steps} steps up to level {full_scale}")
+            level = full_scale * random.uniform(0.1, 0.6, (rows, columns))
+            phases = random.uniform(0.0, 2.0 * np.pi, (5, 1, rows, columns))
+            angles = 2.0 * np.pi * np.arange(steps)[:, None, None] / steps
+            clean = level * (1.0 + 0.5 * np.cos(phases + angles))
+            for sigma in _NOISES:
+                shown = np.rint(clean + random.normal(0.0, sigma * full_scale / 255.0, clean.shape))
+                found = noise_of_steps(shown.astype(np.uint16), full_scale)
+                assert found is not None
+                ratio = found.read_noise / float((shown - clean).std())
+                if max(ratio, 1.0 / ratio) > max(worst, 1.0 / worst):
+                    worst, at = ratio, f"{sigma} levels of 255, {steps} steps, full scale {full_scale}"
+    yield Figure("noise_8bit_stated_over_true", max(worst, 1.0 / worst), "1", 1.1, "at most")
+    yield Condition(
+        "noise_8bit",
+        f"read noise that is found in phase-stepped frames of five densities, {rows * columns} pixels, over "
+        "that of the recorded frames, the rounding to whole levels included; full scales of "
+        f"{', '.join(map(str, _FULL_SCALES))}, {', '.join(map(str, _STEPS))} steps, normal noise of "
+        f"{', '.join(map(str, _NOISES))} levels of 255 before rounding, the same at every level; the ratio "
+        f"farthest from 1, or its inverse: {worst:.3f} for {at}; seed {seed}",
+    )
+
+
 def measure(run: Run) -> Iterator[Found]:
     """Yield the figures and their conditions; the seeds are new in every run."""
     seed = int(np.random.SeedSequence().generate_state(1)[0] % 1_000_000)
@@ -157,6 +234,8 @@ def measure(run: Run) -> Iterator[Found]:
     yield from _perfect(run, seed)
     yield from _mishaps(run, seed)
     yield from _accepted(run, seed)
+    yield from _mixed(run, seed)
+    yield from _noise(run, seed)
 
 
 GROUP = Group("fringes_truth", "figures where boards and frames are not what was told", warm_up, measure)
