@@ -254,7 +254,8 @@ def _drafted(session: Session, one: Due, now: datetime) -> Draft:
             f"job {other[:SHORT_ID]} records {one.campaign}/{one.label} already; 'sms acquire list' shows it"
         )
     wanted = recordings.requests((one.label,), ask=one.ask, process=one.process)
-    return draft(session, one.campaign, wanted, now, by=f"plan of {one.planned_by}"[:80], key=one.key)
+    by = f"plan of {one.planned_by}"[:80]
+    return draft(session, one.campaign, wanted, now, by=by, key=one.key).whole()
 
 
 def _begin(catalogue: Catalogue, one: Due, due_at: datetime, now: datetime, holder: str | None) -> str | None:
