@@ -56,6 +56,7 @@ from sms_jobs.metrology.surfaces.mixed_pixels import between_surfaces
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps, Surface
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 
