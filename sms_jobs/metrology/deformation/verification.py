@@ -37,8 +37,10 @@ _AT_MOST = 2.0  # standard errors by which the mean of a smaller square bounds t
 _DISAGREE = 3.0  # variance left over, in units of the noise or, where that is more, of the median of all
 _FINE = 0.4  # radius of means that are taken off what is coarse, in subset radii
 _FAR = 2.0  # px: a step of more than about a speckle's radius says nothing
-_OTHER = 8.0  # median deviations from which on a pixel is not asked about the light
+_OTHER = 8.0  # median deviations from which on a pixel shows something else
 _LEAST_SHARE = 0.1  # of a subset's pixels that must be there to tell how rough the images are
+_OTHERS = 0.25  # of a window's pixels that may show something else
+_LIKE_ENOUGH = 0.1  # and that it may have, whatever the noise: light that changes across a fold
 _UNLIKE = 0.36  # of a window's texture that only one image has: a correlation of 0.8
 _LEFT_BY_FIT = {0: 1.0, 1: 0.6, 2: 0.45}
 """By the order of subsets, the part of a window's noise that the displacement has not followed; by trial."""
@@ -238,7 +240,7 @@ def verify_displacement(
         misfit[start:stop] = left_over[own]
 
     in_row_blocks(work, rows, threads, block=256)
-    judged = misfit[~np.isnan(misfit)]
+    judged = np.abs(misfit[~np.isnan(misfit)])
     usual = max(1.0, float(np.median(judged))) if len(judged) else 1.0
     bias[:, ~known] = 0.0
     with np.errstate(invalid="ignore"):
@@ -275,10 +277,9 @@ def _in_band(
     # The rim of a region, which is not matched, mixes with what lies behind it.
     known = np.isfinite(g) & (images.labels[band] > 0)
     g = np.where(known, g, 0.0)
-    squares = _left_over(f, g, known, known, max(sizes.squares))[0] ** 2
-    typical = float(np.median(squares[known])) if known.any() else 0.0
-    like = known & (squares <= _OTHER**2 * typical)
-    residual, gain, texture = _left_over(f, g, known, like, sizes.subset)
+    coarse = _left_over(f, g, known, known, max(sizes.squares))[0]
+    residual, gain, texture = _left_over(f, g, known, _alike(coarse, known), sizes.subset)
+    like = _alike(residual, known)
     gx, gy = (np.where(known, slope[band], 0.0) for slope in (images.gradient_x, images.gradient_y))
     variance = _variance(images.noise[0], f) + gain**2 * _variance(images.noise[1], g)
     roughness = _roughness(residual, noise.rough * variance, known, sizes.subset)
@@ -287,22 +288,49 @@ def _in_band(
         [_mean_square(a, roughness * s, known, sizes) for a, s in zip(asked, spread, strict=True)]
     )
     x, y, fine = (np.where(like, one - _means(one, sizes.coarse), 0.0) for one in (gx, gy, residual))
-    asked, spread = _asked_for(x, y, fine, noise.pixel * variance, sizes.subset)
+    fine_asked, spread = _asked_for(x, y, fine, noise.pixel * variance, sizes.subset)
     with np.errstate(invalid="ignore"):
-        sure = known & (asked**2 > _ALONE**2 * roughness * spread)
-    square = np.maximum(square, np.where(sure, asked**2, 0.0))
-    return square, _misfit(residual, texture, noise.pixel * variance, roughness, known, sizes.window)
+        sure = known & (fine_asked**2 > _ALONE**2 * roughness * spread)
+    square = np.maximum(square, np.where(sure, fine_asked**2, 0.0))
+    step = np.where(np.isfinite(asked) & (np.abs(asked) < _FAR), asked, 0.0)
+    mended = residual - step[0] * gx - step[1] * gy
+    squares = np.where(like, np.minimum(mended**2, residual**2), np.where(known, residual**2, 0.0))
+    return square, _misfit(squares, texture**2, noise.pixel * variance, roughness, known, like, sizes.window)
+
+
+def _alike(residual: Floats, known: Mask) -> Mask:
+    """Return the known pixels whose residual is no outlier among them: they show one thing in both images."""
+    squares = residual**2
+    return known & (squares <= _OTHER**2 * (float(np.median(squares[known])) if known.any() else 0.0))
 
 
 def _misfit(
-    residual: Floats, texture: Floats, variance: Floats, roughness: Floats, known: Mask, window: int
+    squares: Floats,
+    texture: Floats,
+    variance: Floats,
+    roughness: Floats,
+    known: Mask,
+    like: Mask,
+    window: int,
 ) -> Floats:
-    """Return the mean square of the residual over windows, in variances; infinite where little is alike."""
-    seen = np.maximum(_means(known.astype(np.float64), window), 1e-12)
-    relative = np.where(known, residual**2 / np.where(known, variance, 1.0), 0.0)
-    misfit = np.where(known, _means(relative, window) / seen, np.nan)
-    unlike = _means(residual**2, window) > _UNLIKE * _means(texture**2, window)
-    misfit[unlike & known & (misfit > _DISAGREE * roughness)] = np.inf
+    """Return means over windows of squared residuals, in variances; infinite where hardly anything is alike.
+
+    With a minus where what differs is little beside the texture, whatever the noise; NaN where nothing is
+    known. Single pixels that show something else are no matter.
+    """
+    whole = np.maximum(_means(known.astype(np.float64), window), 1e-12)
+    part = np.maximum(_means(like.astype(np.float64), window), 1e-12)
+    relative = np.where(like, squares / np.where(like, variance, 1.0), 0.0)
+    misfit = _means(relative, window) / part
+    left, contrast = (
+        _means(np.where(like, squares, 0.0), window),
+        _means(np.where(like, texture, 0.0), window),
+    )
+    misfit[left < _LIKE_ENOUGH * contrast] *= -1.0
+    misfit[(left > _UNLIKE * contrast) & (misfit > _DISAGREE * roughness)] = np.inf
+    every = _means(squares, window) > _LIKE_ENOUGH * _means(np.where(known, texture, 0.0), window)
+    misfit[every & (part < (1.0 - _OTHERS) * whole)] = np.inf
+    misfit[~known] = np.nan
     return misfit
 
 

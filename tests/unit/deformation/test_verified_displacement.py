@@ -84,7 +84,7 @@ def test_a_part_that_went_elsewhere_is_another_thing(speckle: object) -> None:
     image[0, :, edge:] += 3.0
     found = verified(images, image)
     assert np.mean(found.agrees[30:-30, edge + 4 : -30]) < 0.1
-    assert np.mean(found.unlike[30:-30, edge + 4 : -30]) > 0.9
+    assert np.mean(found.unlike[30:-30, edge + 4 : -30]) > 0.75
     assert np.mean(found.agrees[30:-30, 30 : edge - 4]) > 0.99
     assert not found.unlike[:, : edge - 4].any()
 
