@@ -40,7 +40,7 @@ _FAR = 2.0  # px: a step of more than about a speckle's radius says nothing
 _OTHER = 8.0  # median deviations from which on a pixel shows something else
 _LEAST_SHARE = 0.1  # of a subset's pixels that must be there to tell how rough the images are
 _OTHERS = 0.25  # of a window's pixels that may show something else
-_LIKE_ENOUGH = 0.1  # and that it may have, whatever the noise: light that changes across a fold
+_LIKE_ENOUGH = 0.05  # and that it may have, whatever the noise: light that changes across a fold
 _UNLIKE = 0.36  # of a window's texture that only one image has: a correlation of 0.8
 _LEFT_BY_FIT = {0: 1.0, 1: 0.6, 2: 0.45}
 """By the order of subsets, the part of a window's noise that the displacement has not followed; by trial."""
@@ -295,13 +295,20 @@ def _in_band(
     step = np.where(np.isfinite(asked) & (np.abs(asked) < _FAR), asked, 0.0)
     mended = residual - step[0] * gx - step[1] * gy
     squares = np.where(like, np.minimum(mended**2, residual**2), np.where(known, residual**2, 0.0))
-    return square, _misfit(squares, texture**2, noise.pixel * variance, roughness, known, like, sizes.window)
+    return square, _misfit(squares, texture, noise.pixel * variance, roughness, known, like, sizes.window)
 
 
 def _alike(residual: Floats, known: Mask) -> Mask:
     """Return the known pixels whose residual is no outlier among them: they show one thing in both images."""
     squares = residual**2
     return known & (squares <= _OTHER**2 * (float(np.median(squares[known])) if known.any() else 0.0))
+
+
+def _contrast(texture: Floats, known: Mask, window: int) -> Floats:
+    """Return the variance of known pixels about their mean in windows, as a share of the whole window's."""
+    part = np.maximum(_means(known.astype(np.float64), window), 1e-12)
+    mean = _means(np.where(known, texture, 0.0), window) / part
+    return np.maximum(_means(np.where(known, texture, 0.0) ** 2, window) - part * mean**2, 0.0)
 
 
 def _misfit(
@@ -322,13 +329,11 @@ def _misfit(
     part = np.maximum(_means(like.astype(np.float64), window), 1e-12)
     relative = np.where(like, squares / np.where(like, variance, 1.0), 0.0)
     misfit = _means(relative, window) / part
-    left, contrast = (
-        _means(np.where(like, squares, 0.0), window),
-        _means(np.where(like, texture, 0.0), window),
-    )
-    misfit[left < _LIKE_ENOUGH * contrast] *= -1.0
-    misfit[(left > _UNLIKE * contrast) & (misfit > _DISAGREE * roughness)] = np.inf
-    every = _means(squares, window) > _LIKE_ENOUGH * _means(np.where(known, texture, 0.0), window)
+    left = _means(np.where(like, squares, 0.0), window)
+    misfit[left < _LIKE_ENOUGH * _contrast(texture, like, window)] *= -1.0
+    whole_texture = _means(np.where(like, texture, 0.0) ** 2, window)
+    misfit[(left > _UNLIKE * whole_texture) & (misfit > _DISAGREE * roughness)] = np.inf
+    every = _means(squares, window) > _LIKE_ENOUGH * _contrast(texture, known, window)
     misfit[every & (part < (1.0 - _OTHERS) * whole)] = np.inf
     misfit[~known] = np.nan
     return misfit
