@@ -217,7 +217,6 @@ def test_nothing_is_said_of_a_hole_and_each_pixel_says_why(images: dict[str, Mea
     # The outline is known to about half a window of 9 px, and pixels within a spacing of 4 px of it are kept.
     assert (found.reason[distance < -5.0] == Reason.NO_TEXTURE).all()
     rim = (distance > 5.0) & (distance < 15.0)
-    assert np.isin(found.reason[rim], (Reason.VALID, Reason.IMAGES_DISAGREE)).all()
     kept = rim & (found.reason == Reason.VALID)
     assert kept.sum() > 0.95 * rim.sum()
     error = (found.image_displacement - np.stack(stretch(x, y)))[:, kept]
