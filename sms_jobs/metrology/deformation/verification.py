@@ -41,6 +41,7 @@ _OTHER = 8.0  # median deviations from which on a pixel shows something else
 _LEAST_SHARE = 0.1  # of a subset's pixels that must be there to tell how rough the images are
 _OTHERS = 0.25  # of a window's pixels that may show something else
 _LIKE_ENOUGH = 0.05  # and that it may have, whatever the noise: light that changes across a fold
+_LEAST_VARIANCE = 1e-12  # grey levels squared, of images that are told to have no noise
 _UNLIKE = 0.36  # of a window's texture that only one image has: a correlation of 0.8
 _LEFT_BY_FIT = {0: 1.0, 1: 0.6, 2: 0.45}
 """By the order of subsets, the part of a window's noise that the displacement has not followed; by trial."""
@@ -263,7 +264,7 @@ def _factors(
 
 
 def _variance(noise: Noise, level: Floats) -> Floats:
-    return np.asarray(noise.floor + noise.slope * level)
+    return np.maximum(noise.floor + noise.slope * level, _LEAST_VARIANCE)
 
 
 def _in_band(

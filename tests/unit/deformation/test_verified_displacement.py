@@ -97,6 +97,19 @@ def test_noise_that_nobody_told_of_is_no_bias(speckle: object) -> None:
     assert np.mean(found.agrees) > 0.99
 
 
+def test_images_without_noise_are_judged_by_what_they_show(speckle: object) -> None:
+    """Nobody's noise is nought: rounding and splines leave something, and that is what there is to go by."""
+    images = prepared(speckle, told=0.0, true=0.0)
+    image = measured(images)
+    found = verified(images, image)
+    assert np.isfinite(found.bias).all()
+    assert np.sqrt(found.bias[INNER].mean()) < 0.01
+    assert found.agrees.all()
+    image[0] += 0.1
+    off = verified(images, image)
+    assert np.sqrt(np.median(off.bias[0][INNER[1:]])) == pytest.approx(np.sqrt(1.25) * 0.1, rel=0.25)
+
+
 def test_where_there_is_no_displacement_nothing_is_judged(speckle: object) -> None:
     images = prepared(speckle)
     image = measured(images)
