@@ -104,14 +104,14 @@ def export(services: Services, chosen: Chosen, out: Path | None, options: Export
     ArchiveCorrupt
         A file is not as it was sealed.
     """
-    views = _views(services, chosen)
+    views = _views(services, chosen, out)
     if len(views) > 1 and out is not None and not out.is_dir():
         raise InvalidInput(f"{len(views)} files are to be written and {out} is no folder; make it first")
     return [path for view in views for path in _export(services, view, out, options)]
 
 
-def _views(services: Services, chosen: Chosen) -> list[FileView]:
-    """Return the file that was named, or the newest of a kind of each subject."""
+def _views(services: Services, chosen: Chosen, out: Path | None) -> list[FileView]:
+    """Return the file that was named, or of each subject the newest of a kind, one that ends as `out` does."""
     file, kind, campaign = chosen.file, chosen.kind, chosen.campaign
     state, view = chosen.state, chosen.view
     if (file is None) == (kind is None):
@@ -127,11 +127,13 @@ def _views(services: Services, chosen: Chosen) -> list[FileView]:
             session, source=kind, campaign=campaign, state=state, view=view, limit=_MOST_FILES
         )
     datasets = [one for one in found if one.media_type == DATASET_MEDIA_TYPE]
+    ending = "" if out is None or out.is_dir() else out.suffix
+    named = [one for one in found if ending and PurePosixPath(one.path).suffix == ending]
     newest: dict[str, list[FileView]] = {}
-    for one in sorted(datasets or found, key=lambda one: one.id, reverse=True):
+    for one in sorted(named or datasets or found, key=lambda one: one.id, reverse=True):
         alike = newest.setdefault(one.subject, [])
         # Of documents, all that the newest job made.
-        if not alike or (not datasets and alike[0].job_id == one.job_id):
+        if not alike or (one.media_type != DATASET_MEDIA_TYPE and alike[0].job_id == one.job_id):
             alike.append(one)
     if not newest:
         raise NotFound(
