@@ -285,7 +285,7 @@ def whole_tables(session: Any, dialect: str, sql: str, values: Any) -> set[str]:
         ("calibration = new", "asked for by its number"),
         ("param.method in (fdr, 3)", "values of different sorts"),
         ("load > 50", "'load' needs a unit.*or load_N or load_kN or load_MN, at character 1 "),
-        ("load > 50 lb", "'lb' is no unit that is known; there are nm, .*at character 8 "),
+        ("load > 50 lb", "'lb' is no unit that is known; there are mm, .*at character 8 "),
         ("load > 50 mm", "'load' is in N, kN, MN, and '50 mm' is another quantity, at character 8 "),
         ("load > 50 kn", "'kn' is no unit"),
         ("valid_fraction < 50 N", "'valid_fraction' has no unit that is known, and '50 N'"),
