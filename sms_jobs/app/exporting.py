@@ -111,7 +111,7 @@ def export(services: Services, chosen: Chosen, out: Path | None, options: Export
 
 
 def _views(services: Services, chosen: Chosen, out: Path | None) -> list[FileView]:
-    """Return the file that was named, or of each subject the newest of a kind, one that ends as `out` does."""
+    """Return the named file, or the newest of a kind of each subject; such as end like `out`, if any do."""
     file, kind, campaign = chosen.file, chosen.kind, chosen.campaign
     state, view = chosen.state, chosen.view
     if (file is None) == (kind is None):
