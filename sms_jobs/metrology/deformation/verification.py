@@ -246,7 +246,9 @@ def verify_displacement(
     bias[:, ~known] = 0.0
     with np.errstate(invalid="ignore"):
         agrees = ~(misfit > _DISAGREE * min(usual, 1e6))
-    return Verified(bias, agrees, np.isposinf(misfit) & (usual <= _DISAGREE))
+    # The outermost windows reach over from pixels that are alike.
+    unlike = ndimage.minimum_filter(np.isposinf(misfit), 3) & (usual <= _DISAGREE)
+    return Verified(bias, agrees, unlike)
 
 
 def _factors(

@@ -74,10 +74,9 @@ def test_any_shape_order_and_spline_will_do(plate: Any, chosen: dict[str, Any]) 
     output = plate.run(correlate.KIND, plate.subject("S01", VIEW), parameters)
     length, sigma, expected = errors(plate, output.records["displacement"])
     valid = (output.records["displacement"].reason == Reason.VALID) & expected
-    # A shift alone disagrees with a plate that bends, here and there by more than any displacement mends.
-    assert valid.sum() > (0.88 if chosen.get("shape_order") == 0 else 0.9) * expected.sum()
+    assert valid.sum() > 0.9 * expected.sum()
     assert np.sqrt(np.mean(length[valid] ** 2)) < plate.calibration.volume.diagonal_mm / 10_000
-    # As for the first order; a shift says less than that.
+    # As for the first order; a shift alone disagrees with a plate that bends, and says less than that.
     if chosen.get("shape_order") != 0:
         assert 0.7 < np.sqrt(np.mean((length[valid] / sigma[valid]) ** 2)) < 1.3
 
