@@ -165,6 +165,10 @@ class KilledPlan:
                     deadline = time.monotonic() + _PATIENCE_S
                 if kill_at is None and self._another_runs(services):
                     kill_at = time.monotonic() + self._rng.uniform(0.0, _WITHIN_S)
+            if recorded == self._day.states - 1:
+                # The last recording meets the kills that are left: after it there is nothing to kill.
+                soon = time.monotonic() + self._rng.uniform(0.0, _WITHIN_S)
+                kill_at = soon if kill_at is None else min(kill_at, soon)
             if self._day.kills < kills and kill_at is not None and time.monotonic() >= kill_at:
                 whom = self._kill()
                 say(f"{self._day.kills} of {kills} kills: {whom}; {recorded} of {self._day.states} recorded")
