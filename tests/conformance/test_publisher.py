@@ -90,9 +90,11 @@ def test_no_more_are_sent_than_jobs_are_queued(catalogue: Catalogue, app: Celery
     with publishing(app, catalogue, capacity=100):
         wait_until(lambda: sent(catalogue), timeout=30)
         assert lying_about(app) == number
-        with catalogue.writing() as session:
-            queues.pause(session, QUEUE, "nobody is to be woken", datetime.now(UTC))
-        purge(app)
+    # Paused between two publishers: what one had decided to send before the pause it still sends.
+    with catalogue.writing() as session:
+        queues.pause(session, QUEUE, "nobody is to be woken", datetime.now(UTC))
+    purge(app)
+    with publishing(app, catalogue, capacity=100):
         time.sleep(5.0)
         assert lying_about(app) == 0
 
