@@ -15,6 +15,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.cli import completion, output, planned_recordings, recorded_states, waiting
 from sms_jobs.cli import dry_run as dry_run_
 from sms_jobs.cli.output import Home, Json
+from sms_jobs.cli.planned_recordings import Ask, Campaign, Process
 from sms_jobs.errors import InvalidInput, JobFailed
 from sms_jobs.records.job import SHORT_ID
 
@@ -31,9 +32,7 @@ JobId = Annotated[
 
 @app.command()
 def run(
-    campaign: Annotated[
-        str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
-    ],
+    campaign: Campaign,
     state: Annotated[
         list[str] | None,
         typer.Option(
@@ -46,12 +45,8 @@ def run(
     missing: Annotated[
         bool, typer.Option("--missing", help="Of these only the states that are not recorded yet.")
     ] = False,
-    ask: Annotated[
-        bool, typer.Option("--ask", help="Ask an operator about a doubtful set instead of keeping it.")
-    ] = False,
-    process: Annotated[
-        bool, typer.Option("--process", help="Process each state as soon as it is recorded.")
-    ] = False,
+    ask: Ask = False,
+    process: Process = False,
     no_wait: Annotated[bool, typer.Option("--no-wait", help="Return at once.")] = False,
     dry_run: Annotated[
         bool,
@@ -119,9 +114,7 @@ def _rehearse(services: Services, plan: Plan, as_json: bool) -> None:
 
 @app.command()
 def follow(
-    campaign: Annotated[
-        str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
-    ],
+    campaign: Campaign,
     on: Annotated[
         str | None,
         typer.Option(help="Channel of the rig: a state is recorded when it holds the state's value."),
@@ -134,12 +127,8 @@ def follow(
         float | None, typer.Option(help="Record the next state every so many seconds instead.", min=0.0)
     ] = None,
     key: Annotated[bool, typer.Option("--key", help="Record the next state at Enter instead.")] = False,
-    ask: Annotated[
-        bool, typer.Option("--ask", help="Ask an operator about a doubtful set instead of keeping it.")
-    ] = False,
-    process: Annotated[
-        bool, typer.Option("--process", help="Process each state as soon as it is recorded.")
-    ] = False,
+    ask: Ask = False,
+    process: Process = False,
     home: Home = None,
 ) -> None:
     """Follow a test: record one state after the other, each when its load is held, in time, or at a key.

@@ -9,8 +9,19 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app import files, finding, writing
-from sms_jobs.cli import completion, found_files, output
-from sms_jobs.cli.found_files import After, As, Columns, FindOptions, Force, Limit, Out
+from sms_jobs.cli import found_files, output
+from sms_jobs.cli.found_files import (
+    After,
+    As,
+    Columns,
+    FindOptions,
+    Force,
+    Limit,
+    OfCampaign,
+    OfState,
+    OfView,
+    Out,
+)
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.shown.files import Ancestor
 from sms_jobs.records.sizes import size
@@ -33,14 +44,9 @@ def find(
     kind: Annotated[
         str | None, typer.Option(help="measurement, calibration, or the kind of a result.")
     ] = None,
-    campaign: Annotated[
-        str | None,
-        typer.Option(
-            "--campaign", "-c", help="Only of this campaign.", autocompletion=completion.campaign_names
-        ),
-    ] = None,
-    state: Annotated[str | None, typer.Option(help="Only of this state.")] = None,
-    view: Annotated[str | None, typer.Option(help="Only of this view.")] = None,
+    campaign: OfCampaign = None,
+    state: OfState = None,
+    view: OfView = None,
     limit: Limit = 50,
     after: After = None,
     columns: Columns = None,

@@ -1,4 +1,4 @@
-"""How files that were found are printed: options and formats of `data find` and `data query run`."""
+"""What `data find`, `data states` and `data query run` share: options, and how they tell what was found."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sms_jobs import bootstrap
 from sms_jobs.app import finding, writing
 from sms_jobs.app.finding import OF_FILE, Question, column_names
 from sms_jobs.app.row_tables import write_csv, write_parquet
-from sms_jobs.cli import output
+from sms_jobs.cli import completion, output
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.shown.files import Found, Page
 
@@ -31,9 +31,15 @@ class Format(StrEnum):
     PARQUET = "parquet"
 
 
-Limit = Annotated[int, typer.Option(help="At most so many, the newest.", min=1, max=100_000)]
+OfCampaign = Annotated[
+    str | None,
+    typer.Option("--campaign", "-c", help="Only of this campaign.", autocompletion=completion.campaign_names),
+]
+OfState = Annotated[str | None, typer.Option(help="Only of this state.")]
+OfView = Annotated[str | None, typer.Option(help="Only of this view.")]
+Limit = Annotated[int, typer.Option(help="At most so many.", min=1, max=100_000)]
 After = Annotated[
-    int | None, typer.Option(help="Go on after this file: the 'next' of the page before.", min=1)
+    int | None, typer.Option(help="Go on after this one: the 'next' of the page before.", min=1)
 ]
 Columns = Annotated[
     str | None,

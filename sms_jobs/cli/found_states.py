@@ -11,8 +11,19 @@ from sms_jobs import bootstrap
 from sms_jobs.app import finding
 from sms_jobs.app.finding import column_names
 from sms_jobs.app.finding_states import find_states
-from sms_jobs.cli import completion, found_files, output
-from sms_jobs.cli.found_files import As, FindOptions, Force, Format, Out
+from sms_jobs.cli import found_files, output
+from sms_jobs.cli.found_files import (
+    After,
+    As,
+    FindOptions,
+    Force,
+    Format,
+    Limit,
+    OfCampaign,
+    OfState,
+    OfView,
+    Out,
+)
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.shown.states import MET_BY, FoundState, StatePage, table_of
 
@@ -27,18 +38,11 @@ def states(
     kind: Annotated[
         str | None, typer.Option(help="Only with a result of this kind; statistics are those of it.")
     ] = None,
-    campaign: Annotated[
-        str | None,
-        typer.Option(
-            "--campaign", "-c", help="Only of this campaign.", autocompletion=completion.campaign_names
-        ),
-    ] = None,
-    state: Annotated[str | None, typer.Option(help="Only of this label.")] = None,
-    view: Annotated[str | None, typer.Option(help="Only where this view meets the query.")] = None,
-    limit: Annotated[int, typer.Option(help="At most so many.", min=1, max=100_000)] = 50,
-    after: Annotated[
-        int | None, typer.Option(help="Go on after this state: the 'next' of the page before.", min=1)
-    ] = None,
+    campaign: OfCampaign = None,
+    state: OfState = None,
+    view: OfView = None,
+    limit: Limit = 50,
+    after: After = None,
     columns: Annotated[
         str | None,
         typer.Option(

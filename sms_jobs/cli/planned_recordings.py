@@ -46,6 +46,10 @@ app = typer.Typer(
 Campaign = Annotated[
     str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
 ]
+Ask = Annotated[
+    bool, typer.Option("--ask", help="Ask an operator about a doubtful set instead of keeping it.")
+]
+Process = Annotated[bool, typer.Option("--process", help="Process each state as soon as it is recorded.")]
 States = Annotated[
     list[str] | None,
     typer.Argument(help="Labels of states.", autocompletion=completion.state_labels, show_default=False),
@@ -90,12 +94,8 @@ def add(
             autocompletion=completion.state_labels,
         ),
     ] = None,
-    ask: Annotated[
-        bool, typer.Option("--ask", help="Ask an operator about a doubtful set instead of keeping it.")
-    ] = False,
-    process: Annotated[
-        bool, typer.Option("--process", help="Process each state as soon as it is recorded.")
-    ] = False,
+    ask: Ask = False,
+    process: Process = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
