@@ -8,7 +8,7 @@ show no one material point a pixel has no true displacement: NaN.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -24,6 +24,10 @@ READ_NOISE = 20.0
 _MEAN, _CONTRAST = 1600.0, 400.0
 _GAP = 300.0
 """Grey level of what a crack uncovers."""
+_TIP_OPENING = 2.0
+"""In px, of a crack that ends in the image, half an image behind its tip."""
+_KAPPA = (3.0 - 0.3) / (1.0 + 0.3)
+"""Of plane stress with a Poisson's ratio of 0.3."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,8 @@ class TruthPair:
         (rows, columns), uint16.
     displacement
         (2, rows, columns), u and v in px; NaN where there is none.
+    slip
+        Opening and sliding in px of a crack all through the image; None where there is no such crack.
     """
 
     group: str
@@ -47,6 +53,7 @@ class TruthPair:
     reference: NDArray[np.uint16]
     deformed: NDArray[np.uint16]
     displacement: Floats
+    slip: tuple[float, float] | None = None
 
 
 def pairs(seed: int, *, quick: bool = False) -> Iterator[Callable[[], TruthPair]]:
@@ -57,7 +64,9 @@ def pairs(seed: int, *, quick: bool = False) -> Iterator[Callable[[], TruthPair]
         yield partial(_smooth, "sine", f"sine of 0.5 px, period {period} px", _sine(0.5, period), seed)
     for opening in (0.25, 3.0) if quick else (0.25, 1.0, 3.0, 10.0):
         yield partial(_crack, f"crack that opens by {opening:g} px", (opening, 0.0), seed)
-    yield partial(_crack, "crack that slides by 2 px", (0.0, 2.0), seed)
+    for sliding in (2.0,) if quick else (0.5, 2.0):
+        yield partial(_crack, f"crack that slides by {sliding:g} px", (0.0, sliding), seed)
+    yield partial(_tip, seed)
     yield partial(_periodic, seed)
     yield partial(_fixed_pattern, seed)
     yield partial(_falling_light, seed)
@@ -118,7 +127,34 @@ def _crack(name: str, slip: tuple[float, float], seed: int) -> TruthPair:
     deformed = covered * of_left + uncovered * of_right
     deformed += _MEAN * (covered + uncovered) + _GAP * (1.0 - covered - uncovered)
     truth = np.where(column < edge, np.stack(left(column, row)), np.stack(right(column, row)))
-    return _pair("crack", name, seed, (_MEAN + at_rest, deformed), truth)
+    return replace(_pair("crack", name, seed, (_MEAN + at_rest, deformed), truth), slip=slip)
+
+
+def _tip(seed: int) -> TruthPair:
+    """Let a crack that ends in the middle open to 2 px, with the field of a tip about it (Irwin 1957)."""
+    middle = SIZE_PX / 2 - 0.5
+
+    def of_side(side: float) -> Displacement:
+        def field(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+            along, up = x - SIZE_PX / 2, middle - y
+            angle = np.arctan2(up, along)
+            # Each side's own field goes on beyond the crack.
+            angle = np.where(side * angle < -np.pi / 2, angle + side * 2.0 * np.pi, angle)
+            size = _TIP_OPENING / (2.0 * (_KAPPA + 1.0)) * np.sqrt(np.hypot(along, up) / (SIZE_PX / 2))
+            u = size * np.cos(angle / 2) * (_KAPPA - 1.0 + 2.0 * np.sin(angle / 2) ** 2)
+            return u, -size * np.sin(angle / 2) * (_KAPPA + 1.0 - 2.0 * np.cos(angle / 2) ** 2)
+
+        return field
+
+    upper, lower = of_side(1.0), of_side(-1.0)
+    at_rest, (of_upper, of_lower) = _speckle(seed, upper, lower)
+    column, row = _grid()
+    above = np.clip(middle - seen_through(upper, column, row)[1] + 0.5, 0.0, 1.0)
+    below = np.clip(seen_through(lower, column, row)[1] - middle + 0.5, 0.0, 1.0)
+    gap = np.clip(1.0 - above - below, 0.0, 1.0)
+    deformed = (1.0 - gap) * _MEAN + above * of_upper + below * of_lower + gap * _GAP
+    truth = np.where(row < middle, np.stack(upper(column, row)), np.stack(lower(column, row)))
+    return _pair("crack", "crack that ends in the image", seed, (_MEAN + at_rest, deformed), truth)
 
 
 def _periodic(seed: int) -> TruthPair:

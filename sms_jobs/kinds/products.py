@@ -9,6 +9,7 @@ from typing import Generic, TypeVar
 from sms_jobs.records.alignment import ViewAlignment
 from sms_jobs.records.assessment import Assessment
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
+from sms_jobs.records.cracks import CrackOpenings
 from sms_jobs.records.diagnosis import ResponseDiagnosis
 from sms_jobs.records.fields import (
     DisplacementField,
@@ -90,6 +91,7 @@ MATCHES = Product("matches", ImageMatches)
 REGIONS = Product("regions", Regions)
 STRAIN = Product("strain", StrainField)
 GAUGES = Product("gauges", GaugeReadings)
+CRACKS = Product("cracks", CrackOpenings)
 MERGED = Product("merged", MergedField)
 MESH = Product("mesh", Mesh)
 ALIGNMENT = Product("view", ViewAlignment)

@@ -126,11 +126,21 @@ class Surface:
 
 @dataclass(frozen=True)
 class Region:
-    """One continuous piece of surface in a label map: its label, area in px and centroid (x, y) in px."""
+    """One continuous piece of surface in a label map.
+
+    Attributes
+    ----------
+    label, area, centroid
+        Its number, its size in px, and its middle (x, y) in px.
+    piece_of
+        The first of the pieces into which one region of the reference has come apart; None for a region that
+        is whole.
+    """
 
     label: int
     area: int
     centroid: tuple[float, float]
+    piece_of: int | None = None
 
 
 @dataclass(frozen=True)

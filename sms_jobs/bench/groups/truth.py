@@ -13,17 +13,22 @@ from numpy.typing import NDArray
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.shelf import Shelf
 from sms_jobs.bench.truth_pairs import FULL_SCALE, READ_NOISE, SIZE_PX, TruthPair, pairs
-from sms_jobs.kinds.deformation import correlate
+from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.deformation import correlate, cracks, strain
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.shape import plane
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen
-from sms_jobs.records.fields import DisplacementField
+from sms_jobs.records.cracks import CrackOpenings
+from sms_jobs.records.fields import DisplacementField, StrainField
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.subject import Subject
 
 _AT = datetime(2026, 1, 1, tzinfo=UTC)
 _SILENT_SIGMA, _SILENT_PX = 6.0, 0.05
 """A value is silently wrong that is valid and off by more than both."""
+_NEAR_PX = 60
+"""Strain is near a crack within the default gauge length of it."""
+_LAST = Subject("pair", "S01", "C1")
 
 
 @dataclass(frozen=True)
@@ -54,25 +59,54 @@ class Judged:
         return int(self.errors.shape[1])
 
 
+@dataclass(frozen=True)
+class JudgedCrack:
+    """What is told of a crack all through the image, of a specimen that is not strained.
+
+    Attributes
+    ----------
+    opening, sliding
+        (n,), errors along it in px.
+    strain
+        (m,), strain near it in units of its standard deviation, all components.
+    """
+
+    opening: NDArray[np.float64]
+    sliding: NDArray[np.float64]
+    strain: NDArray[np.float64]
+
+
 def warm_up() -> None:
     """Compile what a pair goes through."""
-    judged(next(pairs(0))(), 1)
+    _judged_crack((0.0, 0.0), _matched(next(pairs(0))(), 1))
 
 
 def measure(run: Run) -> Iterator[Found]:
     """Yield the figures and their conditions; the seeds are new in every run."""
     seed = int(np.random.SeedSequence().generate_state(1)[0] % 1_000_000)
     of_group: dict[str, list[Judged]] = defaultdict(list)
+    cracked: list[JudgedCrack] = []
     for make in pairs(seed, quick=run.quick):
         pair = make()
         run.say(f"matching {pair.name}")
-        of_group[pair.group].append(judged(pair, run.threads))
+        shelf = _matched(pair, run.threads)
+        of_group[pair.group].append(_judged(pair, shelf))
+        if pair.slip is not None:
+            cracked.append(_judged_crack(pair.slip, shelf))
     every = [one for some in of_group.values() for one in some]
     yield Figure("silent_per_million", _per_million(every), "1", 10.0, "at most")
     for group, some in of_group.items():
         yield Figure(f"silent_{group}_per_million", _per_million(some), "1")
         yield Figure(f"valid_{group}", sum(j.valid for j in some) / sum(j.seen for j in some), "1")
     yield Figure("reported_over_observed_clean", _stated_over_observed(of_group["clean"]), "1")
+    yield Figure("crack_opening_rms_px", _rms([one.opening for one in cracked]), "px", 0.02, "at most")
+    yield Figure("crack_sliding_rms_px", _rms([one.sliding for one in cracked]), "px")
+    yield Figure("crack_strain_z", _rms([one.strain for one in cracked]), "1", 1.3, "at most")
+    yield Condition(
+        "crack",
+        f"{len(cracked)} cracks all through these images, at points 10 px apart; strain within {_NEAR_PX} px "
+        "of them, of specimens that are not strained, in units of its standard deviation",
+    )
     yield Condition(
         "silent",
         f"camera alone, {len(every)} pairs of {SIZE_PX} px, 12 bit, read noise {READ_NOISE:g} levels, "
@@ -90,9 +124,29 @@ def _stated_over_observed(some: list[Judged]) -> float:
     return float(stated / np.sqrt(np.mean(np.concatenate([one.errors.ravel() ** 2 for one in some]))))
 
 
+def _rms(parts: list[NDArray[np.float64]]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
+
 def judged(pair: TruthPair, threads: int) -> Judged:
     """Measure a pair of a camera alone with the defaults, and hold the result against its truth."""
-    found = _measured(pair, threads)
+    return _judged(pair, _matched(pair, threads))
+
+
+def cracks_of(pair: TruthPair, threads: int) -> CrackOpenings:
+    """Measure what the cracks of a pair have opened by."""
+    return _cracks(_matched(pair, threads))
+
+
+def judged_crack(pair: TruthPair, threads: int) -> JudgedCrack:
+    """Measure what a crack all through a pair has opened by, and the strain about it."""
+    if pair.slip is None:
+        raise InvalidInput(f"'{pair.name}' has no crack all through the image")
+    return _judged_crack(pair.slip, _matched(pair, threads))
+
+
+def _judged(pair: TruthPair, shelf: Shelf) -> Judged:
+    found: DisplacementField = shelf.records["correlate", _LAST]["displacement"]
     known = np.isfinite(pair.displacement[0])
     valid = known & (found.reason == 0)
     errors = (found.image_displacement - pair.displacement)[:, valid]
@@ -100,21 +154,38 @@ def judged(pair: TruthPair, threads: int) -> Judged:
     return Judged(int(known.sum()), errors, np.sqrt(variance))
 
 
-def _measured(pair: TruthPair, threads: int) -> DisplacementField:
+def _judged_crack(slip: tuple[float, float], shelf: Shelf) -> JudgedCrack:
+    found = _cracks(shelf)
+    shelf.run(strain.KIND, _LAST, strain.KIND.parameters())
+    field: StrainField = shelf.records["strain", _LAST]["strain"]
+    near = field.reason == 0
+    near &= np.abs(np.arange(near.shape[1]) - 0.5 * (near.shape[1] - 1)) < _NEAR_PX
+    return JudgedCrack(
+        found.opening - slip[0],
+        np.abs(found.sliding) - slip[1] if slip[1] else found.sliding,
+        (field.strain[:, near] / field.sigma[:, near]).ravel(),
+    )
+
+
+def _cracks(shelf: Shelf) -> CrackOpenings:
+    shelf.run(cracks.KIND, _LAST, cracks.KIND.parameters())
+    found: CrackOpenings = shelf.records["cracks", _LAST]["cracks"]
+    return found
+
+
+def _matched(pair: TruthPair, threads: int) -> Shelf:
     states = (LoadState("S00", 0.0, time=_AT), LoadState("S01", 1.0, time=_AT))
     specimen = Specimen("plate", "unknown", "computed")
     shelf = Shelf(Campaign("pair", specimen, "computed", states, ("C1",), FringeSequence(), None), threads)
-    last = Subject("pair", "S01", "C1")
     at_rest = Subject("pair", "S00", "C1")
-    for own, image in ((at_rest, pair.reference), (last, pair.deformed)):
+    for own, image in ((at_rest, pair.reference), (_LAST, pair.deformed)):
         recorded = Measurement(
             _AT, FringeSequence(), FULL_SCALE, 0.0, READ_NOISE, image, ArrayStack(image[None])
         )
         shelf.records[MEASUREMENT, own] = {"measurement": recorded}
     shelf.run(plane.KIND, at_rest, plane.KIND.parameters())
-    shelf.run(correlate.KIND, last, correlate.KIND.parameters())
-    field: DisplacementField = shelf.records["correlate", last]["displacement"]
-    return field
+    shelf.run(correlate.KIND, _LAST, correlate.KIND.parameters())
+    return shelf
 
 
 GROUP = Group(

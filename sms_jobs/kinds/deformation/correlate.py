@@ -44,6 +44,7 @@ from sms_jobs.kinds.surface_ports import state_ports
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation import correlation
 from sms_jobs.metrology.deformation.correlation import Matches, PreparedImages, prepare_images
+from sms_jobs.metrology.deformation.crack_lines import crack_lines
 from sms_jobs.metrology.deformation.incremental import Followed, follow, match_in_steps
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, match_nodes
 from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
@@ -83,7 +84,7 @@ def _reference_label(campaign: Campaign, subject: Subject) -> str:
 
 def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> Iterator[Output]:
     """Match the textures region by region and look the displacement up in both states' surfaces."""
-    before = read_reference(inputs, _REFERENCE, parameters)
+    whole = before = read_reference(inputs, _REFERENCE, parameters)
     after = read_later(inputs, _DEFORMED, parameters, before)
     progress(0.2, f"{len(before.regions.areas)} regions in the reference state")
     last = None
@@ -101,7 +102,9 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     progress(0.6, summary(grid.matches.ending, apart))
     reference, threads = inputs.context, inputs.threads
     image = image_displacement(grid, images, before, parameters, threads)
-    cut = cut_out(before.told, image.verified.unlike, parameters.minimum_region_area_px)
+    radius = parameters.subset_radius_px
+    cracks = crack_lines(images, image.value, image.variance, image.verified, before.told, radius)
+    cut = cut_out(before.told, image.verified.unlike | cracks, parameters.minimum_region_area_px)
     if cut is not None:
         out = (before.told > 0) & (cut == 0)
         area = np.count_nonzero(out)
@@ -119,7 +122,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     progress(1.0, "looked up the displacement")
     yield DatasetOutput(
         inputs.subject,
-        {DISPLACEMENT: field, MATCHES: matches, REGIONS: _regions_record(before.regions)},
+        {DISPLACEMENT: field, MATCHES: matches, REGIONS: _regions_record(before.regions, whole.regions)},
         _statistics(field, matches, before) | {"regions_split": float(len(apart.pieces) if apart else 0)},
     )
 
@@ -205,12 +208,19 @@ def _followed(matches: ImageMatches, nodes: Nodes) -> Followed:
     )
 
 
-def _regions_record(regions: ContinuousRegions) -> Regions:
-    each = zip(regions.areas, regions.centroids, strict=True)
-    described = tuple(
-        Region(number, int(area), (float(x), float(y))) for number, (area, (x, y)) in enumerate(each, start=1)
+def _regions_record(regions: ContinuousRegions, whole: ContinuousRegions) -> Regions:
+    """Return regions, and which of them are pieces of one that was whole."""
+    labels, first = np.unique(regions.labels, return_index=True)
+    origin = dict(zip(labels.tolist(), whole.labels.ravel()[first].tolist(), strict=True))
+    numbers = range(1, len(regions.areas) + 1)
+    pieces = {origin[n]: [k for k in numbers if origin[k] == origin[n]] for n in numbers}
+    described = (
+        Region(
+            n, int(area), (float(x), float(y)), pieces[origin[n]][0] if len(pieces[origin[n]]) > 1 else None
+        )
+        for n, area, (x, y) in zip(numbers, regions.areas, regions.centroids, strict=True)
     )
-    return Regions(described, regions.labels)
+    return Regions(tuple(described), regions.labels)
 
 
 def _statistics(field: DisplacementField, matches: ImageMatches, before: TexturedState) -> dict[str, float]:
@@ -235,7 +245,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both surfaces",
-    version=11,
+    version=12,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(CALIBRATION_OF_SHAPE, *_REFERENCE.all, *_DEFORMED.all, *_BEFORE.all, _MATCHED_BEFORE),

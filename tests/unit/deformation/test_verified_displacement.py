@@ -6,19 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from support.matched import spread_over_pixels
 
-from sms_jobs.metrology.deformation.correlation import (
-    CONVERGED,
-    MatchSettings,
-    Noise,
-    PreparedImages,
-    prepare_images,
-)
-from sms_jobs.metrology.deformation.displacement import ImagePoints, blend_matches
-from sms_jobs.metrology.deformation.matching import GridSettings, match_grid
-from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.deformation.correlation import Noise, PreparedImages, prepare_images
 from sms_jobs.metrology.deformation.verification import Verified, verify_displacement
-from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.metrology.images.smoothing import noise_after_smoothing, smooth
 
 SIZE, RADIUS, SMOOTHING, NOISE = 160, 10, 0.6, 20.0
@@ -43,12 +34,7 @@ def prepared(pattern_of: object, told: float = NOISE, true: float = NOISE, seed:
 
 def measured(images: PreparedImages) -> np.ndarray:
     """Return the displacement of every pixel as subsets find it: it follows their noise."""
-    settings, labels = MatchSettings(radius=RADIUS), images.labels
-    found = match_grid(images, images.deformed, settings, GridSettings(), SearchSettings(8, 8))
-    sure = found.matches.ending == CONVERGED
-    x, y = found.x[sure], found.y[sure]
-    points = ImagePoints(x, y, labels[y, x], found.matches.warp[sure], found.matches.sigma[sure])
-    return blend_matches(points, in_space(pixels_as_plane(labels.shape)), labels, RADIUS)[0]
+    return spread_over_pixels(images, RADIUS)[0]
 
 
 def verified(images: PreparedImages, image: np.ndarray, threads: int = 1) -> Verified:
