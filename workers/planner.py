@@ -84,8 +84,8 @@ class Watch:
         self.opened.close()
 
 
-class Planner(threading.Thread):
-    """A thread of the supervisor: an instrument that does not answer must not keep it from its beats.
+class Planner:
+    """Carries out the plans of recordings in a thread of its own.
 
     Parameters
     ----------
@@ -98,21 +98,15 @@ class Planner(threading.Thread):
     """
 
     def __init__(self, services: Services, worker_id: str, served: Callable[[], Sequence[str]]) -> None:
-        super().__init__(name="planner", daemon=True)
         self._services = services
         self._worker_id = worker_id
         self._served = served
-        self._stop_asked = threading.Event()
         self._watches: dict[str, Watch] = {}
 
-    def stop(self) -> None:
-        """Ask the thread to let all rigs go and end."""
-        self._stop_asked.set()
-
-    def run(self) -> None:
-        """Watch until asked to stop; outlive a database that is away."""
+    def run(self, stop_asked: threading.Event) -> None:
+        """Watch until asked to stop, then let all rigs go; outlive a database that is away."""
         look_at = 0.0
-        while not self._stop_asked.wait(_READ_EVERY_S):
+        while not stop_asked.wait(_READ_EVERY_S):
             try:
                 if time.monotonic() >= look_at:
                     look_at = time.monotonic() + _LOOK_EVERY_S

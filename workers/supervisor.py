@@ -33,7 +33,7 @@ from sms_jobs.workers.archive_watch import ArchiveWatch
 from sms_jobs.workers.celery_app import ALL_QUEUES, WORKER_ID, WORKER_QUEUES, make_app
 from sms_jobs.workers.notifier import Notifier
 from sms_jobs.workers.places import Places
-from sms_jobs.workers.planner import Planner
+from sms_jobs.workers.planning import Planning
 from sms_jobs.workers.publisher import Publisher
 
 logger = logging.getLogger(__name__)
@@ -98,23 +98,23 @@ class Supervisor:
         publisher = Publisher(self._app, self._services.catalogue, self._settings.workers)
         watch = ArchiveWatch(self._services, self.worker_id)
         notifier = Notifier(self._services)
-        planner = Planner(self._services, self.worker_id, lambda: self._served)
+        planning = Planning(self._services, self.worker_id, lambda: self._served)
         publisher.start()
         watch.start()
         notifier.start()
-        planner.start()
+        planning.start()
         self._places.start()
         try:
             self._serve(until_idle)
         finally:
             watch.stop()
-            planner.stop()
+            planning.stop()
             notifier.stop()
             publisher.stop()
             self._stop()
             publisher.join(timeout=_PATIENCE_WITH_BROKER_S)
             notifier.join(timeout=_PATIENCE_WITH_RECEIVERS_S)
-            planner.join(timeout=_PATIENCE_WITH_INSTRUMENTS_S)
+            planning.join(timeout=_PATIENCE_WITH_INSTRUMENTS_S)
 
     def _registered(self) -> bool:
         """Enter this worker; False where that may go better later. What does not pass ends the service."""

@@ -56,6 +56,11 @@ def planned(session: Session, campaigns: Collection[int]) -> list[Planned]:
     return _rows(session, PlannedRecordingRow.campaign_id.in_(campaigns))
 
 
+def anything_open(session: Session) -> bool:
+    """Say whether any recording is planned that was neither skipped nor noted as recorded."""
+    return bool(session.scalar(select(select(PlannedRecordingRow.id).where(OPEN).exists())))
+
+
 def next_ones(session: Session) -> list[Planned]:
     """Return of each campaign the first recording that was neither skipped nor noted as recorded."""
     first = (

@@ -86,3 +86,12 @@ def test_the_revisions_that_are_read_off_the_files_are_those_of_the_migrations()
 
     scripts = ScriptDirectory.from_config(schema.configuration())
     assert [script.revision for script in scripts.walk_revisions()] == list(reversed(schema.revisions()))
+
+
+def test_a_supervisor_leaves_arrays_and_kernels_to_those_who_compute() -> None:
+    say = (
+        "import sys, sms_jobs.workers.supervisor\n"
+        "print(*{'numpy', 'scipy', 'numba', 'h5py', 'cv2'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", say], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []

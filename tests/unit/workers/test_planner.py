@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from sqlalchemy import select
+from support.command import wait_until
 
 from sms_jobs import bootstrap
 from sms_jobs.app import planned_recordings
@@ -28,6 +29,7 @@ from sms_jobs.records.shown.planned_recordings import PlannedRecording
 from sms_jobs.records.units import typed
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.workers.planner import Planner
+from sms_jobs.workers.planning import Planning
 
 RIG = """
 name = "bench"
@@ -100,6 +102,18 @@ def recorded(services: Services) -> list[str]:
 def rig_is_held_by(services: Services) -> list[str | None]:
     with services.catalogue.reading() as session:
         return [lock.holder for lock in locks.held(session, datetime.now(UTC)) if lock.alive]
+
+
+def test_the_thread_carries_out_the_first_plan_and_ends_when_asked(services: Services) -> None:
+    planning = Planning(services, "w1", lambda: ["cpu", QUEUE])
+    planning.start()
+    try:
+        planned_recordings.plan(services, "wing", InTime())
+        wait_until(lambda: recorded(services) == ["wing/S00"])
+    finally:
+        planning.stop()
+        planning.join(timeout=30.0)
+    assert not planning.is_alive()
 
 
 @pytest.mark.parametrize("when", [InTime(), InTime(600.0)])
