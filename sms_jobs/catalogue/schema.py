@@ -64,14 +64,19 @@ def current_revision(catalogue: Catalogue) -> str | None:
 def upgrade(catalogue: Catalogue, revision: str = "head") -> None:
     """Bring the schema to a revision, the newest by default, in one transaction.
 
+    A catalogue that has the newest is left alone, and Alembic is not loaded for it.
+
     Raises
     ------
     OtherFormat
         The catalogue was made by a newer version of the program, or before the first release.
     """
+    found = current_revision(catalogue)
+    if revision == "head" and found == newest_revision():
+        return
+    _refuse_newer(catalogue, found)
     from alembic import command
 
-    _refuse_newer(catalogue, current_revision(catalogue))
     migrations = configuration()
     with catalogue.writing() as session:
         migrations.attributes["connection"] = session.connection()
