@@ -7,7 +7,6 @@ Without them the tests that need a server are skipped, or fail where CI=true.
 from __future__ import annotations
 
 import os
-import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit, urlunsplit
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 import redis
 import sqlalchemy
+from support import catalogues
 
 # Deadlines would time the tests on a busy machine; fixed seeds make a failure repeat itself.
 hypothesis.settings.register_profile("sms", deadline=None, derandomize=True, print_blob=True)
@@ -61,21 +61,41 @@ def postgresql_url() -> str:
     return _server("SMS_TEST_POSTGRESQL_URL", "PostgreSQL")
 
 
-@pytest.fixture
-def fresh_postgresql_url(postgresql_url: str) -> Iterator[str]:
-    """The URL of an empty PostgreSQL database that belongs to this test alone."""
-    name = f"sms_test_{uuid.uuid4().hex}"
-    engine = sqlalchemy.create_engine(
-        postgresql_url, isolation_level="AUTOCOMMIT", poolclass=sqlalchemy.pool.NullPool
-    )
-    with engine.connect() as connection:
-        connection.execute(sqlalchemy.text(f"CREATE DATABASE {name}"))
+@pytest.fixture(scope="session")
+def postgresql(postgresql_url: str) -> Iterator[sqlalchemy.Engine]:
+    """The PostgreSQL server, for statements that are no part of a transaction."""
+    engine = sqlalchemy.create_engine(postgresql_url, isolation_level="AUTOCOMMIT", pool_pre_ping=True)
     try:
-        yield sqlalchemy.make_url(postgresql_url).set(database=name).render_as_string(hide_password=False)
+        yield engine
     finally:
-        with engine.connect() as connection:
-            # FORCE ends what a worker that was killed on purpose has left connected.
-            connection.execute(sqlalchemy.text(f"DROP DATABASE {name} WITH (FORCE)"))
+        engine.dispose()
+
+
+@pytest.fixture
+def fresh_postgresql_url(postgresql: sqlalchemy.Engine) -> Iterator[str]:
+    """The URL of an empty PostgreSQL database that belongs to this test alone."""
+    with catalogues.database(postgresql) as url:
+        yield url
+
+
+@pytest.fixture(scope="session")
+def _migrated_database(postgresql: sqlalchemy.Engine) -> Iterator[str]:
+    with catalogues.database(postgresql) as url:
+        catalogues.migrate(url)
+        yield sqlalchemy.make_url(url).database or ""
+
+
+@pytest.fixture
+def migrated_postgresql_url(postgresql: sqlalchemy.Engine, _migrated_database: str) -> Iterator[str]:
+    """As `fresh_postgresql_url`, with the newest schema and nothing in it."""
+    with catalogues.database(postgresql, _migrated_database) as url:
+        yield url
+
+
+@pytest.fixture(scope="session")
+def migrated_sqlite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An SQLite catalogue with the newest schema and nothing in it, to be copied."""
+    return catalogues.migrated_file(tmp_path_factory.mktemp("migrated"))
 
 
 @pytest.fixture(scope="session")

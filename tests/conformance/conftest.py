@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,18 +12,18 @@ from support.deployments import Deployment
 from support.jobs import NOW
 
 from sms_jobs.archive import Archive, FolderStore
-from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.jobs import recovery
 
 
 @pytest.fixture(params=["embedded", "grown"])
-def deployment(request: pytest.FixtureRequest, home: Path) -> Deployment:
-    """A home of its own on either deployment."""
+def deployment(request: pytest.FixtureRequest, home: Path, migrated_sqlite: Path) -> Deployment:
+    """A home of its own on either deployment, whose catalogue has the newest schema and nothing in it."""
     if request.param == "embedded":
+        shutil.copyfile(migrated_sqlite, home / "catalogue.sqlite")
         return Deployment("embedded", home, {})
     urls = {
-        "SMS_DATABASE_URL": request.getfixturevalue("fresh_postgresql_url"),
+        "SMS_DATABASE_URL": request.getfixturevalue("migrated_postgresql_url"),
         "SMS_BROKER_URL": request.getfixturevalue("redis_url"),
     }
     return Deployment("grown", home, urls)
@@ -31,8 +32,7 @@ def deployment(request: pytest.FixtureRequest, home: Path) -> Deployment:
 @pytest.fixture
 def catalogue(deployment: Deployment) -> Iterator[Catalogue]:
     """An empty catalogue with the newest schema and one worker, `w1`."""
-    opened = deployment.catalogue(create=True)
-    schema.upgrade(opened)
+    opened = deployment.catalogue()
     with opened.writing() as session:
         recovery.register_worker(session, "w1", "here", 1, ["cpu", "io", "acquisition"], 2, NOW)
     try:
