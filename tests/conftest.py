@@ -6,6 +6,7 @@ Without them the tests that need a server are skipped, or fail where CI=true.
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,6 +22,18 @@ from support import catalogues
 # Deadlines would time the tests on a busy machine; fixed seeds make a failure repeat itself.
 hypothesis.settings.register_profile("sms", deadline=None, derandomize=True, print_blob=True)
 hypothesis.settings.load_profile("sms")
+
+
+# Thousands of tests are millions of objects that all stay: they are not looked through for garbage again and
+# again while they are loaded, nor by every full collection later.
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was collected out of every later look for garbage."""
+    gc.enable()
+    gc.collect()
+    gc.freeze()
 
 
 def _server(variable: str, what: str) -> str:
