@@ -12,6 +12,9 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 failed="" auditing=""
 
+# The program would be compiled anew in every process that a test starts, and every test by each process of pytest.
+unset PYTHONDONTWRITEBYTECODE
+
 # Runs a check and goes on after a failure, so that one run tells everything that is wrong.
 step() {
     local name="$1" started=$SECONDS status=0
@@ -67,6 +70,7 @@ if [ $# = 0 ]; then
     set -- -n "$(($(getconf _NPROCESSORS_ONLN) + 1))" --dist loadfile --no-loadscope-reorder --durations=25
 fi
 step "pytest" .venv/bin/python -m pytest "$@"
+case "$failed" in *pytest*) keep_folders ;; esac
 if [ -n "$auditing" ]; then
     step "audit of dependencies" wait "$auditing"
 fi
