@@ -1,9 +1,11 @@
 # shellcheck shell=bash
-# Sourced by test.sh: private PostgreSQL and Redis servers for the tests, in a temporary folder.
+# Sourced by test.sh: private PostgreSQL and Redis servers for the tests, in a temporary folder, in memory where that
+# has room.
 # They listen on the loopback interface alone and never touch servers that run already.
 #
-#   start_servers    exports SMS_TEST_POSTGRESQL_URL and SMS_TEST_REDIS_URL
+#   start_servers    exports SMS_TEST_POSTGRESQL_URL and SMS_TEST_REDIS_URL, and TMPDIR, a folder beside theirs
 #   stop_servers     ends what start_servers started and removes the folder
+#   keep_folders     moves what failed tests have left in TMPDIR to the disk
 #   provide_peers    installs what projectors and cameras are tried against
 #   provide_browser  installs a Chromium for the tests of reports
 #   do_without_browser  leaves these tests out where there is none and nobody insists
@@ -11,6 +13,7 @@
 # A URL that is set beforehand is used as it is, and no server is started for it.
 
 SERVERS=""         # the temporary folder
+ROOM_KB=8000000    # a run writes 3 GB at most, and its processes need as much
 POSTGRESQL_BIN=""  # the folder of initdb and pg_ctl
 REDIS_PID=""
 AS_POSTGRES=""     # a prefix that leaves root: PostgreSQL refuses to run as root
@@ -105,6 +108,8 @@ free_port() {
     .venv/bin/python -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])'
 }
 
+# Each of many tests has a database of its own, some hundred files to make and to remove. No test cuts the power of
+# this server, so that none of them has to be forced to a disk.
 start_postgresql() {
     local port account=nobody data="$SERVERS/postgresql"
     if ! find_postgresql; then
@@ -122,7 +127,7 @@ start_postgresql() {
         cd "$data" # an account other than root may not be allowed to stay in the checkout
         $AS_POSTGRES "$POSTGRESQL_BIN/initdb" --pgdata="$data/data" --username=sms --auth=trust --encoding=UTF8 --no-locale >"$SERVERS/initdb.log" 2>&1 &&
             $AS_POSTGRES "$POSTGRESQL_BIN/pg_ctl" start --silent --wait --pgdata="$data/data" --log="$data/server.log" \
-                --options="-c listen_addresses=127.0.0.1 -c port=$port -c unix_socket_directories=$data -c max_connections=100" >&2
+                --options="-c listen_addresses=127.0.0.1 -c port=$port -c unix_socket_directories=$data -c max_connections=100 -c fsync=off -c full_page_writes=off" >&2
     ) || { cat "$SERVERS/initdb.log" "$data/server.log" >&2 2>/dev/null || true; die "the tests' PostgreSQL server did not start: see its messages above"; }
     export SMS_TEST_POSTGRESQL_URL="postgresql+psycopg://sms@127.0.0.1:$port/postgres"
 }
@@ -145,11 +150,29 @@ start_redis() {
     export SMS_TEST_REDIS_URL="redis://127.0.0.1:$port/0"
 }
 
+# Prints how many kB of a file in memory there is room for; 0 where there are no such files.
+room_in_memory() {
+    { df -Pk /dev/shm 2>/dev/null | awk 'NR == 2 {print $4}'; awk '/^MemAvailable/ {print $2}' /proc/meminfo 2>/dev/null; } |
+        sort -n | awk 'NR == 1 {least = $1} END {print NR == 2 ? least : 0}'
+}
+
 start_servers() {
-    SERVERS="$(mktemp -d /tmp/sms-test.XXXXXX)" # a short path: that of a unix socket is limited to about 100 characters
-    chmod 755 "$SERVERS"
+    local place=/tmp
+    if [ "$(room_in_memory)" -gt "$ROOM_KB" ]; then place=/dev/shm; fi
+    SERVERS="$(mktemp -d $place/sms-test.XXXXXX)" # a short path: that of a unix socket is limited to about 100 characters
+    mkdir "$SERVERS/tmp"
+    chmod 755 "$SERVERS" "$SERVERS/tmp"
+    export TMPDIR="$SERVERS/tmp"
     if [ -z "${SMS_TEST_POSTGRESQL_URL:-}" ]; then start_postgresql; fi
     if [ -z "${SMS_TEST_REDIS_URL:-}" ]; then start_redis; fi
+}
+
+keep_folders() {
+    local kept
+    if ! ls "$TMPDIR"/pytest-of-* >/dev/null 2>&1; then return; fi
+    kept="$(mktemp -d /tmp/sms-test-failed.XXXXXX)"
+    mv "$TMPDIR"/pytest-of-* "$kept" 2>/dev/null || true
+    say "the folders of failed tests are in $kept"
 }
 
 stop_servers() {

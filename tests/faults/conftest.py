@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def server(tmp_path: Path) -> Iterator[PostgresqlServer]:
     programs = postgresql_programs()
     if programs is None:
         pytest.skip("needs PostgreSQL to start a server of its own: install it, or run ops/test.sh")
-    folder = Path(f"/tmp/sms-place-{os.getpid()}")
+    folder = Path(tempfile.gettempdir()) / f"sms-place-{os.getpid()}"
     server = PostgresqlServer(folder, programs)
     try:
         yield server

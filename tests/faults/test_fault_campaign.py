@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -67,14 +68,15 @@ def place(request: pytest.FixtureRequest, disk: tuple[Path, bool], tmp_path: Pat
         missing("Redis")
     assert programs is not None
     # A short path: that of a unix socket is limited. Not below pytest's, which is root's alone.
-    postgresql = PostgresqlServer(Path(f"/tmp/sms-faults-{os.getpid()}"), programs)
+    server = Path(tempfile.gettempdir()) / f"sms-faults-{os.getpid()}"
+    postgresql = PostgresqlServer(server, programs)
     redis = RedisServer(tmp_path / "redis")
     try:
         yield Place(tmp_path / "home", folder / "archive", may_be_filled, postgresql=postgresql, redis=redis)
     finally:
         redis.kill()
         postgresql.crash()
-        shutil.rmtree(f"/tmp/sms-faults-{os.getpid()}")
+        shutil.rmtree(server)
 
 
 @pytest.mark.parametrize("place", ["embedded"], indirect=True)
