@@ -1,11 +1,15 @@
-"""What a report consists of: chapters, each a module of this package with a `CHAPTER`, found by itself."""
+"""What a report consists of: chapters and closing sections, found by themselves.
+
+A module of this package with a `CHAPTER` or a `CLOSING` is one.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from sms_jobs.discovery import declared
+from sms_jobs.formats.report.page import Section
 from sms_jobs.formats.report.view import Sampler, View
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Inputs, Need, Port
 from sms_jobs.kinds.products import (
@@ -21,6 +25,8 @@ from sms_jobs.kinds.products import (
 )
 from sms_jobs.kinds.surface_ports import surface_port
 from sms_jobs.records.campaign import Campaign, LoadState
+from sms_jobs.records.recording import Recording, as_recorded, mean_readings
+from sms_jobs.records.subject import Subject
 
 CALIBRATION_SHOWN = Port("calibration", CALIBRATION, (CALIBRATED, QUALITY))
 RECORDINGS = Port("measurement", MEASUREMENT, (MEASURED, RECORDED), several=True)
@@ -92,6 +98,46 @@ class Chapter:
     reference: Callable[[Inputs, Campaign, Sampling], Iterator[View]]
     deformed: Callable[[Inputs, Campaign, LoadState, Sampling], Iterator[View]]
     also: Mapping[str, Callable[[Campaign], Iterable[Need]]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Closing:
+    """A section towards the end of a report, about the campaign as a whole.
+
+    Attributes
+    ----------
+    name
+        By which it is told from others.
+    rank
+        Those of lower rank come first.
+    section
+        Makes it, from what the report shows and the campaign as it was defined.
+    """
+
+    name: str
+    rank: int
+    section: Callable[[Inputs, Campaign], Section]
+
+
+def closings() -> tuple[Closing, ...]:
+    """Return every closing section that there is, in order."""
+    return tuple(sorted(declared("sms_jobs.kinds", "CLOSING").values(), key=lambda c: (c.rank, c.name)))
+
+
+def recordings(inputs: Inputs) -> Iterator[tuple[Subject, Recording]]:
+    """Yield what instruments said of the recordings that they made, with the tuple of each."""
+    for subject in inputs.about(RECORDINGS):
+        if inputs.has(RECORDINGS, RECORDED, subject):
+            yield subject, inputs.read(RECORDINGS, RECORDED, subject)
+
+
+def as_recorded_in(inputs: Inputs, campaign: Campaign) -> Campaign:
+    """Return a campaign whose states have what was read while they were recorded."""
+    read: dict[str | None, list[dict[str, float]]] = {}
+    for subject, recording in recordings(inputs):
+        read.setdefault(subject.state, []).append(recording.readings())
+    states = tuple(as_recorded(s, mean_readings(read.get(s.label, []))) for s in campaign.states)
+    return replace(campaign, states=states)
 
 
 def chapters() -> tuple[Chapter, ...]:

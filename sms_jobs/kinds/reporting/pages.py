@@ -24,19 +24,22 @@ from sms_jobs.formats.report.tables import accuracy, campaign_facts, load_states
 from sms_jobs.formats.report.view import View, thinned
 from sms_jobs.kinds import defaults_of_kinds
 from sms_jobs.kinds.kind import Inputs, Progress, tested_states, tuples
-from sms_jobs.kinds.products import ASSESSMENT, CALIBRATED, MEASURED, QUALITY, RECORDED
+from sms_jobs.kinds.products import ASSESSMENT, CALIBRATED, MEASURED, QUALITY
 from sms_jobs.kinds.reporting.chapter import (
     ASSESSMENTS,
     CALIBRATION_SHOWN,
     RECORDINGS,
     Chapter,
     Sampling,
+    as_recorded_in,
+    closings,
     present,
+    recordings,
 )
 from sms_jobs.records.assessment import Assessment
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Campaign, LoadState
-from sms_jobs.records.recording import Recording, as_recorded, mean_readings
+from sms_jobs.records.recording import Recording
 from sms_jobs.records.subject import Subject
 
 _INTRODUCTION = (
@@ -85,7 +88,8 @@ class ReportPages:
         most_bytes: float = math.inf,
     ) -> None:
         self._inputs = inputs
-        self._campaign = replace(campaign, states=_as_recorded(inputs, campaign))
+        self._planned = campaign
+        self._campaign = as_recorded_in(inputs, campaign)
         self._sampling = sampling
         self._pictured = {state.label for state in pictured}
         self._progress, self._told = progress, 0.0
@@ -268,6 +272,7 @@ class ReportPages:
             found.append(Section("Calibration", certificate.calibration_summary(calibration, self._quality)))
         if self._recordings:
             found.append(Section("Recordings", certificate.recordings(self._recordings)))
+        found += [closing.section(self._inputs, self._planned) for closing in closings()]
         last = origin_sections(self._inputs.datasets, self._campaign.name, defaults_of_kinds())
         return [*found, *last]
 
@@ -280,7 +285,7 @@ class ReportPages:
     @cached_property
     def _recordings(self) -> Mapping[str, Recording]:
         """Return what instruments said of the recordings that they made, by tuple."""
-        return {str(subject): recording for subject, recording in _recordings(self._inputs)}
+        return {str(subject): recording for subject, recording in recordings(self._inputs)}
 
     def _recorded_at(self) -> Mapping[str, datetime]:
         """Return when the reference state was recorded; the others say so themselves."""
@@ -317,21 +322,6 @@ def _size(view: View, state: str) -> int:
 def _heading(state: LoadState) -> str:
     load = "" if state.known_load_n is None else f", {html.number(html.Given(state.known_load_n))} N"
     return f"State {state.label}{load}"
-
-
-def _recordings(inputs: Inputs) -> Iterator[tuple[Subject, Recording]]:
-    """Yield what instruments said of the recordings that they made, with the tuple of each."""
-    for subject in inputs.about(RECORDINGS):
-        if inputs.has(RECORDINGS, RECORDED, subject):
-            yield subject, inputs.read(RECORDINGS, RECORDED, subject)
-
-
-def _as_recorded(inputs: Inputs, campaign: Campaign) -> tuple[LoadState, ...]:
-    """Return the states of a campaign with what was read while they were recorded."""
-    read: dict[str | None, list[dict[str, float]]] = {}
-    for subject, recording in _recordings(inputs):
-        read.setdefault(subject.state, []).append(recording.readings())
-    return tuple(as_recorded(s, mean_readings(read.get(s.label, []))) for s in campaign.states)
 
 
 def _without_images(assessment: Assessment) -> Assessment:

@@ -108,7 +108,8 @@ def no_further(campaign: Campaign) -> Iterable[Need]:
     return ()
 
 
-def _subjects(campaign: Campaign) -> Iterable[Subject]:
+def subjects(campaign: Campaign) -> Iterable[Subject]:
+    """Return the campaign, where there is anything to show of it."""
     return (Subject(campaign.name),) if tested_states(campaign) and present(campaign) else ()
 
 
@@ -133,13 +134,13 @@ def run(inputs: Inputs, parameters: ReportParameters, progress: Progress) -> Ite
 KIND = Kind(
     name="report",
     summary="write pages about a campaign: maps to zoom and turn, charts, uncertainties, errors and origins",
-    version=4,
+    version=5,
     scope=Scope.CAMPAIGN,
     parameters=ReportParameters,
     inputs=SHOWN,
     outputs=(),
     needs=needs,
     run=run,
-    subjects=_subjects,
+    subjects=subjects,
     context=whole_campaign,
 )

@@ -1,0 +1,144 @@
+"""What is reported of a campaign: answers from the archive, or that nothing was recorded."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.report_results import campaign, records_for, run_on_results
+
+from sms_jobs.kinds.kind import Need
+from sms_jobs.kinds.reporting import conditions, report
+from sms_jobs.kinds.reporting.chapter import MERGED_STATES, STRAINS
+from sms_jobs.kinds.reporting.still_pairs import still_pairs
+from sms_jobs.metrology.deformation.noise_floor import noise_floor
+from sms_jobs.records.campaign import Campaign, LoadState
+from sms_jobs.records.scene import HalvesApart
+from sms_jobs.records.subject import Subject
+
+SIZE = (45, 60)
+
+
+def still(loads: tuple[float | None, ...] = (0.0, 0.0, 1000.0)) -> Campaign:
+    """Return a campaign that is not simulated, with these loads."""
+    states = tuple(LoadState(f"S{k:02}", load_n=load) for k, load in enumerate(loads))
+    return replace(campaign(virtual=False), states=states)
+
+
+def noisy(bias: float, noise: float) -> dict[str, Any]:
+    """Return displacement and strain of a known bias and noise in every component."""
+    rng = np.random.default_rng(3)
+    subject = Subject("plate", "S01")
+    merged = records_for(Need(MERGED_STATES, subject), SIZE)["merged_C1"]
+    strain = records_for(Need(STRAINS, replace(subject, view="C1P1")), SIZE)["strain"]
+    hole = 0.0 * merged.displacement
+    moved = hole + bias + noise * rng.normal(size=merged.displacement.shape)
+    return {
+        "merged_C1": replace(merged, displacement=moved),
+        "strain": replace(strain, strain=moved),
+    }
+
+
+def rows_of(path: Path) -> dict[tuple[str, str], str]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return {(row["what"], row["of"]): row["value"] for row in csv.DictReader(file)}
+
+
+def test_the_noise_floor_is_that_of_a_still_pair(tmp_path: Path) -> None:
+    made = run_on_results(tmp_path, conditions.KIND, still(), Subject("plate"), instead=noisy(5e-4, 2e-3))
+    (_, table), (_, document) = made
+    rows = rows_of(table)
+    found = rows["displacement X", "C1, S00 to S01"].split()
+    # 2151 of the 2700 pixels are valid: noise is known to 1/sqrt(2 n) = 1.5 %, bias to 2e-3 / sqrt(n).
+    assert float(found[1]) == pytest.approx(2e-3, rel=0.06)
+    assert float(found[4]) == pytest.approx(5e-4, abs=2e-4)
+    assert found[2] == "mm,"
+    assert "microstrain" in rows["strain xx", "C1P1, S00 to S01"]
+    assert not [about for _, about in rows if "S02" in about and "to" in about]
+    told = json.loads(document.read_text("utf-8"))
+    assert {(one["name"], one["about"]): one["value"] for one in told} == rows
+
+
+def test_a_pair_without_the_reference_is_subtracted(tmp_path: Path) -> None:
+    loaded = still((0.0, 1000.0, 1000.0))
+    # Both states have the same field: nothing is left.
+    ((_, table), _) = run_on_results(
+        tmp_path, conditions.KIND, loaded, Subject("plate"), instead=noisy(1.0, 2e-3)
+    )
+    assert rows_of(table)["displacement Z", "C1, S01 to S02"].startswith("noise 0 mm, bias 0 mm")
+
+
+def test_what_nobody_recorded_is_said_to_be_missing(tmp_path: Path) -> None:
+    ((_, table), _) = run_on_results(tmp_path, conditions.KIND, still((0.0, 5.0)), Subject("plate"))
+    rows = rows_of(table)
+    for name in ("camera", "frame rate", "patterning technique"):
+        assert rows[name, "C1P1"] == "not recorded"
+    assert rows["exposure", "C1P1"].startswith("not recorded as a time")
+    assert rows["image size", "C1P1"] == "60 x 45 px, grey levels to 4095"
+    assert rows["subset size", "plate/S01/C1P1"] == "not recorded"  # the parameters of this file are others
+    assert rows["displacement and strain", ""].startswith("not recorded: no two states")
+    assert "principal distance 1000 x 1000 px" in rows["lens", "C1P1"]
+
+
+def test_the_parameters_of_matching_are_put_in_words() -> None:
+    parameters = {
+        "subset_radius_px": 10,
+        "spacing_px": 4,
+        "edge_spacing_px": 2,
+        "shape_order": 1,
+        "interpolation": "quintic",
+        "smoothing_px": 0.6,
+        "method": "gauss-newton",
+        "regions": "none",
+    }
+    found = conditions._answers(parameters)
+    assert found["subset size"] == "21 px square"
+    assert found["step size"] == "4 px, 2 px at edges"
+    assert found["shape function"] == "affine"
+    assert found["image pre-filter"] == "Gaussian of 0.6 px standard deviation"
+    assert conditions._answers(parameters | {"smoothing_px": 0.0})["image pre-filter"] == "none"
+
+
+def test_the_report_has_the_same_by_itself(tmp_path: Path) -> None:
+    ((_, page),) = run_on_results(tmp_path, report.KIND, still(), Subject("plate"), instead=noisy(0.0, 2e-3))
+    text = page.read_text(encoding="utf-8")
+    assert "What to report" in text
+    assert "C1, S00 to S01" in text
+
+
+LOADS = (0.0, 5.0, 5.0, 9.0)
+
+
+@pytest.mark.parametrize(
+    ("changed", "pairs"),
+    [
+        ({}, [("S01", "S02")]),
+        ({"load_n": 5.0 + 0.9e-3 * 9.0}, [("S01", "S02")]),
+        ({"load_n": 5.0 + 1.1e-3 * 9.0}, []),
+        ({"load_n": None}, []),
+        ({"displacement_mm": 1.0}, [("S01", "S02")]),
+        ({"channels": {"cycles": 1e5}}, []),
+        ({"deformation": (HalvesApart(0.1),)}, []),
+    ],
+)
+def test_which_states_are_still(changed: dict[str, Any], pairs: list[tuple[str, str]]) -> None:
+    base = still(LOADS)
+    states = list(base.states)
+    states[2] = replace(states[2], **changed)
+    given = replace(base, states=tuple(states))
+    assert [(a.label, b.label) for a, b in still_pairs(given, given)] == pairs
+
+
+def test_few_points_have_no_noise_floor() -> None:
+    values = np.full(200, np.nan)
+    values[:99] = 1.0
+    assert noise_floor(values, np.ones(200)) is None
+    values[99] = 1.0
+    found = noise_floor(values, np.full(200, 2.0))
+    assert found is not None
+    assert (found.bias, found.noise, found.stated, found.points) == (1.0, 0.0, 2.0, 100)
