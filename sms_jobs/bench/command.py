@@ -119,7 +119,9 @@ def study(
 ) -> None:
     """Run a study again: its table on the screen, its picture and numbers in a folder.
 
-    Example: sms study table-6 --out /tmp/studies
+    The table is written too, as CSV.
+
+    Example: sms study table-6 --out /tmp/studies; sms study resolution --out /tmp/studies
     """
     if name == "list":
         if as_json:
@@ -137,4 +139,4 @@ def study(
         return
     _print_wide(outcome.table.columns, outcome.table.known())
     output.print_facts(dict(outcome.table.remarks))
-    output.say(f"wrote {files[0]} and {files[1]}")
+    output.say(f"wrote {', '.join(map(str, files))}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -79,14 +80,16 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def write(outcome: Outcome, study: Study, folder: Path) -> tuple[Path, Path]:
-    """Write the picture and the numbers into a folder; return the two files."""
+def write(outcome: Outcome, study: Study, folder: Path) -> tuple[Path, Path, Path]:
+    """Write a study into a folder; return its picture, its numbers with remarks, and its table as CSV."""
     folder.mkdir(parents=True, exist_ok=True)
-    picture, numbers = folder / f"{study.name}.png", folder / f"{study.name}.json"
+    picture, numbers, table = (folder / f"{study.name}.{end}" for end in ("png", "json", "csv"))
     buffer = io.BytesIO()
     # Without the version of the program: the same picture has the same bytes.
     outcome.picture.savefig(buffer, format="png", metadata={"Software": None})
     picture.write_bytes(buffer.getvalue())
     text = json.dumps({"study": study.name, "summary": study.summary} | outcome.table.as_json(), indent=1)
     numbers.write_text(text + "\n", encoding="utf-8")
-    return picture, numbers
+    with table.open("w", encoding="utf-8", newline="") as out:
+        csv.writer(out).writerows([outcome.table.columns, *outcome.table.known()])
+    return picture, numbers, table

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.bench.lone_camera import FULL_SCALE
 from sms_jobs.bench.speckle_pairs import Displacement, Floats, blobs, seen_through, shift, stamped
 
 SIZE_PX = 512
-FULL_SCALE = 4095
+_IMAGE = (SIZE_PX, SIZE_PX)
 READ_NOISE = 20.0
 """Grey levels of 12 bits, normally distributed, the same at every level."""
 _MEAN, _CONTRAST = 1600.0, 400.0
@@ -90,13 +91,13 @@ def _grid() -> tuple[Floats, Floats]:
 def _speckle(seed: int, *fields: Displacement) -> tuple[Floats, list[Floats]]:
     """Return the speckle at rest, and as each field alone would show it; of mean 0 and equal contrast."""
     column, row = _grid()
-    x, y, height = blobs(SIZE_PX, seed)
-    at_rest = stamped(SIZE_PX, (x, y), height, (column, row), (x, y))
+    x, y, height = blobs(_IMAGE, seed)
+    at_rest = stamped(_IMAGE, (x, y), height, (column, row), (x, y))
     moved = []
     for field in fields:
         u, v = field(x, y)
         through = seen_through(field, column, row)
-        moved.append(stamped(SIZE_PX, (x, y), height, through, (x + u, y + v)))
+        moved.append(stamped(_IMAGE, (x, y), height, through, (x + u, y + v)))
     scale = _CONTRAST / at_rest.std()
     return scale * at_rest, [scale * one for one in moved]
 

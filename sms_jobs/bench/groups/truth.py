@@ -5,30 +5,24 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
+from sms_jobs.bench.lone_camera import DEFORMED, correlated
 from sms_jobs.bench.shelf import Shelf
-from sms_jobs.bench.truth_pairs import FULL_SCALE, READ_NOISE, SIZE_PX, TruthPair, pairs
+from sms_jobs.bench.truth_pairs import READ_NOISE, SIZE_PX, TruthPair, pairs
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.deformation import correlate, cracks, strain
-from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.kinds.shape import plane
-from sms_jobs.records.campaign import Campaign, LoadState, Specimen
+from sms_jobs.kinds.deformation import cracks, strain
+from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.records.cracks import CrackOpenings
 from sms_jobs.records.fields import DisplacementField, StrainField
-from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
-from sms_jobs.records.subject import Subject
 
-_AT = datetime(2026, 1, 1, tzinfo=UTC)
 _SILENT_SIGMA, _SILENT_PX = 6.0, 0.05
 """A value is silently wrong that is valid and off by more than both."""
 _NEAR_PX = 60
 """Strain is near a crack within the default gauge length of it."""
-_LAST = Subject("pair", "S01", "C1")
 
 
 @dataclass(frozen=True)
@@ -146,7 +140,7 @@ def judged_crack(pair: TruthPair, threads: int) -> JudgedCrack:
 
 
 def _judged(pair: TruthPair, shelf: Shelf) -> Judged:
-    found: DisplacementField = shelf.records["correlate", _LAST]["displacement"]
+    found: DisplacementField = shelf.records["correlate", DEFORMED]["displacement"]
     known = np.isfinite(pair.displacement[0])
     valid = known & (found.reason == 0)
     errors = (found.image_displacement - pair.displacement)[:, valid]
@@ -156,8 +150,8 @@ def _judged(pair: TruthPair, shelf: Shelf) -> Judged:
 
 def _judged_crack(slip: tuple[float, float], shelf: Shelf) -> JudgedCrack:
     found = _cracks(shelf)
-    shelf.run(strain.KIND, _LAST, strain.KIND.parameters())
-    field: StrainField = shelf.records["strain", _LAST]["strain"]
+    shelf.run(strain.KIND, DEFORMED, strain.KIND.parameters())
+    field: StrainField = shelf.records["strain", DEFORMED]["strain"]
     near = field.reason == 0
     near &= np.abs(np.arange(near.shape[1]) - 0.5 * (near.shape[1] - 1)) < _NEAR_PX
     return JudgedCrack(
@@ -168,24 +162,13 @@ def _judged_crack(slip: tuple[float, float], shelf: Shelf) -> JudgedCrack:
 
 
 def _cracks(shelf: Shelf) -> CrackOpenings:
-    shelf.run(cracks.KIND, _LAST, cracks.KIND.parameters())
-    found: CrackOpenings = shelf.records["cracks", _LAST]["cracks"]
+    shelf.run(cracks.KIND, DEFORMED, cracks.KIND.parameters())
+    found: CrackOpenings = shelf.records["cracks", DEFORMED]["cracks"]
     return found
 
 
 def _matched(pair: TruthPair, threads: int) -> Shelf:
-    states = (LoadState("S00", 0.0, time=_AT), LoadState("S01", 1.0, time=_AT))
-    specimen = Specimen("plate", "unknown", "computed")
-    shelf = Shelf(Campaign("pair", specimen, "computed", states, ("C1",), FringeSequence(), None), threads)
-    at_rest = Subject("pair", "S00", "C1")
-    for own, image in ((at_rest, pair.reference), (_LAST, pair.deformed)):
-        recorded = Measurement(
-            _AT, FringeSequence(), FULL_SCALE, 0.0, READ_NOISE, image, ArrayStack(image[None])
-        )
-        shelf.records[MEASUREMENT, own] = {"measurement": recorded}
-    shelf.run(plane.KIND, at_rest, plane.KIND.parameters())
-    shelf.run(correlate.KIND, _LAST, correlate.KIND.parameters())
-    return shelf
+    return correlated(pair.reference, pair.deformed, READ_NOISE, CorrelateParameters(), threads)
 
 
 GROUP = Group(

@@ -27,13 +27,14 @@ def test_studies_are_found_by_themselves() -> None:
 
 def test_a_study_is_written_as_picture_and_numbers(home: Path) -> None:
     study = Study("line", "a line", line)
-    picture, numbers = write(study.run(print), study, home / "new" / "folder")
+    picture, numbers, table = write(study.run(print), study, home / "new" / "folder")
     assert picture.read_bytes().startswith(b"\x89PNG")
     found = json.loads(numbers.read_text(encoding="utf-8"))
     assert found["study"] == "line"
     assert found["rows"] == [{"a, mm": 1.0, "b": "x"}, {"a, mm": None, "b": "y"}]
     assert found["remarks"] == {"conditions": "none"}
-    again, _ = write(study.run(print), study, home)
+    assert table.read_text(encoding="utf-8") == '"a, mm",b\n1.0,x\n,y\n'
+    again, *_ = write(study.run(print), study, home)
     assert again.read_bytes() == picture.read_bytes()
 
 
