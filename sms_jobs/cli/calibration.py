@@ -11,7 +11,13 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app import calibrations
 from sms_jobs.app.calibrations import Worth
-from sms_jobs.cli import calibration_acceptance, calibration_files, completion, output
+from sms_jobs.cli import (
+    calibration_acceptance,
+    calibration_files,
+    calibration_test,
+    completion,
+    output,
+)
 from sms_jobs.cli.asking import PasswordStdin, Reason, because, confirming
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.times import parsed_time
@@ -20,6 +26,7 @@ if TYPE_CHECKING:
     from sms_jobs.records.sensors import Calibration
 
 app = typer.Typer(help="Calibrations of rigs.", no_args_is_help=True)
+app.add_typer(calibration_test.app, name="test")
 app.command("export")(calibration_files.export)
 app.command("import")(calibration_files.import_)
 app.command("accept")(calibration_acceptance.accept)

@@ -28,6 +28,7 @@ from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.recording import InterruptedRecording, Recording
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.surfaces import DeviationField, ReferenceSurface, SurfaceRegistration
+from sms_jobs.records.system_test import SystemTest
 
 R = TypeVar("R")
 
@@ -99,3 +100,4 @@ REFERENCE_SURFACE = Product("reference", ReferenceSurface)
 DEVIATION = Product("deviation", DeviationField)
 REGISTRATION = Product("registration", SurfaceRegistration)
 ASSESSMENT = Product("assessment", Assessment)
+SYSTEM_TEST = Product("system", SystemTest)

@@ -185,9 +185,9 @@ def _remarks(seeds: Sequence[int], apart: float) -> dict[str, str]:
     return {
         "conditions": f"{_STARS} stars of {star.ROWS} x {star.COLUMNS} px, v = {star.AMPLITUDE_PX} px "
         f"cos(2 pi y / period), periods of {star.SHORTEST_PX:g} to {star.LONGEST_PX:g} px along the columns; "
-        f"speckle of Gaussian blobs of 1.8 px, known at every real point, contrast {star.CONTRAST:g} and noise "
-        f"{star.NOISE:g} grey levels, both images; seeds {', '.join(map(str, seeds))}; correlate with its "
-        "defaults but for radius and order",
+        f"speckle of Gaussian blobs of 1.8 px, known at every real point, contrast {star.CONTRAST:g} and "
+        f"noise {star.NOISE:g} grey levels, both images; seeds {', '.join(map(str, seeds))}; correlate with "
+        "its defaults but for radius and order",
         "noise": "rms of v of a still pair: of the matched points, and of every pixel",
         "resolution": f"period at which {star.KEPT:.0%} of the amplitude is left, the amplitude by least "
         "squares over each column's rows; the stars' figures differ by at most "

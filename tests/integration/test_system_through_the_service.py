@@ -1,0 +1,99 @@
+"""A measuring system is tested as a person does it: planned, recorded, measured, judged, signed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from support.command import answer, service, sms
+
+from sms_jobs import bootstrap
+from sms_jobs.jobs.registration import register_calibration, register_campaign
+from sms_jobs.records.campaign import Specimen
+from sms_jobs.records.sensors import Calibration
+from sms_jobs.virtual_rig.sessions import BEGIN, small_session
+
+USAGE, NOT_FOUND, CONFLICT, FINDINGS = 2, 3, 4, 6
+CERTIFICATES = (
+    *("--bar", "150,22", "--bar-sigma", "0.005,0.002", "--plate", "120,100"),
+    *("--plate-form-sigma", "0.002"),
+)
+
+
+@pytest.fixture(scope="module")
+def tested(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Plan, record and measure a test of the small session's rig; return the home."""
+    home = tmp_path_factory.mktemp("tested")
+    assert sms("init", "--home", str(home)).returncode == 0
+    session = small_session("session")
+    assert session.scene is not None
+    assert session.session is not None
+    assert session.session.volume is not None
+    exact = Calibration(session.scene.rig, session.session.volume, BEGIN - timedelta(days=1), "exact")
+    states = (replace(session.states[0], artefact=None, time=None),)
+    like = replace(
+        session, name="like", specimen=Specimen("board"), states=states, session=None, views=("C1P1",)
+    )
+    with bootstrap.services(home) as services:
+        register_calibration(services.catalogue, services.archive, exact, datetime.now(UTC))
+        register_campaign(services.catalogue, services.archive, like, None, datetime.now(UTC))
+    plan = ("calibration", "test", "plan", "small-session-rig", "--name", "check", "--like", "like")
+    planned = answer(*plan, *CERTIFICATES, "--home", str(home))
+    assert [one["state"] for one in planned if one["campaign"] == "check-bar"] == [
+        f"B{k:02d}" for k in range(1, 8)
+    ]
+    with service(home):
+        for campaign in ("check-bar", "check-plate"):
+            work = ("job", "submit", "simulate", "reconstruct", "system-test", "-c", campaign)
+            answer("job", "wait", *answer(*work, "--home", str(home))["jobs"], "--home", str(home))
+    return home
+
+
+def test_the_page_says_what_is_decided(tested: Path, tmp_path: Path) -> None:
+    out = tmp_path / "check.html"
+    report = ("calibration", "test", "report", "check-bar", "check-plate", "--home", str(tested))
+    wide = ("--limit", "sphere-distance=0.1", "--limit", "flatness=0.5", "--limit", "probing-form=0.5")
+    done = sms(*report, *wide, "-o", str(out))
+    assert done.returncode == 0, done.stderr
+    assert "conform" in done.stdout
+    page = out.read_text(encoding="utf-8")
+    for words in ("No conformity with a standard is claimed", "Conform:", "sphere-distance", "check-bar/B01"):
+        assert words in page
+    numbers = json.loads(out.with_suffix(".json").read_text(encoding="utf-8"))
+    assert numbers["whole"]["decision"] == "conform"
+    # 4 quantities at 7 positions of a bar, and one at 6 of a plate.
+    assert len(numbers["values"]) == 4 * 7 + 6
+    assert all(one["missing"] == "" for one in numbers["values"])
+    assert [one["values"] for one in numbers["judgements"]] == [7, 6, 7]
+
+
+def test_limits_decide(tested: Path) -> None:
+    report = ("calibration", "test", "report", "check-bar", "--home", str(tested))
+    # Spans of noise are tens of micrometres: not within one.
+    refused = sms(*report, "--limit", "probing-form=0.001", "--json")
+    assert refused.returncode == FINDINGS
+    assert json.loads(refused.stdout)["whole"]["decision"] == "not conform"
+    # What was not measured at all has no value, and so is undecided.
+    open_ = sms(*report, "--limit", "flatness=0.5", "--json")
+    assert open_.returncode == FINDINGS
+    assert json.loads(open_.stdout)["whole"]["decision"] == "undecided"
+
+
+def test_what_makes_no_sense_is_refused(tested: Path) -> None:
+    report = ("calibration", "test", "report", "check-bar", "--home", str(tested))
+    plan = ("calibration", "test", "plan", "small-session-rig", "--home", str(tested))
+    for words, code, why in (
+        ((*report, "--limit", "roundness=1"), USAGE, "no 'roundness' is tested"),
+        ((*report, "--limit", "flatness"), USAGE, "a limit is a name and mm"),
+        ((*report, "--limit", "flatness=1", "--risk", "0.9"), USAGE, "a risk lies between 0 and 0.5"),
+        ((*plan, "--name", "check", *CERTIFICATES), CONFLICT, "there is a campaign check-bar already"),
+        ((*plan, "--name", "long", "--bar", "900,22"), USAGE, "does not fit along X"),
+        ((*plan, "--name", "none"), USAGE, "a test needs an artefact"),
+        ((*plan, "--name", "odd", "--bar", "900"), USAGE, "--bar takes two numbers in mm"),
+    ):
+        done = sms(*words)
+        assert done.returncode == code, (words, done.stderr)
+        assert why in " ".join(done.stderr.split())
