@@ -1,4 +1,7 @@
-"""Tests of measuring systems: positions of artefacts in their volume, and what is decided of the errors."""
+"""Tests of measuring systems: positions of artefacts in their volume, and what is decided of the errors.
+
+What computes and reads files is imported by the functions that need it: who lists calibrations needs neither.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sms_jobs.app import calibrations, campaigns, reading
+from sms_jobs.app import calibrations, campaigns
 from sms_jobs.app.rules import use_case
 from sms_jobs.app.writing import check_new_file, new_file
 from sms_jobs.bootstrap import Services
@@ -214,6 +217,7 @@ def judge(
     NotFound
         A campaign has no such result yet.
     """
+    from sms_jobs.app import reading
     from sms_jobs.metrology.conformity import decide
     from sms_jobs.records.system_test import TESTED
 
