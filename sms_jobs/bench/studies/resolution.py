@@ -188,7 +188,7 @@ def _remarks(seeds: Sequence[int], apart: float) -> dict[str, str]:
         f"speckle of Gaussian blobs of 1.8 px, known at every real point, contrast {star.CONTRAST:g} and "
         f"noise {star.NOISE:g} grey levels, both images; seeds {', '.join(map(str, seeds))}; correlate with "
         "its defaults but for radius and order",
-        "noise": "rms of v of a still pair: of the matched points, and of every pixel",
+        "noise": "rms of v of a still pair, of what is valid: of the matched points, and of every pixel",
         "resolution": f"period at which {star.KEPT:.0%} of the amplitude is left, the amplitude by least "
         "squares over each column's rows; the stars' figures differ by at most "
         f"{apart:.1%}",

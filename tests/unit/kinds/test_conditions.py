@@ -6,17 +6,20 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
-from support.report_results import campaign, records_for, run_on_results
+from support.report_results import campaign, grid, records_for, run_on_results
 
+from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.kind import Need
 from sms_jobs.kinds.reporting import conditions, report
 from sms_jobs.kinds.reporting.chapter import MERGED_STATES, STRAINS
 from sms_jobs.kinds.reporting.still_pairs import still_pairs
+from sms_jobs.metrology.deformation.matching import Method
 from sms_jobs.metrology.deformation.noise_floor import noise_floor
+from sms_jobs.metrology.images.spline import Interpolant
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.scene import HalvesApart
 from sms_jobs.records.subject import Subject
@@ -102,6 +105,29 @@ def test_the_parameters_of_matching_are_put_in_words() -> None:
     assert found["shape function"] == "affine"
     assert found["image pre-filter"] == "Gaussian of 0.6 px standard deviation"
     assert conditions._answers(parameters | {"smoothing_px": 0.0})["image pre-filter"] == "none"
+
+
+def test_no_parameter_of_matching_is_unknown() -> None:
+    answers = conditions._answers(CorrelateParameters().model_dump(mode="json"))
+    assert "not recorded" not in " ".join(answers.values())
+    assert set(get_args(Interpolant)) == set(conditions._INTERPOLANTS)
+    assert set(get_args(Method)) == set(conditions._CRITERIA)
+
+
+def test_where_the_camera_stands_is_from_calibration_and_surface(tmp_path: Path) -> None:
+    # C1P2 sees the surface, and the calibration of these results knows C1 alone.
+    seen = replace(still(), views=("C1P2",))
+    ((_, table), _) = run_on_results(tmp_path, conditions.KIND, seen, Subject("plate"), size=SIZE)
+    rows = rows_of(table)
+    points = np.stack(grid(SIZE))
+    points[:, : SIZE[0] // 5, : SIZE[1] // 4] = np.nan  # what has no value there
+    middle = np.nanmedian(points.reshape(3, -1), axis=1)
+    distance = float(rows["stand-off distance", "C1P2"].split()[0])
+    assert distance == pytest.approx(np.linalg.norm(middle - [0.0, 0.0, -500.0]), rel=1e-3)
+    assert rows["stereo angle", "C1P2"] == "not recorded"
+    # Pixels are 5 mm apart along X and Y, and a little more where the surface slopes along X.
+    per_px = float(rows["image scale", "C1P2"].split("(")[1].split()[0])
+    assert 5.0 <= per_px < 5.5
 
 
 def test_the_report_has_the_same_by_itself(tmp_path: Path) -> None:
