@@ -1,7 +1,7 @@
 """Which results may go, by policy: those that newer ones have replaced and that nothing kept was made from.
 
-What was measured, calibrations and definitions of campaigns stay for ever. So does whatever is pinned, and
-all that a file which stays was computed from, back to what was measured.
+What was measured, calibrations and definitions of campaigns stay for ever. So does whatever is pinned, what
+runs name that are kept, and all that a file which stays was computed from, back to what was measured.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from sms_jobs.catalogue.models import (
     StatisticRow,
 )
 from sms_jobs.errors import Conflict, NotFound
+from sms_jobs.jobs import runs
 from sms_jobs.records.job import JobState
 
 _AT_ONCE = 500
@@ -152,6 +153,7 @@ def without_needed(session: Session, candidates: Iterable[Removable]) -> list[Re
     going = {one.file_id: one for one in candidates}
     kept = set(session.scalars(select(PinRow.file_id)))
     kept.update(session.scalars(select(CalibrationRow.file_id)))
+    kept.update(runs.kept_files(session))
     kept.update(_inputs_of_the_unfinished(session))
     inputs: dict[int, list[int]] = {}
     for output, given in session.execute(select(ProvenanceRow.output_id, ProvenanceRow.input_id)):
