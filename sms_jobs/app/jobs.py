@@ -12,18 +12,19 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search, upkeep
 from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.jobs import chosen, crowds, inquiry, orders
+from sms_jobs.jobs import chosen, crowds, inquiry, orders, runs
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.estimates import estimate_planned, outlook
 from sms_jobs.jobs.inquiry import Event, JobView
 from sms_jobs.jobs.logs import job_log
-from sms_jobs.jobs.planning import PIPELINE, Refused, Request
+from sms_jobs.jobs.planning import PIPELINE, Refused, Request, given_parameters
 from sms_jobs.jobs.submission import Submission, draft, enter, while_outdated
 from sms_jobs.jobs.turns import planning_turn
 from sms_jobs.records.job import JobState
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.estimates import Estimate, Outlook
 from sms_jobs.records.shown.files import FileView
+from sms_jobs.records.subject import checked_name
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,8 @@ class Work:
         Higher runs earlier.
     use_cache
         Whether what was computed before is taken.
+    run
+        Name of the run that the results belong to, if any.
     """
 
     campaign: str
@@ -51,6 +54,7 @@ class Work:
     views: tuple[str, ...] = ()
     priority: int = 0
     use_cache: bool = True
+    run: str | None = None
 
     @property
     def requests(self) -> list[Request]:
@@ -140,9 +144,12 @@ def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitte
     NotFound
         There is no such campaign or kind, or every state lacks something.
     InvalidInput
-        A parameter, state or view is not one of them.
+        A parameter, state or view is not one of them, or the run cannot have that name.
+    Conflict
+        The run is kept as it is.
     """
     requests, now = work.requests, datetime.now(UTC)
+    _check_run(services, work.run)
 
     def attempt() -> tuple[Submission, Estimate, tuple[Refused, ...]]:
         with services.catalogue.reading() as session:
@@ -159,7 +166,10 @@ def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitte
         if dry_run:
             return planned.submission, ahead, planned.refused
         with services.catalogue.writing() as session:
-            return enter(session, planned), ahead, planned.refused
+            done = enter(session, planned)
+            if work.run is not None:
+                runs.enter(session, work.run, done, given_parameters(requests), now, services.actor.name)
+            return done, ahead, planned.refused
 
     with planning_turn(services.settings.home):
         done, ahead, refused = while_outdated(attempt)
@@ -168,6 +178,14 @@ def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitte
     counted = {name: done.kinds.count(name) for name in dict.fromkeys(done.kinds)}
     told = tuple(Refusal(str(one.subject), str(one.error), dict(one.jobs)) for one in refused)
     return Submitted(done.job_ids, counted, ahead, chosen.submitted(done), told)
+
+
+def _check_run(services: Services, name: str | None) -> None:
+    """Refuse a run that cannot take jobs before anything is planned for it."""
+    if name is not None:
+        checked_name(name, "run")
+        with services.catalogue.reading() as session:
+            runs.require_open(session, name)
 
 
 @use_case(Right.READ)

@@ -115,6 +115,7 @@ COMMANDS: Mapping[str, Command] = {
     ),
     "campaign": Command("Campaigns: a specimen, its load states, and how they are measured.", "cli.campaign"),
     "job": Command("Jobs: submit, follow and mend them.", "cli.job"),
+    "run": Command("Runs: results under a name, kept and compared.", "cli.run"),
     "acquire": Command("Recordings: states, with the instruments of a rig.", "cli.acquire"),
     "rig": Command("Rigs: the instruments that are connected to this host.", "cli.rig"),
     "queue": Command("Queues: what may begin, and in which order.", "cli.queue"),

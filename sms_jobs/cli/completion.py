@@ -54,6 +54,13 @@ def job_ids(context: typer.Context, incomplete: str) -> list[tuple[str, str]]:
     return _offer(context, incomplete, latest)
 
 
+def run_names(context: typer.Context, incomplete: str) -> list[str]:
+    """Offer the names of runs."""
+    from sms_jobs.app import runs
+
+    return _offer(context, incomplete, lambda services: [run.name for run in runs.list_runs(services)])
+
+
 def kind_names(incomplete: str) -> list[tuple[str, str]]:
     """Offer the job kinds."""
     from sms_jobs.app import kinds

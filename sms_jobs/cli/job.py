@@ -74,6 +74,14 @@ def submit(
     no_cache: Annotated[
         bool, typer.Option("--no-cache", help="Compute again what was computed before.")
     ] = False,
+    run: Annotated[
+        str | None,
+        typer.Option(
+            "--run",
+            help="Name of the run that the results belong to; see 'sms run --help'.",
+            autocompletion=completion.run_names,
+        ),
+    ] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Return when the jobs have ended.")] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what would be submitted and how long it would take.")
@@ -93,6 +101,8 @@ def submit(
 
     Example: sms job submit pipeline -c wing-fatigue --set strain.gauge_length_mm=30
 
+    Example: sms job submit pipeline -c wing --run wider-subsets --set correlate.subset_radius_px=14
+
     Example: sms job submit reconstruct --method fdr --returns 2 -c wing-fatigue
     """
     if wait and dry_run:
@@ -100,7 +110,7 @@ def submit(
     kind, settings = split_words(kind)
     parameters = given_parameters([*settings, *(parameter or [])])
     work = Work(
-        campaign, tuple(kind), parameters, tuple(state or ()), tuple(view or ()), priority, not no_cache
+        campaign, tuple(kind), parameters, tuple(state or ()), tuple(view or ()), priority, not no_cache, run
     )
     with bootstrap.services(home) as services:
         done = jobs_.submit(services, work, dry_run=dry_run)

@@ -51,6 +51,15 @@ class Request:
     views: tuple[str, ...] = ()
 
 
+def given_parameters(requests: Iterable[Request]) -> dict[str, Any]:
+    """Return the values of parameters that requests give, by `kind.name`."""
+    return {
+        name if request.kind == PIPELINE else f"{request.kind}.{name}": value
+        for request in requests
+        for name, value in request.parameters.items()
+    }
+
+
 @dataclass(frozen=True)
 class Existing:
     """What meets a need already: a file of the archive, or a job on its way to making one."""
