@@ -11,12 +11,10 @@ from typing import Any
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import finding, saved_queries
-from sms_jobs.catalogue.query_fields import Vocabulary
 from sms_jobs.catalogue.query_language import Query, parse
 from sms_jobs.catalogue.saved_queries import SavedQuery
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds import all_kinds
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, REFERENCE_SURFACES
+from sms_jobs.jobs.found_states import vocabulary
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import FileView, Found, Page
 from sms_jobs.records.sizes import size
@@ -65,21 +63,6 @@ def saved_question(services: Services, name: str) -> Question:
     """Return a question that is kept under a name; raises `NotFound` where there is none."""
     with services.catalogue.reading() as session:
         return Question(parse(saved_queries.text_of(session, name)))
-
-
-def vocabulary() -> Vocabulary:
-    """Return the kinds and parameters that this version of the program knows."""
-    return Vocabulary(_words)
-
-
-def _words() -> tuple[frozenset[str], frozenset[str]]:
-    kinds = all_kinds().values()
-    return (
-        frozenset(
-            {MEASUREMENT, CALIBRATION, REFERENCE_SURFACES} | {kind.makes or kind.name for kind in kinds}
-        ),
-        frozenset(name for kind in kinds for name in kind.parameters.model_fields),
-    )
 
 
 @use_case(Right.READ)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from sms_jobs.app.finding import Question, vocabulary
+from sms_jobs.app.finding import Question
 from sms_jobs.app.rules import use_case
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import finding_states
+from sms_jobs.jobs.found_states import vocabulary
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.states import StatePage
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.app import found_work
 from sms_jobs.app import jobs as jobs_
 from sms_jobs.app import kinds as kinds_
-from sms_jobs.app.jobs import Refusal, Work
+from sms_jobs.app.jobs import Refusal, Submitted, Work
 from sms_jobs.app.waiting import Waited, Waiting, wait_for
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.kind_options import CONTEXT, KindCommand, split_words
@@ -50,12 +51,14 @@ def submit(
             autocompletion=completion.kind_names,
         ),
     ],
-    campaign: Annotated[
-        str,
+    campaign: Campaign = None,
+    where: Annotated[
+        str | None,
         typer.Option(
-            "--campaign", "-c", help="Name of the campaign.", autocompletion=completion.campaign_names
+            help="Instead of a campaign, the states that meet this question, across campaigns; see "
+            "'sms data states'."
         ),
-    ],
+    ] = None,
     state: Annotated[
         list[str] | None,
         typer.Option(help="Only this state; can be repeated.", autocompletion=completion.state_labels),
@@ -89,7 +92,7 @@ def submit(
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Submit jobs for the tuples of a campaign, and say when they will have ended.
+    """Submit jobs for the tuples of a campaign, or of all that meet a question, and say when they end.
 
     A state whose jobs lack something, such as its recording, is left out and named with the reason; the
     others are submitted, and the exit code is 6. Where no state is left, nothing is submitted.
@@ -103,26 +106,32 @@ def submit(
 
     Example: sms job submit pipeline -c wing --run wider-subsets --set correlate.subset_radius_px=14
 
+    Example: sms job submit pipeline --where "time in 2025" --run today
+
     Example: sms job submit reconstruct --method fdr --returns 2 -c wing-fatigue
     """
     if wait and dry_run:
         raise InvalidInput("--dry-run submits nothing that --wait could wait for; give one of them")
+    if (campaign is None) == (where is None):
+        raise InvalidInput("say what of: a campaign with --campaign, or states with --where")
+    if where is not None and (wait or state):
+        raise InvalidInput("--where chooses the states, and --wait is for one campaign; leave them out")
     kind, settings = split_words(kind)
     parameters = given_parameters([*settings, *(parameter or [])])
+    views = tuple(view or ())
     work = Work(
-        campaign, tuple(kind), parameters, tuple(state or ()), tuple(view or ()), priority, not no_cache, run
+        campaign or "", tuple(kind), parameters, tuple(state or ()), views, priority, not no_cache, run
     )
     with bootstrap.services(home) as services:
+        if where is not None:
+            _submit_found(services, where, work, dry_run, as_json)
+            return
         done = jobs_.submit(services, work, dry_run=dry_run)
         if as_json and (dry_run or not wait):
-            jobs = done.counted if dry_run else done.job_ids
-            told = {"campaign": campaign, "jobs": jobs, "estimate": done.estimate, "refused": done.refused}
-            output.print_json(told)
+            output.print_json(_submitted_as_json(work.campaign, done, dry_run))
         elif not as_json:
-            what = ", ".join(f"{count} {name}" for name, count in done.counted.items())
-            would = "would submit" if dry_run else "submitted"
-            output.say(f"{would} {len(done.job_ids)} jobs: {what}" if what else "there is nothing to do")
-            if what:
+            _tell_submitted(len(done.job_ids), done.counted, dry_run)
+            if done.counted:
                 output.say(estimate_text(done.estimate, datetime.now(UTC)))
         _tell_refused(done.refused)
         if wait:
@@ -133,11 +142,37 @@ def submit(
         raise typer.Exit(_FINDINGS)
 
 
+def _submit_found(services: bootstrap.Services, where: str, work: Work, dry_run: bool, as_json: bool) -> None:
+    """Submit work of all campaigns with states that meet a question, and say what of each."""
+    found = found_work.submit_found(services, where, work, dry_run=dry_run)
+    if as_json:
+        told = [_submitted_as_json(name, done, dry_run) for name, done in found.campaigns.items()]
+        output.print_json({"campaigns": told, "refused": found.refused})
+    else:
+        jobs = sum(len(done.job_ids) for done in found.campaigns.values())
+        _tell_submitted(jobs, found.counted, dry_run)
+        output.say(f"of {len(found.campaigns)} campaigns: {', '.join(found.campaigns)}")
+    _tell_refused(found.all_refused)
+    if found.all_refused:
+        raise typer.Exit(_FINDINGS)
+
+
+def _submitted_as_json(campaign: str, done: Submitted, dry_run: bool) -> dict[str, Any]:
+    jobs = done.counted if dry_run else done.job_ids
+    return {"campaign": campaign, "jobs": jobs, "estimate": done.estimate, "refused": done.refused}
+
+
+def _tell_submitted(jobs: int, counted: Mapping[str, int], dry_run: bool) -> None:
+    what = ", ".join(f"{count} {name}" for name, count in counted.items())
+    would = "would submit" if dry_run else "submitted"
+    output.say(f"{would} {jobs} jobs: {what}" if what else "there is nothing to do")
+
+
 def _tell_refused(refused: Sequence[Refusal]) -> None:
     """Say which states are left out and why, as many as fit a screen."""
     for one in refused[:_MOST_REFUSED]:
         jobs = ", ".join(f"{count} {name}" for name, count in one.jobs.items())
-        output.say(f"refused: {one.subject} ({jobs}): {one.why}")
+        output.say(f"refused: {one.subject}{f' ({jobs})' if jobs else ''}: {one.why}")
     if len(refused) > _MOST_REFUSED:
         output.say(f"refused: {len(refused) - _MOST_REFUSED} more; --json tells of all")
 

@@ -99,8 +99,8 @@ def show(name: Name, limit: Limit = 50, home: Home = None, as_json: Json = False
     )
     _tell_more(len(found.results), limit, "results")
     for about, state in list(found.missing.items())[:_MOST_TOLD]:
-        output.say(f"no result: {about} is {state}")
-    _tell_more(len(found.missing), _MOST_TOLD, "without a result")
+        output.say(f"no result yet: {about} is {state}")
+    _tell_more(len(found.missing), _MOST_TOLD, "without a result yet")
 
 
 def _story(found: RunStory) -> dict[str, Any]:
@@ -263,4 +263,4 @@ def _counted(jobs: Any) -> str:
 
 def _tell_more(count: int, limit: int, what: str) -> None:
     if count > limit:
-        output.say(f"{count - limit} more {what}; give --limit, or --json for all")
+        output.say(f"{count - limit} more {what}; --json tells of all")
