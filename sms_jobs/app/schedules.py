@@ -9,6 +9,7 @@ from pathlib import Path
 from sms_jobs.app.jobs import Work
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
+from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs import schedules
 from sms_jobs.jobs.fire_times import parse_expression
 from sms_jobs.jobs.schedules import MissedFire, Order, ScheduleView
@@ -25,8 +26,12 @@ def add(
     zone: str | None = None,
     missed: MissedFire = "once",
     grace: timedelta = timedelta(minutes=5),
+    where: str | None = None,
 ) -> datetime | None:
     """Submit work at a time, again and again, or when another campaign is done; return the first time.
+
+    Results of work that names a run belong to it; what fires again and again has a run for each time, with
+    the time in UTC at the end of its name.
 
     Parameters
     ----------
@@ -38,6 +43,8 @@ def add(
         What becomes of times that passed with no service running.
     grace
         After which a time counts as missed.
+    where
+        Instead of the campaign and states of the work, those that meet this question when it fires.
 
     Raises
     ------
@@ -49,7 +56,10 @@ def add(
         There is a schedule of that name.
     """
     expression = parse_expression(when, zone or local_zone())
-    order = Order(work.campaign, tuple(work.requests), work.priority, work.use_cache)
+    if where is not None and (work.campaign or work.states):
+        raise InvalidInput("states come from the question; leave out the campaign and the states")
+    requests = tuple(work.requests)
+    order = Order(work.campaign, requests, work.priority, work.use_cache, work.run, where)
     now = datetime.now(UTC)
     schedules.add(services.catalogue, name, expression, order, now, missed_fire=missed, grace=grace)
     with services.catalogue.reading() as session:

@@ -29,11 +29,24 @@ def add(
         typer.Argument(help="Job kinds, or 'pipeline'.", autocompletion=completion.kind_names),
     ],
     campaign: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--campaign", "-c", help="Name of the campaign.", autocompletion=completion.campaign_names
         ),
-    ],
+    ] = None,
+    where: Annotated[
+        str | None,
+        typer.Option(
+            help="Instead of a campaign, the states that meet this question when it fires; see "
+            "'sms data states'."
+        ),
+    ] = None,
+    run: Annotated[
+        str | None,
+        typer.Option(
+            help="Name of the run that the results belong to; --cron and --every add the time in UTC to it."
+        ),
+    ] = None,
     cron: Annotated[str | None, typer.Option(help="Minute, hour, day, month, weekday.")] = None,
     at: Annotated[str | None, typer.Option(help="Once, at this time.")] = None,
     every: Annotated[str | None, typer.Option(help="Again and again, after 30s, 10m, 2h or 1d.")] = None,
@@ -68,15 +81,26 @@ def add(
     """Submit jobs at a time, again and again, or when another campaign is done.
 
     Example: sms schedule add nightly pipeline -c wing-fatigue --cron "0 2 * * *" --zone Europe/London
+
+    Example: sms schedule add again pipeline --where "time in 2025" --run today --at 2026-05-04T22:00
     """
     forms = {"cron": cron, "at": at, "every": every, "after": after}
     given = {form: what for form, what in forms.items() if what is not None}
     if len(given) != 1:
         raise InvalidInput(f"say when: one of --cron, --at, --every and --after, not {len(given)} of them")
     ((form, what),) = given.items()
-    parameters = given_parameters(parameter or [])
+    if (campaign is None) == (where is None):
+        raise InvalidInput("say what of: a campaign with --campaign, or states with --where")
+    views = tuple(view or ())
     work = Work(
-        campaign, tuple(kinds), parameters, tuple(state or ()), tuple(view or ()), priority, not no_cache
+        campaign or "",
+        tuple(kinds),
+        given_parameters(parameter or []),
+        tuple(state or ()),
+        views,
+        priority,
+        not no_cache,
+        run,
     )
     now = datetime.now(UTC)
     with bootstrap.services(home) as services:
@@ -88,6 +112,7 @@ def add(
             zone=zone,
             missed=missed,
             grace=timedelta(seconds=grace),
+            where=where,
         )
     if as_json:
         output.print_json({"schedule": name, "next_fire": first})

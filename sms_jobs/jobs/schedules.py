@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from datetime import datetime, timedelta
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime, timedelta
 from functools import partial
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from sqlalchemy import and_, delete, exists, func, select
 from sqlalchemy.exc import IntegrityError
@@ -16,13 +16,17 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow, ScheduleFireRow, ScheduleRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, ServerUnreachable, SmsError
-from sms_jobs.jobs import occurrences
+from sms_jobs.jobs import occurrences, runs
 from sms_jobs.jobs.fire_times import Expression, next_times, parse_expression, times_until
-from sms_jobs.jobs.planning import Existing, Request, plan
+from sms_jobs.jobs.found_states import states_to_submit
+from sms_jobs.jobs.planning import Existing, Request, given_parameters, plan
 from sms_jobs.jobs.submission import Draft, draft, enter, while_outdated
 from sms_jobs.records.job import ACTIVE
 from sms_jobs.records.shown.notifications import Topic
 from sms_jobs.records.subject import checked_name
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
 
 MissedFire: TypeAlias = Literal["skip", "once", "all"]
 """What becomes of fire times that nobody looked at in time: none, the last one, or each of them."""
@@ -33,12 +37,29 @@ _MOST_AT_ONCE = 100
 
 @dataclass(frozen=True)
 class Order:
-    """What a schedule submits: requests for a campaign."""
+    """What a schedule submits: requests for a campaign, or for the states that meet a question.
+
+    Attributes
+    ----------
+    campaign
+        Empty where a question is asked.
+    run
+        Name of the run that the results belong to, if any; what fires again and again adds its time.
+    where
+        The question, in the language of docs/query.md; it is asked anew whenever the schedule fires.
+    """
 
     campaign: str
     requests: tuple[Request, ...]
     priority: int = 0
     use_cache: bool = True
+    run: str | None = None
+    where: str | None = None
+
+    @property
+    def about(self) -> str:
+        """What it is about, for people."""
+        return self.campaign if self.where is None else f"where {self.where}"
 
     def as_json(self) -> dict[str, Any]:
         """Return it as it is kept in the catalogue."""
@@ -51,7 +72,14 @@ class Order:
             Request(r["kind"], dict(r["parameters"]), tuple(r["states"]), tuple(r["views"]))
             for r in stored["requests"]
         )
-        return cls(stored["campaign"], requests, stored["priority"], stored["use_cache"])
+        return cls(
+            stored["campaign"],
+            requests,
+            stored["priority"],
+            stored["use_cache"],
+            stored.get("run"),
+            stored.get("where"),
+        )
 
 
 @dataclass(frozen=True)
@@ -104,16 +132,21 @@ def add(
     Conflict
         There is a schedule of that name.
     NotFound
-        There is no such campaign.
+        There is no such campaign, or no state meets the question.
     """
     checked_name(name, "schedule")
+    if order.run is not None:
+        checked_name(_run_of(order.run, expression, now), "run")
     with catalogue.reading() as session:
         _refuse_taken(session, name)
-        campaign = campaigns.definition(campaigns.campaign_row(session, order.campaign))
+        found = _campaigns(session, order)
+        definitions = [campaigns.definition(campaigns.campaign_row(session, one)) for one in found]
         if expression.form == "after":
             campaigns.campaign_id(session, expression.what)
-    # What it needs may come into being later: that it could run is enough.
-    plan(campaign, order.requests, lambda need: Existing(file_id=0))
+    # What it needs may come into being later: that it could run is enough, in one of several campaigns.
+    errors = [error for one in definitions if (error := _objection(one, order)) is not None]
+    if len(errors) == len(definitions):
+        raise errors[0]
     if expression.form == "at" and not next_times(expression, now, now - grace, 1):
         raise InvalidInput(
             f"{expression.what} is past, by more than {grace.total_seconds():g} s of grace; give one to come"
@@ -134,6 +167,26 @@ def add(
                 created_at=now,
             )
         )
+
+
+def _campaigns(session: Session, order: Order) -> dict[str, tuple[str, ...]]:
+    """Return the campaigns of an order with the states that it chooses; none for those that it names."""
+    return {order.campaign: ()} if order.where is None else states_to_submit(session, order.where)
+
+
+def _objection(campaign: Campaign, order: Order) -> SmsError | None:
+    try:
+        plan(campaign, order.requests, lambda need: Existing(file_id=0))
+    except SmsError as error:
+        return error
+    return None
+
+
+def _run_of(run: str, expression: Expression, moment: datetime) -> str:
+    """Return the name of the run of a firing: each has its own, since runs are there to be compared."""
+    if expression.form in ("at", "after"):
+        return run
+    return f"{run}-{moment.astimezone(UTC):%Y%m%dT%H%M%SZ}"
 
 
 def _refuse_taken(session: Session, name: str) -> None:
@@ -170,7 +223,7 @@ def schedules(session: Session, now: datetime) -> list[ScheduleView]:
                 name=row.name,
                 expression=row.expression,
                 time_zone=row.time_zone,
-                campaign=order.campaign,
+                campaign=order.about,
                 kinds=tuple(r.kind for r in order.requests),
                 missed_fire=row.missed_fire,
                 grace_s=row.grace_s,
@@ -217,22 +270,25 @@ def fire_due(catalogue: Catalogue, now: datetime) -> list[Fired]:
 
 @dataclass(frozen=True)
 class _Due:
-    """A time that has passed, and what is to become of it."""
+    """A time that has passed, and what is to become of it; `run` is what the jobs are submitted under."""
 
     schedule_id: int
     schedule: str
     order: Order
     moment: datetime
     outcome: Literal["submit", "missed"]
+    run: str | None
 
 
 def _due(session: Session, now: datetime) -> list[_Due]:
     rows = session.scalars(select(ScheduleRow).where(ScheduleRow.paused.is_(False))).all()
-    return [
-        _Due(row.id, row.name, Order.from_json(row.request), moment, outcome)
-        for row in rows
-        for moment, outcome in _decided(row, _passed(session, row, now), now)
-    ]
+    found = []
+    for row in rows:
+        order = Order.from_json(row.request)
+        for moment, outcome in _decided(row, _passed(session, row, now), now):
+            run = None if order.run is None else _run_of(order.run, _expression(row), moment)
+            found.append(_Due(row.id, row.name, order, moment, outcome, run))
+    return found
 
 
 def _passed(session: Session, row: ScheduleRow, now: datetime) -> list[datetime]:
@@ -271,10 +327,11 @@ def _decided(
 
 def _fire(catalogue: Catalogue, due: _Due, now: datetime) -> str | None:
     """Enter a time and its jobs; None when another supervisor was faster, or the schedule is gone."""
-    planned: Draft | None = None
+    planned: tuple[Draft, ...] = ()
     outcome: str = due.outcome
+    refused = False
     if due.outcome == "submit":
-        planned, outcome = _planned(catalogue, due.schedule, due.order, now)
+        planned, outcome, refused = _planned(catalogue, due, now)
     with catalogue.writing() as session:
         try:
             with session.begin_nested():
@@ -283,36 +340,65 @@ def _fire(catalogue: Catalogue, due: _Due, now: datetime) -> str | None:
                 )
         except IntegrityError:
             return None
-        if planned is not None:
-            enter(session, planned)
-        if planned is None or planned.refused:
+        for one in planned:
+            done = enter(session, one)
+            if due.run is not None:
+                asked = given_parameters(due.order.requests)
+                runs.enter(session, due.run, done, asked, now, _by(due.schedule))
+        if not planned or refused:
             what = f"schedule {due.schedule}, {due.moment.isoformat(timespec='minutes')}"
             occurrences.enter(session, Topic.SCHEDULE_MISSED, due.order.campaign, what, now, outcome)
     return outcome
 
 
-def _planned(catalogue: Catalogue, name: str, order: Order, now: datetime) -> tuple[Draft | None, str]:
+def _by(schedule: str) -> str:
+    return f"schedule {schedule}"
+
+
+def _planned(catalogue: Catalogue, due: _Due, now: datetime) -> tuple[tuple[Draft, ...], str, bool]:
+    """Return what can be planned of an order, what to say of it, and whether anything was refused."""
+    drafts: list[Draft] = []
+    refused: list[str] = []
     try:
         with catalogue.reading() as session:
-            planned = draft(
-                session,
-                order.campaign,
-                order.requests,
-                now,
-                priority=order.priority,
-                use_cache=order.use_cache,
-                by=f"schedule {name}",
-            )
+            if due.run is not None:
+                runs.require_open(session, due.run)
+            for campaign, states in _campaigns(session, due.order).items():
+                try:
+                    drafts.append(_draft(session, due, campaign, states, now))
+                except (InvalidInput, NotFound) as error:
+                    if due.order.where is None:
+                        raise
+                    refused.append(f"{campaign}: {error}")
     except ServerUnreachable:
         raise
     except SmsError as error:
-        return None, f"failed: {error}"
-    outcome = f"submitted {len(planned.jobs)} jobs"
-    if planned.refused:
-        first, others = planned.refused[0], len(planned.refused) - 1
-        more = f" and {others} more" if others else ""
-        outcome += f"; refused {first.subject}{more}: {first.error}"
-    return planned, outcome
+        return (), f"failed: {error}", True
+    if not drafts:
+        return (), f"failed: {refused[0]}", True
+    refused += [f"{one.subject}: {one.error}" for made in drafts for one in made.refused]
+    outcome = f"submitted {sum(len(made.jobs) for made in drafts)} jobs"
+    if refused:
+        first, others = refused[0], len(refused) - 1
+        subject, _, why = first.partition(": ")
+        outcome += f"; refused {subject}{f' and {others} more' if others else ''}: {why}"
+    return tuple(drafts), outcome, bool(refused)
+
+
+def _draft(session: Session, due: _Due, campaign: str, states: tuple[str, ...], now: datetime) -> Draft:
+    order = due.order
+    chosen = order.requests
+    if order.where is not None:
+        chosen = tuple(replace(request, states=states) for request in chosen)
+    return draft(
+        session,
+        campaign,
+        chosen,
+        now,
+        priority=order.priority,
+        use_cache=order.use_cache,
+        by=_by(due.schedule),
+    )
 
 
 def _expression(row: ScheduleRow) -> Expression:
