@@ -284,9 +284,9 @@ def _views(some: Iterable[_Subtracted]) -> Iterator[View]:
     """Yield a view for each subject, with what of its fields has one size."""
     from sms_jobs.formats.report.view import View
 
-    for (subject, size), results in groupby(some, lambda one: (one.subject, one.size)):
+    with_maps = (one for one in some if one.fields)
+    for (subject, size), results in groupby(with_maps, lambda one: (one.subject, one.size)):
         found = list(results)
-        fields_of_all = tuple(field for one in found for field in one.fields)
-        if fields_of_all:
-            view = subject.split("/")[-1]
-            yield View(f"Changes as {view} sees them", view, size, found[0].step_px, fields_of_all)
+        view = subject.split("/")[-1]
+        drawn = tuple(field for one in found for field in one.fields)
+        yield View(f"Changes as {view} sees them", view, size, found[0].step_px, drawn)

@@ -158,6 +158,7 @@ def compare(
             "rms",
             "median",
             "largest",
+            "stated",
             "> 2 sigma [%]",
         ],
         [_row(one) for one in found.differences[:limit]],

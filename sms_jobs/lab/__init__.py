@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import weakref
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from sms_jobs.errors import ConfigurationError
 from sms_jobs.lab.datasets import MISSING, dataset_of
 from sms_jobs.lab.source import Home, Source
 from sms_jobs.records.shown.files import FileView, Found
+from sms_jobs.records.shown.runs import Difference
 from sms_jobs.records.shown.states import table_of
 
 if TYPE_CHECKING:
@@ -201,6 +202,7 @@ class Lab:
         *,
         states: Sequence[str] = (),
         views: Sequence[str] = (),
+        run: str | None = None,
         dry_run: bool = False,
         **parameters: Any,
     ) -> Submitted:
@@ -212,6 +214,8 @@ class Lab:
         ----------
         states, views
             Only these; all if they are empty.
+        run
+            Name of the run that the results belong to, if any.
         dry_run
             Submit nothing.
         parameters
@@ -222,10 +226,38 @@ class Lab:
         NotFound
             There is no such campaign or kind, or something that it needs.
         InvalidInput
-            A parameter, state or view is not one of them.
+            A parameter, state or view is not one of them, or the run cannot have that name.
+        Conflict
+            The run is kept as it is.
         """
-        work = Work(campaign, (kind,), parameters, tuple(states), tuple(views))
+        work = Work(campaign, (kind,), parameters, tuple(states), tuple(views), run=run)
         return self._source.submit(work, dry_run)
+
+    def compare_runs(self, before: str, after: str) -> pandas.DataFrame:
+        """Compare two runs: by how much displacement, strain and gauges differ, after minus before.
+
+        Returns
+        -------
+        A row for each quantity of each subject: over how many points, rms, median and largest difference in
+        its `unit`, `sigma` as stated of the difference, and `beyond`, the part of the points that changed by
+        more than twice that. `attrs["changes"]` has what was not the same when they were computed, `asked`
+        where that was asked for.
+
+        Raises
+        ------
+        NotFound
+            There is no such run.
+        InvalidInput
+            They are one run, or have no result of the same kind and subject.
+        ConfigurationError
+            pandas is not installed.
+        """
+        frames = _frames()
+        found = self._source.compare_runs(before, after)
+        names = [field.name for field in fields(Difference)]
+        table: pandas.DataFrame = frames.DataFrame(map(asdict, found.differences), columns=names)
+        table.attrs["changes"] = [asdict(change) for change in found.changes]
+        return table
 
     def wait(self, job: Submitted | str, timeout_s: float | None = None) -> Waited:
         """Wait for what was submitted, or for the job whose id begins so; a service has to run in the home.

@@ -21,6 +21,7 @@ from sms_jobs.app.waiting import Waited, timed_out
 from sms_jobs.lab.connection import Connection
 from sms_jobs.records.shown.estimates import Estimate
 from sms_jobs.records.shown.files import FileView, Found, Page
+from sms_jobs.records.shown.runs import RunComparison
 from sms_jobs.records.shown.states import FoundState, StatePage
 
 _PAGE = 1000
@@ -32,6 +33,7 @@ _AT_ONCE = 200
 _FILE = TypeAdapter(FileView)
 _PARTS = TypeAdapter(RecordParts)
 _ESTIMATE = TypeAdapter(Estimate)
+_COMPARISON = TypeAdapter(RunComparison)
 
 
 class Server:
@@ -111,12 +113,18 @@ class Server:
             "views": work.views,
             "priority": work.priority,
             "use_cache": work.use_cache,
+            "run": work.run,
             "dry_run": dry_run,
         }
         done = self._connection.post("/jobs", body)
         refused = tuple(Refusal(**one) for one in done["refused"])
         estimate = _ESTIMATE.validate_python(done["estimate"])
         return Submitted.told(done["jobs"], done["counted"], estimate, refused)
+
+    def compare_runs(self, before: str, after: str) -> RunComparison:
+        """Return what differs between two runs."""
+        where = f"/runs/{quote(before, safe='')}/compare"
+        return _COMPARISON.validate_python(self._connection.get(where, {"with": after}))
 
     def wait(self, job: Submitted | str, timeout_s: float | None) -> Waited:
         """Return how jobs ended, once all have."""

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Protocol
 
 from sms_jobs import bootstrap
-from sms_jobs.app import finding, jobs, reading, waiting
+from sms_jobs.app import finding, jobs, reading, run_comparison, waiting
 from sms_jobs.app.finding_states import find_states
 from sms_jobs.app.jobs import Explanation, Submitted, Work
 from sms_jobs.app.reading import StoredRecord
 from sms_jobs.app.waiting import Waited
 from sms_jobs.records.shown.files import Page
+from sms_jobs.records.shown.runs import RunComparison
 from sms_jobs.records.shown.states import StatePage
 
 
@@ -39,6 +40,9 @@ class Source(Protocol):
 
     def submit(self, work: Work, dry_run: bool) -> Submitted:
         """Submit jobs."""
+
+    def compare_runs(self, before: str, after: str) -> RunComparison:
+        """Return what differs between two runs."""
 
     def wait(self, job: Submitted | str, timeout_s: float | None) -> Waited:
         """Return how jobs ended, once all have."""
@@ -93,6 +97,10 @@ class Home:
     def submit(self, work: Work, dry_run: bool) -> Submitted:
         """Submit jobs."""
         return jobs.submit(self._services, work, dry_run=dry_run)
+
+    def compare_runs(self, before: str, after: str) -> RunComparison:
+        """Return what differs between two runs."""
+        return run_comparison.compare_runs(self._services, before, after)
 
     def wait(self, job: Submitted | str, timeout_s: float | None) -> Waited:
         """Return how jobs ended, once all have."""

@@ -11,8 +11,8 @@ from anyio import to_thread
 from fastapi import Query
 from pydantic import Field
 
-from sms_jobs.app import jobs, waiting
-from sms_jobs.app.jobs import Explanation, JobStory, Refusal, Remaining, Work
+from sms_jobs.app import found_work, jobs, waiting
+from sms_jobs.app.jobs import Explanation, JobStory, Refusal, Remaining, Submitted, Work
 from sms_jobs.app.waiting import Waiting
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import WaitTimedOut
@@ -29,36 +29,54 @@ _LONGEST_WAIT_S = 55.0
 """Proxies give up after a minute."""
 
 
-class NewJobs(Asked):
-    """What is to be computed of a campaign."""
+class Computation(Asked):
+    """What is to be computed, whatever of."""
 
-    campaign: Text
     kinds: Annotated[list[Text], Field(min_length=1, max_length=100)]
     parameters: Annotated[
         dict[str, Any], Field(description="By `kind.name`; the name is enough where there is a single kind.")
     ] = {}
-    states: Annotated[Texts, Field(description="Empty for all.")] = []
     views: Annotated[Texts, Field(description="Empty for all.")] = []
     priority: Priority = 0
     use_cache: Annotated[bool, Field(description="Whether what was computed before is taken.")] = True
+    run: Annotated[Text | None, Field(description="Name of the run that the results belong to.")] = None
+
+    def work_of(self, campaign: str, states: list[str]) -> Work:
+        """Return what the use case is given."""
+        return Work(
+            campaign,
+            tuple(self.kinds),
+            self.parameters,
+            tuple(states),
+            tuple(self.views),
+            self.priority,
+            self.use_cache,
+            self.run,
+        )
+
+
+class NewJobs(Computation):
+    """What is to be computed of a campaign."""
+
+    campaign: Text
+    states: Annotated[Texts, Field(description="Empty for all.")] = []
 
     @property
     def work(self) -> Work:
         """What the use case is given."""
-        return Work(
-            self.campaign,
-            tuple(self.kinds),
-            self.parameters,
-            tuple(self.states),
-            tuple(self.views),
-            self.priority,
-            self.use_cache,
-        )
+        return self.work_of(self.campaign, self.states)
 
 
 class Submission(NewJobs):
     """What is to be computed of a campaign, now."""
 
+    dry_run: Annotated[bool, Field(description="Only say what would be submitted.")] = False
+
+
+class FoundSubmission(Computation):
+    """What is to be computed of the states that meet a question, now."""
+
+    where: Annotated[Text, Field(description="In the language of `GET /data/states`.")]
     dry_run: Annotated[bool, Field(description="Only say what would be submitted.")] = False
 
 
@@ -77,6 +95,14 @@ class SubmittedJobs:
     jobs: tuple[str, ...]
     counted: dict[str, int]
     estimate: Estimate
+    refused: tuple[Refusal, ...]
+
+
+@dataclass(frozen=True)
+class SubmittedOfCampaigns:
+    """What was submitted, or would be, of each campaign, and the campaigns that are left out."""
+
+    campaigns: tuple[SubmittedJobs, ...]
     refused: tuple[Refusal, ...]
 
 
@@ -116,8 +142,19 @@ def list_jobs(
 @ROUTES.offer("POST", "/jobs", jobs.submit, answers=SubmittedJobs)
 def submit(services: Acting, body: Submission) -> Any:
     """Submit jobs, or say what would be submitted."""
-    done = jobs.submit(services, body.work, dry_run=body.dry_run)
-    return answer(SubmittedJobs(body.campaign, done.job_ids, done.counted, done.estimate, done.refused))
+    return answer(_told(body.campaign, jobs.submit(services, body.work, dry_run=body.dry_run)))
+
+
+@ROUTES.offer("POST", "/jobs/found", found_work.submit_found, answers=SubmittedOfCampaigns)
+def submit_found(services: Acting, body: FoundSubmission) -> Any:
+    """Submit jobs for the states that meet a question, across campaigns."""
+    done = found_work.submit_found(services, body.where, body.work_of("", []), dry_run=body.dry_run)
+    told = tuple(_told(name, one) for name, one in done.campaigns.items())
+    return answer(SubmittedOfCampaigns(told, done.refused))
+
+
+def _told(campaign: str, done: Submitted) -> SubmittedJobs:
+    return SubmittedJobs(campaign, done.job_ids, done.counted, done.estimate, done.refused)
 
 
 @ROUTES.offer("GET", "/jobs/remaining", jobs.remaining, answers=Remaining)
