@@ -56,7 +56,7 @@ def test_looking_around_needs_no_catalogue(words: str) -> None:
         *("status", "job list", "campaign list", "data find", "data find load_n>1", "data query list"),
         *("data states", "data states load_n>1"),
         *("calibration list", "rig list", "queue list", "lock list", "worker list"),
-        *("person list", "audit list", "notify list", "data pins"),
+        *("person list", "audit list", "notify list", "data pins", "run list"),
     ],
 )
 def test_what_only_asks_the_catalogue_loads_nothing_else(words: str, home: Path) -> None:
