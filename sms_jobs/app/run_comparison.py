@@ -130,7 +130,7 @@ def _compared(
             f"'sms run show' tells what each has"
         )
     numbered = sorted((p for p in pairs if p[0].result.kind in (*_FIELDS, _GAUGES)), key=order)
-    other = [pair for pair in numbered if pair[0].contents != pair[1].contents]
+    other = [pair for pair in numbered if not _are_same(*pair)]
     map_px = _map_px(sum(pair[0].result.kind in _FIELDS for pair in other)) if maps else 0
     differences: list[Difference] = []
     unlike: list[str] = []
@@ -176,6 +176,13 @@ def _order(session: Session, run: Members) -> Callable[[tuple[Member, Member]], 
         )
 
     return key
+
+
+def _are_same(mine: Member, other: Member) -> bool:
+    """Return whether two results are one, or of one content; of what was removed nobody knows the content."""
+    return mine.result.made_by == other.result.made_by or (
+        bool(mine.contents) and mine.contents == other.contents
+    )
 
 
 def _map_px(results: int) -> int:

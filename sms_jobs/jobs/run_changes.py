@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from sms_jobs.jobs.runs import Member, Members
+from sms_jobs.jobs.runs import Given, Member, Members
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.shown.runs import RunChange, What
 
@@ -95,22 +95,32 @@ def _between(
     if mine.result.version != other.result.version:
         found = True
         yield _Found(("version", kind, ""), mine.result.version, other.result.version, asked.version)
-    if mine.result.calibrations != other.result.calibrations:
-        numbers = (_listed(mine.result.calibrations), _listed(other.result.calibrations))
-        yield _Found(("calibration", "", ""), *numbers, False)
-    for role in sorted(mine.inputs.keys() | other.inputs.keys()):
-        one, another = mine.inputs.get(role), other.inputs.get(role)
-        if one is not None and another is not None and one.content_hash == another.content_hash:
-            continue
-        found = True
-        source = (one or another).source  # type: ignore[union-attr]
-        own = (one is None or one.job_id in ours) and (another is None or another.job_id in theirs)
-        if source != CALIBRATION and not own:
-            named = (mine.result.inputs.get(role), other.result.inputs.get(role))
-            yield _Found(("input", kind, role), *named, False)
+    # What files that are gone were computed from is not on record any more.
+    if mine.result.files and other.result.files:
+        if mine.result.calibrations != other.result.calibrations:
+            numbers = (_listed(mine.result.calibrations), _listed(other.result.calibrations))
+            yield _Found(("calibration", "", ""), *numbers, False)
+        for role in _other_inputs(mine, other):
+            found = True
+            if not _follows(mine.inputs.get(role), ours) or not _follows(other.inputs.get(role), theirs):
+                named = (mine.result.inputs.get(role), other.result.inputs.get(role))
+                yield _Found(("input", kind, role), *named, False)
     keys = (mine.reuse_key, other.reuse_key)
     if not found and None not in keys and keys[0] != keys[1]:
         yield _Found(("definition", kind, ""), None, None, False)
+
+
+def _other_inputs(mine: Member, other: Member) -> Iterator[str]:
+    """Yield the roles in which two results were given something else."""
+    for role in sorted(mine.inputs.keys() | other.inputs.keys()):
+        one, another = mine.inputs.get(role), other.inputs.get(role)
+        if one is None or another is None or one.content_hash != another.content_hash:
+            yield role
+
+
+def _follows(given: Given | None, own: frozenset[str]) -> bool:
+    """Return whether the run has made an input itself, or it is a calibration, told by its number."""
+    return given is None or given.job_id in own or given.source == CALIBRATION
 
 
 def _listed(numbers: Iterable[int]) -> str:

@@ -178,7 +178,8 @@ def test_what_a_policy_removed_is_said_and_not_subtracted(compared: Services) ->
     assert runs.show(compared, "wider").removed == 3
     found = run_comparison.compare_runs(compared, "today", "wider")
     assert found.differences == ()
-    assert len(found.unlike) == 3
+    assert [one.name for one in found.changes] == ["subset_radius_px"]
+    assert (found.same, len(found.unlike)) == (0, 3)
     assert all("removed by a policy" in why for why in found.unlike)
 
 

@@ -96,3 +96,9 @@ def test_what_one_has_alone_is_counted() -> None:
     both = run(*(member("correlate", subject, "a") for subject in SUBJECTS))
     assert alone(both, run(member("correlate", SUBJECTS[0], "b"))) == {"correlate": 1}
     assert alone(run(), both) == {}
+
+
+def test_of_what_is_gone_nothing_is_told_that_nobody_knows() -> None:
+    there = member("correlate", SUBJECTS[0], "a", inputs={"frames": frames(1)})
+    gone = member("correlate", SUBJECTS[0], "b", files=(), calibrations=(), version=4, key=None)
+    assert told(run(there), run(gone)) == [("version", "correlate", "", 3, 4, 1, True)]
