@@ -201,7 +201,8 @@ def _value(value: Any) -> str | None:
 def _row(one: Difference) -> Sequence[Any]:
     beyond = None if one.beyond is None else 100.0 * one.beyond
     counts = (one.points, one.gained, one.lost)
-    return (one.subject, one.quantity, one.unit, *counts, one.rms, one.median, one.largest, beyond)
+    lengths = (one.rms, one.median, one.largest, one.sigma)
+    return (one.subject, one.quantity, one.unit, *counts, *lengths, beyond)
 
 
 def _tell_rest(found: RunComparison) -> None:
@@ -250,7 +251,7 @@ def drop(
         kept = "" if found.kept_at is None else ", which is kept,"
         if not yes:
             if not sys.stdin.isatty():
-                raise InvalidInput(f"run '{name}'{kept} is dropped where somebody says so; give --yes")
+                raise InvalidInput(f"to drop run '{name}'{kept} has to be confirmed; give --yes")
             typer.confirm(
                 f"Forget the name of run '{name}'{kept} and keep its results?", abort=True, err=True
             )

@@ -12,11 +12,13 @@ import pytest
 from support.archives import Clock, runner
 from support.deployments import Deployment
 from support.homes import make_home
+from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
 from sms_jobs.app import found_work, jobs, reading, run_comparison, runs, schedules
 from sms_jobs.app.jobs import Work
 from sms_jobs.bootstrap import Services
+from sms_jobs.cli.main import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.jobs import recovery, retention
 from sms_jobs.jobs import schedules as scheduling
@@ -141,6 +143,29 @@ def test_a_page_shows_where(compared: Services) -> None:
     assert page.html.count('class="view"') == 1
     assert page.found == run_comparison.compare_runs(compared, "today", "wider")
     assert run_comparison.table(page.found).count("\n") == 1 + len(page.found.differences)
+
+
+def test_the_command_shows_changes_and_differences(compared: Services) -> None:
+    home = compared.settings.home
+    words = ["run", "compare", "today", "wider", "--home", str(home)]
+    done = CliRunner().invoke(app, [*words, "-o", str(home / "page.html"), "--limit", "4"])
+    assert done.exit_code == 0, (done.exception, done.stderr)
+    titles, first = (
+        line.split() for line in done.stdout.splitlines() if line.startswith(("changed", "parameter"))
+    )
+    assert titles[:2] == ["changed", "of"]
+    assert first == ["parameter", "correlate.subset_radius_px", "10", "8", "1", "yes"]
+    rows = [line.split() for line in done.stdout.splitlines() if line.startswith(TUPLE)]
+    assert len(rows) == 4
+    one = run_comparison.compare_runs(compared, "today", "wider").differences[0]
+    assert rows[0][:4] == [TUPLE, "displacement", "X", "mm"]
+    assert [float(cell) for cell in rows[0][4:7]] == [one.points, one.gained, one.lost]
+    shown = [one.rms, one.median, one.largest, one.sigma, None if one.beyond is None else 100 * one.beyond]
+    # Numbers are shown with four digits.
+    assert [float(cell) for cell in rows[0][7:]] == [pytest.approx(value, rel=5e-4) for value in shown]
+    assert "3 more differences" in done.stderr
+    assert "only today has 2 simulate" in done.stderr
+    assert (home / "page.html").stat().st_size > 10_000
 
 
 def test_two_runs_of_one_result_do_not_differ(compared: Services) -> None:

@@ -17,9 +17,10 @@ from sms_jobs.records.shown.runs import Difference, RunChange, RunComparison
 
 _STILL_PX = 420
 _ABOUT = (
-    "Differences are after minus before, pixel by pixel of the reference image. The standard deviation of a "
-    "difference takes both results to have noise of their own: those of the same images share it, and differ "
-    "by less, so that the part of pixels beyond two deviations is the least that it can be."
+    "Differences are after minus before, pixel by pixel of the reference image. Stated is the rms of their "
+    "standard deviation, as if both results had noise of their own; results of the same images share it, and "
+    "differ by less. The part of the pixels beyond two deviations is that which changed by more than what is "
+    "stated of the results."
 )
 
 
