@@ -167,7 +167,7 @@ def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitte
             return planned.submission, ahead, planned.refused
         with services.catalogue.writing() as session:
             done = enter(session, planned)
-            if work.run is not None:
+            if work.run is not None and done.job_ids:
                 runs.enter(session, work.run, done, given_parameters(requests), now, services.actor.name)
             return done, ahead, planned.refused
 

@@ -97,6 +97,8 @@ def enter(
 
     Parameters
     ----------
+    done
+        With at least one job.
     asked
         Values of the parameters that were given, by `kind.name`.
 
@@ -124,8 +126,7 @@ def enter(
         )
     )
     session.flush()
-    if done.job_ids:
-        session.execute(insert(RunJobRow), [{"run_id": run.id, "job_id": job_id} for job_id in done.job_ids])
+    session.execute(insert(RunJobRow), [{"run_id": run.id, "job_id": job_id} for job_id in done.job_ids])
 
 
 def views(session: Session) -> list[RunView]:

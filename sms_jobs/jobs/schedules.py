@@ -342,7 +342,7 @@ def _fire(catalogue: Catalogue, due: _Due, now: datetime) -> str | None:
             return None
         for one in planned:
             done = enter(session, one)
-            if due.run is not None:
+            if due.run is not None and done.job_ids:
                 asked = given_parameters(due.order.requests)
                 runs.enter(session, due.run, done, asked, now, _by(due.schedule))
         if not planned or refused:
