@@ -86,10 +86,11 @@ def reindex(
 
     A catalogue that is empty or gone is made anew; one on SQLite that is damaged is set aside before.
 
-    Campaigns, states, rigs, calibrations, measurements, results with their statistics and provenance, and the
-    jobs that made them are restored from the files; queues, schedules, pins, runs, failed jobs and people are
-    not, and the audit begins a new chain. Every file is read as a whole. Those that could not be entered are listed with the reason; the exit code is then
-    6. It may be interrupted and run again, and goes on.
+    Campaigns, states, rigs, calibrations, measurements, results with their statistics and provenance, and
+    the jobs that made them are restored from the files; queues, schedules, pins, runs, failed jobs and
+    people are not, and the audit begins a new chain. Every file is read as a whole. Those that could not be
+    entered are listed with the reason; the exit code is then 6. It may be interrupted and run again, and
+    goes on.
 
     Example: sms init --home new; sms archive reindex --home new --dry-run
     """
@@ -173,8 +174,8 @@ def gc(
     """Remove old results that newer ones have replaced, and say how much room that gives.
 
     Measurements, calibrations, pinned files ('sms data pin'), results of kept runs ('sms run keep') and
-    everything that a file which stays was computed from are never removed. Frames that recordings have left in this host's spool go when the
-    recording was cancelled so long ago, or lies in the archive.
+    everything that a file which stays was computed from are never removed. Frames that recordings have left
+    in this host's spool go when the recording was cancelled so long ago, or lies in the archive.
 
     Example: sms archive gc --older-than 90d --kind reconstruct --yes
     """
