@@ -1,9 +1,12 @@
-"""When a load is held, and when a counter stands still: what a channel has read for a while says so."""
+"""When a load is held or drops, and when a counter stands still: what a channel has read says so."""
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
+
+from sms_jobs.records.events import Event
 
 
 @dataclass(frozen=True)
@@ -70,3 +73,32 @@ class StandstillDetector:
         if value != self._last:  # nor is what is no number ever equal
             self._last, self._since = value, time_s
         return value >= self._count and time_s - self._since >= self._for_s
+
+
+class EventDetector:
+    """Receives what a channel reads, and says when an event has come; for good, though it may pass.
+
+    A drop is told from the highest reading of its time, and from one reading to the next however far apart
+    they are, so that a channel that is read rarely does not hide it.
+    """
+
+    def __init__(self, event: Event) -> None:
+        self._event = event
+        self._recent: deque[tuple[float, float]] = deque()
+        self._come = False
+
+    def held(self, time_s: float, value: float) -> bool:
+        """Take a reading, at a time that goes on, and return whether the event has come by now."""
+        self._come = self._come or self._comes(time_s, value)
+        return self._come
+
+    def _comes(self, time_s: float, value: float) -> bool:
+        event = self._event
+        if event.comes != "drops":
+            return value > event.limit if event.comes == "above" else value < event.limit
+        while len(self._recent) > 1 and self._recent[0][0] < time_s - event.within_s:
+            self._recent.popleft()
+        if any(before - value >= event.limit for _, before in self._recent):
+            return True
+        self._recent.append((time_s, value))
+        return False

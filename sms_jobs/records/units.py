@@ -15,6 +15,7 @@ FAMILIES: Final[tuple[dict[str, float], ...]] = (
     {"N": 1.0, "kN": 1e3, "MN": 1e6},
     {"rad": 1.0, "mrad": 1e-3, "deg": pi / 180.0},
     {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0},
+    {"Hz": 1.0, "kHz": 1e3},
     {"strain": 1.0, "millistrain": 1e-3, "microstrain": 1e-6},
     {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
     {"B": 1.0, "bytes": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9},
