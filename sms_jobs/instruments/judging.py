@@ -78,11 +78,11 @@ def judged(file: Spooled, sequence: FringeSequence, saturated: NDArray[np.bool_]
     return Verdict(quality.lit_fraction, quality.saturated_fraction, quality.modulation)
 
 
-def judged_image(file: Spooled, speckled: bool) -> Verdict:
-    """Judge a finished image without fringes, on all of its pixels."""
+def judged_image(file: Spooled, speckled: bool, place: int = 0) -> Verdict:
+    """Judge a finished image without fringes, on all of its pixels; `place` is that of its frame."""
     about = file.header.about
     found = image_quality(
-        file.frame(0), about["full_scale"], about["gain"], about["read_noise"], areas=speckled
+        file.frame(place), about["full_scale"], about["gain"], about["read_noise"], areas=speckled
     )
     return Verdict(
         found.lit_fraction,

@@ -13,6 +13,7 @@ from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.devices.device import Status
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.measurement import FringeSequence, Measurement
+from sms_jobs.records.operations import Reading
 
 
 class Recorder(Protocol):
@@ -154,6 +155,10 @@ class Channel(Protocol):
 
     def read(self) -> float:
         """Return the present value; raise `LinkLost` when none comes."""
+        ...
+
+    def reading(self) -> Reading:
+        """Return the same with the time of day at which it was so."""
         ...
 
 

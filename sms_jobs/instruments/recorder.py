@@ -158,11 +158,11 @@ def record_state(
     if any(view in missing for view in lamplit):
         sets.append(_LampSet(rig, tuple(lamplit), sequence, texture_exposure, spool, limits))
     with ExitStack() as stack:
-        stack.callback(_quietly, rig.lamp.off)
+        stack.callback(quietly, rig.lamp.off)
         for projector in rig.projectors.values():
-            stack.callback(_quietly, projector.dark)
+            stack.callback(quietly, projector.dark)
         for camera in rig.cameras.values():
-            stack.callback(_quietly, camera.disarm)
+            stack.callback(quietly, camera.disarm)
         for number, one in enumerate(sets):
 
             def part(fraction: float, words: str, number: int = number) -> None:
@@ -285,7 +285,7 @@ class _Set(ABC):
                 lost = error
                 self._next_number.pop(name, None)  # the camera may have counted the lost frame, or not
                 continue
-            _require_size(name, frames[name], camera.facts)
+            require_size(name, frames[name], camera.facts)
             expected = self._next_number.get(name, frames[name].number)
             self._next_number[name] = frames[name].number + 1
             if frames[name].number != expected:
@@ -398,7 +398,7 @@ class _LampSet(_Set):
         return tuple(words for one in found.values() for words in one.verdict.doubts)
 
 
-def _require_size(camera: str, frame: Frame, facts: CameraFacts) -> None:
+def require_size(camera: str, frame: Frame, facts: CameraFacts) -> None:
     """Raise `DeviceFault` for an image that is not as large as its camera said."""
     rows, columns = frame.image.shape
     if (rows, columns) != (facts.rows, facts.columns):
@@ -442,7 +442,7 @@ def _require_room(rig: ConnectedRig, views: Sequence[str], sequence: FringeSeque
         )
 
 
-def _quietly(what: Callable[[], None]) -> None:
+def quietly(what: Callable[[], None]) -> None:
     """Do what is to be done at the end; a lost link must not hide why the recording ended."""
     with suppress(InstrumentError):
         what()

@@ -175,7 +175,7 @@ class Spooled:
 
 @dataclass(frozen=True)
 class SpooledFrames:
-    """The first frames of a file, as a `FrameStack`.
+    """Frames of a file that follow each other, as a `FrameStack`.
 
     Attributes
     ----------
@@ -183,10 +183,13 @@ class SpooledFrames:
         Where they are.
     count
         How many of them.
+    start
+        The first of them.
     """
 
     file: Spooled
     count: int
+    start: int = 0
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -200,7 +203,7 @@ class SpooledFrames:
 
     def frame(self, index: int) -> NDArray[Any]:
         """Return one frame, (rows, columns)."""
-        return self.file.frame(range(self.count)[index])
+        return self.file.frame(self.start + range(self.count)[index])
 
     def rows(self, start: int, stop: int) -> NDArray[Any]:
         """Return a slab of every frame, (frames, stop - start, columns)."""

@@ -66,7 +66,8 @@ class Recording:
     recordings
         How many times the whole set was recorded; the last is the one that is kept.
     channels_before, channels_after
-        Scalar channels read before and after the set, by name, in the unit of their name.
+        Scalar channels read before and after the set, by name, in the unit of their name. Of a frame of a
+        stream, what they read when it was exposed stands in the first, and nothing in the second.
     stage_rad
         Pan and tilt as the stage read them; None where there is none, or it had not been home.
     apart_s
@@ -103,6 +104,31 @@ class Recording:
         if self.stage_rad is not None:
             found |= zip(STAGE_CHANNELS, self.stage_rad, strict=True)
         return {name: value for name, value in found.items() if not is_excessive(value)}
+
+
+@dataclass(frozen=True)
+class FramesBetween:
+    """Frames of a stream that lie beside the state before them, and measure nothing by themselves.
+
+    Attributes
+    ----------
+    recorded_at
+        Start of the stream.
+    full_scale
+        Grey level at which the camera saturates.
+    numbers
+        As in `Recording`.
+    times_s
+        When each was taken, since the start of the stream.
+    frames
+        In order.
+    """
+
+    recorded_at: datetime
+    full_scale: int
+    numbers: NDArray[np.int64] = array("1", "number that the camera gave the frame", PER_FRAME)
+    times_s: NDArray[np.float64] = array("s", "time since the start of the stream", PER_FRAME)
+    frames: FrameStack = array("count", "frames", ("frame", "row", "column"))
 
 
 @dataclass(frozen=True)

@@ -168,6 +168,10 @@ class ChannelValue:
         """Return the present value."""
         return self._channel.reading().value
 
+    def reading(self) -> Reading:
+        """Return the present value and when it was so."""
+        return self._channel.reading()
+
 
 def _both_ends(path: Path) -> tuple[datetime, str, str]:
     """Return when a file was written, its beginning, and its end."""
