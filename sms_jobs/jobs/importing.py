@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 SOURCE_HASH = "source_sha256"
 """The parameter of an imported file that tells what it was made from."""
 
+_TRIES = 20
+"""So often states are added anew because a campaign was changed meanwhile."""
+
 Status: TypeAlias = Literal["new", "there", "other"]
 
 
@@ -176,6 +179,26 @@ def with_states(campaign: Campaign, labels: Iterable[str]) -> Campaign:
     existing = {s.label for s in campaign.states}
     added = tuple(LoadState(label) for label in labels if label not in existing)
     return replace(campaign, states=campaign.states + added)
+
+
+def add_states(
+    catalogue: Catalogue, archive: Archive, campaign: str, labels: Sequence[str], now: datetime
+) -> None:
+    """Give a campaign those of some states that it does not have, whatever else is added meanwhile.
+
+    Raises `Conflict` where it changes faster than that.
+    """
+    for attempt in range(_TRIES):
+        with catalogue.reading() as session:
+            before = campaigns.definition(campaigns.campaign_row(session, campaign))
+        after = with_states(before, labels)
+        if after == before:
+            return
+        try:
+            amend_campaign(catalogue, archive, before, after, now)
+        except Conflict:
+            if attempt == _TRIES - 1:
+                raise
 
 
 def with_state(campaign: Campaign, state: LoadState) -> Campaign:

@@ -19,12 +19,15 @@ from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND, stage_angles
+from sms_jobs.kinds.recording.stream import KIND as STREAM
 from sms_jobs.records.job import JobState
 from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign, LoadState
 
+RECORDING = (KIND.name, STREAM.name)
+"""The kinds that record with instruments."""
 OPEN = (JobState.QUEUED, JobState.RUNNING, JobState.LOST, JobState.NEEDS_OPERATOR, JobState.FAILED)
 
 
@@ -98,7 +101,7 @@ def open_recordings(session: Session, spool: Path) -> list[OpenRecording]:
     rows = session.scalars(
         select(JobRow)
         .where(
-            JobRow.kind == KIND.name,
+            JobRow.kind.in_(RECORDING),
             JobRow.state.in_(OPEN),
         )
         .order_by(JobRow.position)

@@ -39,6 +39,7 @@ from sms_jobs.errors import (
     StorageUnusable,
 )
 from sms_jobs.jobs import indexing, lifecycle, outages, queues, recovery, reuse
+from sms_jobs.jobs.importing import add_states
 from sms_jobs.jobs.indexing import Entry
 from sms_jobs.jobs.lifecycle import Claim
 from sms_jobs.jobs.logs import logged
@@ -199,8 +200,19 @@ class Runner:
         except BaseException:
             self._discard(held, kind, sealed)
             raise
+        if kind.adds_states:
+            self._add_states(held, sealed)
         took = f"took {time.monotonic() - started:.1f} s{because}"
         return self._succeed(held, kind, sealed, begun.key, took)
+
+    def _add_states(self, held: Claim, sealed: Sequence[Entry]) -> None:
+        """Give the campaign the states that results are about.
+
+        Where the process ends before these are entered, they are states without a measurement until the next
+        attempt finds them there.
+        """
+        labels = dict.fromkeys(entry.provenance.subject.state or "" for entry in sealed)
+        add_states(self.catalogue, self.archive, held.subject.campaign, tuple(labels), self.now())
 
     def _read_earlier(self, held: Claim, begun: _Begun, earlier: Earlier, fault: SmsError | None) -> _Begun:
         """Read a large result while others use the catalogue, and reuse it if it is whole."""

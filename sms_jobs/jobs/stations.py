@@ -71,6 +71,15 @@ class Stations:
             )
         return _read(path)
 
+    def unit(self, rig: str, channel: str) -> str:
+        """Return the unit of a channel of a rig; raises as `rig` does, and `NotFound` without the channel."""
+        channels = self.rig(rig).serial.channels
+        found = next((one for one in channels if one.name == channel), None)
+        if found is None:
+            known = ", ".join(one.name for one in channels) or "none"
+            raise NotFound(f"rig {rig} has no channel '{channel}'; it has {known}")
+        return found.unit
+
     def add(self, file: Path, replace: bool) -> RigFile:
         """Take the file of a rig over; raise `Conflict` when there is one and it is not to be replaced."""
         rig = _read(file)

@@ -300,6 +300,8 @@ class Kind(Generic[P]):
         Names of the devices that a job has to itself while it runs; it stays queued until they are free.
     with_instruments
         Whether its jobs run where the instruments of the campaign's rig are connected, and hold that rig.
+    adds_states
+        Whether its results may be about states that the campaign does not have; it is given them.
     """
 
     name: str
@@ -320,6 +322,7 @@ class Kind(Generic[P]):
     in_pipeline: bool = True
     devices: Callable[[Campaign, Subject], Iterable[str]] = no_devices
     with_instruments: bool = False
+    adds_states: bool = False
 
     def checked_needs(self, campaign: Campaign, subject: Subject, parameters: P) -> tuple[Need, ...]:
         """Return every input of a job about a subject; raise `TypeError` for one that is not declared."""

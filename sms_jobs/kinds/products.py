@@ -25,7 +25,7 @@ from sms_jobs.records.fields import (
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.observations import BarObservation, BoardObservation
-from sms_jobs.records.recording import InterruptedRecording, Recording
+from sms_jobs.records.recording import FramesBetween, InterruptedRecording, Recording
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.surfaces import DeviationField, ReferenceSurface, SurfaceRegistration
 from sms_jobs.records.system_test import SystemTest
@@ -78,6 +78,7 @@ class Product(Generic[R]):
 MEASURED = Product("measurement", Measurement)
 RECORDED = Product("recording", Recording)
 INTERRUPTED = Product("interrupted", InterruptedRecording)
+BETWEEN = Product("between", FramesBetween)
 CALIBRATED = Product("calibration", Calibration)
 QUALITY = Product("quality", CalibrationQuality)
 UNCERTAINTY = Product("uncertainty", CalibrationUncertainty)

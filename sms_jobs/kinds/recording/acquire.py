@@ -30,6 +30,7 @@ from sms_jobs.kinds.kind import (
     Progress,
     Queue,
     Scope,
+    Station,
     no_needs,
     rig_queue,
 )
@@ -156,20 +157,24 @@ def stage_angles(state: LoadState) -> tuple[float, float] | None:
 def order(campaign: Campaign, subject: Subject) -> Order:
     """Return what is to be recorded at a state."""
     state = campaign.state(subject.state or "")
-    setting = None
-    if campaign.scene is not None:
-        scene = scene_at(campaign.scene, campaign, state)
-        setting = Setting(scene, state.label, deformation_at(campaign, state), state.planned())
     shown = None if campaign.session is None else campaign.session.artefacts.get(state.artefact or "")
     fills = _SPHERES_FILL if isinstance(shown, BallBar) else 1.0
     return Order(
         campaign.recordings,
         campaign.sequence,
         stage_angles(state),
-        setting,
+        setting_at(campaign, state),
         fills,
         state.artefact is None,
     )
+
+
+def setting_at(campaign: Campaign, state: LoadState) -> Setting | None:
+    """Return what stands before simulated instruments at a state; None where no scene is described."""
+    if campaign.scene is None:
+        return None
+    scene = scene_at(campaign.scene, campaign, state)
+    return Setting(scene, state.label, deformation_at(campaign, state), state.planned())
 
 
 def all_states(campaign: Campaign) -> tuple[Subject, ...]:
@@ -188,17 +193,7 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
         When an instrument gives up, or a set is doubtful and an operator is to be asked.
     """
     task: Order = inputs.context
-    station = inputs.station
-    if station is None:
-        raise InvalidInput(
-            f"{inputs.subject} is recorded where its rig is connected, and no rig file is on this host; "
-            "`sms rig add` takes one"
-        )
-    if station.rig.simulated and task.setting is None:
-        raise InvalidInput(
-            f"rig {station.rig.name} is simulated, and campaign {inputs.subject.campaign} describes no scene "
-            "for it to look at: give its plan a [scene], or name a rig with real sensors"
-        )
+    station = station_of(inputs, task.setting)
     spool, sequence = station.spool, task.sequence
     limits = parameters.limits()
     limits = replace(limits, lit_fraction=min(limits.lit_fraction, task.fills), speckled=task.speckled)
@@ -231,9 +226,25 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
         yield DatasetOutput(
             Subject(inputs.subject.campaign, inputs.subject.state, view),
             {MEASURED: measurement, RECORDED: recording, **broken},
-            _statistics(recording),
+            statistics_of(recording),
         )
     progress(1.0, "; ".join(doubts) or f"recorded {len(task.views)} views")
+
+
+def station_of(inputs: Inputs, setting: Setting | None) -> Station:
+    """Return where a job records; raise `InvalidInput` without a rig, or a scene for a simulated one."""
+    station = inputs.station
+    if station is None:
+        raise InvalidInput(
+            f"{inputs.subject} is recorded where its rig is connected, and no rig file is on this host; "
+            "`sms rig add` takes one"
+        )
+    if station.rig.simulated and setting is None:
+        raise InvalidInput(
+            f"rig {station.rig.name} is simulated, and campaign {inputs.subject.campaign} describes no scene "
+            "for it to look at: give its plan a [scene], or name a rig with real sensors"
+        )
+    return station
 
 
 def _bring_stage(
@@ -254,7 +265,7 @@ def _bring_stage(
     moving.wait()  # raises what the move ended with
 
 
-def _statistics(recording: Recording) -> dict[str, float]:
+def statistics_of(recording: Recording) -> dict[str, float]:
     """Return what people search recordings by."""
     verdict = recording.verdict
     of_an_image = {
