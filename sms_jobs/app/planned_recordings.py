@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row, definition
-from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs import planned_recordings
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
@@ -120,7 +120,7 @@ def _wanted(
     if isinstance(when, InTime):
         trigger = InTurn() if when.every_s is None else Every(when.every_s)
         return [(state.label, trigger) for state in states]
-    unit = _unit(services, rig, when.channel)
+    unit = services.stations.unit(rig, when.channel)
     if isinstance(when, AtLoad):
         return [(state.label, _holding(state, when, unit)) for state in states]
     if len(when.counts) > len(states) or (named and len(when.counts) < len(states)):
@@ -147,16 +147,6 @@ def _holding(state: LoadState, when: AtLoad, unit: str) -> Holding:
             f"--tolerance is '{when.tolerance.text}', and no reading is ever that near: give one above 0"
         )
     return Holding(when.channel, unit, target, tolerance, when.for_s)
-
-
-def _unit(services: Services, rig: str, channel: str) -> str:
-    """Return the unit of a channel of a rig of this host."""
-    channels = services.stations.rig(rig).serial.channels
-    found = next((one for one in channels if one.name == channel), None)
-    if found is None:
-        known = ", ".join(one.name for one in channels) or "none"
-        raise NotFound(f"rig {rig} has no channel '{channel}'; it has {known}")
-    return found.unit
 
 
 @use_case(Right.READ)

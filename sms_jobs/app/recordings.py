@@ -237,7 +237,7 @@ def progress(services: Services, campaign: str) -> list[StateProgress]:
 
 def _recording(session: Session, prefix: str) -> JobRow:
     row = inquiry.find_job(session, prefix)
-    if row.kind != KIND.name:
+    if row.kind not in recordings.RECORDING:
         short = row.id[:SHORT_ID]
         raise InvalidInput(f"job {short} is no recording but a {row.kind}; see 'sms job retry'")
     return row

@@ -12,7 +12,7 @@ from sms_jobs import bootstrap
 from sms_jobs.app import recordings
 from sms_jobs.app.recordings import Begun, Plan, Recorded
 from sms_jobs.bootstrap import Services
-from sms_jobs.cli import completion, output, planned_recordings, recorded_states, waiting
+from sms_jobs.cli import completion, output, planned_recordings, recorded_states, streams, waiting
 from sms_jobs.cli import dry_run as dry_run_
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.planned_recordings import Ask, Campaign, Process
@@ -21,6 +21,7 @@ from sms_jobs.records.job import SHORT_ID
 
 app = typer.Typer(help="Recordings: states, with the instruments of a rig.", no_args_is_help=True)
 app.command("show")(recorded_states.show)
+app.command("stream")(streams.stream)
 app.add_typer(planned_recordings.app, name="plan")
 
 _FINDINGS = 6
