@@ -49,7 +49,10 @@ class ChannelWatch:
     event: Event | None
     come: Callable[[float], None]
     _stopped: threading.Event = field(default_factory=threading.Event, init=False)
-    _read_until: dict[str, float] = field(default_factory=dict, init=False)
+    _read_until: dict[str, float] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._read_until = dict.fromkeys(self.channels, -inf)
 
     def run(self) -> None:
         """Read until somebody stops it.
@@ -65,9 +68,8 @@ class ChannelWatch:
             The disk has no room for a reading.
         """
         detector = None if self.event is None else EventDetector(self.event)
-        self._read_until = dict.fromkeys(self.channels, -inf)
         answered_s = synced_s = time.monotonic()
-        while not self._stopped.wait(_READS_EVERY_S):
+        while not self._stopped.is_set():
             for name, channel in self.channels.items():
                 awaited = self.event is not None and detector is not None and name == self.event.channel
                 try:
@@ -85,15 +87,16 @@ class ChannelWatch:
             if time.monotonic() > synced_s + _SYNC_EVERY_S:
                 synced_s = time.monotonic()
                 self.log.sync()
+            self._stopped.wait(_READS_EVERY_S)
 
     def stop(self) -> None:
         """Have it stop."""
         self._stopped.set()
 
     def wait_until_read_after(self, time_s: float, at_most_s: float) -> None:
-        """Return when every channel has told something that is newer than a time, or after a while."""
+        """Return when every channel has read something after a time, -inf for any, or after a while."""
         until = time.monotonic() + at_most_s
-        while time.monotonic() < until and not all(t >= time_s for t in [*self._read_until.values()]):
+        while time.monotonic() < until and not all(t > time_s for t in self._read_until.values()):
             time.sleep(_READS_EVERY_S)
 
     def _new_reading(self, name: str, channel: Channel) -> tuple[float, float] | None:

@@ -11,11 +11,11 @@ import logging
 import shutil
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from math import ceil
+from math import ceil, inf
 from pathlib import Path
 
 import numpy as np
@@ -137,6 +137,7 @@ class _Stream:
         with ThreadPoolExecutor(len(self._rings) + 2, thread_name_prefix="stream") as threads:
             others = [threads.submit(self._watch.run)]
             others += [threads.submit(self._write, name) for name in self._rings]
+            self._watch.wait_until_read_after(-inf, READINGS_APART_S)
             capture = threads.submit(self._capture)
             try:
                 self._look_on(capture, others, progress)
@@ -182,16 +183,17 @@ class _Stream:
     def _capture(self) -> None:
         """Expose all cameras at each tick and keep what they deliver; ticks that are missed are left out."""
         clock, period_s = self.rig.clock, 1.0 / self.order.size.rate_hz
+        first_s = clock.monotonic()
         cameras = {name: self.rig.cameras[name] for name in self.order.cameras}
         tick = 0
         while not self._stop.is_set():
-            due_s = self._zero + tick * period_s
+            due_s = first_s + tick * period_s
             if self._over(tick, due_s):
                 return
             if self._stop.wait(max(due_s - clock.monotonic(), 0.0)):
                 return
             self._take(tick, cameras, period_s)
-            tick = max(tick + 1, ceil((clock.monotonic() - self._zero) / period_s - 0.5))
+            tick = max(tick + 1, ceil((clock.monotonic() - first_s) / period_s - 0.5))
 
     def _over(self, tick: int, due_s: float) -> bool:
         size = self.order.size
@@ -225,14 +227,13 @@ class _Stream:
         held = ring.take()
         if held is None:
             return
-        with SpoolWriter(frames_path(self.spool, camera), self._header(camera)) as writer:
-            synced = time.monotonic()
+        with (
+            SpoolWriter(frames_path(self.spool, camera), self._header(camera)) as writer,
+            _synced_beside(writer),
+        ):
             while held is not None:
                 writer.append(held.number, held.time_s - self._zero, ring.image(held))
                 ring.let_go(held)
-                if time.monotonic() > synced + _SYNC_EVERY_S:
-                    synced = time.monotonic()
-                    writer.sync()
                 held = ring.take()
 
     def _header(self, camera: str) -> SpoolHeader:
@@ -248,6 +249,27 @@ class _Stream:
         }
         frames = self.order.size.most_frames
         return SpoolHeader(self._begun, facts.rows, facts.columns, facts.dtype, frames, about)
+
+
+@contextmanager
+def _synced_beside(writer: SpoolWriter) -> Iterator[None]:
+    """Force what is written to the disk again and again, so that a slow disk does not hold up who writes.
+
+    A process that is killed loses nothing of what is written, synced or not; a machine without power does.
+    """
+    over = threading.Event()
+
+    def sync() -> None:
+        while not over.wait(_SYNC_EVERY_S):
+            writer.sync()
+
+    with ThreadPoolExecutor(1, thread_name_prefix="sync") as thread:
+        syncing = thread.submit(sync)
+        try:
+            yield
+        finally:
+            over.set()
+        syncing.result()
 
 
 def _try_out(rig: ConnectedRig, names: Sequence[str]) -> None:

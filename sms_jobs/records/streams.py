@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from math import ceil
 
-_DISK_S = 1.0
+_DISK_S = 2.0
 """So long a disk may take for something else before a frame has no room in memory."""
 _LEAST_FOR_DISK = 8
 _LABEL = re.compile(r"t(?:(?P<stream>[1-9][0-9]{0,8})-)?[0-9]{4,}", re.ASCII)

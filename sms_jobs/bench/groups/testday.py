@@ -1,7 +1,8 @@
-"""A test day: what is planned is recorded once, whoever is killed; and its runs are compared afterwards."""
+"""A test day: plans under kills, cameras at a rate, and its runs compared afterwards."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 
 import numpy as np
@@ -9,15 +10,49 @@ import numpy as np
 from sms_jobs.bench.compared_runs import RADIUS_PX, measured
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.killed_plan import HOLD_S, SEQUENCE, TOLERANCE, KilledPlan
+from sms_jobs.bench.streamed_cameras import SIDE, archived_per_cpu_s, disk_mb_s, streamed
 
 _STATES, _KILLS = 50, 50
 _STATES_QUICKLY, _KILLS_QUICKLY = 4, 4
 _COMPARED_S = 60.0
 _DEMO = "the demo's bending test, 512 px, 4 views, 3 deformed states"
+_RATE_HZ, _STREAM_S, _STREAM_QUICKLY_S = 60.0, 20.0, 2.0
+_WANTED_HZ = 50.0
+_SEALED, _SEALED_QUICKLY = 20, 3
 
 
 def measure(run: Run) -> Iterator[Found]:
-    """Yield how many states were recorded once, which frames were lost, and the conditions."""
+    """Yield how fast cameras stream, how many states were recorded once, and the conditions."""
+    yield from _cameras(run)
+    yield from _killed(run)
+
+
+def _cameras(run: Run) -> Iterator[Found]:
+    run.say("testday: two cameras of 1 Mpx into the spool")
+    for_s = _STREAM_QUICKLY_S if run.quick else _STREAM_S
+    sealed = _SEALED_QUICKLY if run.quick else _SEALED
+    disk = disk_mb_s(run.folder)
+    done = streamed(run.folder / "stream", _RATE_HZ, for_s)
+    yield Figure("camera_rate_hz", done.rate_hz, "frames / s of each of two cameras", _WANTED_HZ)
+    yield Figure("camera_frames_missed", float(done.missed), f"of {2 * round(_RATE_HZ * for_s)} frames")
+    yield Figure("camera_cpu_ms", 1e3 * done.cpu_s / (2 * done.whole), "CPU-ms a frame")
+    rate = archived_per_cpu_s(done.kept, run.folder / "sealed", sealed)
+    yield Figure("camera_frames_archived_per_cpu_s", rate, "frames / CPU-s")
+    yield Figure("camera_synced_after_s", done.synced_s, "s after the last frame")
+    yield Condition(
+        "camera",
+        f"two cameras that hand out frames of {SIDE} x {SIDE} px in uint16 made before, exposed by software "
+        f"{_RATE_HZ:g} times a second for {for_s:g} s, through ring, checksum and one write a frame to files "
+        f"of the temporary folder, {4e-6 * _RATE_HZ * SIDE**2:.0f} MB/s; its disk took {disk:.0f} MB/s of "
+        "one file just before, and is synced every second beside, so that what it is behind lies in the "
+        "system's memory, which a killed process does not take along; the rate is of moments with a frame of "
+        f"both; missed are frames that were exposed too late, and {done.refused} that had no room in memory; "
+        f"archived is what comes afterwards of {sealed} states: each image judged, packed as texture and "
+        f"frame, sealed and read back; load {os.getloadavg()[0]:.1f} of {os.cpu_count()} processors",
+    )
+
+
+def _killed(run: Run) -> Iterator[Found]:
     states, kills = (_STATES_QUICKLY, _KILLS_QUICKLY) if run.quick else (_STATES, _KILLS)
     home = run.folder / "testday"
     home.mkdir()
@@ -54,4 +89,9 @@ def _compared(run: Run) -> Iterator[Found]:
     )
 
 
-GROUP = Group("testday", "a plan of recordings under kills", lambda: None, measure)
+GROUP = Group(
+    "testday",
+    "cameras at a rate, a plan of recordings under kills, runs compared",
+    lambda: None,
+    measure,
+)

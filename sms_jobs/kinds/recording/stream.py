@@ -7,7 +7,7 @@ job archives that. Only where nothing has, because an event did not come, it beg
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from typing import Literal
@@ -162,13 +162,24 @@ def run(inputs: Inputs, parameters: StreamParameters, progress: Progress) -> Ite
         with connected(station.rig, of.setting, inputs.threads) as rig:
             stream(rig, order, station.spool, lambda f, words: progress(_STREAMING * f, words))
         kept = kept_stream(station.spool, of.cameras)
-    whole = () if kept is None else kept.whole()
-    if kept is None or not whole:
+    if kept is None or not kept.whole():
         raise InstrumentError(_nothing(parameters, of.cameras))
+
+    def archiving(fraction: float, words: str) -> None:
+        progress(_STREAMING + (1.0 - _STREAMING) * fraction, words)
+
+    yield from states_of(kept, inputs.subject.campaign, parameters, archiving)
+
+
+def states_of(
+    kept: KeptStream, campaign: str, parameters: StreamParameters, progress: Callable[[float, str], None]
+) -> Iterator[DatasetOutput]:
+    """Yield what of a stream are states of a campaign, camera by camera."""
+    whole = kept.whole()
     states = whole[:: parameters.every]
     for number, (moment, following) in enumerate(zip(states, (*states[1:], None), strict=True), start=1):
         label = frame_label(parameters.number, number)
-        progress(_STREAMING + (1.0 - _STREAMING) * number / len(states), f"archiving {label}")
+        progress(number / len(states), f"archiving {label}, of {len(states)} states")
         for camera, file in kept.files.items():
             after = file.complete if following is None else following.places[camera]
             beside = range(moment.places[camera] + 1, after)
@@ -182,7 +193,7 @@ def run(inputs: Inputs, parameters: StreamParameters, progress: Progress) -> Ite
             if number == 1:
                 statistics |= _account(kept, camera, len(whole))
             yield DatasetOutput(
-                Subject(inputs.subject.campaign, label, camera),
+                Subject(campaign, label, camera),
                 {
                     MEASURED: measurement,
                     RECORDED: recording,
@@ -190,7 +201,6 @@ def run(inputs: Inputs, parameters: StreamParameters, progress: Progress) -> Ite
                 },
                 statistics,
             )
-    progress(1.0, f"{len(states)} states")
 
 
 def _nothing(parameters: StreamParameters, cameras: Iterable[str]) -> str:
