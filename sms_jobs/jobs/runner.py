@@ -197,11 +197,11 @@ class Runner:
         sealed: list[Entry] = []
         try:
             sealed.extend(self._sealed_outputs(kind, held, task))
+            if kind.adds_states:
+                self._add_states(held, sealed)
         except BaseException:
             self._discard(held, kind, sealed)
             raise
-        if kind.adds_states:
-            self._add_states(held, sealed)
         took = f"took {time.monotonic() - started:.1f} s{because}"
         return self._succeed(held, kind, sealed, begun.key, took)
 
