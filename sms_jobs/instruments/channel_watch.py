@@ -15,6 +15,7 @@ from sms_jobs.instruments.kept_streams import LineLog
 from sms_jobs.instruments.protocols import Channel
 from sms_jobs.records.events import Event
 from sms_jobs.records.numbers import is_excessive
+from sms_jobs.records.units import in_unit_of_name
 
 _READS_EVERY_S = 0.02
 _UNREAD_S = 5.0
@@ -100,12 +101,16 @@ class ChannelWatch:
             time.sleep(_READS_EVERY_S)
 
     def _new_reading(self, name: str, channel: Channel) -> tuple[float, float] | None:
-        """Return when a channel read what, and log it; None where it is no reading, or the one before."""
+        """Return when a channel read what, in its unit; None where it is no reading, or the one before.
+
+        It is logged in the unit of its name, as recordings have it.
+        """
         reading = channel.reading()
         age_s = max((self.clock.now() - reading.time).total_seconds(), 0.0)
         time_s = self.clock.monotonic() - age_s
         if time_s <= self._read_until[name] + _SAME_S or is_excessive(reading.value):
             return None
         self._read_until[name] = time_s
-        self.log.write(name, f"{time_s - self.zero_s:.6f}", repr(reading.value))
+        value = in_unit_of_name(name, reading.value, channel.unit)
+        self.log.write(name, f"{time_s - self.zero_s:.6f}", repr(value))
         return time_s, reading.value

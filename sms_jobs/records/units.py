@@ -83,6 +83,17 @@ def typed(text: str, what: str) -> Typed:
     return Typed(text.strip(), float(found["number"]), found["unit"] or "")
 
 
+def in_unit_of_name(name: str, number: float, unit: str) -> float:
+    """Return a number in the unit at the end of its name: 20 kN of load_n are 20000.
+
+    It is returned as it is where the name ends in no unit of the same quantity.
+    """
+    family = next((f for f in FAMILIES if unit in f), {})
+    sizes = {each.lower(): size for each, size in family.items()}
+    stem, _, own = name.rpartition("_")
+    return number * family[unit] / sizes[own.lower()] if stem and own.lower() in sizes else number
+
+
 def time_words(seconds: float) -> str:
     """Return a time as people type it, in the largest unit of which it is a whole number: 15 min."""
     for unit, size in (("h", 3600.0), ("min", 60.0)):

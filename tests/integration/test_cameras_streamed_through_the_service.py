@@ -161,7 +161,8 @@ def test_frames_become_states_with_their_loads(home: Path, side: int) -> None:
             # Between the readings next to it the load goes as it does on the whole: 2 kN/s. A file's time is
             # that of its last line but for milliseconds, in which it goes by some newtons.
             at = measurement.recorded_at.timestamp()
-            assert recording.readings()["load_n"] == pytest.approx(np.interp(at, times, loads), abs=0.1)
+            expected_n = 1e3 * np.interp(at, times, loads)
+            assert recording.readings()["load_n"] == pytest.approx(expected_n, abs=100.0)
         recorded_at = [measurement.recorded_at for measurement, _, _ in of_camera]
         assert all(a < b for a, b in pairwise(recorded_at))
     # The frames that are no states lie beside the state before them.
@@ -203,8 +204,23 @@ def test_what_is_before_and_after_an_event_is_kept(home: Path) -> None:
     assert since.min() < -1.0
     assert since.max() > 0.0
     loads = [kept[f"t{n:04d}/C1"][1].readings()["load_n"] for n in range(1, len(since) + 1)]
-    assert (loads[0], loads[-1]) == (10.0, 0.0)
+    assert (loads[0], loads[-1]) == (10_000.0, 0.0)
     assert all(one.channels_after == {} for _, one, _ in kept.values())
+
+
+def test_the_pipeline_runs_on_frames_as_on_any_states(home: Path) -> None:
+    with load_frame(home, lambda t: t), service(home):
+        done = run(home, "acquire", "stream", "pair", "--rate", "2Hz", "--for", "1500ms", "--process")
+        assert (done["first"], done["last"]) == ("t0001", f"t{done['cameras']['C1']['states']:04d}")
+        run(home, "job", "wait", "-c", "pair")
+    deformed = {f"pair/t{n:04d}/C1C2" for n in range(2, done["cameras"]["C1"]["states"] + 1)}
+    assert deformed
+    found = run(home, "data", "find", "--kind", "strain", "--columns", "subject,load_n")
+    assert {row["subject"] for row in found} == deformed
+    # A load of some kilonewtons, in newtons, and greater in the later state.
+    loads = [row["load_n"] for row in sorted(found, key=lambda row: str(row["subject"]))]
+    assert loads == sorted(loads)
+    assert loads[0] > 1000.0
 
 
 def test_what_has_reached_the_spool_is_recovered_after_a_kill(home: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.units import duration_s, time_words, typed
+from sms_jobs.records.units import duration_s, in_unit_of_name, time_words, typed
 
 
 @pytest.mark.parametrize(
@@ -58,3 +58,19 @@ def test_a_time_has_bounds() -> None:
         "0 s",
         "0.5 s",
     ]
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "expected"),
+    [
+        ("load_n", "kN", 20_000.0),
+        ("load_kN", "N", 0.02),
+        ("load_n", "N", 20.0),
+        ("crack_mm", "um", 0.02),
+        ("load_n", "mm", 20.0),  # another quantity, which nobody can convert
+        ("cycles", "1", 20.0),
+        ("temperature", "degC", 20.0),
+    ],
+)
+def test_a_reading_comes_into_the_unit_of_its_name(name: str, unit: str, expected: float) -> None:
+    assert in_unit_of_name(name, 20.0, unit) == pytest.approx(expected, rel=1e-15)
