@@ -13,7 +13,7 @@ from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.kind import Parameters
 from sms_jobs.kinds.shape.streaming import in_best_exposure
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
-from sms_jobs.metrology.phase.response import Response, diagnose_response
+from sms_jobs.metrology.phase.response import Response, diagnose_response, phase_residual
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.subject import Subject
@@ -41,9 +41,15 @@ class SampleParameters(Parameters):
         description="phase error, over that from noise, above which a pixel sees more than one surface",
     )
     maximum_phase_error_rad: float = Field(
-        0.15,
+        0.4,
         ge=0.0,
-        description="phase error that is accepted on top of the noise: that of the ripple itself",
+        description="phase error that is accepted on top of the noise before the ripple is known: that of the "
+        "ripple itself, 0.29 for three steps and an exponent of 2.2",
+    )
+    maximum_phase_error_left_rad: float = Field(
+        0.02,
+        ge=0.0,
+        description="phase error that is accepted on top of the noise once the ripple is known",
     )
 
 
@@ -85,20 +91,36 @@ def sampled_response(
     frames = [taken[sequence.frames_of(k, uniform=False)] for k in range(len(sequence.orientations_rad))]
     found = [_unwrapped(measurement, densities, one, threads) for one in frames]
     good = _thinned(_good(found, measurement, parameters), parameters.most_pixels)
+    _refuse_few(good, subject)
+
+    def responses_of(seen: Flags) -> tuple[Response, ...]:
+        return tuple(
+            diagnose_response(some[:, seen], densities, sequence.steps, one.omega[seen], parameters.visibility)
+            for some, one in zip(frames, found, strict=True)
+        )
+
+    # The ripple hides the pixels that see two surfaces: they are let in, and told once it is known.
+    for some, one, response in zip(frames, found, responses_of(good), strict=True):
+        left = phase_residual(some[:, good], densities, sequence.steps, one.omega[good], response)
+        noise = phase_sigma(measurement.noise(one.mean_intensity), one.modulation, sequence.steps)[good]
+        limit = np.hypot(parameters.maximum_phase_error_to_noise * noise, parameters.maximum_phase_error_left_rad)
+        good[good] = left < limit
+    _refuse_few(good, subject)
+    omega = np.stack([one.omega[good] for one in found])
+    responses = responses_of(good)
+    row, column = np.nonzero(good)
+    pixels = np.stack([column.astype(np.float64), picked[row].astype(np.float64)], axis=-1)
+    return SampledResponse(responses, densities, pixels, omega)
+
+
+def _refuse_few(good: Flags, subject: Subject) -> None:
+    """Raise where too few pixels are left."""
     if good.sum() < _LEAST_PIXELS:
         raise MeasurementFailed(
             f"only {int(good.sum())} of the pixels looked at in {subject} have clear fringes, and "
             f"{_LEAST_PIXELS} are needed to find the projector's response: look at more rows, or lower "
             "minimum_modulation_to_noise; to reconstruct without it, set response=none"
         )
-    omega = np.stack([one.omega[good] for one in found])
-    responses = tuple(
-        diagnose_response(one[:, good], densities, sequence.steps, gradient, parameters.visibility)
-        for one, gradient in zip(frames, omega, strict=True)
-    )
-    row, column = np.nonzero(good)
-    pixels = np.stack([column.astype(np.float64), picked[row].astype(np.float64)], axis=-1)
-    return SampledResponse(responses, densities, pixels, omega)
 
 
 def _some_rows(measurement: Measurement, rows: int) -> tuple[NDArray[np.int64], NDArray[Any]]:

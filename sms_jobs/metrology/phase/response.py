@@ -198,6 +198,23 @@ def _waveform(
     return found[1:], np.asarray(inverse[1:, 1:] * variance)
 
 
+def phase_residual(
+    frames: NDArray[Any], densities: Sequence[int], steps: int, omega: Floats, response: Response
+) -> Floats:
+    """Return the phase error of one phase, (pixels,) in rad, once the harmonics are taken out.
+
+    Parameters as of `diagnose_response`. It is that of noise where a pixel sees one surface.
+    """
+    measured = _fundamental(frames.astype(np.float64), densities, steps)
+    for _ in range(_ROUNDS):
+        z = _undistorted(measured, omega, densities, steps, response)
+        omega = _refit(z, omega, densities)
+    turned = z * np.exp(-1j * np.array(densities, dtype=np.float64)[:, None] * omega)
+    power = np.square(np.abs(turned))
+    square = np.sum(power * np.square(np.angle(turned)), axis=0) / power.sum(axis=0)
+    return np.asarray(np.sqrt(square * len(turned) / (len(turned) - 1)))
+
+
 def _second_harmonic(gamma: float, visibility: float) -> float:
     """Return the second harmonic of a power law in units of the fringe."""
     coefficients = fringe_harmonics(0, 1.0, visibility=visibility, gamma=gamma)
