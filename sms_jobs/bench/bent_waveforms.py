@@ -1,7 +1,7 @@
 """A tilted plate seen through a projector that is not linear, lit once or twice, without a blur anywhere.
 
-Every frame is the exact level at the pixel's centre with normal noise, rounded: what is wrong of a point comes
-from the waveform of the fringes alone.
+Every frame is the exact level at the pixel's centre with normal noise, rounded: what is wrong of a point
+comes from the waveform of the fringes alone.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def record(
 ) -> BentRecording:
     """Record a plate, of which the left two thirds are lit `twice`, or once like the rest.
 
-    `noise` is the standard deviation of a frame in parts of full scale. The tilt of the plate, its brightness,
-    from where the second light comes, and how bright it is, are drawn.
+    `noise` is the standard deviation of a frame in parts of full scale. The tilt of the plate, its
+    brightness, from where the second light comes, and how bright it is, are drawn.
     """
     calibration = rig()
     camera, projector = calibration.rig.sensor("C1"), calibration.rig.sensor("P1")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,12 @@ from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.kind import Parameters
 from sms_jobs.kinds.shape.streaming import in_best_exposure
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
-from sms_jobs.metrology.phase.response import Response, diagnose_response, phase_residual
+from sms_jobs.metrology.phase.response import (
+    Response,
+    diagnose_response,
+    gradient_ripple,
+    phase_residual,
+)
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.subject import Subject
@@ -22,6 +27,9 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _LEAST_PIXELS = 100
+_CLEAN = 0.95  # of the pixels that were asked: the few others change nothing
+_SIGNIFICANT = 3.0  # standard deviations of a harmonic below which there is none
+_NEGLIGIBLE = 0.1  # of the noise: what adds less changes a standard deviation by less than 0.5 %
 
 
 class SampleParameters(Parameters):
@@ -31,7 +39,7 @@ class SampleParameters(Parameters):
         1.0, gt=0.0, le=1.0, description="visibility of the fringe patterns that were sent to the projector"
     )
     rows: int = Field(24, ge=1, description="rows of the image that are looked at, evenly spread")
-    most_pixels: int = Field(20_000, ge=1000, description="pixels that are looked at, at most")
+    most_pixels: int = Field(20_000, ge=500, description="pixels that are looked at, at most")
     minimum_modulation_to_noise: float = Field(
         20.0, gt=0.0, description="least fringe modulation in standard deviations of the camera's noise"
     )
@@ -43,14 +51,17 @@ class SampleParameters(Parameters):
     maximum_phase_error_rad: float = Field(
         0.4,
         ge=0.0,
-        description="phase error that is accepted on top of the noise before the ripple is known: that of the "
-        "ripple itself, 0.29 for three steps and an exponent of 2.2",
+        description="phase error that is accepted on top of the noise before the ripple is known: that of "
+        "the ripple itself, 0.29 for three steps and an exponent of 2.2",
     )
     maximum_phase_error_left_rad: float = Field(
         0.02,
         ge=0.0,
         description="phase error that is accepted on top of the noise once the ripple is known",
     )
+
+
+_ROUGH = SampleParameters(rows=6, most_pixels=500)
 
 
 @dataclass(frozen=True)
@@ -67,12 +78,15 @@ class SampledResponse:
         (points, 2), x and y.
     omega
         (orientations, points), phase gradient as unwrapping finds it, rad.
+    omega_sigma
+        Median standard deviation of it in each orientation, rad.
     """
 
     responses: tuple[Response, ...]
     densities: tuple[int, ...]
     pixels: Floats
     omega: Floats
+    omega_sigma: tuple[float, ...]
 
 
 def sampled_response(
@@ -95,22 +109,58 @@ def sampled_response(
 
     def responses_of(seen: Flags) -> tuple[Response, ...]:
         return tuple(
-            diagnose_response(some[:, seen], densities, sequence.steps, one.omega[seen], parameters.visibility)
+            diagnose_response(
+                some[:, seen], densities, sequence.steps, one.omega[seen], parameters.visibility
+            )
             for some, one in zip(frames, found, strict=True)
         )
 
     # The ripple hides the pixels that see two surfaces: they are let in, and told once it is known.
-    for some, one, response in zip(frames, found, responses_of(good), strict=True):
+    responses, single = responses_of(good), good.copy()
+    for some, one, response in zip(frames, found, responses, strict=True):
         left = phase_residual(some[:, good], densities, sequence.steps, one.omega[good], response)
         noise = phase_sigma(measurement.noise(one.mean_intensity), one.modulation, sequence.steps)[good]
-        limit = np.hypot(parameters.maximum_phase_error_to_noise * noise, parameters.maximum_phase_error_left_rad)
-        good[good] = left < limit
-    _refuse_few(good, subject)
+        limit = np.hypot(
+            parameters.maximum_phase_error_to_noise * noise, parameters.maximum_phase_error_left_rad
+        )
+        single[good] &= left < limit
+    if single.sum() < _CLEAN * good.sum():
+        _refuse_few(single, subject)
+        responses = responses_of(single)
+    good = single
     omega = np.stack([one.omega[good] for one in found])
-    responses = responses_of(good)
     row, column = np.nonzero(good)
     pixels = np.stack([column.astype(np.float64), picked[row].astype(np.float64)], axis=-1)
-    return SampledResponse(responses, densities, pixels, omega)
+    sigma = tuple(float(np.median(one.omega_sigma[good])) for one in found)
+    return SampledResponse(responses, densities, pixels, omega, sigma)
+
+
+def rough_response(subject: Subject, measurement: Measurement, threads: int) -> SampledResponse | None:
+    """Find the response from few pixels; None where it matters not or cannot be told.
+
+    It matters where it moves phase gradients by a tenth of their own noise. It cannot be told of one
+    density, of patterns with phases of their own, nor where few pixels have clear fringes.
+    """
+    densities = set(measurement.sequence.densities) - {0}
+    if len(densities) < 2 or measurement.gray_code is not None or any(measurement.phase_offsets_rad):
+        return None
+    try:
+        sample = sampled_response(subject, measurement, _ROUGH, threads)
+    except MeasurementFailed:
+        return None
+    found = replace(sample, responses=tuple(_significant(one) for one in sample.responses))
+    matters = any(
+        np.abs(gradient_ripple(response, omega, found.densities, measurement.sequence.steps)).max()
+        > _NEGLIGIBLE * sigma
+        for response, omega, sigma in zip(found.responses, found.omega, found.omega_sigma, strict=True)
+    )
+    return found if matters else None
+
+
+def _significant(response: Response) -> Response:
+    """Return a response without the harmonics that are not told from noise."""
+    told = np.abs(response.harmonics) > _SIGNIFICANT * response.sigma
+    return replace(response, harmonics=np.where(told, response.harmonics, 0.0))
 
 
 def _refuse_few(good: Flags, subject: Subject) -> None:

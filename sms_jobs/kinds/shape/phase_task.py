@@ -15,6 +15,7 @@ from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.images.masks import high_phase_error, low_modulation
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.ranging.signal import Window
+from sms_jobs.metrology.phase.response import Response
 from sms_jobs.metrology.phase.ripple_table import RippleTable
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
@@ -85,8 +86,8 @@ class PhaseParameters(Parameters):
     )
     response: Literal["none", "measured"] = Field(
         "none",
-        description="whether the ripple of a projector that is not linear is found in the frames themselves "
-        "and taken out: 'measured' costs a second or two, for temporal unwrapping and one return of fdr",
+        description="whether the ripple of a projector that is not linear is taken out: 'measured' finds it "
+        "in the frames themselves and costs a second or two; 'none' leaves it, and states it as uncertainty",
     )
 
     @field_validator("returns")
@@ -97,17 +98,6 @@ class PhaseParameters(Parameters):
                 "temporal unwrapping knows one return only; set method=fdr to tell several apart"
             )
         return returns
-
-    @field_validator("response")
-    @classmethod
-    def _correct_what_is_known(cls, response: str, given: ValidationInfo) -> str:
-        method, returns = given.data.get("method"), given.data.get("returns")
-        if response == "measured" and method == "fdr" and returns != 1:
-            raise ValueError(
-                "the projector's response is corrected for temporal unwrapping and for method=fdr with "
-                "returns=1; set response=none for the others"
-            )
-        return response
 
 
 @dataclass(frozen=True)
@@ -146,10 +136,24 @@ class PhaseTask:
 
 @dataclass(frozen=True)
 class Known:
-    """What is known before the first slab: modulation transfers and ripples of the orientations, or none."""
+    """What is known before the first slab, for each orientation.
+
+    Attributes
+    ----------
+    transfers
+        Modulation over the densities, for ranging.
+    responses
+        Of the projector; None where too few pixels tell it.
+    ripples
+        What the responses do to unwrapped gradients; as many, or none.
+    corrected
+        Whether that is to be taken out.
+    """
 
     transfers: list[Floats]
+    responses: list[Response | None]
     ripples: list[RippleTable]
+    corrected: bool
 
 
 def noise_reasons(

@@ -17,7 +17,12 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Progress
 from sms_jobs.kinds.shape.foreign_patterns import coarse_gradient, offsets_of, refuse_foreign_patterns
 from sms_jobs.kinds.shape.frame_watch import FramePatches, check_frames
-from sms_jobs.kinds.shape.fringe_response import SampledResponse, SampleParameters, sampled_response
+from sms_jobs.kinds.shape.fringe_response import (
+    SampledResponse,
+    SampleParameters,
+    rough_response,
+    sampled_response,
+)
 from sms_jobs.kinds.shape.phase_task import (
     UNWRAPPING,
     Floats,
@@ -34,6 +39,7 @@ from sms_jobs.kinds.shape.streaming import exposed_slabs
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.geometry.triangulation import Projector
 from sms_jobs.metrology.images.masks import phase_error_factor
+from sms_jobs.metrology.phase.response import Response
 from sms_jobs.metrology.phase.ripple_table import RippleTable, ripple_table
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps
@@ -77,7 +83,8 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
     if parameters.method != UNWRAPPING and task.geometry is None:
         raise InvalidInput(f"method={parameters.method} needs a calibration; set method={UNWRAPPING}")
     sequence = measurement.sequence
-    if parameters.method != UNWRAPPING or parameters.response != "none":
+    corrected = parameters.response == "measured"
+    if parameters.method != UNWRAPPING or corrected:
         refuse_foreign_patterns(task.subject, measurement, f"method={UNWRAPPING} with response=none")
     count, rows, columns = measurement.frames.shape
     if count != sequence.frames:
@@ -90,10 +97,11 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
     returns = None
     if parameters.returns > 1:
         returns = ReturnMaps.unset(sequence.orientations_rad, parameters.returns, rows, columns)
-    response = _response(task)
-    ripples = [] if response is None else _ripples(response, sequence.steps)
+    response = None
+    if corrected:
+        response = sampled_response(task.subject, measurement, SampleParameters(), task.threads)
+    known = _known(task, response)
     patches = FramePatches(rows, columns)
-    known = Known([] if parameters.method == UNWRAPPING else transfers(task), ripples)
     for slab, frames, exposure in exposed_slabs(measurement, task.threads):
         if parameters.method == UNWRAPPING:
             _unwrap_slab(task, known, slab, frames, phase, reason)
@@ -107,21 +115,30 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
         task.subject,
         measurement,
         patches.stacked(),
-        parameters.maximum_phase_error_rad + _largest_ripple(ripples),
+        parameters.maximum_phase_error_rad + (_largest_ripple(known.ripples) if corrected else 0.0),
         parameters.maximum_motion_px,
         ranged=parameters.method != UNWRAPPING,
     )
     return Phases(phase, returns, reason, response)
 
 
-def _response(task: PhaseTask) -> SampledResponse | None:
-    if task.parameters.response == "none":
-        return None
-    return sampled_response(task.subject, task.measurement, SampleParameters(), task.threads)
-
-
-def _ripples(response: SampledResponse, steps: int) -> list[RippleTable]:
-    return [ripple_table(one, response.densities, steps) for one in response.responses]
+def _known(task: PhaseTask, response: SampledResponse | None) -> Known:
+    """Return what is known before the first slab: of the response roughly where it is not to be corrected."""
+    sequence = task.measurement.sequence
+    sample = response or rough_response(task.subject, task.measurement, task.threads)
+    ripples: list[RippleTable] = []
+    responses: list[Response | None] = [None] * len(sequence.orientations_rad)
+    if sample is not None:
+        ripples = [ripple_table(one, sample.densities, sequence.steps) for one in sample.responses]
+        responses = list(sample.responses)
+    ranged: list[Floats] = []
+    if task.parameters.method != UNWRAPPING:
+        ranged = (
+            transfers(task)
+            if response is None
+            else [np.array([one.at_density(t)[0] for t in sequence.densities]) for one in response.responses]
+        )
+    return Known(ranged, responses, ripples, corrected=response is not None)
 
 
 def _largest_ripple(ripples: list[RippleTable]) -> float:
@@ -162,11 +179,14 @@ def _unwrap_slab(
         phase.omega[k, rows] = found.omega
         phase.omega_sigma[k, rows] = found.omega_sigma
         ripple: Floats | float = 0.0
-        if known.ripples:
+        if known.corrected:
             table = known.ripples[k]
             phase.omega[k, rows] = table.corrected(found.omega)
             phase.omega_sigma[k, rows] = table.corrected_sigma(found.omega, found.omega_sigma)
             ripple = table.expected_error(found.omega)
+        elif known.ripples:
+            left = found.omega - known.ripples[k].corrected(found.omega)
+            phase.omega_sigma[k, rows] = np.hypot(found.omega_sigma, left)
         phase.modulation[k, rows] = found.modulation
         phase.phase_error[k, rows] = found.phase_error
         phase.mean_intensity[rows] += found.mean_intensity / len(sequence.orientations_rad)

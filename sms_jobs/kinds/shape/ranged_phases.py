@@ -26,7 +26,10 @@ from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_retur
 from sms_jobs.metrology.phase.fringe_blur import transfer_of_sample
 from sms_jobs.metrology.phase.merged_returns import merged_sigma
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
+from sms_jobs.metrology.phase.ranging.harmonics import ghost_error
+from sms_jobs.metrology.phase.response import Response
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps
+from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.reasons import Reason
 
 _SAMPLED = (4, 512)  # rows, and pixels of each, that tell the modulation transfer
@@ -59,12 +62,6 @@ def range_slab(
 ) -> None:
     """Fill the rows of `phase` and `returns`, and mark in `reason` what cannot be trusted."""
     found = _found(task, known, frames)
-    ripples: list[Floats | float] = [0.0] * len(found)
-    for k, table in enumerate(known.ripples):
-        measured = found[k].omega
-        ripples[k] = table.expected_error(measured[0])
-        sigma = table.corrected_sigma(measured, found[k].omega_sigma)
-        found[k] = replace(found[k], omega=table.corrected(measured), omega_sigma=sigma)
     pairing = _paired(task, rows, found)
     phase.omega[:, rows] = pairing.omega
     phase.omega_sigma[:, rows] = np.hypot(pairing.omega_sigma, _merged_sigma(task, found, pairing))
@@ -74,7 +71,7 @@ def range_slab(
         phase.modulation[k, rows] = one.modulation
         phase.phase_error[k, rows] = error
         phase.mean_intensity[rows] += one.mean_intensity / len(found)
-        reason[rows] |= _range_reasons(task, one, pairing.amplitude[k], error, ripples[k])
+        reason[rows] |= _range_reasons(task, one, pairing.amplitude[k], error)
     if task.parameters.pair_rule == "likelihood":
         mark(reason[rows], pairing.margin < task.parameters.minimum_pair_margin, Reason.AMBIGUOUS_PAIR)
     if returns is not None:
@@ -88,7 +85,7 @@ def range_slab(
 def _found(task: PhaseTask, known: Known, frames: NDArray[Any]) -> list[Returns]:
     """Return the returns of every orientation."""
     measurement, parameters, sequence = task.measurement, task.parameters, task.measurement.sequence
-    return [
+    every = [
         range_returns(
             frames[sequence.frames_of(k)],
             sequence.densities,
@@ -98,10 +95,23 @@ def _found(task: PhaseTask, known: Known, frames: NDArray[Any]) -> list[Returns]
             window=parameters.window,
             significance=parameters.significance,
             mtf=known.transfers[k],
+            response=known.responses[k] if known.corrected else None,
             threads=task.threads,
         )
         for k in range(len(sequence.orientations_rad))
     ]
+    if known.corrected:
+        return every
+    return [
+        one if response is None else replace(one, omega_sigma=_with_ghosts(one, response, sequence))
+        for one, response in zip(every, known.responses, strict=True)
+    ]
+
+
+def _with_ghosts(one: Returns, response: Response, sequence: FringeSequence) -> Singles:
+    """Return the standard deviations of returns with what the harmonics left in them."""
+    left = ghost_error(one.omega, one.amplitude, response, sequence.densities, sequence.steps)
+    return np.asarray(np.hypot(one.omega_sigma, left), np.float32)
 
 
 def _paired(task: PhaseTask, rows: slice, found: list[Returns]) -> Pairing:
@@ -140,9 +150,7 @@ def _merged_sigma(task: PhaseTask, found: list[Returns], pairing: Pairing) -> Si
     )
 
 
-def _range_reasons(
-    task: PhaseTask, one: Returns, amplitude: Singles, error: Singles, ripple: Floats | float
-) -> Reasons:
+def _range_reasons(task: PhaseTask, one: Returns, amplitude: Singles, error: Singles) -> Reasons:
     """Return the reasons for which the phases of one orientation are not to be trusted."""
     sequence, parameters = task.measurement.sequence, task.parameters
     freedom = 2 * len(sequence.densities) - 2 * parameters.returns + 1
@@ -150,7 +158,7 @@ def _range_reasons(
         amplitude,
         error,
         phase_error_factor(freedom, parameters.kept_by_phase_error),
-        ripple,
+        0.0,
         task.measurement.noise(one.mean_intensity),
         sequence.steps,
         parameters,

@@ -22,6 +22,7 @@ from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.ranging.batch import resolve_row
 from sms_jobs.metrology.phase.ranging.batched_fit import overlap_table
 from sms_jobs.metrology.phase.ranging.close_start import grid
+from sms_jobs.metrology.phase.ranging.harmonics import NO_GHOSTS, Ghosts, ghosts_of, take_out_ghosts
 from sms_jobs.metrology.phase.ranging.plan import Plan
 from sms_jobs.metrology.phase.ranging.row import Maps, Row, begin_row, new_maps, new_row, write_row
 from sms_jobs.metrology.phase.ranging.search import search_row
@@ -35,6 +36,7 @@ from sms_jobs.metrology.phase.ranging.signal import (
 )
 from sms_jobs.metrology.phase.ranging.transform import bit_reversal, transform_length, twiddles
 from sms_jobs.metrology.phase.ranging.weights import fit_weights, sums_of
+from sms_jobs.metrology.phase.response import Response
 
 Floats: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
@@ -97,12 +99,22 @@ def score_threshold(significance: float, count: int) -> float:
 
 
 @kernel
-def _range_row(plan: Plan, row: Row, maps: Maps, index: int) -> None:
-    """Find the returns of a row that has been read, and write them to the maps."""
+def _find_returns(plan: Plan, row: Row) -> None:
     begin_row(plan, row)
     resolve_row(plan, row)
     if not row.resolved.all():
         search_row(plan, row)
+
+
+@kernel
+def _range_row(plan: Plan, ghosts: Ghosts, row: Row, maps: Maps, index: int) -> None:
+    """Find the returns of a row that has been read, in turn with their ghosts, and write them to the maps."""
+    _find_returns(plan, row)
+    if ghosts.rounds > 0:
+        recorded = row.signal.copy()
+        for _ in range(ghosts.rounds):
+            take_out_ghosts(ghosts, plan.first, recorded, row)
+            _find_returns(plan, row)
     write_row(plan, row, maps, index)
 
 
@@ -116,6 +128,7 @@ def range_returns(
     window: Window = "none",
     significance: float = 1e-4,
     mtf: Floats | None = None,
+    response: Response | None = None,
     threads: int = 1,
 ) -> Returns:
     """Find up to `returns` phase gradients of every pixel from the frames of one orientation.
@@ -140,6 +153,8 @@ def range_returns(
         Probability that noise alone is taken for a return.
     mtf
         (densities,), modulation relative to that towards t = 0, see `modulation_transfer`; None for 1.
+    response
+        Of the projector, whose harmonics are taken out of the signal; None for a linear one.
     threads
         Number of threads; the result does not depend on it.
 
@@ -152,6 +167,7 @@ def range_returns(
         raise InvalidInput(f"at most 255 fringe densities can be ranged, not {sequence.count}: give fewer")
     noise = 2.0 / steps * camera.read_noise**2, 2.0 / steps * camera.gain, sqrt(steps / 2.0)
     plan = _plan(sequence, window, score_threshold(significance, sequence.count), noise, mtf)
+    ghosts = NO_GHOSTS if response is None else ghosts_of(response, sequence, steps)
     stack = np.ascontiguousarray(frames)
     rows, columns = stack.shape[1:]
     maps = new_maps(returns, rows, columns)
@@ -171,7 +187,7 @@ def range_returns(
                 row.lost,
                 row.levels,
             )
-            _range_row(plan, row, maps, index)
+            _range_row(plan, ghosts, row, maps, index)
         idle.append(row)
 
     in_row_blocks(work, rows, threads, block=4)

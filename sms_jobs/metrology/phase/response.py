@@ -13,7 +13,7 @@ unwrapping that suffers from what is predicted here.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import Any
 
@@ -31,6 +31,7 @@ HARMONICS = 6
 """Of a power law up to 2.2 the seventh harmonic is below 1e-4 of the fringe."""
 
 _ROUNDS = 6  # each leaves less than a quarter of the ripple that the one before left in omega
+_SETTLED = 1e-5  # change of a harmonic in a round after which no further one is needed
 _INVERSIONS = 12  # the slope is largest, 0.6 at an exponent of 2 and q = 3, where all densities agree
 _GAMMAS = (0.25, 4.0)
 
@@ -185,9 +186,10 @@ def _waveform(
     basis[0] = 1.0
     for i, t in enumerate(densities):
         for k in range(steps):
-            theta = omega * t + 2.0 * pi * k / steps
-            for n in range(1, HARMONICS + 1):
-                basis[n] = np.exp(-damping * (n * t) ** 2) * np.cos(n * theta)
+            basis[1] = np.cos(omega * t + 2.0 * pi * k / steps)
+            for n in range(2, HARMONICS + 1):
+                basis[n] = 2.0 * basis[1] * basis[n - 1] - basis[n - 2]
+            basis[1:] *= np.exp(-damping * np.square(np.arange(1, HARMONICS + 1) * t))[:, None]
             level = levels[i * steps + k]
             normal += basis @ basis.T
             right += basis @ level
@@ -206,9 +208,12 @@ def phase_residual(
     Parameters as of `diagnose_response`. It is that of noise where a pixel sees one surface.
     """
     measured = _fundamental(frames.astype(np.float64), densities, steps)
+    z = measured
     for _ in range(_ROUNDS):
-        z = _undistorted(measured, omega, densities, steps, response)
+        z, before = _undistorted(measured, omega, densities, steps, response), omega
         omega = _refit(z, omega, densities)
+        if np.abs(omega - before).max() < _SETTLED / max(densities):
+            break
     turned = z * np.exp(-1j * np.array(densities, dtype=np.float64)[:, None] * omega)
     power = np.square(np.abs(turned))
     square = np.sum(power * np.square(np.angle(turned)), axis=0) / power.sum(axis=0)
@@ -275,15 +280,17 @@ def diagnose_response(
     t = np.array(densities, dtype=np.float64)
     measured = _fundamental(levels, densities, steps)
     levels -= levels.mean(axis=0)
-    z, omega = measured, np.asarray(omega, dtype=np.float64)
+    z, omega, before = measured, np.asarray(omega, dtype=np.float64), np.zeros(HARMONICS)
     for _ in range(_ROUNDS):
         damping = _damping(z, t)
         modulation = _uniform_modulation(z, t, damping)
         found, covariance = _waveform(levels / modulation, omega, densities, steps, damping)
         sigma = np.sqrt(np.diag(covariance)) / found[0]
-        second = float(found[1] / found[0])
-        gamma, gamma_sigma = _gamma(second, float(sigma[1]), visibility)
-        response = Response(found / found[0], sigma, damping, gamma, gamma_sigma, visibility)
+        response = Response(found / found[0], sigma, damping, np.nan, np.nan, visibility)
+        if np.abs(response.harmonics - before).max() < _SETTLED:
+            break
+        before = response.harmonics
         z = _undistorted(measured, omega, densities, steps, response)
         omega = _refit(z, omega, densities)
-    return response
+    gamma, gamma_sigma = _gamma(float(response.harmonics[1]), float(response.sigma[1]), visibility)
+    return replace(response, gamma=gamma, gamma_sigma=gamma_sigma)
