@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.bench.plate_before_wall import rig
+from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.geometry.camera import project, ray_directions
@@ -34,7 +35,7 @@ _NEAREST_PX, _FARTHEST_PX = (40.0, 30.0), (300.0, 250.0)
 
 
 @dataclass(frozen=True)
-class BentRecording:
+class Recording:
     """A recording of a plate, and where its points truly are.
 
     Attributes
@@ -52,7 +53,7 @@ class BentRecording:
 
 def record(
     random: np.random.Generator, sequence: FringeSequence, gamma: float, noise: float, *, twice: bool
-) -> BentRecording:
+) -> Recording:
     """Record a plate, of which the left two thirds are lit `twice`, or once like the rest.
 
     `noise` is the standard deviation of a frame in parts of full scale. The tilt of the plate, its
@@ -93,14 +94,20 @@ def record(
         texture,
         ArrayStack(frames),
     )
-    return BentRecording(measurement, calibration, np.moveaxis(point, -1, 0))
+    return Recording(measurement, calibration, np.moveaxis(point, -1, 0))
 
 
-def scores(seen: BentRecording, parameters: dict[str, Any]) -> tuple[Floats, float]:
-    """Return error over stated deviation of all valid points, and the part of all pixels that is valid."""
+def scores(seen: Recording, parameters: dict[str, Any]) -> tuple[Floats, float]:
+    """Return error over stated deviation of all valid points, and the part of all pixels that is valid.
+
+    Of a recording that is refused nothing is valid.
+    """
     records = {"measurement": seen.measurement, "calibration": seen.calibration}
-    settings = ReconstructParameters(blur_px=0.0, **parameters)
-    surface = run_kind(KIND, Subject("plate", "S00", "C1P1"), records, 1, settings).records["surface"]
+    settings = ReconstructParameters(**parameters)
+    try:
+        surface = run_kind(KIND, Subject("plate", "S00", "C1P1"), records, 1, settings).records["surface"]
+    except MeasurementFailed:
+        return np.zeros(0), 0.0
     assert isinstance(surface, Surface)
     valid = surface.reason == Reason.VALID
     error = np.linalg.norm(surface.position - seen.point, axis=0)[valid]

@@ -138,7 +138,7 @@ def _statistics(diagnosis: ResponseDiagnosis) -> dict[str, float]:
 KIND = Kind(
     name="diagnose",
     summary="the projector's response, from the fringes themselves, and the ripple that it causes",
-    version=1,
+    version=2,
     scope=Scope.TUPLE,
     parameters=DiagnoseParameters,
     inputs=(_FRAMES, _CALIBRATION),

@@ -77,10 +77,17 @@ def test_the_predicted_ripple_is_that_of_the_shape() -> None:
     assert share == pytest.approx(1.0, abs=0.1)
     # Without it, what is left is the noise that the covariance states, and the few per cent of blur.
     left = float(np.mean(np.sum((error - moved) ** 2, axis=0)))
-    noise = float(cloud.covariance[[0, 3, 5]][:, row, column][:, valid].sum(axis=0).mean())
+    fine = reconstruct.ReconstructParameters(blur_px=0.0, response="measured")
+    straight = run_kind(reconstruct.KIND, SUBJECT, records, 1, fine).records["surface"]
+    assert isinstance(straight, Surface)
+    variances = [np.asarray(one.covariance)[[0, 3, 5]].sum(axis=0) for one in (straight, cloud)]
+    stated = [variance[row, column][valid] for variance in variances]
+    noise = float(stated[0].mean())
     ripple = float(np.mean(np.sum(moved**2, axis=0)))
     assert noise < left < 1.2 * noise + 0.1**2 * ripple
     assert ripple > 50.0 * noise
+    # A ripple that is left in is stated; 500 pixels tell it to 3e-4 of its 0.2 rad, and blur takes its share.
+    assert float(stated[1].mean()) == pytest.approx(noise + ripple, rel=0.1)
     length = np.sqrt(np.sum(np.square(found.ripple), axis=0))
     assert output.statistics["ripple_rms_mm"] == pytest.approx(float(np.sqrt(np.mean(length**2))))
 
