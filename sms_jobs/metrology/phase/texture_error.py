@@ -227,8 +227,8 @@ def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating, rough: F
     -----
     gap + s^2 change = noise, of the variance gap_sigma^2 + rough_px^2 rough^2: where the modulation is rough
     a gap tells little. What remains of the gap's square beyond the noise and grows with `rough` gives
-    rough_px; what does not grow is the calibration's. `UNKNOWN` enters with its own uncertainty and decides where
-    there is little texture or none.
+    rough_px; what does not grow is the calibration's. `UNKNOWN` enters with its own uncertainty and decides
+    where there is little texture or none.
     """
     used = np.isfinite(gap) & np.isfinite(change) & np.isfinite(rough) & (gap_sigma > 0.0)
     g, h = gap[used].astype(float), change[used].astype(float)
