@@ -119,7 +119,8 @@ def sampled_response(
     responses, single = responses_of(good), good.copy()
     for some, one, response in zip(frames, found, responses, strict=True):
         left = phase_residual(some[:, good], densities, sequence.steps, one.omega[good], response)
-        noise = phase_sigma(measurement.noise(one.mean_intensity), one.modulation, sequence.steps)[good]
+        frame_noise = measurement.noise(one.mean_intensity[good])
+        noise = phase_sigma(frame_noise, one.modulation[good], sequence.steps)
         limit = np.hypot(
             parameters.maximum_phase_error_to_noise * noise, parameters.maximum_phase_error_left_rad
         )
