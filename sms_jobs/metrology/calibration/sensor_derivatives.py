@@ -56,7 +56,7 @@ def project_with_derivatives(
     return pixels, by_pose, pixel_jacobian(intrinsics, normalised)
 
 
-def _ray_derivatives(intrinsics: Intrinsics, pose: Pose, points: Floats) -> tuple[Floats, Floats, Floats]:
+def ray_derivatives(intrinsics: Intrinsics, pose: Pose, points: Floats) -> tuple[Floats, Floats, Floats]:
     """Return rays (n, 3) through points, and the change of ray and pin-hole (n, 3, parameters).
 
     The rays are not of unit length, and the pixels are held.
@@ -101,8 +101,8 @@ def gap_derivatives(
     d(gap) = (db n + b (du x v) + b (u x dv)) / |n|.
     """
     points = np.asarray(points, dtype=np.float64)
-    u, by_u, by_hole = _ray_derivatives(*camera, points)
-    v, by_v, by_other = _ray_derivatives(*projector, points)
+    u, by_u, by_hole = ray_derivatives(*camera, points)
+    v, by_v, by_other = ray_derivatives(*projector, points)
     base = projector[1].centre() - camera[1].centre()
     normal = np.cross(u, v)
     rows = np.concatenate(

@@ -1,0 +1,177 @@
+"""By how much measured points, and what is made of them, lie elsewhere because sensors are known only so well.
+
+An error of the calibration moves all points together. It is therefore kept as a factor: for a point the
+derivatives by the parameters times a square root of their covariance, 3 x r, whose r columns mean the same for
+every point of every view. Whatever is linear in points, such as a difference or a mean, has that of the factors
+for its own, and the sum of its squares for its variance: what is common cancels, or stays, as it does in truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.calibration.bundle_covariance import point_jacobian
+from sms_jobs.metrology.calibration.sensor_derivatives import project_with_derivatives, ray_derivatives
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, Camera, projection_jacobian
+from sms_jobs.metrology.geometry.transforms import transform
+from sms_jobs.metrology.phase.patterns import direction
+
+Floats: TypeAlias = NDArray[np.float64]
+
+_ROUNDING = 1e-14
+"""Of the largest variance of a correlation matrix: what is below has none but for rounding."""
+
+
+@dataclass(frozen=True)
+class KnownView:
+    """A view, and how well its sensors are known.
+
+    Attributes
+    ----------
+    sensors
+        The reference camera and its partners.
+    root
+        (parameters, r), a square root of the covariance of the sensors' parameters, in rad, mm and px.
+    orientations_rad
+        Of the fringes, where the partner is a projector; empty for cameras.
+    """
+
+    sensors: tuple[Camera, ...]
+    root: Floats
+    orientations_rad: tuple[float, ...] = ()
+
+
+def square_root(covariance: Floats) -> Floats:
+    """Return L (p, r) with L L^T = covariance (p, p), r its rank; what is held fixed has rows of zeros.
+
+    From the eigenvectors of the correlation matrix, because parameters have different units.
+    """
+    sigma = np.sqrt(np.diag(covariance))
+    free = sigma > 0.0
+    root = np.zeros((len(covariance), 0))
+    if not free.any():
+        return root
+    values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free]))
+    some = values > _ROUNDING * values[-1]
+    root = np.zeros((len(covariance), int(some.sum())))
+    root[free] = sigma[free, None] * vectors[:, some] * np.sqrt(values[some])
+    return root
+
+
+def economical(roots: Sequence[Floats]) -> list[Floats]:
+    """Return roots (p, r) of several views with no more columns than all of them have rows.
+
+    By the singular values of all rows together; what the columns mean has changed, for all alike.
+    """
+    rows = np.concatenate(roots)
+    if rows.shape[1] <= len(rows):
+        return list(roots)
+    left, sizes, _ = np.linalg.svd(rows, full_matrices=False)
+    return np.split(left * sizes, np.cumsum([len(root) for root in roots])[:-1])
+
+
+def point_factor(view: KnownView, points: Floats) -> Floats:
+    """Return by how much points move with each column of a calibration's root.
+
+    Parameters
+    ----------
+    view
+        What measures them.
+    points
+        (n, 3) in mm.
+
+    Returns
+    -------
+    (n, 3, r) in mm; NaN where a sensor does not see a point.
+
+    Notes
+    -----
+    The pixels are held, of the reference camera and of its partners. With fringes of two orientations the point
+    is where two rays are closest (thesis Fig. 12), with those of one where the camera's ray meets a surface of
+    constant phase, and of several cameras on the reference camera's ray where it fits all images best, with
+    matches that are equally good along x and y and in all images: error propagation by the implicit function
+    theorem.
+    """
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    if len(view.orientations_rad) > 1:
+        camera, projector = ((one.intrinsics, one.pose) for one in view.sensors)
+        return np.asarray(point_jacobian(camera, projector, points) @ view.root)
+    return np.asarray(_on_the_ray(view, points) @ view.root)
+
+
+def _on_the_ray(view: KnownView, points: Floats) -> Floats:
+    """Return d(point)/d(parameters), (n, 3, p), of points whose depth alone is found in other images.
+
+    Unknown are the depth z and, of cameras, by how much the reference camera's noise has moved the matches of all
+    partners, in px, with as much weight as what a partner sees: see `geometry.several_cameras.meet_rays`.
+    """
+    reference, *partners = view.sensors
+    own = reference.intrinsics, reference.pose
+    depth = transform(reference.pose, points)[:, 2]
+    ray, by_ray, by_hole = ray_derivatives(*own, points)
+    moved = by_hole + depth[:, None, None] * by_ray
+    size = PER_SENSOR * len(view.sensors)
+    normal, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3, size))
+    normal[:, 1, 1] = normal[:, 2, 2] = 1.0
+    # A step of one pixel of the reference image, at the same depth.
+    plane = reference.pose.matrix()[:2].T
+    beside = plane @ np.linalg.inv(projection_jacobian(*own, points) @ plane)
+    steps = np.concatenate([ray[:, :, None], beside], axis=2)
+    for number, partner in enumerate(partners, start=1):
+        pixels, by_pose, by_lens = project_with_derivatives(partner.intrinsics, partner.pose, points)
+        slopes = projection_jacobian(partner.intrinsics, partner.pose, points)
+        rows = np.zeros((len(points), 2, size))
+        rows[:, :, :PER_SENSOR] = slopes @ moved
+        at = PER_SENSOR * number
+        rows[:, :, at : at + PER_POSE] = by_pose
+        rows[:, :, at + PER_POSE : at + PER_SENSOR] = by_lens
+        seen = (_inside(partner, pixels) | (len(partners) == 1))[:, None, None]
+        by_step = slopes @ steps
+        if view.orientations_rad:
+            across = np.array([direction(view.orientations_rad[0])])
+            by_step, rows = across @ by_step * [1.0, 0.0, 0.0], across @ rows
+        normal += np.where(seen, by_step.transpose(0, 2, 1) @ by_step, 0.0)
+        right += np.where(seen, by_step.transpose(0, 2, 1) @ rows, 0.0)
+    known = normal[:, 0, 0] > 0.0
+    normal[~known] = np.eye(3)
+    moved[~known] = np.nan
+    along = -np.linalg.solve(normal, right)[:, 0]
+    rows = ray[:, :, None] * along[:, None, :]
+    rows[:, :, :PER_SENSOR] += moved
+    rows[~known] = np.nan
+    return rows
+
+
+def _inside(camera: Camera, pixels: Floats) -> NDArray[np.bool_]:
+    """Return which pixels (n, 2) lie in an image."""
+    x, y = pixels.T
+    with np.errstate(invalid="ignore"):
+        inside = (x >= -0.5) & (y >= -0.5) & (x <= camera.columns - 0.5) & (y <= camera.rows - 0.5)
+    return np.asarray(inside)
+
+
+def motion_factor(before: KnownView, after: KnownView, points: Floats, displacement: Floats) -> Floats:
+    """Return the factor of the displacement (n, 3) in mm of points (n, 3), (n, 3, r).
+
+    Two states that were measured with one calibration have its errors in common, which cancel but for the way
+    between; those of two calibrations count as independent, and each has columns of its own.
+    """
+    ends = point_factor(after, points + displacement), point_factor(before, points)
+    if same_calibration(before, after):
+        return ends[0] - ends[1]
+    return np.concatenate([ends[0], -ends[1]], axis=2)
+
+
+def same_calibration(one: KnownView, other: KnownView) -> bool:
+    """Say whether the columns of two roots mean the same."""
+    return one.sensors == other.sensors and np.array_equal(one.root, other.root)
+
+
+def sigma_of(factor: Floats) -> Floats:
+    """Return the standard deviations (...,) that a factor (..., r) states."""
+    return np.asarray(np.sqrt(np.sum(np.square(factor), axis=-1)))
