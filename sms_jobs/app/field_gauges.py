@@ -12,6 +12,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, family, search
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.gauge_descriptions import described_gauge
+from sms_jobs.kinds.calibration_factors import OF_BOTH, states_from
 from sms_jobs.kinds.deformation.gauges import GaugesParameters, frame_of_gauges, read_gauges
 from sms_jobs.kinds.products import DISPLACEMENT, REGIONS, SURFACE
 from sms_jobs.records.people import Right
@@ -32,6 +33,8 @@ class GaugeAt:
         As jobs of the kind gauges take it.
     strain, sigma
         Ratios; None where fewer than twelve pixels lie under the grid.
+    sigma_calibration
+        What the calibration adds to sigma, a ratio; None where it is not known.
     pixels
         How many do.
     """
@@ -42,6 +45,7 @@ class GaugeAt:
     gauge: str
     strain: float | None
     sigma: float | None
+    sigma_calibration: float | None
     pixels: int
 
 
@@ -75,23 +79,28 @@ def gauge_at(services: Services, key: str, gauge: str, *, part: str | None = Non
         subject = Subject.parse(moved.subject)
         campaign = campaigns.definition(campaigns.campaign_row(session, subject.campaign))
     with services.archive.open(moved) as dataset, services.archive.open(shape) as at_rest:
+        known = all(product.stored_as in dataset.names for product in OF_BOTH)
+        states = states_from(*(dataset.read(one.stored_as, one.record) for one in OF_BOTH)) if known else None
         found = read_gauges(
             dataset.read(DISPLACEMENT.stored_as, DISPLACEMENT.record),
             dataset.read(REGIONS.stored_as, REGIONS.record),
             at_rest.read(SURFACE.stored_as, SURFACE.record),
+            states,
             frame_of_gauges(campaign, subject),
             parameters,
             lambda fraction, message="": None,
         )
     strain, sigma = float(found.strain[0]), float(found.sigma[0])
-    known = bool(np.isfinite(strain))
+    common = None if found.sigma_calibration is None else float(found.sigma_calibration[0])
+    reads = bool(np.isfinite(strain))
     return GaugeAt(
         moved.id,
         subject.state or "",
         subject.view or "",
         gauge,
-        strain if known else None,
-        sigma if known else None,
+        strain if reads else None,
+        sigma if reads else None,
+        common if reads else None,
         int(found.pixels[0]),
     )
 

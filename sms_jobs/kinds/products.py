@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 
 from sms_jobs.records.alignment import ViewAlignment
 from sms_jobs.records.assessment import Assessment
-from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
+from sms_jobs.records.calibration import CalibrationFactor, CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.cracks import CrackOpenings
 from sms_jobs.records.diagnosis import ResponseDiagnosis
 from sms_jobs.records.fields import (
@@ -82,6 +82,7 @@ BETWEEN = Product("between", FramesBetween)
 CALIBRATED = Product("calibration", Calibration)
 QUALITY = Product("quality", CalibrationQuality)
 UNCERTAINTY = Product("uncertainty", CalibrationUncertainty)
+CALIBRATION_FACTOR = Product("factor", CalibrationFactor)
 BOARD = Product("observation", BoardObservation)
 BAR = Product("observation", BarObservation)
 SURFACE = Product("surface", Surface)

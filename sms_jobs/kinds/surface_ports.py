@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Need, Port
-from sms_jobs.kinds.products import MEASURED, PHASE, SURFACE, Product
+from sms_jobs.kinds.products import CALIBRATION_FACTOR, MEASURED, PHASE, SURFACE, Product
 from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, Surface
@@ -42,8 +42,8 @@ class Maker:
 
 
 MAKERS = (
-    Maker("reconstruct", (SURFACE, PHASE), lambda view: bool(view.projectors)),
-    Maker("stereo", (SURFACE,), lambda view: bool(view.other_cameras)),
+    Maker("reconstruct", (SURFACE, PHASE, CALIBRATION_FACTOR), lambda view: bool(view.projectors)),
+    Maker("stereo", (SURFACE, CALIBRATION_FACTOR), lambda view: bool(view.other_cameras)),
     Maker("plane", (SURFACE,), lambda view: not view.measures_shape, once=True),
 )
 
@@ -114,7 +114,7 @@ def textured_by(subject: Subject) -> Subject:
 def state_ports(surface: str, frames: str, *, several: bool = False) -> StatePorts:
     """Return the ports of a state, by their names."""
     return StatePorts(
-        surface_port(surface, (SURFACE, PHASE), several=several),
+        surface_port(surface, (SURFACE, PHASE, CALIBRATION_FACTOR), several=several),
         Port(frames, MEASUREMENT, (MEASURED,), several),
     )
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.records.quantity import array
+from sms_jobs.records.sensors import Sensor
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,37 @@ class CalibrationUncertainty:
         full = np.zeros((PER_SENSOR * len(names), PER_SENSOR * len(names)))
         full[np.ix_(taken, taken)] = self.covariance[np.ix_(given, given)]
         return full
+
+
+@dataclass(frozen=True)
+class CalibrationFactor:
+    """How well the sensors of a view are known, as `metrology.calibration.point_factor` takes it.
+
+    It stands beside what was measured with them. Columns of the root mean the same for all views of one
+    calibration, and none are there where it says nothing of itself.
+
+    Attributes
+    ----------
+    view
+        Whose points these sensors make.
+    calibration
+        SHA-256, in hexadecimal, of the sensors and the covariance of the calibration.
+    sensors
+        The reference camera first.
+    orientations_rad
+        Of the fringes; empty for cameras.
+    parameters
+        Names, in the order of the root: of those that each sensor has.
+    """
+
+    view: str
+    calibration: str
+    sensors: tuple[Sensor, ...]
+    orientations_rad: tuple[float, ...]
+    parameters: tuple[str, ...]
+    root: NDArray[np.float64] = array(
+        "1", "square root of the covariance of the parameters, in rad, mm and px", ("parameter", "cause")
+    )
 
 
 @dataclass(frozen=True)

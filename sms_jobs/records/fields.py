@@ -2,6 +2,9 @@
 
 Fields are component-first: a vector over an image is (3, rows, columns), a packed symmetric tensor
 (6, rows, columns) in the order of `SYMMETRIC`. Values are NaN where `reason` is not `Reason.VALID`.
+
+`sigma_calibration` is no part of the covariance or sigma beside it; None is not known, never none: where the
+calibration states no covariance, or where there is no calibration.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ VECTOR_IMAGE = ("component", *IMAGE)
 ORIENTED_IMAGE = ("orientation", *IMAGE)
 RETURNS_IMAGE = ("orientation", "return", *IMAGE)
 POINTS = ("point",)
+_FROM_CALIBRATION = "standard deviation from the calibration alone, whose errors all pixels share"
 
 
 @dataclass(frozen=True)
@@ -112,6 +116,7 @@ class Surface:
     )
     mm_per_px: float | None = None
     subset_radius_px: int = 0
+    sigma_calibration: Single | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
 
     @property
     def camera(self) -> str:
@@ -205,6 +210,7 @@ class DisplacementField:
         SYMMETRIC,
         default=None,
     )
+    sigma_calibration: Single | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
 
 
 StrainMeasure = Literal["green-lagrange", "small"]
@@ -227,6 +233,9 @@ class StrainField:
     principal: Double = array("1", "principal strains, larger first", VECTOR_IMAGE, ("first", "second"))
     von_mises: Double = array("1", "equivalent strain after von Mises")
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
+    sigma_calibration: Single | None = array(
+        "1", _FROM_CALIBRATION, VECTOR_IMAGE, ("xx", "yy", "xy"), default=None
+    )
 
 
 @dataclass(frozen=True)
@@ -246,11 +255,16 @@ class MergedField:
         UNIT, "rms distance between the displacements of the views", default=None
     )
     mm_per_px: float | None = None
+    sigma_calibration: Single | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
 
     @property
     def has_depth(self) -> bool:
         """Whether it lies in space, not in the plane of an image."""
         return len(self.position) == len(XYZ)
+
+
+SIGMA_CALIBRATION = "sigma of displacement from the calibration"
+"""Name of a value of meshes, of those whose calibration says how well it is known."""
 
 
 @dataclass(frozen=True)

@@ -35,3 +35,9 @@ class GaugeReadings:
         ("column", "row"),
         default=None,
     )
+    sigma_calibration: NDArray[np.float32] | None = array(
+        "1",
+        "standard deviation from the calibration alone, which is no part of sigma",
+        _GAUGES,
+        default=None,
+    )

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.kinds.calibration_factors import (
+    DEFORMED,
+    REFERENCE,
+    displacement_sigma,
+    median_part,
+    states_from,
+)
 from sms_jobs.kinds.deformation.correlate_parameters import (
     CorrelateParameters,
     match_settings,
@@ -39,7 +47,7 @@ from sms_jobs.kinds.kind import (
     tested_states,
 )
 from sms_jobs.kinds.point_matches import match_statistics, matches_record, summary
-from sms_jobs.kinds.products import DISPLACEMENT, MATCHES, REGIONS
+from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MATCHES, REGIONS, Product
 from sms_jobs.kinds.surface_ports import state_ports
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation import correlation
@@ -119,12 +127,36 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         field = field_in_space(image, before, after, reference, parameters, threads)
     else:
         field = field_in_plane(image, matches, before, reference, parameters)
+    field, factors = _with_calibration(inputs, field, before)
     progress(1.0, "looked up the displacement")
     yield DatasetOutput(
         inputs.subject,
-        {DISPLACEMENT: field, MATCHES: matches, REGIONS: _regions_record(before.regions, whole.regions)},
+        {
+            DISPLACEMENT: field,
+            MATCHES: matches,
+            REGIONS: _regions_record(before.regions, whole.regions),
+            **factors,
+        },
         _statistics(field, matches, before) | {"regions_split": float(len(apart.pieces) if apart else 0)},
     )
+
+
+def _with_calibration(
+    inputs: Inputs, field: DisplacementField, before: TexturedState
+) -> tuple[DisplacementField, dict[Product[Any], object]]:
+    """Return the displacement with the calibration's part of sigma, and what makes it in both states.
+
+    Unchanged where that is not known of both.
+    """
+    ports = {REFERENCE: _REFERENCE.surface.port, DEFORMED: _DEFORMED.surface.port}
+    if not all(inputs.has(port, CALIBRATION_FACTOR) for port in ports.values()):
+        return field, {}
+    factors = {key: inputs.read(port, CALIBRATION_FACTOR) for key, port in ports.items()}
+    states = states_from(factors[REFERENCE], factors[DEFORMED])
+    sigma = displacement_sigma(states, before.surface, field)
+    return replace(field, sigma_calibration=sigma), {
+        CALIBRATION_FACTOR.of(key): factor for key, factor in factors.items()
+    }
 
 
 def _come_apart(
@@ -238,6 +270,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
             f"median_sigma_{field.unit}": float(np.median(sigma)),
             f"median_displacement_{field.unit}": float(np.median(length)),
             f"maximum_displacement_{field.unit}": float(length.max()),
+            **median_part(field.sigma_calibration, field.unit),
         }
     return statistics
 
@@ -249,7 +282,7 @@ KIND = Kind(
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(CALIBRATION_OF_SHAPE, *_REFERENCE.all, *_DEFORMED.all, *_BEFORE.all, _MATCHED_BEFORE),
-    outputs=(DISPLACEMENT, MATCHES, REGIONS),
+    outputs=(DISPLACEMENT, MATCHES, REGIONS, CALIBRATION_FACTOR),
     needs=_needs,
     run=run,
     subjects=deformed_views,

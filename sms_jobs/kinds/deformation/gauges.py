@@ -11,6 +11,7 @@ from pydantic import Field, field_validator
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.gauge_descriptions import described_gauge, gauge_from
+from sms_jobs.kinds.calibration_factors import States, gauge_sigma, states_of
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     Inputs,
@@ -23,7 +24,7 @@ from sms_jobs.kinds.kind import (
     Scope,
     deformed_views,
 )
-from sms_jobs.kinds.products import DISPLACEMENT, GAUGES, REGIONS, SURFACE
+from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, GAUGES, REGIONS, SURFACE
 from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, surface_port
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.gauges import GaugePlace, GaugeValue, read_gauge
@@ -74,7 +75,7 @@ class GaugesParameters(Parameters):
         return gauges
 
 
-_MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS))
+_MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS, CALIBRATION_FACTOR))
 _REFERENCE = surface_port("reference")
 
 
@@ -94,7 +95,8 @@ def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Ite
     moved = inputs.read(_MOVED, DISPLACEMENT)
     regions = inputs.read(_MOVED, REGIONS)
     surface = inputs.read(_REFERENCE.port, SURFACE)
-    readings = read_gauges(moved, regions, surface, inputs.context, parameters, progress)
+    states = states_of(inputs, _MOVED)
+    readings = read_gauges(moved, regions, surface, states, inputs.context, parameters, progress)
     finite = np.isfinite(readings.strain)
     statistics = {"gauges": float(len(readings.names)), "gauges_read": float(finite.sum())}
     if finite.any():
@@ -106,12 +108,14 @@ def read_gauges(
     moved: DisplacementField,
     regions: Regions,
     surface: Surface,
+    states: States | None,
     frame: Pose,
     parameters: GaugesParameters,
     progress: Progress,
 ) -> GaugeReadings:
     """Return what gauges read; `frame` brings theirs into that of the surface.
 
+    `states` is how well the view is known at the reference state and at this one, None where nobody says.
     Raises `InvalidInput` where a place says nothing on the surface.
     """
     places = [_place_on(surface, text) for text in parameters.gauge]
@@ -121,8 +125,9 @@ def read_gauges(
     turn = frame.matrix().T
     position = np.einsum("ij,jrc->irc", turn, position - np.array(frame.translation)[:, None, None])
     displacement = np.einsum("ij,jrc->irc", turn, in_space(moved.displacement))
+    green = parameters.measure == "green-lagrange"
     own, at_rest = covariance_in_space(moved.covariance), independent_covariance(surface)
-    found = []
+    found, parts = [], []
     for number, place in enumerate(places, start=1):
         covariance = independent_equivalent(
             own,
@@ -139,11 +144,16 @@ def read_gauges(
                 displacement,
                 turn_covariance(turn, covariance),
                 labels,
-                green_lagrange=parameters.measure == "green-lagrange",
+                green_lagrange=green,
             )
         )
+        if states is not None:
+            parts.append(
+                gauge_sigma(states, surface, moved, found[-1], frame, place.angle_rad, green_lagrange=green)
+            )
         progress(number / len(places), f"read {number} of {len(places)} gauges")
-    return _readings(found, surface, parameters)
+    part = np.array(parts, dtype=np.float32) if parts else None
+    return replace(_readings(found, surface, parameters), sigma_calibration=part)
 
 
 def _place_on(surface: Surface, text: str) -> GaugePlace:
@@ -187,7 +197,7 @@ def _readings(found: list[GaugeValue], surface: Surface, parameters: GaugesParam
 KIND = Kind(
     name="gauges",
     summary="strain that virtual gauges at given places read, from stored displacement",
-    version=3,
+    version=4,
     scope=Scope.TUPLE,
     parameters=GaugesParameters,
     inputs=(_MOVED, *_REFERENCE.all),

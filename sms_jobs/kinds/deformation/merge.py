@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from sms_jobs.kinds.calibration_factors import median_part, merged_sigma, states_of
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     Inputs,
@@ -22,7 +23,16 @@ from sms_jobs.kinds.kind import (
     Scope,
     every_deformed_state,
 )
-from sms_jobs.kinds.products import DISPLACEMENT, MERGED, MESH, REGIONS, STRAIN, SURFACE, Product
+from sms_jobs.kinds.products import (
+    CALIBRATION_FACTOR,
+    DISPLACEMENT,
+    MERGED,
+    MESH,
+    REGIONS,
+    STRAIN,
+    SURFACE,
+    Product,
+)
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.merging import (
@@ -31,12 +41,13 @@ from sms_jobs.metrology.deformation.merging import (
     correlation_of_pairs,
     join_meshes,
     merge_by_variance,
+    weights_of_pairs,
 )
 from sms_jobs.metrology.deformation.strain import principal_and_equivalent
 from sms_jobs.metrology.geometry.planes import covariance_in_plane, covariance_in_space, in_space
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.fields import MergedField, Mesh
+from sms_jobs.records.fields import SIGMA_CALIBRATION, DisplacementField, MergedField, Mesh, Surface
 from sms_jobs.records.quantity import SYMMETRIC, XYZ
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.subject import Subject
@@ -60,7 +71,7 @@ class MergeParameters(Parameters):
     )
 
 
-_MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS), several=True)
+_MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS, CALIBRATION_FACTOR), several=True)
 _STRAINED = Port("strain", "strain", (STRAIN,), several=True)
 _REFERENCE = surface_port("reference", several=True)
 
@@ -126,15 +137,24 @@ def _of_camera(inputs: Inputs, camera: str, views: tuple[str, ...], parameters: 
 
 
 def _joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Join the surfaces of cameras in one frame; of what two see, the first keeps its triangles."""
+    """Join the surfaces of cameras in one frame; of what two see, the first keeps its triangles.
+
+    Values that one of them has not got are left out.
+    """
     vertices, faces, source, vertex = join_meshes([(mesh.vertices, mesh.faces) for mesh in meshes])
     each = [vertex[source == number] for number in range(len(meshes))]
     together = list(zip(meshes, each, strict=True))
+    first = meshes[0]
+    names = [name for name in first.value_names if all(name in mesh.value_names for mesh in meshes)]
     return replace(
-        meshes[0],
+        first,
+        value_names=tuple(names),
+        value_units=tuple(first.value_units[first.value_names.index(name)] for name in names),
         vertices=vertices,
         faces=faces,
-        values=np.concatenate([mesh.values[:, kept] for mesh, kept in together], axis=1),
+        values=np.stack(
+            [np.concatenate([mesh.value(name)[kept] for mesh, kept in together]) for name in names]
+        ),
         cameras=tuple(name for mesh in meshes for name in mesh.cameras),
         camera=source.astype(np.uint8),
         pixel=np.concatenate(
@@ -183,8 +203,22 @@ def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple
         reason,
         displacement.discrepancy.astype(np.float32),
         surfaces[0].mm_per_px,
+        _calibrations_part(inputs, views, surfaces, moved),
     )
     return field, np.logical_or.reduce([s.reason == Reason.VALID for s in surfaces])
+
+
+def _calibrations_part(
+    inputs: Inputs, views: Sequence[str], surfaces: Sequence[Surface], moved: Sequence[DisplacementField]
+) -> NDArray[np.float32] | None:
+    """Return the calibration's part of the merged displacement's sigma; None where a view has none."""
+    known = [states_of(inputs, _MOVED, own) for own in _of(inputs, views)]
+    states = [one for one in known if one is not None]
+    if len(states) < len(views):
+        return None
+    weights = weights_of_pairs([d.displacement for d in moved], [d.covariance for d in moved])
+    valid = np.isfinite(weights[0])
+    return merged_sigma(list(zip(states, surfaces, moved, strict=True)), list(weights), valid)
 
 
 def _merged_strain(inputs: Inputs, views: tuple[str, ...]) -> Merged:
@@ -217,12 +251,21 @@ def _values(field: MergedField, strain: Merged) -> list[tuple[str, str, Floats]]
         ),
         ("displacement", field.unit, np.linalg.norm(field.displacement, axis=0)),
         ("sigma of displacement", field.unit, sigma),
+        *_known_parts(field),
         *((f"strain {name}", "1", value) for name, value, _ in components),
         *((f"sigma of strain {name}", "1", value) for name, _, value in components),
         ("principal first", "1", principal[0]),
         ("principal second", "1", principal[1]),
         ("von_mises", "1", von_mises),
     ]
+
+
+def _known_parts(field: MergedField) -> list[tuple[str, str, Floats]]:
+    """Return the calibration's part of the displacement's sigma, where it is known."""
+    if field.sigma_calibration is None:
+        return []
+    length = np.sqrt(np.sum(np.square(field.sigma_calibration, dtype=np.float64), axis=0))
+    return [(SIGMA_CALIBRATION, field.unit, length)]
 
 
 def _statistics(seen: Sequence[_Seen], meshes: Sequence[Mesh]) -> dict[str, float]:
@@ -234,6 +277,8 @@ def _statistics(seen: Sequence[_Seen], meshes: Sequence[Mesh]) -> dict[str, floa
     for one in seen:
         found = fractions(one.field.reason == Reason.VALID, one.measurable)
         statistics |= {f"{name}_{one.field.camera}": value for name, value in found.items()}
+        part = median_part(one.field.sigma_calibration, one.field.unit)
+        statistics |= {f"{name}_{one.field.camera}": value for name, value in part.items()}
         if np.isfinite(one.field.discrepancy_rms):
             statistics[f"discrepancy_rms_{one.field.unit}_{one.field.camera}"] = one.field.discrepancy_rms
     for unit in dict.fromkeys(mesh.unit for mesh in meshes):
@@ -248,7 +293,7 @@ def _statistics(seen: Sequence[_Seen], meshes: Sequence[Mesh]) -> dict[str, floa
 KIND = Kind(
     name="merge",
     summary="views of a camera merged by inverse variance, and all cameras joined into one surface",
-    version=5,
+    version=6,
     scope=Scope.STATE,
     parameters=MergeParameters,
     inputs=(_MOVED, _STRAINED, *_REFERENCE.all),

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.calibration_factors import states_of, strain_sigma
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     Inputs,
@@ -22,7 +23,7 @@ from sms_jobs.kinds.kind import (
     deformed_tuples,
     deformed_views,
 )
-from sms_jobs.kinds.products import DISPLACEMENT, REGIONS, STRAIN, SURFACE
+from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, REGIONS, STRAIN, SURFACE
 from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, surface_port
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
@@ -66,7 +67,7 @@ class StrainParameters(Parameters):
     )
 
 
-_MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS))
+_MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS, CALIBRATION_FACTOR))
 _REFERENCE = surface_port("reference")
 
 
@@ -145,6 +146,20 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
         found.von_mises,
         reason,
     )
+    states = states_of(inputs, _MOVED)
+    if states is not None:
+        sigma = strain_sigma(
+            states,
+            surface,
+            moved,
+            regions.labels,
+            gauge_length,
+            0.5 * gauge_length / pitch,
+            inputs.context,
+            green_lagrange=parameters.measure == "green-lagrange",
+        )
+        sigma[:, reason != Reason.VALID] = np.nan
+        field = replace(field, sigma_calibration=sigma)
     progress(1.0, "fitted the strain")
     yield DatasetOutput(inputs.subject, {STRAIN: field}, _statistics(field, surface))
 
@@ -160,13 +175,16 @@ def _statistics(field: StrainField, surface: Surface) -> dict[str, float]:
             "median_von_mises_strain": float(np.median(field.von_mises[valid])),
             "median_sigma_strain": float(np.median(field.sigma[:, valid])),
         }
+        if field.sigma_calibration is not None:
+            part = field.sigma_calibration[:, valid]
+            statistics["median_sigma_calibration_strain"] = float(np.nanmedian(part))
     return statistics
 
 
 KIND = Kind(
     name="strain",
     summary="strain in the tangent plane, with principal and equivalent strain, over a stated gauge length",
-    version=5,
+    version=6,
     scope=Scope.TUPLE,
     parameters=StrainParameters,
     inputs=(_MOVED, *_REFERENCE.all),

@@ -20,6 +20,7 @@ projector is chosen slab by slab; what stays ambiguous is marked, see `metrology
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.calibration_factors import calibration_factor, median_part, position_sigma
 from sms_jobs.kinds.kind import (
     CALIBRATION,
     MEASUREMENT,
@@ -40,7 +42,16 @@ from sms_jobs.kinds.kind import (
     Scope,
     fringe_tuples,
 )
-from sms_jobs.kinds.products import CALIBRATED, MEASURED, PHASE, RETURNS, SURFACE, UNCERTAINTY, Product
+from sms_jobs.kinds.products import (
+    CALIBRATED,
+    CALIBRATION_FACTOR,
+    MEASURED,
+    PHASE,
+    RETURNS,
+    SURFACE,
+    UNCERTAINTY,
+    Product,
+)
 from sms_jobs.kinds.shape.direction_check import check_directions
 from sms_jobs.kinds.shape.fringe_response import SampledResponse
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, PhaseTask, mark
@@ -131,9 +142,14 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     points = pair.meet(phase.omega, phase.omega_sigma)
     _mark_points(points, geometry, parameters, reason)
     surface = _as_surface(str(inputs.view), points, reason)
-    progress(1.0, "triangulated")
     statistics = _statistics(points, phase, reason, blur)
     records: dict[Product[Any], object] = {SURFACE: surface, PHASE: phase}
+    factor = calibration_factor(inputs, _CALIBRATION, calibration, measurement.sequence.orientations_rad)
+    if factor is not None:
+        surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
+        records |= {SURFACE: surface, CALIBRATION_FACTOR: factor}
+        statistics |= median_part(surface.sigma_calibration, "mm")
+    progress(1.0, "triangulated")
     if found.returns is not None:
         records[RETURNS] = found.returns
         statistics |= _pair_statistics(reason, found.returns)
@@ -249,7 +265,7 @@ KIND = Kind(
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     inputs=(_FRAMES, _CALIBRATION),
-    outputs=(SURFACE, PHASE, RETURNS),
+    outputs=(SURFACE, PHASE, RETURNS, CALIBRATION_FACTOR),
     needs=_needs,
     run=run,
     subjects=fringe_tuples,

@@ -13,6 +13,7 @@ cylinder of 300 mm seen from 600 mm at 20 degrees that is 0.012 px, against 0.00
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -21,6 +22,7 @@ from pydantic import Field
 from scipy import ndimage
 
 from sms_jobs.errors import InvalidInput, MeasurementFailed
+from sms_jobs.kinds.calibration_factors import calibration_factor, median_part, position_sigma
 from sms_jobs.kinds.kind import (
     CALIBRATION,
     MEASUREMENT,
@@ -36,7 +38,15 @@ from sms_jobs.kinds.kind import (
     camera_tuples,
 )
 from sms_jobs.kinds.point_matches import match_statistics, matches_record, summary, trusted_points
-from sms_jobs.kinds.products import CALIBRATED, MATCHES, MEASURED, SURFACE, Product
+from sms_jobs.kinds.products import (
+    CALIBRATED,
+    CALIBRATION_FACTOR,
+    MATCHES,
+    MEASURED,
+    SURFACE,
+    UNCERTAINTY,
+    Product,
+)
 from sms_jobs.kinds.shape.textures import white_texture
 from sms_jobs.kinds.valid_parts import fractions, losses
 from sms_jobs.metrology.deformation.camera_matching import (
@@ -130,7 +140,7 @@ class StereoParameters(Parameters):
 
 
 _FRAMES = Port("measurement", MEASUREMENT, (MEASURED,), several=True)
-_CALIBRATION = Port("calibration", CALIBRATION, (CALIBRATED,))
+_CALIBRATION = Port("calibration", CALIBRATION, (CALIBRATED, UNCERTAINTY))
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: StereoParameters) -> Iterable[Need]:
@@ -155,13 +165,19 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
     epipolar = _refuse_far_from_rays(inputs, seen, found, parameters)
     field = _points(reference, partners, labels, found, parameters, inputs.threads)
     surface = _surface(inputs, calibration, field, labels, found, parameters, epipolar)
-    progress(1.0, "met the rays")
     kept = {
         name: matches_record(one, labels) for name, one in zip(inputs.view.other_cameras, found, strict=True)
     }
     records: dict[Product[Any], object] = {SURFACE: surface}
     records |= {MATCHES.of(name): matches for name, matches in kept.items()}
-    yield DatasetOutput(inputs.subject, records, _statistics(surface, labels, kept, epipolar))
+    statistics = _statistics(surface, labels, kept, epipolar)
+    factor = calibration_factor(inputs, _CALIBRATION, calibration)
+    if factor is not None:
+        surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
+        records |= {SURFACE: surface, CALIBRATION_FACTOR: factor}
+        statistics |= median_part(surface.sigma_calibration, "mm")
+    progress(1.0, "met the rays")
+    yield DatasetOutput(inputs.subject, records, statistics)
 
 
 def _seen(
@@ -418,11 +434,11 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=5,
+    version=6,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),
-    outputs=(SURFACE, MATCHES),
+    outputs=(SURFACE, MATCHES, CALIBRATION_FACTOR),
     needs=_needs,
     run=run,
     subjects=camera_tuples,

@@ -1,15 +1,15 @@
-"""By how much measured points, and what is made of them, lie elsewhere because sensors are known only so well.
+"""By how much points, and what is made of them, lie elsewhere because sensors are known only so well.
 
 An error of the calibration moves all points together. It is therefore kept as a factor: for a point the
-derivatives by the parameters times a square root of their covariance, 3 x r, whose r columns mean the same for
-every point of every view. Whatever is linear in points, such as a difference or a mean, has that of the factors
-for its own, and the sum of its squares for its variance: what is common cancels, or stays, as it does in truth.
+derivatives by the parameters times a square root of their covariance, 3 x r, whose r columns mean the same
+for every point of every view. Whatever is linear in points, such as a difference or a mean, has that of the
+factors for its own, and the sum of its squares for its variance: what is common cancels, or stays, as it does
+in truth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -35,6 +35,8 @@ class KnownView:
     ----------
     sensors
         The reference camera and its partners.
+    calibration
+        What names their calibration: columns of the roots of one mean the same.
     root
         (parameters, r), a square root of the covariance of the sensors' parameters, in rad, mm and px.
     orientations_rad
@@ -42,6 +44,7 @@ class KnownView:
     """
 
     sensors: tuple[Camera, ...]
+    calibration: str
     root: Floats
     orientations_rad: tuple[float, ...] = ()
 
@@ -63,16 +66,15 @@ def square_root(covariance: Floats) -> Floats:
     return root
 
 
-def economical(roots: Sequence[Floats]) -> list[Floats]:
-    """Return roots (p, r) of several views with no more columns than all of them have rows.
+def economical(view: KnownView) -> KnownView:
+    """Return a view with no more columns than it has parameters, which mean something for its points alone.
 
-    By the singular values of all rows together; what the columns mean has changed, for all alike.
+    By the singular values of its root; the same for all states of one calibration.
     """
-    rows = np.concatenate(roots)
-    if rows.shape[1] <= len(rows):
-        return list(roots)
-    left, sizes, _ = np.linalg.svd(rows, full_matrices=False)
-    return np.split(left * sizes, np.cumsum([len(root) for root in roots])[:-1])
+    if view.root.shape[1] <= len(view.root):
+        return view
+    left, sizes, _ = np.linalg.svd(view.root, full_matrices=False)
+    return replace(view, root=left * sizes)
 
 
 def point_factor(view: KnownView, points: Floats) -> Floats:
@@ -91,11 +93,11 @@ def point_factor(view: KnownView, points: Floats) -> Floats:
 
     Notes
     -----
-    The pixels are held, of the reference camera and of its partners. With fringes of two orientations the point
-    is where two rays are closest (thesis Fig. 12), with those of one where the camera's ray meets a surface of
-    constant phase, and of several cameras on the reference camera's ray where it fits all images best, with
-    matches that are equally good along x and y and in all images: error propagation by the implicit function
-    theorem.
+    The pixels are held, of the reference camera and of its partners. With fringes of two orientations the
+    point is where two rays are closest (thesis Fig. 12), with those of one where the camera's ray meets a
+    surface of constant phase, and of several cameras on the reference camera's ray where it fits all images
+    best, with matches that are equally good along x and y and in all images: error propagation by the
+    implicit function theorem.
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     if len(view.orientations_rad) > 1:
@@ -107,8 +109,8 @@ def point_factor(view: KnownView, points: Floats) -> Floats:
 def _on_the_ray(view: KnownView, points: Floats) -> Floats:
     """Return d(point)/d(parameters), (n, 3, p), of points whose depth alone is found in other images.
 
-    Unknown are the depth z and, of cameras, by how much the reference camera's noise has moved the matches of all
-    partners, in px, with as much weight as what a partner sees: see `geometry.several_cameras.meet_rays`.
+    Unknown are the depth z and, of cameras, by how much the reference camera's noise has moved the matches of
+    all partners, in px, with as much weight as what a partner sees: see `geometry.several_cameras.meet_rays`.
     """
     reference, *partners = view.sensors
     own = reference.intrinsics, reference.pose
@@ -162,14 +164,9 @@ def motion_factor(before: KnownView, after: KnownView, points: Floats, displacem
     between; those of two calibrations count as independent, and each has columns of its own.
     """
     ends = point_factor(after, points + displacement), point_factor(before, points)
-    if same_calibration(before, after):
+    if before.calibration == after.calibration:
         return ends[0] - ends[1]
     return np.concatenate([ends[0], -ends[1]], axis=2)
-
-
-def same_calibration(one: KnownView, other: KnownView) -> bool:
-    """Say whether the columns of two roots mean the same."""
-    return one.sensors == other.sensors and np.array_equal(one.root, other.root)
 
 
 def sigma_of(factor: Floats) -> Floats:

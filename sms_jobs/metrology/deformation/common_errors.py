@@ -75,8 +75,8 @@ def tangents(
 
     Notes
     -----
-    The plane of the points' principal axes, and least-squares slopes of the displacement, of at most 81 pixels.
-    Which side is outside is left open, and so is the sign of e_y.
+    The plane of the points' principal axes, and least-squares slopes of the displacement, of at most 81
+    pixels. Which side is outside is left open, and so is the sign of e_y.
     """
     rows, columns = pixels
     offsets = np.unique(np.round(np.linspace(-reach_px, reach_px, _SIDE)).astype(np.int64))
@@ -113,10 +113,16 @@ def tangents(
 
 
 def directional(factor: Factor, at: Floats, along: Floats, step: float) -> Floats:
-    """Return the change of a factor along vectors (n, 2, 3) at points (n, 3), (n, 2, 3, r), by differences."""
+    """Return the change of a factor along vectors (n, 2, 3) at points (n, 3), (n, 2, 3, r)."""
     ends = [factor((at[:, None] + sign * step * along).reshape(-1, 3)) for sign in (1.0, -1.0)]
     change = (ends[0] - ends[1]) / (2.0 * step)
     return np.asarray(change.reshape(*along.shape, -1))
+
+
+def mean_slopes(factors: Floats, points: Floats, axes: Floats) -> Floats:
+    """Return the least-squares slopes (2, 3, r) along axes (2, 3) of factors (n, 3, r) of points (n, 3)."""
+    away = (points - points.mean(axis=0)) @ axes.T
+    return np.asarray(np.tensordot(np.linalg.pinv(away), factors, axes=1))
 
 
 def strain_factor(
@@ -143,12 +149,13 @@ def strain_factor(
 
     Notes
     -----
-    What lies along e_a is measured along e_a + G_a, and has become f_a + g_a. The measured axes are e_a + de_a:
-    they follow the surface's normal n, and turn about it by s = (x n) (n G_y) / |x - (x n) n|, since the axis x
-    stays. With H_ba = e_b G_a + de_b e_a, Green-Lagrange strain changes by
-    (f_a g_b + g_a f_b - (H^T C + C H)_ab) / 2 where C_ab = f_a f_b, and small strain by the symmetric part of
-    e_a (g_b - G_b) - e_a d,c H_cb + de_a d,b. Error propagation, to first order: a rigid motion of both states
-    changes Green-Lagrange strain by no more than the turn of its axes.
+    What lies along e_a is measured along e_a + G_a, and has become f_a + g_a. The measured axes are
+    e_a + de_a: they follow the surface's normal n, and turn about it by
+    s = (x n) (n G_y) / |x - (x n) n|, since the axis x stays. With H_ba = e_b G_a + de_b e_a,
+    Green-Lagrange strain changes by (f_a g_b + g_a f_b - (H^T C + C H)_ab) / 2 where C_ab = f_a f_b, and
+    small strain by the symmetric part of e_a (g_b - G_b) - e_a d,c H_cb + de_a d,b. Error propagation, to
+    first order: a rigid motion of both states changes Green-Lagrange strain by no more than the turn of its
+    axes.
     """
     axis = np.asarray(x_axis, dtype=np.float64)
     normal = np.cross(axes[:, 0], axes[:, 1])

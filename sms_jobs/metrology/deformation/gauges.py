@@ -41,15 +41,24 @@ class GaugeValue:
     """What a virtual gauge reads: strain along its direction, standard deviation, pixels under its grid.
 
     NaN where fewer than twelve pixels are there.
+
+    Attributes
+    ----------
+    under
+        (rows, columns), which those pixels are.
+    axes
+        (2, 3), unit vectors along and across the grid.
+    slopes
+        (2, 3), of the displacement along them.
     """
 
     strain: float
     sigma: float
     pixels: int
     middle: Floats
-
-
-_MISSING = GaugeValue(float("nan"), float("nan"), 0, np.full(3, np.nan))
+    under: NDArray[np.bool_]
+    axes: Floats
+    slopes: Floats
 
 
 def read_gauge(
@@ -89,31 +98,46 @@ def read_gauge(
     nearest = np.unravel_index(np.argmin(flat), flat.shape)
     half = 0.5 * np.hypot(place.length, place.width)
     if not flat[nearest] <= 0.25 * min(place.length, place.width) + half / _LEAST_PIXELS:
-        return _MISSING
+        return _missing(valid)
     middle = xyz[:, nearest[0], nearest[1]]
     near = valid & (labels == labels[nearest])
     near &= np.sum((xyz - middle[:, None, None]) ** 2, axis=0) <= half**2
     points = xyz[:, near] - middle[:, None]
     if points.shape[1] < _LEAST_PIXELS:
-        return _MISSING
+        return _missing(valid)
     along, across = _grid_axes(points, place.angle_rad)
     s, t = along @ points, across @ points
     under = (np.abs(s) <= 0.5 * place.length) & (np.abs(t) <= 0.5 * place.width)
     if np.count_nonzero(under) < _LEAST_PIXELS:
-        return _MISSING
+        return _missing(valid)
     s, t = s[under] - s[under].mean(), t[under] - t[under].mean()
     normal = np.array([[s @ s, s @ t], [s @ t, t @ t]])
     if not np.linalg.det(normal) > 1e-6 * normal[0, 0] * normal[1, 1]:
-        return _MISSING
+        return _missing(valid)
     inverse = np.linalg.inv(normal)
-    shares = inverse[0, 0] * s + inverse[0, 1] * t
-    slope = displacement[:, near][:, under] @ shares
+    slopes = inverse @ np.stack([s, t]) @ displacement[:, near][:, under].T
+    slope = slopes[0]
     strain = float(along @ slope) + (0.5 * float(slope @ slope) if green_lagrange else 0.0)
     direction = along + (slope if green_lagrange else 0.0)
     mean: Floats = np.mean(covariance[:, near][:, under], axis=1, dtype=np.float64)
     spread = unpack(mean)
     variance = float(inverse[0, 0] * (direction @ spread @ direction))
-    return GaugeValue(strain, float(np.sqrt(variance)), int(np.count_nonzero(under)), middle.copy())
+    near[near] = under
+    return GaugeValue(
+        strain,
+        float(np.sqrt(variance)),
+        int(np.count_nonzero(under)),
+        middle.copy(),
+        near,
+        np.stack([along, across]),
+        slopes,
+    )
+
+
+def _missing(valid: NDArray[np.bool_]) -> GaugeValue:
+    nothing = float("nan")
+    nowhere = np.full((2, 3), nothing)
+    return GaugeValue(nothing, nothing, 0, nowhere[0], np.zeros_like(valid), nowhere, nowhere)
 
 
 def _grid_axes(points: Floats, angle_rad: float) -> tuple[Floats, Floats]:

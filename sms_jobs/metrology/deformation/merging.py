@@ -49,6 +49,20 @@ def _variance(value: NDArray[np.floating], covariance: NDArray[np.floating]) -> 
     return np.where(np.isfinite(value).all(axis=0), np.maximum(variance, _LEAST_VARIANCE), np.nan)
 
 
+def _weights(variances: Sequence[Floats]) -> Floats:
+    """Return inverse variances (pairs, rows, columns) over their sum; NaN where no pair has a value."""
+    weights = np.array([np.where(np.isfinite(v), 1.0 / v, 0.0) for v in variances])
+    total = weights.sum(axis=0)
+    return np.asarray(weights / np.where(total > 0.0, total, np.nan))
+
+
+def weights_of_pairs(
+    values: Sequence[NDArray[np.floating]], covariances: Sequence[NDArray[np.floating]]
+) -> Floats:
+    """Return the weights (pairs, rows, columns) of `merge_by_variance`; NaN where no pair has a value."""
+    return _weights([_variance(v, c) for v, c in zip(values, covariances, strict=True)])
+
+
 def correlation_of_pairs(
     values: Sequence[NDArray[np.floating]], covariances: Sequence[NDArray[np.floating]]
 ) -> Floats:
@@ -114,9 +128,7 @@ def merge_by_variance(
     """
     shape = values[0].shape[1:]
     variances = [_variance(v, c) for v, c in zip(values, covariances, strict=True)]
-    weights = np.array([np.where(np.isfinite(v), 1.0 / v, 0.0) for v in variances])
-    total = weights.sum(axis=0)
-    weights /= np.where(total > 0.0, total, np.nan)
+    weights = _weights(variances)
     used = weights > 0.0
     mean = np.zeros((3, *shape))
     spread = np.zeros((6, *shape))

@@ -56,10 +56,11 @@ def sample_blocks(valid: NDArray[np.bool_], most: int = MOST_BLOCKS) -> Samples:
 
 
 def spread(samples: Samples, values: Floats) -> NDArray[np.float32]:
-    """Return a map (components, rows, columns) of values (components, n) >= 0 at samples; NaN where not valid.
+    """Return a map (components, rows, columns) of values (components, n) at samples; NaN where not valid.
 
-    Linear between the middles of the blocks; what a block has not got is that of the nearest that has. Values are
-    kept to one part in a thousand, which makes smooth maps small in files. NaN everywhere where all are NaN.
+    Values are positive. Linear between the middles of the blocks; what a block has not got is that of the
+    nearest that has. Kept is one part in a thousand, which makes smooth maps small in files. NaN everywhere
+    where all are NaN.
     """
     side, shape = samples.block_px, samples.valid.shape
     blocks = -(-shape[0] // side), -(-shape[1] // side)
@@ -69,9 +70,7 @@ def spread(samples: Samples, values: Floats) -> NDArray[np.float32]:
         return found
     coarse = np.full((len(values), *blocks), np.nan)
     coarse[:, samples.rows[known] // side, samples.columns[known] // side] = values[:, known]
-    nearest = ndimage.distance_transform_edt(
-        np.isnan(coarse[0]), return_distances=False, return_indices=True
-    )
+    nearest = ndimage.distance_transform_edt(np.isnan(coarse[0]), return_distances=False, return_indices=True)
     coarse = coarse[:, nearest[0], nearest[1]]
     down, along = (_weights(size, count, side) for size, count in zip(shape, blocks, strict=True))
     for k, each in enumerate(coarse):
