@@ -18,7 +18,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.other_fields import PointField, draw_difference, read_point_field
 from sms_jobs.kinds.products import MESH
 from sms_jobs.metrology.geometry.planes import in_space
-from sms_jobs.records.fields import Mesh
+from sms_jobs.records.fields import SIGMA_CALIBRATION, Mesh
 from sms_jobs.records.people import Right
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -64,6 +64,9 @@ class Difference:
         nothing near.
     sigma
         (n,), stated of the measured displacement, in mm.
+    sigma_calibration
+        (n,), what the calibration of the measured displacement adds to it, in mm; None where that is not
+        known. Another measurement with the same calibration has much of it in common, which cancels.
     alignment_rms_mm
         Distance left between the shapes; None where they were not laid on each other.
     """
@@ -71,6 +74,7 @@ class Difference:
     points: Floats
     difference: Floats
     sigma: Floats
+    sigma_calibration: Floats | None
     alignment_rms_mm: float | None
 
     @property
@@ -88,6 +92,9 @@ class Difference:
             "largest_mm": float(length.max()),
             "stated_sigma_mm": float(np.sqrt(np.mean(self.sigma[self.known] ** 2))),
         }
+        if self.sigma_calibration is not None:
+            part = self.sigma_calibration[self.known]
+            facts["stated_sigma_calibration_mm"] = float(np.sqrt(np.mean(part**2)))
         if self.alignment_rms_mm is not None:
             facts["alignment_rms_mm"] = self.alignment_rms_mm
         for axis, values in zip(_AXES, self.difference[self.known].T, strict=False):
@@ -131,9 +138,10 @@ def difference_of(services: Services, file: str, other: str, how: How) -> Differ
     from sms_jobs.metrology.deformation.comparison import free_of_motion, laid_on, values_at
     from sms_jobs.metrology.geometry.transforms import transform
 
-    mine, sigma, axes = _merged(services, file)
+    measured = _merged(services, file)
+    mine, axes = measured.field, measured.axes
     if other.isdigit():
-        theirs = _merged(services, other)[0]
+        theirs = _merged(services, other).field
     else:
         theirs = read_point_field(Path(other), how.field, how.scale_mm)
     residual: float | None = None
@@ -141,7 +149,9 @@ def difference_of(services: Services, file: str, other: str, how: How) -> Differ
         pose, residual = laid_on(theirs.points, mine.points)
         theirs = PointField(transform(pose, theirs.points), theirs.values @ pose.matrix().T)
     difference = mine.values - values_at(theirs.points, theirs.values, mine.points, how.within_mm)
-    found = Difference(mine.points, difference[:, :axes], sigma, residual)
+    found = Difference(
+        mine.points, difference[:, :axes], measured.sigma, measured.sigma_calibration, residual
+    )
     met = np.count_nonzero(found.known)
     if met < 3:
         raise InvalidInput(
@@ -154,8 +164,18 @@ def difference_of(services: Services, file: str, other: str, how: How) -> Differ
     return found
 
 
-def _merged(services: Services, key: str) -> tuple[PointField, Floats, int]:
-    """Return the displacement of a merged result at its vertices, its standard deviation, and its axes."""
+@dataclass(frozen=True)
+class _Measured:
+    """The displacement of a merged result at its vertices, its standard deviations, and number of axes."""
+
+    field: PointField
+    sigma: Floats
+    sigma_calibration: Floats | None
+    axes: int
+
+
+def _merged(services: Services, key: str) -> _Measured:
+    """Read a merged or combined result."""
     with services.catalogue.reading() as session:
         view = search.file_view(session, key)
     if view.source not in ("merge", "combine"):
@@ -172,4 +192,6 @@ def _merged(services: Services, key: str) -> tuple[PointField, Floats, int]:
     axes = _AXES if mesh.has_depth else _AXES[:2]
     displacement = np.stack([mesh.value(f"displacement {axis}") for axis in axes])
     points = in_space(mesh.vertices.T).T
-    return PointField(points, in_space(displacement).T), mesh.value("sigma of displacement"), len(axes)
+    common = mesh.value(SIGMA_CALIBRATION) if SIGMA_CALIBRATION in mesh.value_names else None
+    field = PointField(points, in_space(displacement).T)
+    return _Measured(field, mesh.value("sigma of displacement"), common, len(axes))

@@ -56,10 +56,22 @@ class Gauges:
         """Return the rows as CSV, in microstrain."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        strains = ["virtual_microstrain", "sigma_microstrain", "pixels", "real_microstrain"]
+        strains = [
+            "virtual_microstrain",
+            "sigma_microstrain",
+            "pixels",
+            "real_microstrain",
+            "sigma_calibration_microstrain",
+        ]
         writer.writerow(["state", "view", "gauge", *strains])
         for r in self.rows:
-            values = (microstrain(r.virtual), microstrain(r.sigma), r.pixels, microstrain(r.real))
+            values = (
+                microstrain(r.virtual),
+                microstrain(r.sigma),
+                r.pixels,
+                microstrain(r.real),
+                microstrain(r.sigma_calibration),
+            )
             writer.writerow([r.state, r.view, r.gauge, *values])
         return text.getvalue()
 
@@ -119,8 +131,9 @@ def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeR
         with services.archive.open(file) as dataset:
             found = dataset.read("gauges", GaugeReadings)
         _, state, seen_by = subject.split("/")
-        for name, strain, sigma, pixels in zip(
-            found.names, found.strain, found.sigma, found.pixels, strict=True
+        common = found.sigma_calibration
+        for number, (name, strain, sigma, pixels) in enumerate(
+            zip(found.names, found.strain, found.sigma, found.pixels, strict=True)
         ):
             known = bool(np.isfinite(strain))
             rows.append(
@@ -131,6 +144,7 @@ def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeR
                     float(strain) if known else None,
                     float(sigma) if known else None,
                     int(pixels),
+                    sigma_calibration=float(common[number]) if known and common is not None else None,
                 )
             )
     return rows

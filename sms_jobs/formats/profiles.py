@@ -30,6 +30,7 @@ class GaugeRow:
     pixels: int
     real: float | None = None
     difference: float | None = None
+    sigma_calibration: float | None = None
 
 
 def compared(virtual: Iterable[GaugeRow], real: Sequence[GaugeReading]) -> list[GaugeRow]:

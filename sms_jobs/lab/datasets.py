@@ -17,8 +17,11 @@ if TYPE_CHECKING:
     import xarray
 
 MISSING = "{package} is not installed: run \"pip install 'sms-jobs[notebook]'\""
-_UNCERTAINTY = ("sigma", "covariance", "reason")
+_UNCERTAINTY = ("sigma", "covariance", "sigma_calibration", "reason")
 """Arrays that say how well the others are known, or why they are not."""
+
+
+_NO_CALIBRATION = "not known: no calibration, or one that states no covariance; not zero"
 
 
 def dataset_of(stored: StoredRecord) -> xarray.Dataset:
@@ -80,11 +83,14 @@ def _scalars(record: Any) -> dict[str, Any]:
     """Return what a record says besides its arrays; what is no number or text, as JSON."""
     arrays = quantities(type(record))
     given = {f.name: getattr(record, f.name) for f in fields(record) if f.name not in arrays}
-    return {
+    said = {
         name: value if type(value) in (str, int, float) else _as_json(value)
         for name, value in given.items()
         if value is not None
     }
+    if "sigma_calibration" in arrays and record.sigma_calibration is None:
+        said["sigma_calibration"] = _NO_CALIBRATION
+    return said
 
 
 def _provenance(stored: StoredRecord) -> dict[str, Any]:

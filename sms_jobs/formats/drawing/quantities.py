@@ -23,6 +23,7 @@ _SPREADS = {"covariance", "sigma"}
 _NAMES = {
     "reason": "status",
     "von_mises": "von Mises strain",
+    "sigma_calibration": "sigma from the calibration",
     "ray_gap": "gap between the rays",
     "discrepancy": "disagreement of the views",
     "image_displacement": "displacement",
@@ -103,7 +104,8 @@ def _of_array(
     if array.endswith("_sigma") and array.removesuffix("_sigma") in arrays:
         return
     count = about["shape"][0] if len(about["axes"]) == 3 else None
-    strained = about["unit"] == "1" and ("strain" in array or array in ("principal", "von_mises"))
+    strains = "strain" in array or array in ("principal", "von_mises", "sigma_calibration")
+    strained = about["unit"] == "1" and strains
     scale, unit = (MICROSTRAIN, "µε") if strained else (1.0, about["unit"])
     unit = "" if unit in ("1", "bit") else unit
     if array == "displacement" and "covariance" in arrays:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from sms_jobs.records.fields import SIGMA_CALIBRATION
+
 FORMULAS = {
     "displacement": "sqrt(X^2 + Y^2 + Z^2)",
     "sigma of displacement": "sqrt(CXX + CYY + CZZ), C the covariance of the displacement",
+    SIGMA_CALIBRATION: "sqrt(SX^2 + SY^2 + SZ^2) from the calibration, no part of sigma of displacement",
     "covariance": "1 sigma squared",
     "strain xx": "tension positive, x the specimen's x axis in the surface's tangent plane",
     "strain yy": "tension positive, y across the specimen in the surface's tangent plane",

@@ -47,6 +47,7 @@ def reference_view(
     if regions is not None:
         count = len(regions.regions)
         notes = (f"The outlines show {count} continuous piece{'s' if count != 1 else ''} of surface.",)
+    notes += _said_of_calibration(surface.has_depth, surface.sigma_calibration)
     return View(
         f"{surface.camera} ({view})" if surface.has_depth else view,
         surface.camera,
@@ -60,6 +61,29 @@ def reference_view(
     )
 
 
+_UNKNOWN = (
+    "The calibration states no covariance, so what it adds to the standard deviations is not known; it is "
+    "not zero."
+)
+_COMMON = (
+    "Beside the standard deviations stands what the calibration adds to them. Its error is common to all "
+    "pixels: no mean makes it less, and between near points it all but cancels."
+)
+
+
+def _said_of_calibration(deep: bool, part: NDArray[np.float32] | None) -> tuple[str, ...]:
+    """Return what is said of the calibration's part, of what lies in space."""
+    return ((_UNKNOWN if part is None else _COMMON),) if deep else ()
+
+
+def _calibrations_part(part: NDArray[np.float32] | None, unit: str, group: str = "") -> tuple[Statistic, ...]:
+    """Return the median of the calibration's part of a vector's sigma, (3, rows, columns); none of None."""
+    if part is None:
+        return ()
+    length = np.sqrt(np.sum(np.square(part, dtype=np.float64), axis=0))
+    return (Statistic("sigma from the calibration, median", unit, _median(length), group=group),)
+
+
 def _shape(surface: Surface, sampler: Sampler) -> tuple[list[Field], list[Statistic]]:
     """Return what is shown of positions in space."""
     deviation: list[NDArray[np.floating] | None] = [None] * len(XYZ)
@@ -69,6 +93,9 @@ def _shape(surface: Surface, sampler: Sampler) -> tuple[list[Field], list[Statis
         statistics.append(
             Statistic("sigma Z, median", "mm", _median(np.sqrt(surface.covariance[_DIAGONAL[2]])))
         )
+    if surface.sigma_calibration is not None:
+        part = surface.sigma_calibration[2]
+        statistics.append(Statistic("sigma Z from the calibration, median", "mm", _median(part)))
     fields = []
     for place, name in reversed(list(enumerate(POSITION))):
         shown = name == POSITION[2]
@@ -148,7 +175,10 @@ def deformed_view(
         POSITION if deep else None,
         MOVEMENT if deep else None,
         mm_per_px=merged.mm_per_px,
-        notes=(_method(strain, merged.mm_per_px),),
+        notes=(
+            _method(strain, merged.mm_per_px),
+            *_said_of_calibration(deep, merged.sigma_calibration),
+        ),
     )
 
 
@@ -276,6 +306,7 @@ def _displacement_statistics(
         ),
         most,
         Statistic("sigma, median", unit, _median(sigma), group=group),
+        *_calibrations_part(merged.sigma_calibration, unit, group),
         Statistic("disagreement of the views, rms", unit, _finite(merged.discrepancy_rms), group=group),
     )
 
@@ -296,6 +327,18 @@ def _strain_statistics(field: StrainField) -> tuple[Statistic, ...]:
             group=group,
         ),
         Statistic("sigma xx, median", "µε", _micro(_median(field.sigma[0])), group=group),
+        *(
+            ()
+            if field.sigma_calibration is None
+            else (
+                Statistic(
+                    "sigma xx from the calibration, median",
+                    "µε",
+                    _micro(_median(field.sigma_calibration[0])),
+                    group=group,
+                ),
+            )
+        ),
     )
 
 
@@ -303,17 +346,25 @@ def gauge_statistics(gauges: GaugeReadings | None) -> tuple[Statistic, ...]:
     """Return what virtual gauges read, each charted under its name; nothing where none were read."""
     if gauges is None:
         return ()
-    return tuple(
+    group, common = "Virtual gauges", gauges.sigma_calibration
+    read = [
         Statistic(
             name,
             "µε",
             _finite(MICROSTRAIN * float(strain)),
             _finite(MICROSTRAIN * float(sigma)),
             charted=True,
-            group="Virtual gauges",
+            group=group,
         )
         for name, strain, sigma in zip(gauges.names, gauges.strain, gauges.sigma, strict=True)
-    )
+    ]
+    parts = [
+        Statistic(
+            f"{name}, sigma from the calibration", "µε", _finite(MICROSTRAIN * float(part)), group=group
+        )
+        for name, part in zip(gauges.names, common if common is not None else (), strict=False)
+    ]
+    return (*read, *parts)
 
 
 def _spans(xyz: NDArray[np.float64]) -> tuple[Statistic, ...]:

@@ -34,7 +34,7 @@ def cloud(rng: np.random.Generator) -> Surface:
 
 
 def test_every_field_of_a_record_can_be_drawn(cloud: Surface) -> None:
-    assert plottable(Surface) == ("position", "reason", "covariance", "ray_gap")
+    assert plottable(Surface) == ("position", "reason", "covariance", "ray_gap", "sigma_calibration")
     for field in plottable(Surface):
         assert pixels(plot_record(cloud, field)).shape[1] == 900
 
