@@ -17,13 +17,15 @@ from sms_jobs.bench.shelf import Shelf
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.deformation import correlate, gauges, strain
 from sms_jobs.kinds.deformation.gauges import GaugesParameters
-from sms_jobs.kinds.kind import CALIBRATION
-from sms_jobs.kinds.surface_ports import maker_of
+from sms_jobs.kinds.kind import CALIBRATION, Parameters
+from sms_jobs.kinds.surface_ports import maker_of, position_covariance
 from sms_jobs.metrology.calibration.pair_points import moved_sensor
 from sms_jobs.metrology.calibration.point_factor import square_root
 from sms_jobs.metrology.geometry.camera import PER_SENSOR
-from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.records.calibration import CalibrationUncertainty
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.fields import DisplacementField, StrainField, Surface
+from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
@@ -33,24 +35,47 @@ Floats: TypeAlias = NDArray[np.float64]
 _DIAGONAL = [0, 3, 5]
 
 
+GAUGES = ("along x=0 y=0 length=30 width=20", "across x=0 y=0 length=30 width=20 angle=90")
+
+
 @dataclass(frozen=True)
-class Stated:
-    """Errors of n values, and what is said of them: (n,) each, all in one unit.
+class Found:
+    """What was measured, by quantity, (components, values): NaN where nothing was.
 
     Attributes
     ----------
-    error
-        Measured less true.
-    noise, calibration
-        The two parts of the standard deviation.
+    value
+        Points, displacement (mm), strain and gauges.
+    noise
+        Standard deviations, but for the calibration's part; of vectors that of the length, (1, values).
+    calibration
+        The calibration's part of them.
     """
 
-    error: Floats
-    noise: Floats
-    calibration: Floats
+    value: dict[str, Floats]
+    noise: dict[str, Floats]
+    calibration: dict[str, Floats]
 
 
-QUANTITIES = ("points", "displacement", "strain", "gauges")
+@dataclass(frozen=True)
+class Ratios:
+    """Of one quantity, rms over all values and calibrations.
+
+    Attributes
+    ----------
+    calibration
+        The stated part of the calibration over the scatter of values about those of the exact calibration.
+    total, noise
+        Errors over the stated standard deviation, of both parts and without the calibration's; NaN where the
+        truth was not asked for.
+    observed
+        That scatter, in mm or as strain.
+    """
+
+    calibration: float
+    total: float
+    noise: float
+    observed: float
 
 
 def off_calibrations(
@@ -76,53 +101,108 @@ def measured_with(
     subjects: tuple[Subject, Subject],
     calibration: Calibration,
     uncertainty: CalibrationUncertainty,
-    gauge: GaugesParameters,
-) -> None:
-    """Measure what is recorded of two states with a calibration, in place of what was there."""
-    kind = all_kinds()[maker_of(subjects[0].view).kind]
+    parameters: Parameters,
+) -> Found:
+    """Measure what is recorded of two states with a calibration."""
+    at_rest, last = subjects
+    maker = maker_of(last.view).kind
     for subject in subjects:
         shelf.records[CALIBRATION, subject] = {"calibration": calibration, "uncertainty": uncertainty}
-        shelf.run(kind, subject, kind.parameters())
-    last = subjects[1]
+        shelf.run(all_kinds()[maker], subject, parameters)
     shelf.run(correlate.KIND, last, correlate.KIND.parameters())
     shelf.run(strain.KIND, last, strain.KIND.parameters())
-    shelf.run(gauges.KIND, last, gauge)
-
-
-def errors_of(
-    shelf: Shelf, subjects: tuple[Subject, Subject], true_gauge: Callable[[], Floats]
-) -> dict[str, Stated]:
-    """Return the errors of what `measured_with` left, by quantity; components pooled."""
-    at_rest, last = subjects
-    kind = maker_of(last.view).kind
-    truth = shelf.truth(last)
-    surface = shelf.records[kind, at_rest]["surface"]
-    moved, strained = (
-        shelf.records[one.name, last][name]
-        for one, name in ((correlate.KIND, "displacement"), (strain.KIND, "strain"))
+    shelf.run(gauges.KIND, last, GaugesParameters(gauge=GAUGES))
+    surface: Surface = shelf.records[maker, at_rest]["surface"]
+    moved: DisplacementField = shelf.records[correlate.KIND.name, last]["displacement"]
+    strained: StrainField = shelf.records[strain.KIND.name, last]["strain"]
+    read: GaugeReadings = shelf.records[gauges.KIND.name, last]["gauges"]
+    parts = surface.sigma_calibration, moved.sigma_calibration, strained.sigma_calibration
+    return Found(
+        {
+            "points": _flat(surface.position),
+            "displacement": _flat(moved.displacement),
+            "strain": _flat(strained.strain),
+            "gauges": read.strain[None],
+        },
+        {
+            "points": _lengths(position_covariance(surface)),
+            "displacement": _lengths(moved.covariance),
+            "strain": _flat(strained.sigma),
+        },
+        dict(zip(("points", "displacement", "strain"), map(_flat, parts), strict=True))
+        | {"gauges": _flat(read.sigma_calibration)[None]},
     )
-    read = shelf.records[gauges.KIND.name, last]["gauges"]
 
-    def stated(error: Floats, noise: NDArray[np.floating], part: NDArray[np.floating]) -> Stated:
-        known = np.isfinite(error) & np.isfinite(noise) & np.isfinite(part)
-        return Stated(*(each[known].astype(np.float64) for each in (error, noise, part)))
 
-    def vectors(error: Floats, covariance: NDArray[np.floating], part: NDArray[np.floating]) -> Stated:
-        """Return lengths: errors by noise lie along the rays, where single components have no variance."""
-        spread = covariance_in_space(covariance)[_DIAGONAL].sum(axis=0, dtype=np.float64)
-        lengths = (np.sqrt(np.sum(np.square(each, dtype=np.float64), axis=0)) for each in (error, part))
-        length, common = lengths
-        return stated(length, np.sqrt(spread), common)
+def _flat(field: NDArray[np.floating] | None) -> Floats:
+    """Return a field (components, rows, columns) as (components, values)."""
+    assert field is not None
+    return field.astype(np.float64).reshape(len(field), -1) if field.ndim > 1 else field.astype(np.float64)
 
-    return {
-        "points": vectors(
-            surface.position - truth.shape.xyz, surface.covariance, surface.sigma_calibration
-        ),
-        "displacement": vectors(
-            moved.displacement - truth.displacement, moved.covariance, moved.sigma_calibration
-        ),
-        "strain": stated(
-            strained.strain - truth.strain(strained.measure), strained.sigma, strained.sigma_calibration
-        ),
-        "gauges": stated(read.strain - true_gauge(), read.sigma, read.sigma_calibration),
+
+def _lengths(covariance: NDArray[np.floating]) -> Floats:
+    """Return the root of the trace: noise lies along the rays, and some components have next to none."""
+    trace = covariance[_DIAGONAL].sum(axis=0, dtype=np.float64)
+    return np.asarray(np.sqrt(trace)).reshape(1, -1)
+
+
+def ratios(
+    calibration: Calibration,
+    campaign: Campaign,
+    uncertainty: CalibrationUncertainty,
+    parameters: Parameters,
+    say: Callable[[str], None],
+    threads: int,
+) -> dict[str, Ratios]:
+    """Return what is stated over what is found, of the first view at rest and at the last state."""
+    shelf = Shelf(campaign, threads)
+    states = campaign.reference.label, campaign.states[-1].label
+    subjects = (
+        Subject(campaign.name, states[0], campaign.views[0]),
+        Subject(campaign.name, states[1], campaign.views[0]),
+    )
+    for subject in subjects:
+        shelf.record(subject)
+    exact = measured_with(shelf, subjects, calibration, uncertainty, parameters)
+    truth = shelf.truth(subjects[1])
+    true = {
+        "points": _flat(truth.shape.xyz),
+        "displacement": _flat(truth.displacement),
+        "strain": _flat(truth.strain("green-lagrange")),
     }
+    square: dict[str, list[Floats]] = {}
+    for count, off in enumerate(off_calibrations(calibration, uncertainty, campaign.views[0]), start=1):
+        say(f"calibration {count} of those that are off")
+        found = measured_with(shelf, subjects, off, uncertainty, parameters)
+        for name in found.value:
+            sums = np.array(_sums(name, found, exact, true.get(name)))
+            square.setdefault(name, []).append(sums)
+    return {name: _ratios(np.sum(each, axis=0)) for name, each in square.items()}
+
+
+def _sums(name: str, found: Found, exact: Found, true: Floats | None) -> tuple[float, ...]:
+    """Return sums over values: stated part, scatter, scores by both parts and by noise alone, and counts."""
+    part, off = (np.square(each) for each in (exact.calibration[name], found.value[name] - exact.value[name]))
+    both = np.isfinite(part).all(axis=0) & np.isfinite(off).all(axis=0)
+    scored = total = noise = 0.0
+    if true is not None:
+        error, common = (np.square(each) for each in (found.value[name] - true, found.calibration[name]))
+        alone = np.square(found.noise[name])
+        if len(alone) == 1:
+            error, common = error.sum(axis=0, keepdims=True), common.sum(axis=0, keepdims=True)
+        known = np.isfinite(error + common + alone) & (alone > 0.0)
+        scored = float(np.count_nonzero(known))
+        total = float(np.sum((error / (common + alone))[known]))
+        noise = float(np.sum((error / alone)[known]))
+    return float(part[:, both].sum()), float(off[:, both].sum()), total, noise, scored, float(both.sum())
+
+
+def _ratios(sums: Floats) -> Ratios:
+    part, off, total, noise, scored, count = sums
+    nothing = float("nan")
+    return Ratios(
+        float(np.sqrt(part / off)),
+        float(np.sqrt(total / scored)) if scored else nothing,
+        float(np.sqrt(noise / scored)) if scored else nothing,
+        float(np.sqrt(off / count)),
+    )

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar, cast
 
+import numpy as np
 import pytest
 
 from sms_jobs.kinds.deformation import correlate, merge, strain
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Need, Parameters
 from sms_jobs.kinds.shape import reconstruct
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
+from sms_jobs.records.calibration import CalibrationUncertainty
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.scene import HalvesApart, Rigid, Simulation
@@ -46,6 +49,7 @@ class Plate:
     calibration: Calibration
     campaign: Campaign
     results: dict[tuple[str, Subject], dict[str, Any]] = field(default_factory=dict)
+    uncertainty: CalibrationUncertainty | None = None
 
     def run(
         self, kind: Kind[Any], subject: Subject, parameters: Parameters | None = None, threads: int = 1
@@ -71,7 +75,8 @@ class Plate:
 
     def find(self, need: Need) -> InMemory:
         if need.source == CALIBRATION:
-            return InMemory(need.subject, {"calibration": self.calibration})
+            stated = {} if self.uncertainty is None else {"uncertainty": self.uncertainty}
+            return InMemory(need.subject, {"calibration": self.calibration, **stated})
         return InMemory(need.subject, self.results[need.source, need.subject])
 
     def keep(self, kind: Kind[Any], subject: Subject, parameters: Parameters | None = None) -> DatasetOutput:
@@ -146,10 +151,32 @@ def plate() -> Plate:
     found = Plate(*small_plate("plate"))
     for view in found.campaign.views:
         for state in ("S00", "S01"):
-            subject = found.subject(state, view)
-            found.results[MEASUREMENT, subject] = {"measurement": _record(found.campaign, state, view)}
-            found.keep(reconstruct.KIND, subject)
+            measured = {"measurement": _record(found.campaign, state, view)}
+            found.results[MEASUREMENT, found.subject(state, view)] = measured
+    return _computed(found)
+
+
+def _computed(found: Plate) -> Plate:
+    """Return a plate that is recorded, with everything computed."""
+    for view in found.campaign.views:
+        for state in ("S00", "S01"):
+            found.keep(reconstruct.KIND, found.subject(state, view))
         found.keep(correlate.KIND, found.subject("S01", view))
         found.keep(strain.KIND, found.subject("S01", view))
     found.keep(merge.KIND, found.subject("S01"))
     return found
+
+
+@pytest.fixture(scope="session")
+def known_plate(plate: Plate) -> Plate:
+    """Return the same recordings, measured with a calibration that says how well it is known.
+
+    Sensors are known to 20 urad, 10 um, 0.05 px and distortion of 1e-4, all independent.
+    """
+    each = np.zeros(PER_SENSOR)
+    each[:3], each[3:6], each[6:10], each[10:12] = 2e-5, 0.01, 0.05, 1e-4
+    names = tuple(sensor.name for sensor in plate.calibration.rig.sensors)
+    covariance = np.diag(np.tile(each, len(names)) ** 2)
+    recorded = {key: each for key, each in plate.results.items() if key[0] == MEASUREMENT}
+    uncertainty = CalibrationUncertainty(names, SENSOR_PARAMETERS, covariance)
+    return _computed(Plate(plate.calibration, plate.campaign, recorded, uncertainty))
