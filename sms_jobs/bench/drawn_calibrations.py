@@ -33,6 +33,7 @@ from sms_jobs.records.views import view_of
 Floats: TypeAlias = NDArray[np.float64]
 
 _DIAGONAL = [0, 3, 5]
+_SQUARE_PX = 32
 
 
 GAUGES = ("along x=0 y=0 length=30 width=20", "across x=0 y=0 length=30 width=20 angle=90")
@@ -40,14 +41,14 @@ GAUGES = ("along x=0 y=0 length=30 width=20", "across x=0 y=0 length=30 width=20
 
 @dataclass(frozen=True)
 class Found:
-    """What was measured, by quantity, (components, values): NaN where nothing was.
+    """What was measured, by quantity, (components, rows, columns): NaN where nothing was.
 
     Attributes
     ----------
     value
         Points, displacement (mm), strain and gauges.
     noise
-        Standard deviations, but for the calibration's part; of vectors that of the length, (1, values).
+        Standard deviations, but for the calibration's part; of vectors those of lengths, (1, rows, columns).
     calibration
         The calibration's part of them.
     """
@@ -59,12 +60,13 @@ class Found:
 
 @dataclass(frozen=True)
 class Ratios:
-    """Of one quantity, rms over all values and calibrations.
+    """Of one quantity, rms over values and calibrations.
 
     Attributes
     ----------
     calibration
-        The stated part of the calibration over the scatter of values about those of the exact calibration.
+        The stated part of the calibration over the scatter about what the exact calibration makes of the same
+        frames; of means over squares of pixels, which it is as large for as for one pixel.
     total, noise
         Errors over the stated standard deviation, of both parts and without the calibration's; NaN where the
         truth was not asked for.
@@ -119,31 +121,48 @@ def measured_with(
     parts = surface.sigma_calibration, moved.sigma_calibration, strained.sigma_calibration
     return Found(
         {
-            "points": _flat(surface.position),
-            "displacement": _flat(moved.displacement),
-            "strain": _flat(strained.strain),
-            "gauges": read.strain[None],
+            "points": _field(surface.position),
+            "displacement": _field(moved.displacement),
+            "strain": _field(strained.strain),
+            "gauges": _field(read.strain),
         },
         {
             "points": _lengths(position_covariance(surface)),
             "displacement": _lengths(moved.covariance),
-            "strain": _flat(strained.sigma),
+            "strain": _field(strained.sigma),
         },
-        dict(zip(("points", "displacement", "strain"), map(_flat, parts), strict=True))
-        | {"gauges": _flat(read.sigma_calibration)[None]},
+        dict(zip(("points", "displacement", "strain"), map(_field, parts), strict=True))
+        | {"gauges": _field(read.sigma_calibration)},
     )
 
 
-def _flat(field: NDArray[np.floating] | None) -> Floats:
-    """Return a field (components, rows, columns) as (components, values)."""
+def _field(field: NDArray[np.floating] | None) -> Floats:
+    """Return a field (components, rows, columns) or readings (gauges,) in doubles, as a field."""
     assert field is not None
-    return field.astype(np.float64).reshape(len(field), -1) if field.ndim > 1 else field.astype(np.float64)
+    return np.asarray(field if field.ndim > 1 else field[None, None], dtype=np.float64)
+
+
+def _means(field: Floats) -> Floats:
+    """Return means over squares of pixels of which most have a value; single readings as they are.
+
+    A calibration that is off by micrometres moves some pixels across the rim of a gauge disc or of a region:
+    what that makes of their noise is no part of the calibration's, and means have next to nothing of it.
+    """
+    if len(field[0]) < _SQUARE_PX:
+        return field
+    rows, columns = (length // _SQUARE_PX for length in field.shape[1:])
+    inside = field[:, : rows * _SQUARE_PX, : columns * _SQUARE_PX]
+    squares = inside.reshape(len(field), rows, _SQUARE_PX, columns, _SQUARE_PX)
+    known = np.isfinite(squares)
+    count = known.sum(axis=(2, 4))
+    mean = np.where(known, squares, 0.0).sum(axis=(2, 4)) / np.maximum(count, 1)
+    return np.where(2 * count >= _SQUARE_PX**2, mean, np.nan)
 
 
 def _lengths(covariance: NDArray[np.floating]) -> Floats:
     """Return the root of the trace: noise lies along the rays, and some components have next to none."""
     trace = covariance[_DIAGONAL].sum(axis=0, dtype=np.float64)
-    return np.asarray(np.sqrt(trace)).reshape(1, -1)
+    return np.asarray(np.sqrt(trace))[None]
 
 
 def ratios(
@@ -153,8 +172,12 @@ def ratios(
     parameters: Parameters,
     say: Callable[[str], None],
     threads: int,
+    every: int = 1,
 ) -> dict[str, Ratios]:
-    """Return what is stated over what is found, of the first view at rest and at the last state."""
+    """Return what is stated over what is found, of the first view at rest and at the last state.
+
+    Of the calibrations that are off only `every` so many is used, for a hurried look.
+    """
     shelf = Shelf(campaign, threads)
     states = campaign.reference.label, campaign.states[-1].label
     subjects = (
@@ -166,13 +189,14 @@ def ratios(
     exact = measured_with(shelf, subjects, calibration, uncertainty, parameters)
     truth = shelf.truth(subjects[1])
     true = {
-        "points": _flat(truth.shape.xyz),
-        "displacement": _flat(truth.displacement),
-        "strain": _flat(truth.strain("green-lagrange")),
+        "points": _field(truth.shape.xyz),
+        "displacement": _field(truth.displacement),
+        "strain": _field(truth.strain("green-lagrange")),
     }
     square: dict[str, list[Floats]] = {}
-    for count, off in enumerate(off_calibrations(calibration, uncertainty, campaign.views[0]), start=1):
-        say(f"calibration {count} of those that are off")
+    each = list(off_calibrations(calibration, uncertainty, campaign.views[0]))[::every]
+    for count, off in enumerate(each, start=1):
+        say(f"{campaign.name}: calibration {count} of {len(each)} that are off")
         found = measured_with(shelf, subjects, off, uncertainty, parameters)
         for name in found.value:
             sums = np.array(_sums(name, found, exact, true.get(name)))
@@ -182,7 +206,8 @@ def ratios(
 
 def _sums(name: str, found: Found, exact: Found, true: Floats | None) -> tuple[float, ...]:
     """Return sums over values: stated part, scatter, scores by both parts and by noise alone, and counts."""
-    part, off = (np.square(each) for each in (exact.calibration[name], found.value[name] - exact.value[name]))
+    difference = found.value[name] - exact.value[name]
+    part, off = (np.square(_means(each)) for each in (exact.calibration[name], difference))
     both = np.isfinite(part).all(axis=0) & np.isfinite(off).all(axis=0)
     scored = total = noise = 0.0
     if true is not None:

@@ -10,18 +10,24 @@ from statistics import median
 import numpy as np
 
 from sms_jobs.bench.bar_session import TABLE_3, BarSession, Floats, SessionDesign, bar_session
+from sms_jobs.bench.drawn_calibrations import ratios
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.sphere_scene import NOISE_MM, sphere_scenes
+from sms_jobs.kinds.shape import reconstruct, stereo
 from sms_jobs.metrology.calibration.bundle_adjustment import adjust
 from sms_jobs.metrology.calibration.bundle_covariance import point_standard_deviation
 from sms_jobs.metrology.calibration.bundle_cross_validation import cross_validate
 from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
 from sms_jobs.metrology.calibration.bundle_result import Adjustment
 from sms_jobs.metrology.calibration.pair_points import meet_rays
-from sms_jobs.metrology.geometry.camera import project
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, project
 from sms_jobs.metrology.targets.sphere_layout import SphereLayout
 from sms_jobs.metrology.targets.spheres import find_spheres
+from sms_jobs.records.calibration import CalibrationUncertainty
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.views import Role, role_of
+from sms_jobs.virtual_rig.campaigns import top_hat_bending
+from sms_jobs.virtual_rig.stereo_campaigns import stereo_campaign, stereo_rig
 
 _WALL_TARGET_S = 1.5
 _DETECTION_TARGET_S = 0.2
@@ -155,11 +161,55 @@ def _spheres(run: Run) -> Iterator[Found]:
     )
 
 
+def _of_what_is_measured(run: Run) -> Iterator[Found]:
+    """Yield the calibration's part of sigma over what calibrations that are off make of one recording."""
+    calibration, campaign = top_hat_bending("hat", "small")
+    found = adjust(bar_session(MANY_SESSIONS, _SEED).problem)
+    names = tuple(sensor.name for sensor in calibration.rig.sensors)
+    size = PER_SENSOR * len(names)
+    hat = CalibrationUncertainty(names, SENSOR_PARAMETERS, found.covariance[:size, :size].copy())
+    before = stereo_rig(320, 240, stand_off_mm=500.0)
+    two_cameras = stereo_campaign("two-cameras", rig=before)
+    each = np.zeros(PER_SENSOR)
+    each[:3], each[3:6], each[6:10], each[10:12], each[12:14] = 5e-5, 0.03, 0.1, 2e-4, 2e-5
+    both = CalibrationUncertainty(
+        tuple(sensor.name for sensor in before.sensors), SENSOR_PARAMETERS, np.diag(np.tile(each, 2) ** 2)
+    )
+    for name, (known, tested), stated, parameters in (
+        ("part_fringes", (calibration, campaign), hat, reconstruct.KIND.parameters()),
+        ("part_stereo", two_cameras, both, stereo.KIND.parameters()),
+    ):
+        made = ratios(known, tested, stated, parameters, run.say, run.threads, 4 if run.quick else 1)
+        for quantity, one in made.items():
+            yield Figure(f"{name}_{quantity}_reported_over_observed", one.calibration, "1")
+        points = made["points"]
+        yield Figure(f"{name}_points_total_z", points.total, "1", _Z_LIMITS[1], "at most")
+        yield Figure(f"{name}_points_noise_z", points.noise, "1")
+        yield Condition(
+            name,
+            f"campaign {tested.name}, view {tested.views[0]}, cameras of {tested_px(tested)} px, 12 bit, default "
+            "parameters, first and last state; calibrations off by the square root of their number times each "
+            "column of a root of the covariance, so that they have exactly that covariance"
+            + ("; --quick, every fourth of them, so not exactly" if run.quick else "")
+            + "; reported over observed of means over 32 x 32 px, and of two gauges of 30 x 20 mm, observed about "
+            "what the exact calibration makes of the same frames; "
+            + ", ".join(f"{quantity} {one.observed:.2g}" for quantity, one in made.items())
+            + " rms (mm, strain); z of points against exact truth, with both parts of sigma, and with noise alone",
+        )
+
+
+def tested_px(campaign: Campaign) -> int:
+    """Return the width of the images of a campaign of the virtual rig."""
+    assert campaign.scene is not None
+    return campaign.scene.rig.sensors[0].columns
+
+
 def measure(run: Run) -> Iterator[Found]:
     """Yield the figures and their conditions."""
     yield from _spheres(run)
     yield from _bundle(run)
     yield from _z_scores(run)
+    yield from _of_what_is_measured(run)
 
 
 GROUP = Group("calibration", "spheres found; speed and honesty of the bundle adjustment", warm_up, measure)
