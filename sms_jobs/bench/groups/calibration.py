@@ -24,7 +24,6 @@ from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, pr
 from sms_jobs.metrology.targets.sphere_layout import SphereLayout
 from sms_jobs.metrology.targets.spheres import find_spheres
 from sms_jobs.records.calibration import CalibrationUncertainty
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.views import Role, role_of
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 from sms_jobs.virtual_rig.stereo_campaigns import stereo_campaign, stereo_rig
@@ -185,23 +184,17 @@ def _of_what_is_measured(run: Run) -> Iterator[Found]:
         points = made["points"]
         yield Figure(f"{name}_points_total_z", points.total, "1", _Z_LIMITS[1], "at most")
         yield Figure(f"{name}_points_noise_z", points.noise, "1")
+        rms = ", ".join(f"{quantity} {one.observed:.2g}" for quantity, one in made.items())
+        quick = "; --quick, every fourth of them, so not exactly" if run.quick else ""
         yield Condition(
             name,
-            f"campaign {tested.name}, view {tested.views[0]}, cameras of {tested_px(tested)} px, 12 bit, default "
-            "parameters, first and last state; calibrations off by the square root of their number times each "
-            "column of a root of the covariance, so that they have exactly that covariance"
-            + ("; --quick, every fourth of them, so not exactly" if run.quick else "")
-            + "; reported over observed of means over 32 x 32 px, and of two gauges of 30 x 20 mm, observed about "
-            "what the exact calibration makes of the same frames; "
-            + ", ".join(f"{quantity} {one.observed:.2g}" for quantity, one in made.items())
-            + " rms (mm, strain); z of points against exact truth, with both parts of sigma, and with noise alone",
+            f"campaign {tested.name}, view {tested.views[0]}, cameras of {known.rig.sensors[0].columns} px, "
+            "12 bit, default parameters, first and last state; calibrations off by the square root of their "
+            "number times each column of a root of the covariance, so that they have exactly that "
+            f"covariance{quick}; of means over 32 x 32 px, and of two gauges of 30 x 20 mm, observed about "
+            f"what the exact calibration makes of the same frames, {rms} rms (mm, strain); z of points against "
+            "exact truth, with both parts of sigma and with noise alone",
         )
-
-
-def tested_px(campaign: Campaign) -> int:
-    """Return the width of the images of a campaign of the virtual rig."""
-    assert campaign.scene is not None
-    return campaign.scene.rig.sensors[0].columns
 
 
 def measure(run: Run) -> Iterator[Found]:
