@@ -189,11 +189,11 @@ def _of_what_is_measured(run: Run) -> Iterator[Found]:
         yield Condition(
             name,
             f"campaign {tested.name}, view {tested.views[0]}, cameras of {known.rig.sensors[0].columns} px, "
-            "12 bit, default parameters, first and last state; calibrations off by the square root of their "
+            "12 bit, defaults, first and last state; calibrations off by the square root of their "
             "number times each column of a root of the covariance, so that they have exactly that "
             f"covariance{quick}; of means over 32 x 32 px, and of two gauges of 30 x 20 mm, observed about "
-            f"what the exact calibration makes of the same frames, {rms} rms (mm, strain); z of points against "
-            "exact truth, with both parts of sigma and with noise alone",
+            f"what the exact calibration makes of the same frames, {rms} rms (mm, strain); z of points "
+            "against the truth, with both parts of sigma and with noise alone",
         )
 
 

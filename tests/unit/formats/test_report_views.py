@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,6 +114,36 @@ def test_gauges_are_charted_with_their_deviations() -> None:
     tables = " ".join(part.html for part in followed.tables())
     assert "1000 ± 2" in tables
     assert "G2 [µε]" in tables
+
+
+def test_the_calibrations_part_stands_beside_sigma_or_is_said_not_to_be_known() -> None:
+    field, strained = merged(np.array([0.1, 0.0, 0.0]), 1e-4 * np.eye(3)), strain()
+    without = view(field, strained)
+    assert not [one for one in without.statistics if "calibration" in one.name]
+    assert any("not known; it is not zero" in note for note in without.notes)
+
+    part = np.ones((3, *SIZE), np.float32) * np.array([3.0, 4.0, 0.0], np.float32)[:, None, None]
+    gauges = GaugeReadings(
+        "small",
+        ("G1",),
+        np.array([1e-3]),
+        np.array([2e-6], np.float32),
+        np.zeros((1, 3)),
+        np.array([400], np.int32),
+        sigma_calibration=np.array([7e-6], np.float32),
+    )
+    known = view(
+        replace(field, sigma_calibration=1e-3 * part),
+        replace(strained, sigma_calibration=1e-6 * part),
+        gauges,
+    )
+    found = {one.name: one.value for one in known.statistics if "calibration" in one.name}
+    assert found == {
+        "sigma from the calibration, median": pytest.approx(5e-3),
+        "sigma xx from the calibration, median": pytest.approx(3.0),
+        "G1, sigma from the calibration": pytest.approx(7.0),
+    }
+    assert any("common to all pixels" in note for note in known.notes)
 
 
 def test_numbers_of_one_group_stand_in_one_table() -> None:

@@ -1,0 +1,56 @@
+"""What datasets and maps say of the calibration's part of sigma."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import numpy as np
+
+from sms_jobs.app.reading import StoredRecord
+from sms_jobs.archive import Provenance
+from sms_jobs.formats.drawing.quantities import shown_of
+from sms_jobs.lab.datasets import dataset_of
+from sms_jobs.records.fields import StrainField
+from sms_jobs.records.shown.files import FileView
+from sms_jobs.records.subject import Subject
+
+SIZE = (4, 5)
+WHEN = datetime(2026, 1, 2, tzinfo=UTC)
+
+
+def field(part: np.ndarray | None) -> StrainField:
+    strain, sigma = np.zeros((3, *SIZE)), np.ones((3, *SIZE), np.float32)
+    reason = np.zeros(SIZE, np.uint32)
+    return StrainField("small", "mm", 20.0, strain, sigma, strain[:2], strain[0], reason, part)
+
+
+def stored(record: StrainField) -> StoredRecord:
+    file = FileView(1, "strain", "a/S01/C1P1", "a", "b", 1, "c", "d", WHEN, None, None)
+    made = Provenance("strain", 6, Subject("a", "S01", "C1P1"), "e", 1, WHEN, {}, (), "0", "here", "anna")
+    return StoredRecord(file, "strain", record, made)
+
+
+def test_a_dataset_has_the_calibrations_part_as_a_variable() -> None:
+    part = np.full((3, *SIZE), 2e-6, np.float32)
+    found = dataset_of(stored(field(part)))
+    assert found.sigma_calibration.dims == found.sigma.dims
+    assert found.strain.attrs["ancillary_variables"] == "sigma sigma_calibration reason"
+    assert "calibration alone" in found.sigma_calibration.attrs["long_name"]
+    np.testing.assert_array_equal(found.sigma_calibration, part)
+
+
+def test_a_dataset_without_it_says_that_it_is_not_known() -> None:
+    found = dataset_of(stored(field(None)))
+    assert "sigma_calibration" not in found.variables
+    assert "not zero" in found.attrs["sigma_calibration"]
+
+
+def test_a_map_shows_it_in_the_unit_of_strain() -> None:
+    image = {"unit": "1", "axes": ["component", "row", "column"], "shape": [3, *SIZE]}
+    described = {
+        name: {**image, "components": ["xx", "yy", "xy"]} for name in ("strain", "sigma", "sigma_calibration")
+    }
+    shown = {one.name: one for one in shown_of("strain", described)}
+    assert shown["sigma from the calibration xx"].unit == "µε"
+    assert shown["sigma from the calibration xx"].scale == shown["strain xx"].scale
+    assert "sigma xx" not in shown
