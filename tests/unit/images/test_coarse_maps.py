@@ -19,6 +19,15 @@ def test_each_block_has_one_valid_pixel(shape: tuple[int, int], rng: np.random.G
     assert max(shape) <= MOST_BLOCKS * samples.block_px
 
 
+def test_a_speck_in_a_large_image_has_a_sample() -> None:
+    valid = np.zeros((1500, 2000), bool)
+    valid[701, 903] = True
+    samples = sample_blocks(valid)
+    assert samples.block_px > 16
+    assert (samples.rows, samples.columns) == (701, 903)
+    assert np.isfinite(spread(samples, np.ones((1, 1)))).sum() == 1
+
+
 def test_a_slope_is_kept_but_for_half_a_block_at_the_border() -> None:
     y, x = np.mgrid[:256, :256]
     values = np.stack([1.0 + x / 512.0, 2.0 + y / 256.0])
