@@ -172,12 +172,8 @@ def ratios(
     parameters: Parameters,
     say: Callable[[str], None],
     threads: int,
-    every: int = 1,
 ) -> dict[str, Ratios]:
-    """Return what is stated over what is found, of the first view at rest and at the last state.
-
-    Of the calibrations that are off only `every` so many is used, for a hurried look.
-    """
+    """Return what is stated over what is found, of the first view at rest and at the last state."""
     shelf = Shelf(campaign, threads)
     states = campaign.reference.label, campaign.states[-1].label
     subjects = (
@@ -194,7 +190,7 @@ def ratios(
         "strain": _field(truth.strain("green-lagrange")),
     }
     square: dict[str, list[Floats]] = {}
-    each = list(off_calibrations(calibration, uncertainty, campaign.views[0]))[::every]
+    each = list(off_calibrations(calibration, uncertainty, campaign.views[0]))
     for count, off in enumerate(each, start=1):
         say(f"{campaign.name}: calibration {count} of {len(each)} that are off")
         found = measured_with(shelf, subjects, off, uncertainty, parameters)

@@ -40,6 +40,7 @@ REFERENCE, DEFORMED = "reference", "deformed"
 """Keys of the factors of both states, beside a displacement."""
 OF_BOTH = (CALIBRATION_FACTOR.of(REFERENCE), CALIBRATION_FACTOR.of(DEFORMED))
 _MOST_UNDER_A_GAUGE = 2000
+_BLOCKS_OF_STRAIN = 32  # along the longer side: strain is that of a disc, and each place costs eight points
 
 
 def calibration_factor(
@@ -116,7 +117,7 @@ def strain_sigma(
 
     `reach_px` is half the gauge length in the image.
     """
-    samples = sample_blocks((moved.reason == Reason.VALID) & (labels > 0))
+    samples = sample_blocks((moved.reason == Reason.VALID) & (labels > 0), _BLOCKS_OF_STRAIN)
     radius = 0.5 * gauge_length
     found = tangents(
         surface.position,

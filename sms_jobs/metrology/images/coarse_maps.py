@@ -14,12 +14,12 @@ Floats: TypeAlias = NDArray[np.float64]
 MOST_BLOCKS = 64
 """Blocks along the longer side of an image."""
 _MANTISSA_BITS = 9
-_LOOKED_AT = 8
+_LOOKED_AT = 4
 
 
 @dataclass(frozen=True)
 class Samples:
-    """One valid pixel of each block of an image that has one.
+    """One valid pixel of each block of an image that is found to have one.
 
     Attributes
     ----------
@@ -43,9 +43,9 @@ class Samples:
 
 
 def sample_blocks(valid: NDArray[np.bool_], most: int = MOST_BLOCKS) -> Samples:
-    """Return, of each block of an image (rows, columns), the valid pixel that is nearest to its middle.
+    """Return, of blocks of an image (rows, columns), the valid pixel that is nearest to the middle of each.
 
-    Of large blocks 8 to 16 pixels along a side are looked at; all, where none of those is valid anywhere.
+    Of large blocks 4 to 8 pixels along a side are looked at; all, where none of those is valid anywhere.
     """
     side = max(1, -(-max(valid.shape) // most))
     step = max(1, side // _LOOKED_AT)

@@ -9,13 +9,15 @@ from sms_jobs.metrology.images.coarse_maps import MOST_BLOCKS, sample_blocks, sp
 
 
 @pytest.mark.parametrize("shape", [(40, 50), (512, 512), (300, 700)])
-def test_each_block_has_one_valid_pixel(shape: tuple[int, int], rng: np.random.Generator) -> None:
+def test_nearly_each_block_has_one_valid_pixel(shape: tuple[int, int], rng: np.random.Generator) -> None:
     valid = rng.random(shape) < 0.3
     samples = sample_blocks(valid)
     assert valid[samples.pixels].all()
     blocks = np.unique(np.stack([samples.rows, samples.columns]) // samples.block_px, axis=1)
     assert blocks.shape[1] == len(samples.rows)
-    assert len(samples.rows) == len(np.unique(np.stack(np.nonzero(valid)) // samples.block_px, axis=1).T)
+    having = np.unique(np.stack(np.nonzero(valid)) // samples.block_px, axis=1).shape[1]
+    # Of 16 pixels that are looked at in a block, all are invalid with the probability 0.7^16, 0.3 %.
+    assert 0.98 * having < len(samples.rows) <= having
     assert max(shape) <= MOST_BLOCKS * samples.block_px
 
 
