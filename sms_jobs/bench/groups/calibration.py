@@ -195,9 +195,9 @@ def _of_what_is_measured(run: Run) -> Iterator[Found]:
             "number times each column of a root of the covariance, so that they have exactly that "
             "covariance; of means over 32 x 32 px, and of two gauges of 30 x 20 mm, observed about "
             f"what the exact calibration makes of the same frames, {rms} rms (mm, strain); z of points "
-            "against the truth, with both parts of sigma and with noise alone, errors at edges included. What "
-            "is observed of strain, and of the displacement of two cameras, is mostly noise: pixels that cross "
-            "the rim of a disc or a subset",
+            "against the truth, with both parts of sigma and with noise alone, errors at edges included; "
+            "observed of strain, and of the displacement of two cameras, is mostly noise: pixels that "
+            "cross the rim of a disc or a subset",
         )
 
 
