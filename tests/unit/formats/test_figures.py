@@ -29,7 +29,13 @@ def cloud(rng: np.random.Generator) -> Surface:
     reason[:20, :20] = Reason.LOW_MODULATION | Reason.SATURATED
     xyz[:, :20, :20] = np.nan
     return Surface(
-        "C1P1", "mm", xyz, reason, np.ones((6, 60, 80), np.float32), rng.random((60, 80), np.float32)
+        "C1P1",
+        "mm",
+        xyz,
+        reason,
+        np.ones((6, 60, 80), np.float32),
+        rng.random((60, 80), np.float32),
+        sigma_calibration=np.ones((3, 60, 80), np.float32),
     )
 
 
