@@ -28,7 +28,7 @@ def correlated(
     parameters: CorrelateParameters,
     threads: int,
 ) -> Shelf:
-    """Correlate a pair of images of 12 bits with noise in grey levels; what comes of it is that of `DEFORMED`."""
+    """Correlate a pair of images of 12 bits with noise in grey levels; its results are of `DEFORMED`."""
     states = (LoadState("S00", 0.0, time=_AT), LoadState("S01", 1.0, time=_AT))
     specimen = Specimen("plate", "unknown", "computed")
     shelf = Shelf(Campaign("pair", specimen, "computed", states, ("C1",), FringeSequence(), None), threads)
