@@ -81,6 +81,12 @@ class SessionDesign:
     start: float = 1.0
 
 
+MANY_SESSIONS = SessionDesign(
+    points=60, camera_pixels=512, angles=TABLE_3[::2], board_tilts=((0.0, 0.0, 0.0), (0.3, 0.0, 0.0))
+)
+"""What is calibrated again and again."""
+
+
 @dataclass(frozen=True)
 class BarSession:
     """A problem, and what is true of it.

@@ -6,22 +6,24 @@ L L^T among them, and the mean square over them is what one would come to by inf
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.bench.bar_session import BarSession
 from sms_jobs.bench.shelf import Shelf
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.deformation import correlate, gauges, strain
 from sms_jobs.kinds.deformation.gauges import GaugesParameters
 from sms_jobs.kinds.kind import CALIBRATION, Parameters
 from sms_jobs.kinds.surface_ports import maker_of, position_covariance
+from sms_jobs.metrology.calibration.bundle_adjustment import adjust
 from sms_jobs.metrology.calibration.pair_points import moved_sensor
 from sms_jobs.metrology.calibration.point_factor import square_root
-from sms_jobs.metrology.geometry.camera import PER_SENSOR
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.records.calibration import CalibrationUncertainty
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, StrainField, Surface
@@ -87,15 +89,27 @@ def off_calibrations(
     names = view_of(view).sensors
     root = square_root(uncertainty.of(names))
     for column in np.sqrt(root.shape[1]) * root.T:
-        steps = dict(zip(names, column.reshape(-1, PER_SENSOR), strict=True))
-        sensors = []
-        for one in calibration.rig.sensors:
-            step = steps.get(one.name)
-            if step is not None:
-                intrinsics, pose = moved_sensor((one.intrinsics, one.pose), step)
-                one = replace(one, intrinsics=intrinsics, pose=pose)
-            sensors.append(one)
-        yield replace(calibration, rig=replace(calibration.rig, sensors=tuple(sensors)))
+        yield moved(calibration, names, column)
+
+
+def moved(calibration: Calibration, names: Sequence[str], steps: Floats) -> Calibration:
+    """Return a calibration whose sensors of some names are off by steps of all their parameters in turn."""
+    by_name = dict(zip(names, steps.reshape(-1, PER_SENSOR), strict=True))
+    sensors = []
+    for one in calibration.rig.sensors:
+        if one.name in by_name:
+            intrinsics, pose = moved_sensor((one.intrinsics, one.pose), by_name[one.name])
+            one = replace(one, intrinsics=intrinsics, pose=pose)
+        sensors.append(one)
+    return replace(calibration, rig=replace(calibration.rig, sensors=tuple(sensors)))
+
+
+def of_a_bar_session(calibration: Calibration, session: BarSession) -> CalibrationUncertainty:
+    """Return what a calibration from poses of a bar would not know of the sensors of a rig."""
+    names = tuple(sensor.name for sensor in calibration.rig.sensors)
+    size = PER_SENSOR * len(names)
+    covariance = adjust(session.problem).covariance[:size, :size].copy()
+    return CalibrationUncertainty(names, SENSOR_PARAMETERS, covariance)
 
 
 def measured_with(

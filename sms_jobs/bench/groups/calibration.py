@@ -9,8 +9,8 @@ from statistics import median
 
 import numpy as np
 
-from sms_jobs.bench.bar_session import TABLE_3, BarSession, Floats, SessionDesign, bar_session
-from sms_jobs.bench.drawn_calibrations import ratios
+from sms_jobs.bench.bar_session import MANY_SESSIONS, BarSession, Floats, SessionDesign, bar_session
+from sms_jobs.bench.drawn_calibrations import of_a_bar_session, ratios
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.sphere_scene import NOISE_MM, sphere_scenes
 from sms_jobs.kinds.shape import reconstruct, stereo
@@ -37,11 +37,6 @@ _SEED = 1
 
 THESIS_SESSION = SessionDesign()
 """25 poses x 2 spheres x 4 views x 500 points, and one pose of a board, which is the world."""
-
-MANY_SESSIONS = SessionDesign(
-    points=60, camera_pixels=512, angles=TABLE_3[::2], board_tilts=((0.0, 0.0, 0.0), (0.3, 0.0, 0.0))
-)
-"""What is calibrated again and again for the z-scores."""
 
 
 def warm_up() -> None:
@@ -166,10 +161,7 @@ def _of_what_is_measured(run: Run) -> Iterator[Found]:
         yield Condition("part", "left out with --quick: some thirty calibrations measure two states each")
         return
     calibration, campaign = top_hat_bending("hat", "small")
-    found = adjust(bar_session(MANY_SESSIONS, _SEED).problem)
-    names = tuple(sensor.name for sensor in calibration.rig.sensors)
-    size = PER_SENSOR * len(names)
-    hat = CalibrationUncertainty(names, SENSOR_PARAMETERS, found.covariance[:size, :size].copy())
+    hat = of_a_bar_session(calibration, bar_session(MANY_SESSIONS, _SEED))
     before = stereo_rig(320, 240, stand_off_mm=500.0)
     two_cameras = stereo_campaign("two-cameras", rig=before)
     each = np.zeros(PER_SENSOR)
