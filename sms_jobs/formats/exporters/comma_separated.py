@@ -1,4 +1,4 @@
-"""Comma-separated values: points of a mesh or pixels of a record; units and formulas in the header."""
+"""Comma-separated values: points of a mesh, pixels or points of a record; units and formulas on top."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ def _save(
 
 
 def write(record: Any, path: Path) -> None:
-    """Write the vertices of a mesh and their values, one a line; the pixels of any other record."""
+    """Write the vertices of a mesh and their values, one a line; pixels or points of any other record."""
     if not isinstance(record, Mesh):
-        write_pixels(record, path)
+        has_images = any(quantity.is_image for quantity in quantities_of(record).values())
+        (write_pixels if has_images else write_points)(record, path)
         return
     mesh = placed(record)
     labels = [with_formula(n, label) for n, label in zip(mesh.value_names, labels_of(mesh), strict=True)]
@@ -69,6 +70,39 @@ def write_pixels(record: Any, path: Path) -> None:
         [part.reshape(-1) for part in pixels],
         np.flatnonzero(known),
     )
+
+
+def write_points(record: Any, path: Path) -> None:
+    """Write every field of a record that has one value or vector for each of its points, one point a line.
+
+    Raises
+    ------
+    InvalidInput
+        When the record has no field with one value for each point.
+    """
+    fields = {
+        name: (quantity, getattr(record, name))
+        for name, quantity in quantities_of(record).items()
+        if isinstance(getattr(record, name), np.ndarray)
+    }
+    points = next((quantity.axes for quantity, _ in fields.values() if len(quantity.axes) == 1), None)
+    if points is None:
+        raise InvalidInput(f"a {type(record).__name__} has no values over an image or at points")
+    labels, columns = [], []
+    for name, (quantity, values) in fields.items():
+        if quantity.axes == points:
+            parts = {name: values}
+        elif quantity.axes == (*points, "component"):
+            names = quantity.components or tuple(map(str, range(values.shape[1])))
+            parts = {f"{name} {part}": column for part, column in zip(names, values.T, strict=True)}
+        elif quantity.axes == ("component", *points):
+            names = quantity.components or tuple(map(str, range(len(values))))
+            parts = {f"{name} {part}": column for part, column in zip(names, values, strict=True)}
+        else:
+            continue
+        labels += [with_formula(full, f"{full} [{quantity.unit}]") for full in parts]
+        columns += list(parts.values())
+    _save(path, labels, columns)
 
 
 EXPORTER = Exporter(

@@ -19,10 +19,11 @@ from vtkmodules.vtkIOGeometry import vtkTecplotReader
 from vtkmodules.vtkIOLegacy import vtkPolyDataReader
 
 from sms_jobs.errors import InvalidInput, MeasurementFailed
-from sms_jobs.formats.exporters import all_exporters, exporter_named
+from sms_jobs.formats.exporters import all_exporters, comma_separated, exporter_named
 from sms_jobs.formats.exporters.exporter import PointGrid
 from sms_jobs.formats.exporters.sources import mesh_of, source_for, value_fields
-from sms_jobs.records.fields import DisplacementField, Mesh, Surface
+from sms_jobs.records.cracks import CrackOpenings
+from sms_jobs.records.fields import DisplacementField, Mesh, Region, Surface
 
 ROWS, COLUMNS = 9, 13
 # Nine digits of positions up to 300 mm: half a unit of the ninth is 5e-7 mm.
@@ -302,3 +303,38 @@ def test_memory_stays_bounded_while_a_file_is_written(name: str, tmp_path: Path)
     # 23 numbers of each of 22,500 points are 4.1 MB. Of text, 20,000 numbers are made at once, of about
     # 60 bytes as Python has them; of bytes, 5,000 points, which are 0.9 MB; E57 collects the positions, 1 MB.
     assert peak < 3e6
+
+
+def test_points_of_a_record_are_lines_of_numbers(tmp_path: Path) -> None:
+    path, points = tmp_path / "cracks.csv", np.arange(3.0)
+    some = np.ones(3, np.int32)
+    sigma = np.full(3, 0.5, np.float32)
+    place = np.stack([points, 10.0 + points], axis=1)
+    record = CrackOpenings(
+        "C1",
+        "S00",
+        "px",
+        some,
+        some,
+        2 * some,
+        place,
+        -place,
+        points,
+        0.1 * points,
+        sigma,
+        0.2 * points,
+        sigma,
+    )
+    comma_separated.write(record, path)
+    head, *lines = path.read_text().splitlines()
+    assert head.startswith(
+        '"crack [1]","right [1]","left [1]","pixel column [px]","pixel row [px]","position X [px]"'
+    )
+    assert [float(value) for value in lines[2].split(",")] == pytest.approx(
+        [1, 1, 2, 2, 12, -2, -12, 2, 0.2, 0.5, 0.4, 0.5]
+    )
+
+
+def test_a_record_without_values_in_rows_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="no values over an image or at points"):
+        comma_separated.write(Region(1, 2, (0.0, 0.0)), tmp_path / "x.csv")
