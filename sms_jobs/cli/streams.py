@@ -195,7 +195,7 @@ def _tell(campaign: str, found: StreamOutcome) -> None:
     for name, count in found.unread.items():
         output.say(
             f"{name} was not read before and after {count} states, which have no value of it: see that its "
-            "software writes, and 'sms import readings' to enter it"
+            "software writes, and 'sms import channels' to enter it"
         )
     if found.broke_off:
         output.say("the stream broke off; what had been written by then is in the archive")

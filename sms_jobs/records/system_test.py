@@ -13,7 +13,7 @@ from sms_jobs.records.quantity import array
 Tested: TypeAlias = Literal["probing-form", "probing-size", "sphere-distance", "length", "flatness"]
 """The errors that are told; `docs/acceptance.md` says how each is defined."""
 TESTED: tuple[Tested, ...] = get_args(Tested)
-_ROWS = ("row",)
+_ROWS = ("tested",)
 
 
 @dataclass(frozen=True)

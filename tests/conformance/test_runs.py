@@ -148,7 +148,9 @@ def test_a_page_shows_where(compared: Services) -> None:
 def test_the_command_shows_changes_and_differences(compared: Services) -> None:
     home = compared.settings.home
     words = ["run", "compare", "today", "wider", "--home", str(home)]
-    done = CliRunner().invoke(app, [*words, "-o", str(home / "page.html"), "--limit", "4"])
+    done = CliRunner(env={"COLUMNS": "200"}).invoke(
+        app, [*words, "-o", str(home / "page.html"), "--limit", "4"]
+    )
     assert done.exit_code == 0, (done.exception, done.stderr)
     titles, first = (
         line.split() for line in done.stdout.splitlines() if line.startswith(("changed", "parameter"))

@@ -137,7 +137,12 @@ def _value(kind: Any, option: Any, rng: Random, things: Mapping[str, list[str]],
     choices = choices or [str(c.value) for c in getattr(kind, "__members__", {}).values()]
     if choices and not hostile:
         return rng.choice(choices)
-    return hostile_text(rng, option.name) if hostile else known_text(rng, option.name)
+    if not hostile:
+        return known_text(rng, option.name)
+    text = hostile_text(rng, option.name)
+    while text in choices:
+        text = hostile_text(rng, option.name)
+    return text
 
 
 def _path(name: str, rng: Random, things: Mapping[str, list[str]], hostile: bool) -> str:
