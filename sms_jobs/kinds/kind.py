@@ -259,6 +259,11 @@ def always(parameters: Parameters) -> bool:
     return True
 
 
+def never(parameters: Parameters) -> bool:
+    """Say that a job, which drives instruments, is not run again by itself."""
+    return False
+
+
 @dataclass(frozen=True)
 class Kind(Generic[P]):
     """A job kind.

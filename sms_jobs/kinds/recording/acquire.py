@@ -31,6 +31,7 @@ from sms_jobs.kinds.kind import (
     Queue,
     Scope,
     Station,
+    never,
     no_needs,
     rig_queue,
 )
@@ -284,11 +285,6 @@ def statistics_of(recording: Recording) -> dict[str, float]:
         **{f"{name}_before": value for name, value in recording.channels_before.items()},
         **{f"{name}_after": value for name, value in recording.channels_after.items()},
     }
-
-
-def never(parameters: AcquireParameters) -> bool:
-    """Say that a recording is not made twice by itself."""
-    return False
 
 
 def whole_rig(campaign: Campaign, subject: Subject) -> tuple[str, ...]:

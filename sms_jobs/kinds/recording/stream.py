@@ -34,6 +34,7 @@ from sms_jobs.kinds.kind import (
     Progress,
     Queue,
     Scope,
+    never,
 )
 from sms_jobs.kinds.products import BETWEEN, MEASURED, RECORDED
 from sms_jobs.kinds.recording.acquire import setting_at, station_of, statistics_of, whole_rig
@@ -280,11 +281,6 @@ def _frames(kept: KeptStream, camera: str, places: range) -> FramesBetween | Non
         times[part],
         SpooledFrames(file, len(places), places.start),
     )
-
-
-def never(parameters: StreamParameters) -> bool:
-    """Say that a stream is not made twice by itself."""
-    return False
 
 
 KIND = Kind(

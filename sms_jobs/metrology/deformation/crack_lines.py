@@ -142,8 +142,8 @@ def _ridge(height: Floats, least: float, radius: int) -> _Ridge:
     return _Ridge(place[good], normal[good], unknown, unknown, unknown[:, 0])
 
 
-def _at(image: Floats, place: Floats, order: int = 1) -> Floats:
-    return np.asarray(ndimage.map_coordinates(image, place.T, order=order, mode="nearest"))
+def _at(image: Floats, place: Floats) -> Floats:
+    return np.asarray(ndimage.map_coordinates(image, place.T, order=1, mode="nearest"))
 
 
 def _with_quiet_sides(
