@@ -1,23 +1,24 @@
-"""Fringes of a projector that is not what the model takes it for: how far off points are."""
+"""Fringes where projector or pixel are not what the model takes them for: how far off points are."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import sqrt
+from math import pi, sqrt
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.bench import bent_waveforms
+from sms_jobs.bench import bent_waveforms, fringe_textures
 from sms_jobs.bench.bent_waveforms import Recording, scores
+from sms_jobs.bench.fringe_textures import TexturedPlate
 from sms_jobs.records.measurement import FringeSequence
 
 Floats: TypeAlias = NDArray[np.float64]
 
 _LADDER = (32, 31, 30, 28, 24, 16)
-_ALONE = (0.0,)
+_BOTH, _ALONE = (0.0, pi / 2.0), (0.0,)
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,33 @@ def _bent(
     return Case(name, record, {"blur_px": 0.0, **parameters})
 
 
+def _textured(name: str, plates: tuple[TexturedPlate, ...], orientations: tuple[float, ...]) -> Case:
+    sequence = FringeSequence(_LADDER, orientations_rad=orientations)
+
+    def record(random: np.random.Generator) -> Recording:
+        return fringe_textures.record(random, plates[random.integers(len(plates))], sequence)
+
+    return Case(name, record, {})
+
+
+_SQUARES = tuple(
+    TexturedPlate("squares", size, blur, noise)
+    for size in (1.5, 3.0, 6.0, 12.0)
+    for blur in (0.25, 0.5, 0.7)
+    for noise in (0.002, 0.004)
+)
+_BOX = tuple(
+    TexturedPlate("squares", size, 0.0, noise) for size in (2.0, 6.0, 12.0) for noise in (0.002, 0.004)
+)
+_SPECKLE = tuple(
+    TexturedPlate("speckle", 0.0, blur, noise) for blur in (0.0, 0.5) for noise in (0.002, 0.004)
+)
+_SMOOTH = tuple(
+    TexturedPlate(pattern, 0.0, blur, noise)
+    for pattern in ("plain", "waves")
+    for blur in (0.0, 0.5)
+    for noise in (0.002, 0.004)
+)
 _LINEAR = tuple(range(64))
 _RANGED = {"method": "fdr", "returns": 2}
 
@@ -77,6 +105,12 @@ CASES = (
     _bent(
         "one direction of three steps, left", FringeSequence(_LADDER, 3, _ALONE), (1.1, 1.4), {}, twice=False
     ),
+    _textured("squares", _SQUARES, _BOTH),
+    _textured("squares in box pixels", _BOX, _BOTH),
+    _textured("speckle", _SPECKLE, _BOTH),
+    _textured("smooth", _SMOOTH, _BOTH),
+    _textured("squares, one direction", _SQUARES + _BOX, _ALONE),
+    _textured("smooth, one direction", _SMOOTH, _ALONE),
 )
 
 

@@ -99,7 +99,7 @@ class Plate:
         omega, sigma = chosen.omega, chosen.omega_sigma
         known: Flags = np.asarray(np.isfinite(omega).all(axis=0))
         light = np.sqrt(np.nansum([f.amplitude**2 for f in found], axis=1)).astype(np.float32)
-        _, beside = correct_texture(
+        _, beside, _ = correct_texture(
             omega, sigma, light, known, pair.meet, maximum_shift_px=0.5, threads=threads
         )
         noise = measurement.noise(frames.mean(axis=0, dtype=np.float32))

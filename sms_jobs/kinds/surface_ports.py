@@ -127,9 +127,14 @@ def position_covariance(surface: Surface) -> NDArray[np.floating]:
 
 
 def independent_covariance(surface: Surface) -> NDArray[np.floating]:
-    """Return what of `position_covariance` is independent from pixel to pixel; of subsets nothing is."""
+    """Return what of `position_covariance` a mean over pixels makes less as if they were independent.
+
+    Of positions that come from subsets nothing is independent, and what the texture hides cancels.
+    """
     covariance = position_covariance(surface)
-    return covariance if surface.subset_radius_px == 0 else 0.0 * covariance
+    if surface.subset_radius_px:
+        return 0.0 * covariance
+    return covariance if surface.texture_part is None else covariance * (1.0 - surface.texture_part)
 
 
 def bias_in_space(moved: DisplacementField) -> NDArray[np.floating] | None:

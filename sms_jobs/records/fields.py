@@ -98,6 +98,9 @@ class Surface:
     subset_radius_px
         Distance over which errors of positions go together, where they come from matches between cameras;
         0 where they are independent from pixel to pixel.
+    texture_part
+        What the texture hides within pixels: it counts for each point, and cancels in a mean over several.
+        None is none.
     """
 
     view: str
@@ -117,6 +120,9 @@ class Surface:
     mm_per_px: float | None = None
     subset_radius_px: int = 0
     sigma_calibration: Single | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
+    texture_part: Single | None = array(
+        "1", "part of the covariance that cancels where neighbouring pixels are averaged", default=None
+    )
 
     @property
     def camera(self) -> str:

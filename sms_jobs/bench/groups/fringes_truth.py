@@ -229,7 +229,7 @@ def _noise(run: Run, seed: int) -> Iterator[Found]:
 
 
 def _broken(run: Run, seed: int) -> Iterator[Found]:
-    """Yield how far off points are where a projector is not what the model takes it for."""
+    """Yield how far off points are where projector and pixel are not what the model takes them for."""
     each = 2 if run.quick else 6
     far, count, worst, told = 0, 0, ("", 0.0), []
     for index, case in enumerate(CASES):
@@ -249,7 +249,7 @@ def _broken(run: Run, seed: int) -> Iterator[Found]:
         "broken_models",
         f"{each} recordings of each of {len(CASES)} cases, {count} valid points, with exact truth: a tilted "
         "plate lit once or, on two thirds of it, twice by a projector of an exponent of 1.2 to 2.2, noise of "
-        "0.1 to 0.5 % of full scale; "
+        "0.1 to 0.5 % of full scale, or with a texture seen through pixels with and without a lens's spot; "
         f"seeds from {seed}; rms of error over stated deviation of all points of a case: {'; '.join(told)}; "
         f"the worst is {worst[0]}",
     )

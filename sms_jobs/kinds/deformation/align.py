@@ -31,7 +31,7 @@ from sms_jobs.kinds.kind import (
 )
 from sms_jobs.kinds.products import ALIGNMENT, SURFACE, Product
 from sms_jobs.kinds.shape.camera_views import cameras
-from sms_jobs.kinds.surface_ports import position_covariance, state_ports
+from sms_jobs.kinds.surface_ports import independent_covariance, position_covariance, state_ports
 from sms_jobs.metrology.deformation.alignment import (
     Alignment,
     CommonPoints,
@@ -158,10 +158,11 @@ def _view(inputs: Inputs, about: Subject, parameters: AlignParameters) -> View:
     smoothed = CorrelateParameters(smoothing_px=parameters.smoothing_px)
     texture, noise = read_texture(inputs, _AT_REST, smoothed, valid, valid, about)
     covariance = position_covariance(surface).astype(np.float64)
+    independent = None if surface.subset_radius_px else independent_covariance(surface).astype(np.float64)
     sigma = np.sqrt(covariance[[0, 3, 5]].sum(axis=0))
     xyz = np.where(valid, surface.position, np.nan)
     labels = continuous_labels(xyz, sigma, threads=inputs.threads)
-    view = View(texture, noise, xyz, covariance, labels)
+    view = View(texture, noise, xyz, covariance, labels, independent)
     return view.averaged(parameters.averaging_radius_px, inputs.threads)
 
 

@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.deformation.textured_state import TexturedState
 from sms_jobs.kinds.point_matches import trusted_points
-from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.kinds.surface_ports import independent_covariance, position_covariance
 from sms_jobs.metrology.deformation import displacement
 from sms_jobs.metrology.deformation.correlation import PreparedImages
-from sms_jobs.metrology.deformation.displacement import blend_matches, displacement_field
+from sms_jobs.metrology.deformation.displacement import StateShape, blend_matches, displacement_field
 from sms_jobs.metrology.deformation.matching import GridMatches
 from sms_jobs.metrology.deformation.verification import Verified, verify_displacement
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
@@ -115,9 +115,14 @@ def field_in_space(
     )
 
 
-def _shape(state: TexturedState) -> tuple[NDArray[np.float64], NDArray[np.floating], NDArray[np.int32]]:
-    """Return positions, their covariances and the regions of a state."""
-    return state.surface.position, position_covariance(state.surface), state.regions.labels
+def _shape(state: TexturedState) -> StateShape:
+    surface = state.surface
+    return StateShape(
+        surface.position,
+        position_covariance(surface),
+        state.regions.labels,
+        independent_covariance(surface),
+    )
 
 
 def field_in_plane(

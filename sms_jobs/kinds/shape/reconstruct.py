@@ -127,7 +127,7 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     found = find_phases(task, progress)
     phase, reason = found.maps, found.reason
     check_directions(inputs.subject, geometry, phase, reason == Reason.VALID)
-    blur, beside = correct_texture(
+    blur, beside, part = correct_texture(
         phase.omega,
         phase.omega_sigma,
         phase.modulation,
@@ -139,7 +139,7 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     )
     mark(reason, beside, Reason.OUTSIDE_REGION)
     progress(0.9, "corrected for the texture")
-    points = pair.meet(phase.omega, phase.omega_sigma)
+    points = pair.meet(phase.omega, phase.omega_sigma, part=part)
     _mark_points(points, geometry, parameters, reason)
     surface = _as_surface(str(inputs.view), points, reason)
     statistics = _statistics(points, phase, reason, blur)
@@ -203,9 +203,11 @@ def _mark_points(
 def _as_surface(view: str, points: Triangulation, reason: Reasons) -> Surface:
     """Return the surface, NaN where there is a reason."""
     bad = reason != Reason.VALID
-    for values in (points.xyz, points.covariance, points.ray_gap[None]):
+    for values in (points.xyz, points.covariance, points.ray_gap[None], points.part[None]):
         values[:, bad] = np.nan
-    return Surface(view, "mm", points.xyz, reason, points.covariance, points.ray_gap)
+    return Surface(
+        view, "mm", points.xyz, reason, points.covariance, points.ray_gap, texture_part=points.part
+    )
 
 
 def _statistics(points: Triangulation, phase: PhaseMaps, reason: Reasons, blur: Blur) -> dict[str, float]:
@@ -261,7 +263,7 @@ def _pair_statistics(reason: Reasons, returns: ReturnMaps) -> dict[str, float]:
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=10,
+    version=11,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     inputs=(_FRAMES, _CALIBRATION),

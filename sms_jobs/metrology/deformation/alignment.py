@@ -54,6 +54,8 @@ class View:
         (3, rows, columns) in mm and (6, rows, columns) in mm^2, in the frame of this position of the rig.
     labels
         (rows, columns), continuous pieces of surface, 0 for none; positions are finite where it is not 0.
+    independent
+        (6, rows, columns) in mm^2: what of the covariance a mean over pixels makes less; None for all.
     """
 
     texture: NDArray[np.floating]
@@ -61,14 +63,15 @@ class View:
     xyz: Floats
     covariance: Floats
     labels: NDArray[np.int32]
+    independent: Floats | None = None
 
     def averaged(self, radius: float, threads: int = 1) -> View:
         """Return the view with its positions averaged over a radius in px; where they cannot be, it ends."""
         xyz, covariance = average_in_region(
-            self.xyz, self.covariance, self.labels, self.labels > 0, radius, threads
+            self.xyz, self.covariance, self.labels, self.labels > 0, radius, threads, self.independent
         )
         labels = np.where(np.isfinite(xyz).all(axis=0), self.labels, 0).astype(np.int32)
-        return replace(self, xyz=xyz, covariance=covariance, labels=labels)
+        return replace(self, xyz=xyz, covariance=covariance, labels=labels, independent=None)
 
     def pitch(self) -> float:
         """Return the median distance in mm between neighbouring pixels of a row."""

@@ -137,13 +137,14 @@ def average_in_region(
     usable: NDArray[np.bool_],
     radius: float,
     threads: int = 1,
+    independent: Floats | None = None,
 ) -> tuple[Floats, Floats]:
     """Fit a plane to a noisy field about every pixel, over pixels of its region, and take its value there.
 
     Parameters
     ----------
     raw, covariance
-        (3, rows, columns) and (6, rows, columns), independent from pixel to pixel.
+        (3, rows, columns) and (6, rows, columns), of each pixel by itself.
     labels
         (rows, columns), 0 where there is no region.
     usable
@@ -153,6 +154,9 @@ def average_in_region(
         fewer than half the disc's pixels are there.
     threads
         How many threads to use.
+    independent
+        (6, rows, columns): what of the covariance is independent from pixel to pixel; the rest cancels in a
+        mean. None if all of it is independent.
 
     Returns
     -------
@@ -162,11 +166,12 @@ def average_in_region(
     variance = covariance[0] + covariance[3] + covariance[5]
     valid = usable & np.isfinite(raw).all(axis=0) & np.isfinite(variance)
     weight = np.where(valid, 1.0 / np.maximum(np.where(valid, variance, 1.0), 1e-18), 0.0)
+    kept = covariance if independent is None else independent
     value = np.empty_like(raw)
-    spread = np.empty_like(covariance)
+    spread = np.empty_like(kept)
 
     def work(start: int, stop: int) -> None:
-        _average_rows(start, stop, labels, raw, covariance, weight, radius, value, spread)
+        _average_rows(start, stop, labels, raw, kept, weight, radius, value, spread)
 
     in_row_blocks(work, labels.shape[0], threads)
     return value, spread

@@ -57,6 +57,33 @@ class ImagePoints:
 
 
 @dataclass(frozen=True)
+class StateShape:
+    """Where the surface of a state lies.
+
+    Attributes
+    ----------
+    position
+        (3, rows, columns) in mm.
+    covariance
+        (6, rows, columns) in mm^2, of each pixel by itself.
+    labels
+        (rows, columns), regions; 0 for none.
+    independent
+        (6, rows, columns) in mm^2: what of the covariance a mean over pixels makes less; None for all.
+    """
+
+    position: Floats
+    covariance: NDArray[np.floating]
+    labels: NDArray[np.int32]
+    independent: NDArray[np.floating] | None = None
+
+    @property
+    def averaged(self) -> NDArray[np.floating]:
+        """What goes into the covariance of a mean, (6, rows, columns) in mm^2."""
+        return self.covariance if self.independent is None else self.independent
+
+
+@dataclass(frozen=True)
 class DenseDisplacement:
     """A displacement at every pixel.
 
@@ -243,8 +270,8 @@ def displacement_field(
     image: Floats,
     variance: Floats,
     bias: Floats,
-    reference: tuple[Floats, NDArray[np.floating], NDArray[np.int32]],
-    deformed: tuple[Floats, NDArray[np.floating], NDArray[np.int32]],
+    reference: StateShape,
+    deformed: StateShape,
     interior: NDArray[np.bool_],
     averaging_radius: float,
     threads: int = 1,
@@ -257,8 +284,7 @@ def displacement_field(
         (2, rows, columns): u and v in px at each pixel, NaN where there is none (changed in place), their
         variances by noise in px^2, and those that are no noise.
     reference, deformed
-        Of each state: positions (3, rows, columns) in mm, their covariances (6, rows, columns) in mm^2 and
-        the labels of its regions (rows, columns).
+        The surface at each state.
     interior
         (rows, columns): pixels of the reference far enough from their region's edge to see nothing else.
     averaging_radius
@@ -274,12 +300,13 @@ def displacement_field(
     resolution. The covariance is that of both positions, averaged, plus that of the match, which is not,
     carried through the deformed surface's slope along the image.
     """
-    xyz, covariance, labels = reference
-    end_xyz, end_covariance, end_labels = deformed
+    xyz, labels = reference.position, reference.labels
     rows, columns = labels.shape
     y, x = np.mgrid[0:rows, 0:columns]
     end_x, end_y = x + image[0], y + image[1]
-    end, _, slope = interpolate_in_region(end_xyz, end_covariance[:0], end_labels, end_x, end_y, threads)
+    end, _, slope = interpolate_in_region(
+        deformed.position, deformed.covariance[:0], deformed.labels, end_x, end_y, threads
+    )
     status = np.zeros(labels.shape, dtype=np.int32)
     status[np.isnan(end[0])] = NO_SHAPE_AT_END
     inside = (end_x >= 0) & (end_y >= 0) & (end_x <= columns - 1) & (end_y <= rows - 1)
@@ -288,12 +315,13 @@ def displacement_field(
     status[labels == 0] = OUTSIDE_REGION
     # Interpolated noise is smaller but shared by neighbours: in an average it counts as the cloud's own.
     row, column = (np.where(inside, np.rint(np.where(inside, e, 0.0)), 0).astype(int) for e in (end_y, end_x))
-    total = covariance + end_covariance[:, row, column]
+    total = reference.covariance + deformed.covariance[:, row, column]
     moved, spread = end - xyz, total
     status[(status == 0) & (np.isnan(total[0]) & (averaging_radius == 0.0))] = NO_SHAPE_AT_END
     if averaging_radius > 0.0:
+        independent = reference.averaged + deformed.averaged[:, row, column]
         moved, spread = average_in_region(
-            moved, total, labels, interior & (status == 0), averaging_radius, threads
+            moved, total, labels, interior & (status == 0), averaging_radius, threads, independent
         )
     apart = np.sum((end - xyz - moved) ** 2, axis=0)
     # Its own end point lies on another surface, or where two mix.

@@ -44,7 +44,9 @@ class SensorPair:
         """Return the ray of every camera pixel, (rows, columns, 3)."""
         return camera_rays(self.intrinsics, self.pose, self.rows, self.columns, self.threads)
 
-    def meet(self, omega: Floats, omega_sigma: Single, every: int = 1) -> Triangulation:
+    def meet(
+        self, omega: Floats, omega_sigma: Single, every: int = 1, part: Single | None = None
+    ) -> Triangulation:
         """Triangulate phase gradients (orientations, rows, columns) that are of `every`-th row."""
         rays = np.ascontiguousarray(self.rays()[::every])
         rays.setflags(write=False)  # as the table is: kernels are compiled for one kind of array
@@ -55,6 +57,7 @@ class SensorPair:
             self.orientations,
             omega,
             omega_sigma,
+            part=part,
             threads=self.threads,
         )
 

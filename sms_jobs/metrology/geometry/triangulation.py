@@ -54,12 +54,15 @@ class Triangulation:
         (rows, columns) in mm: signed distance epsilon_1 of the rays at closest approach, positive along
         camera ray x projector ray, and its standard deviation from the noise of omega. For one
         orientation a plane is met exactly: both are 0.
+    part
+        (rows, columns), 0 .. 1: how much of the covariance comes of the part of the variances that was told.
     """
 
     xyz: Floats
     covariance: Single
     ray_gap: Single
     ray_gap_sigma: Single
+    part: Single
 
 
 @lru_cache(maxsize=4)
@@ -157,6 +160,7 @@ def _triangulate_rows(
     rays: Floats,
     omega: Floats,
     omega_sigma: Single,
+    part: Single,
     centres: Floats,
     turn: Floats,
     lens: Floats,
@@ -166,8 +170,9 @@ def _triangulate_rows(
     xyz: Floats,
     covariance: Single,
     gap: Single,
+    told: Single,
 ) -> None:
-    """Fill a block of rows of xyz (3, r, c), covariance (6, r, c) and gap (2, r, c).
+    """Fill a block of rows of xyz (3, r, c), covariance (6, r, c), gap (2, r, c) and told (r, c).
 
     `centres`, `turn`, `lens` and `to_pixel` are those of `packed`.
     """
@@ -178,6 +183,7 @@ def _triangulate_rows(
             for i in range(6):
                 covariance[i, row, column] = np.nan
                 xyz[i % 3, row, column] = gap[i % 2, row, column] = np.nan
+            told[row, column] = np.nan
             for i in range(2):
                 pixel[i] = centres[2, i]
                 for k in range(omega.shape[0]):
@@ -190,7 +196,7 @@ def _triangulate_rows(
             if not np.isfinite(distance):
                 continue
             gap[0, row, column] = distance
-            gap_variance = 0.0
+            gap_variance, every, some = 0.0, 0.0, 0.0
             for i in range(3):
                 xyz[i, row, column] = centres[0, i] + point[i]
                 covariance[i, row, column] = covariance[i + 3, row, column] = 0.0
@@ -200,6 +206,9 @@ def _triangulate_rows(
                 moved, opened = closest_change(u, v, base, towards, dv)
                 variance = np.float64(omega_sigma[k, row, column]) ** 2
                 gap_variance += opened * opened * variance
+                moves = _dot(moved, moved) * variance
+                every += moves
+                some += moves * part[k, row, column]
                 change[0], change[1], change[2] = moved
                 at = 0
                 for i in range(3):
@@ -207,6 +216,7 @@ def _triangulate_rows(
                         covariance[at, row, column] += change[i] * change[j] * variance
                         at += 1
             gap[1, row, column] = np.sqrt(gap_variance)
+            told[row, column] = some / every if every > 0.0 else 0.0
 
 
 def triangulate(
@@ -217,6 +227,7 @@ def triangulate(
     omega: Floats,
     omega_sigma: Single,
     *,
+    part: Single | None = None,
     towards_projector: float = 0.0,
     threads: int = 1,
 ) -> Triangulation:
@@ -235,6 +246,8 @@ def triangulate(
     omega, omega_sigma
         (orientations, rows, columns) in rad per fringe: the phase gradients and their standard deviations,
         taken as independent.
+    part
+        Likewise, 0 .. 1: a part of each variance whose share in the covariance is wanted; None for none.
     towards_projector
         Where the point lies between the nearest points of the two rays: 0 on the camera's, 0.5 half way,
         1 on the projector's.
@@ -250,14 +263,17 @@ def triangulate(
 
     Raises `InvalidInput` for parallel orientations.
     """
+    if part is None:
+        part = np.zeros(omega.shape, np.float32)
     if len(orientations) == 1:
         return _meet_phase_surface(
-            camera_centre, rays, projector, orientations[0], omega[0], omega_sigma[0], threads
+            camera_centre, rays, projector, orientations[0], omega[0], omega_sigma[0], part[0], threads
         )
     rows, columns = omega.shape[1:]
     xyz = np.empty((3, rows, columns))
     covariance = np.empty((6, rows, columns), np.float32)
     gap = np.empty((2, rows, columns), np.float32)
+    told = np.empty((rows, columns), np.float32)
     centres, lens, to_pixel, turn = packed(camera_centre, projector, orientations)
 
     def work(start: int, stop: int) -> None:
@@ -265,6 +281,7 @@ def triangulate(
             rays,
             omega,
             omega_sigma,
+            part,
             centres,
             turn,
             lens,
@@ -274,10 +291,11 @@ def triangulate(
             xyz,
             covariance,
             gap,
+            told,
         )
 
     in_row_blocks(work, rows, threads, block=16)
-    return Triangulation(xyz, covariance, gap[0], gap[1])
+    return Triangulation(xyz, covariance, gap[0], gap[1], told)
 
 
 def _meet_phase_surface(
@@ -287,6 +305,7 @@ def _meet_phase_surface(
     orientation: float,
     omega: Floats,
     omega_sigma: Single,
+    part: Single,
     threads: int,
 ) -> Triangulation:
     """Meet each camera ray with the projector's surface of constant phase of one orientation.
@@ -327,4 +346,4 @@ def _meet_phase_surface(
 
     in_row_blocks(work, len(omega), threads)
     gap = np.where(np.isnan(xyz[0]), np.nan, 0.0).astype(np.float32)
-    return Triangulation(xyz, covariance, gap, gap.copy())
+    return Triangulation(xyz, covariance, gap, gap.copy(), part)

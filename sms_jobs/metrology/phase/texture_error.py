@@ -5,6 +5,10 @@ pixel, so is the spot's weight, and the phase is that of a point to that side: b
 a Gaussian spot of variance s^2, whatever the texture, because the spot's gradient is its first moment over
 s^2. On a speckle pattern this exceeds the noise several times. The shift is known from the modulation B
 itself; s^2 follows from the gaps between camera and projector rays, which it opens.
+
+What the pixels do not show of the texture remains: an edge inside a pixel moves its light by up to an
+eighth of a pixel, and by a twelfth in the mean. How much of it there is shows in how far B is from straight
+over three pixels, its roughness, and what a unit of that is worth follows from the gaps as well.
 """
 
 from __future__ import annotations
@@ -26,12 +30,14 @@ Mask = NDArray[np.bool_]
 Floating = NDArray[np.floating]
 
 _LARGEST_BLUR = 2.0  # px^2; a camera so far out of focus is not used for correlation
-_PRECISION = 1.0 / 0.15**2  # of TYPICAL.variance, in 1/px^4
-_TRIM = 4.0  # robust standard deviations
-_ROUNDS = 4
+_PRECISION = 1.0 / 0.25**2  # of UNKNOWN.variance, in 1/px^4
+_TRIM, _TAILS = 4.0, 10.0  # robust standard deviations: of what tells s^2, and of what it leaves
+_STRAIGHT = 1e-6  # part of its largest value below which the roughness does not vary
+_ROUNDS = 6
 _BLUR_ROWS = 128  # rows that are enough to estimate the blur from
 _TEXTURE_ROUNDS = 2  # the first takes the slope of omega from phases that the texture still disturbs
-_TEXTURED = 0.05  # 1/px: several times the noise of ln B, a twentieth of a speckle's edge
+_OUTERMOST = 5.0  # in focus s^2 is some five times rough_px, and across the border nothing is corrected
+_TEXTURED = 0.02  # 1/px: several times the noise of ln B, a fiftieth of a speckle's edge
 
 
 Meet: TypeAlias = Callable[[Floats, Single, int], Triangulation]
@@ -44,25 +50,27 @@ class Blur:
 
     Attributes
     ----------
-    variance
-        s^2 in px^2, the pixel's own area included.
-    unexplained
-        Part of the correction, 0 .. 1, that is to be taken as its standard deviation.
+    variance, variance_sigma
+        s^2 in px^2, the pixel's own area included, and its standard deviation.
+    rough_px
+        By how much light is off where the roughness of the modulation is 1, as a standard deviation in px.
     """
 
     variance: float
-    unexplained: float
+    variance_sigma: float
+    rough_px: float
 
 
-TYPICAL = Blur(1.0 / 3.0, 0.25)
-"""Of a lens in focus: a spot of 0.5 px and the pixel's own 1/12 px^2."""
+UNKNOWN = Blur(1.0 / 12.0, 0.25, 0.15)
+"""Of a camera whose images do not tell: the pixel's own area, uncertain by a lens's spot of 0.5 px."""
 
 
 def log_gradient(brightness: Floating) -> Floats:
     """Return the gradient of ln(brightness) along columns and rows, (2, rows, columns) in 1/px.
 
     The derivative of the interpolating cubic spline: speckles of a few pixels have too much fine detail
-    for central differences, which would leave twice the error.
+    for central differences, which would leave twice the error. The outermost pixels, where a spline would
+    have to know what lies beyond, have none across the border.
     """
     image = np.asarray(brightness, dtype=np.float64)
     gradient = np.empty((2, *image.shape))
@@ -72,6 +80,24 @@ def log_gradient(brightness: Floating) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"):
         gradient /= image
     return np.nan_to_num(gradient, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def roughness(brightness: Floating) -> Floats:
+    """Return how far the brightness is from straight along columns and rows, (2, rows, columns).
+
+    The largest second difference at a pixel and its two neighbours, in units of the pixel's brightness: an
+    edge in the middle of a pixel has none there, but beside it. The outermost pixels count more: they have
+    no gradient.
+    """
+    image = np.asarray(brightness, dtype=np.float64)
+    rough = np.empty((2, *image.shape))
+    for component, axis in enumerate((1, 0)):
+        bent = np.abs(ndimage.correlate1d(image, [1.0, -2.0, 1.0], axis=axis, mode="nearest"))
+        rough[component] = ndimage.maximum_filter1d(bent, 3, axis=axis, mode="nearest")
+        np.moveaxis(rough[component], axis, 0)[[0, -1]] *= _OUTERMOST
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rough /= image
+    return np.nan_to_num(rough, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
 
 
 @kernel
@@ -91,7 +117,16 @@ def _difference(before: float, here: float, after: float) -> float:
 
 
 @kernel
-def _shift_rows(omega: Floats, valid: Mask, gradient: Floats, start: int, stop: int, shift: Floats) -> None:
+def _shift_rows(
+    omega: Floats,
+    valid: Mask,
+    gradient: Floats,
+    rough: Floats,
+    start: int,
+    stop: int,
+    shift: Floats,
+    spread: Single,
+) -> None:
     rows, columns = valid.shape
     for row in range(start, stop):
         for column in range(columns):
@@ -107,10 +142,16 @@ def _shift_rows(omega: Floats, valid: Mask, gradient: Floats, start: int, stop: 
                     after = omega[k, r1, c1] if has_after else np.nan
                     slope = _difference(before, omega[k, row, column], after)
                     shift[k, row, column] += slope * gradient[axis, row, column]
+                    unseen = slope * rough[axis, row, column]
+                    spread[k, row, column] += unseen * unseen
+            for k in range(omega.shape[0]):
+                spread[k, row, column] = np.sqrt(spread[k, row, column])
 
 
-def texture_shift(omega: Floats, valid: Mask, gradient: Floats, threads: int = 1) -> Floats:
-    """Return by how much the texture raises omega per unit of s^2: grad(omega) . grad(ln B).
+def texture_shift(
+    omega: Floats, valid: Mask, gradient: Floats, rough: Floats, threads: int = 1
+) -> tuple[Floats, Single]:
+    """Return by how much the texture moves omega: per unit of s^2, and per px that light is off unseen.
 
     Parameters
     ----------
@@ -120,16 +161,21 @@ def texture_shift(omega: Floats, valid: Mask, gradient: Floats, threads: int = 1
         (rows, columns): whose omega can be used.
     gradient
         (2, rows, columns) in 1/px: `log_gradient` of the modulation.
+    rough
+        (2, rows, columns): `roughness` of the modulation.
 
     Returns
     -------
-    (orientations, rows, columns) in rad/px^2; 0 where not valid.
+    grad(omega) . grad(ln B), (orientations, rows, columns) in rad/px^2; and the length of the vector with the
+    components d(omega)/dx rough_x and d(omega)/dy rough_y, likewise in rad/px. 0 where not valid.
     """
-    shift = np.zeros_like(omega)
-    in_row_blocks(
-        lambda start, stop: _shift_rows(omega, valid, gradient, start, stop, shift), len(valid), threads
-    )
-    return shift
+    shift, spread = np.zeros_like(omega), np.zeros(omega.shape, np.float32)
+
+    def work(start: int, stop: int) -> None:
+        _shift_rows(omega, valid, gradient, rough, start, stop, shift, spread)
+
+    in_row_blocks(work, len(valid), threads)
+    return shift, spread
 
 
 def textured_interior(valid: Mask, gradient: Floats, margin: int = 4) -> Mask:
@@ -143,20 +189,24 @@ def textured_interior(valid: Mask, gradient: Floats, margin: int = 4) -> Mask:
     return np.asarray(inside & (np.hypot(gradient[0], gradient[1]) > _TEXTURED))
 
 
-def _unexplained(excess: Floats, correction: Floats) -> float:
-    """Return which part of the squared correction the squared gap exceeds its noise by.
+def _rough_square(excess: Floats, rough: Floats, weight: Floats) -> float:
+    """Return how much the squared gap exceeds its noise by, for each unit of the squared `rough`.
 
-    What it exceeds the noise by where the correction is least, in a fifth of the pixels, is not the
-    texture's but the calibration's.
+    The slope of a straight line by weighted least squares, whose height at 0 is not the texture's but the
+    calibration's, and not negative. With the square of the inverse variance as weight, as squares scatter,
+    every pixel has its say, not the roughest alone.
     """
-    if correction.size == 0 or np.ptp(correction) == 0.0:
+    share = np.square(weight)
+    total, one, two = (float(np.sum(share * rough**n)) for n in range(3))
+    height, slope = float(np.sum(share * excess)), float(np.sum(share * excess * rough))
+    spread = total * two - one * one
+    if not spread > _STRAIGHT * total * two:
         return 0.0
-    least = correction <= np.quantile(correction, 0.2)
-    grown = np.mean(excess) - np.mean(excess[least])
-    return float(np.clip(grown / (np.mean(correction) - np.mean(correction[least])), 0.0, 1.0))
+    beside = max((two * height - one * slope) / spread, 0.0)
+    return float(np.clip((slope - beside * one) / two, 0.0, 1.0))
 
 
-def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating) -> Blur:
+def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating, rough: Floating) -> Blur:
     """Find s^2 from the ray gaps that the texture opens, by trimmed weighted least squares.
 
     Parameters
@@ -166,28 +216,34 @@ def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating) -> Blur:
         pixels of a `textured_interior`.
     change
         (points,), how the gap changes with s^2, in mm/px^2.
+    rough
+        (points,), standard deviation of the gap for each px of `Blur.rough_px`, in mm/px.
 
     Notes
     -----
-    gap + s^2 change = noise. What remains of the gap's square beyond the noise and grows with that of the
-    correction is the part `unexplained` of it; what does not grow is the calibration's. `TYPICAL` enters
-    with its own uncertainty and decides where there is little texture or none.
+    gap + s^2 change = noise, of the variance gap_sigma^2 + rough_px^2 rough^2: where the modulation is rough
+    a gap tells little. What remains of the gap's square beyond the noise and grows with `rough` gives
+    rough_px; what does not grow is the calibration's. `UNKNOWN` enters with its own uncertainty and decides
+    where there is little texture or none.
     """
-    used = np.isfinite(gap) & np.isfinite(change) & (gap_sigma > 0.0)
-    g, h, w = gap[used].astype(float), change[used].astype(float), gap_sigma[used].astype(float) ** -2
-    variance, scale, kept = TYPICAL.variance, 1.0, np.ones(g.size, dtype=bool)
-    rest = (g + variance * h) * np.sqrt(w)
+    used = np.isfinite(gap) & np.isfinite(change) & np.isfinite(rough) & (gap_sigma > 0.0)
+    g, h = gap[used].astype(float), change[used].astype(float)
+    noise, r = np.square(gap_sigma[used].astype(float)), np.square(rough[used].astype(float))
+    variance, rough_square, information = UNKNOWN.variance, UNKNOWN.rough_px**2, 0.0
     for _ in range(_ROUNDS):
+        w = 1.0 / (noise + rough_square * r)
+        rest = (g + variance * h) * np.sqrt(w)
         scale = max(1.0, float(np.median(np.abs(rest))) / 0.6745) if rest.size else 1.0
         kept = np.abs(rest) < _TRIM * scale
         information = float(np.sum((w * h * h)[kept])) / scale**2
         pull = -float(np.sum((w * g * h)[kept])) / scale**2
-        found = (pull + TYPICAL.variance * _PRECISION) / (information + _PRECISION)
+        found = (pull + UNKNOWN.variance * _PRECISION) / (information + _PRECISION)
         variance = float(np.clip(found, 0.0, _LARGEST_BLUR))
-        rest = (g + variance * h) * np.sqrt(w)
-    part = _unexplained(np.square(g + variance * h)[kept] - 1.0 / w[kept], np.square(variance * h[kept]))
-    share = information / (information + _PRECISION)
-    return Blur(variance, float(np.sqrt(share * part + (1.0 - share) * TYPICAL.unexplained**2)))
+        share = information / (information + _PRECISION)
+        near = np.abs(rest) < _TAILS * scale
+        part = _rough_square(np.square(g + variance * h)[near] - noise[near], r[near], w[near])
+        rough_square = share * part + (1.0 - share) * UNKNOWN.rough_px**2
+    return Blur(variance, float((information + _PRECISION) ** -0.5), float(np.sqrt(rough_square)))
 
 
 def correct_texture(
@@ -200,7 +256,7 @@ def correct_texture(
     blur_px: float | None = None,
     maximum_shift_px: float = np.inf,
     threads: int = 1,
-) -> tuple[Blur, Mask]:
+) -> tuple[Blur, Mask, Single]:
     """Take the texture's error out of omega, in place, and put what may be left of it into its sigma.
 
     Parameters
@@ -220,33 +276,46 @@ def correct_texture(
 
     Returns
     -------
-    The blur, and the usable pixels whose light comes from farther off: they see past the edge of a surface
-    or a shadow.
+    The blur; the usable pixels whose light comes from farther off: they see past the edge of a surface or a
+    shadow; and (orientations, rows, columns) which part of the square of sigma is what may be left. That has
+    no mean over a blob of texture, whose sides hide as much of either sign.
     """
-    gradient = log_gradient(modulation.mean(axis=0))
+    brightness = modulation.mean(axis=0)
+    gradient, rough = log_gradient(brightness), roughness(brightness)
     telling = textured_interior(usable, gradient)
     corrected = omega
     for _ in range(_TEXTURE_ROUNDS):
-        shift = texture_shift(corrected, usable, gradient, threads)
+        shift, spread = texture_shift(corrected, usable, gradient, rough, threads)
         if blur_px is not None:
-            blur = Blur(blur_px**2, TYPICAL.unexplained)
+            blur = Blur(blur_px**2, 0.0, UNKNOWN.rough_px if blur_px else 0.0)
         else:
-            blur = _blur_of_gaps(omega, omega_sigma, shift, telling, meet)
+            blur = _blur_of_gaps(omega, omega_sigma, shift, spread, telling, meet)
         corrected = omega - blur.variance * shift
     beside = usable & (blur.variance * np.hypot(gradient[0], gradient[1]) > maximum_shift_px)
-    left = (blur.unexplained * blur.variance * shift).astype(np.float32)
+    left = np.hypot((blur.variance_sigma * shift).astype(np.float32), np.float32(blur.rough_px) * spread)
     np.hypot(omega_sigma, left, out=omega_sigma)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        part = np.nan_to_num(np.square(left / omega_sigma), copy=False)
+    # The other side of a blob at the border is not seen.
+    part[:, [0, -1]] = part[:, :, [0, -1]] = 0.0
     omega[...] = corrected
-    return blur, beside
+    return blur, beside, part
 
 
-def _blur_of_gaps(omega: Floats, omega_sigma: Single, shift: Floats, telling: Mask, meet: Meet) -> Blur:
-    """Return the blur that the ray gaps of some rows tell, or that is typical of a single orientation."""
+def _blur_of_gaps(
+    omega: Floats, omega_sigma: Single, shift: Floats, spread: Single, telling: Mask, meet: Meet
+) -> Blur:
+    """Return the blur that the ray gaps of some rows tell, or that is unknown of a single orientation."""
     if len(omega) == 1:
-        return TYPICAL
+        return UNKNOWN
     every = max(len(telling) // _BLUR_ROWS, 1)
     part, sigma = omega[:, ::every].copy(), omega_sigma[:, ::every].copy()
-    before, after = meet(part, sigma, every), meet(part - shift[:, ::every], sigma, every)
+    before = meet(part, sigma, every)
+    after = meet(part - shift[:, ::every], spread[:, ::every].copy(), every)
     seen = telling[::every]
-    change = after.ray_gap - before.ray_gap
-    return estimate_blur(before.ray_gap[seen], before.ray_gap_sigma[seen], change[seen])
+    return estimate_blur(
+        before.ray_gap[seen],
+        before.ray_gap_sigma[seen],
+        (after.ray_gap - before.ray_gap)[seen],
+        after.ray_gap_sigma[seen],
+    )

@@ -12,6 +12,7 @@ from sms_jobs.metrology.deformation.averaging import average_in_region
 from sms_jobs.metrology.deformation.correlation import MatchSettings, match_points, prepare_images
 from sms_jobs.metrology.deformation.displacement import (
     ImagePoints,
+    StateShape,
     blend_matches,
     displacement_field,
     pixel_pitch,
@@ -134,8 +135,8 @@ def test_a_rigid_shift_is_measured_everywhere() -> None:
     found = displacement_field(
         *blend_matches(points_on(labels, moved), xyz, labels, 8),
         NO_BIAS,
-        (xyz, covariance, labels),
-        (end, covariance, np.ones_like(labels)),
+        StateShape(xyz, covariance, labels),
+        StateShape(end, covariance, np.ones_like(labels)),
         labels > 0,
         averaging_radius=3.0,
     )
@@ -162,7 +163,8 @@ def test_end_points_without_shape_have_no_displacement() -> None:
     still = np.zeros((2, 6))
     found = displacement_field(
         *blend_matches(points_on(labels, still), surface(), labels, 8), NO_BIAS,
-        (surface(), covariance, labels), (end, covariance, holes), labels > 0, averaging_radius=3.0,
+        StateShape(surface(), covariance, labels), StateShape(end, covariance, holes), labels > 0,
+        averaging_radius=3.0,
     )  # fmt: skip
     assert (found.status[31:39, 31:44] == displacement.NO_SHAPE_AT_END).all()
     assert (found.status[holes == 1] == 0).all()
@@ -185,8 +187,8 @@ def test_covariance_is_that_of_the_scatter(rng: np.random.Generator) -> None:
         found = displacement_field(
             *blend_matches(points, xyz + noise[0], labels, 8),
             NO_BIAS,
-            (xyz + noise[0], covariance, labels),
-            (xyz + noise[1], covariance, labels),
+            StateShape(xyz + noise[0], covariance, labels),
+            StateShape(xyz + noise[1], covariance, labels),
             labels > 0,
             averaging_radius=3.0,
         )
@@ -216,6 +218,19 @@ def test_averages_keep_planes_and_shed_outliers(rng: np.random.Generator) -> Non
     assert (np.abs(value - plane)[:, on] < 1e-9).mean() > 0.999
     # (1 - d^2 / 9)^2 over a disc of radius 3 is worth 5 pi 9 / 9 = 15.7 pixels; the grid is coarse: 10 %.
     assert covariance[0, 0, 0] / spread[0, 45, 20] == pytest.approx(15.7, rel=0.1)
+
+
+def test_what_cancels_weighs_in_an_average_and_is_no_part_of_its_covariance() -> None:
+    labels = np.ones((ROWS, COLUMNS), np.int32)
+    total = np.full((6, ROWS, COLUMNS), 4e-6)
+    total[:, :, ::2] *= 9.0  # mostly of what cancels
+    alone = np.full_like(total, 4e-6)
+    value, spread = average_in_region(surface(), total, labels, labels > 0, 3.0, 1, alone)
+    weighted, every = average_in_region(surface(), total, labels, labels > 0, 3.0)
+    np.testing.assert_array_equal(value, weighted)
+    # With weights of 1 and 1/9 in turn, squares of 1 and 1/81 times 4e-6, or times 4e-6 and 36e-6.
+    ratio = (1.0 + 1.0 / 81.0) / (1.0 + 9.0 / 81.0)
+    np.testing.assert_allclose((spread / every)[:, 20:40, 20:40], ratio, rtol=0.05)  # places of the disc
 
 
 def test_pitch_is_the_distance_of_neighbours() -> None:

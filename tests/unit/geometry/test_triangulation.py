@@ -156,6 +156,23 @@ def test_a_point_on_the_cameras_ray_scatters_less_than_one_half_way(
     assert squared_error(0.0) < squared_error(0.5)
 
 
+@pytest.mark.parametrize("orientations", [CROSSED, (0.3,)], ids=str)
+def test_a_part_of_the_variances_is_followed_into_the_covariance(
+    scene: tuple[Floats, Floats], orientations: tuple[float, ...], rng: np.random.Generator
+) -> None:
+    rays, points = scene
+    omega = phases(points, orientations)
+    sigma = rng.uniform(1e-4, 3e-4, omega.shape).astype(np.float32)
+    part = rng.random(omega.shape).astype(np.float32)
+    told, alone = (
+        triangulate(CAMERA_POSE.centre(), rays, PROJECTOR, orientations, omega, each, part=of)
+        for each, of in ((sigma, part), (sigma * np.sqrt(part), None))
+    )
+    # Single precision, and covariances are quadratic in what is rounded.
+    np.testing.assert_allclose(told.part * told.covariance, alone.covariance, rtol=1e-5, atol=1e-15)
+    np.testing.assert_array_equal(alone.part, 0.0)
+
+
 def test_rays_that_meet_behind_a_sensor_give_no_point(scene: tuple[Floats, Floats]) -> None:
     rays, points = scene
     found = meet(-rays, phases(points, CROSSED), CROSSED)

@@ -22,7 +22,7 @@ from sms_jobs.metrology.phase.exposure import (
 )
 from sms_jobs.metrology.phase.patterns import phase_gradient
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
-from sms_jobs.metrology.phase.texture_error import TYPICAL, log_gradient, texture_shift
+from sms_jobs.metrology.phase.texture_error import log_gradient, roughness, texture_shift
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import Cylinder, Gloss, Simulation
 from sms_jobs.virtual_rig.campaigns import small_plate
@@ -33,6 +33,7 @@ from sms_jobs.virtual_rig.truth import exact_shape
 
 FULL_SCALE = 4095
 SEQUENCE = FringeSequence((16, 15, 14, 12, 8), 4, (0.0,))
+SPOT = (1.0 / 3.0) ** 0.5  # of the lens, 0.5 px, and the pixel's own area
 SHINE = Gloss(strength=20.0, exponent=300.0)
 
 
@@ -74,8 +75,9 @@ def score(found: PhaseGradient, modulation: NDArray[np.floating]) -> NDArray[np.
     """Return the errors of omega over their standard deviations, rid of the highlight's own slope."""
     _, _, inside, xy = shiny()
     usable = ndimage.binary_dilation(inside) & ~found.saturated
-    shift = texture_shift(found.omega[None], usable, log_gradient(modulation))[0]
-    error = found.omega - TYPICAL.variance * shift - phase_gradient(xy, 256, 192, 0.0)
+    gradient, rough = log_gradient(modulation), roughness(modulation)
+    shift = texture_shift(found.omega[None], usable, gradient, rough)[0][0]
+    error = found.omega - SPOT**2 * shift - phase_gradient(xy, 256, 192, 0.0)
     return (error / found.omega_sigma)[inside & ~found.saturated]
 
 

@@ -7,13 +7,22 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.bench.bent_waveforms import scores
+from sms_jobs.bench.fringe_textures import TexturedPlate, record
+from sms_jobs.bench.in_memory import run_kind
+from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
+from sms_jobs.kinds.surface_ports import independent_covariance
 from sms_jobs.metrology.phase.texture_error import (
-    TYPICAL,
+    UNKNOWN,
     estimate_blur,
     log_gradient,
+    roughness,
     texture_shift,
     textured_interior,
 )
+from sms_jobs.records.fields import Surface
+from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.subject import Subject
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +53,7 @@ def inside(values: Floats) -> Floats:
 def test_the_shift_of_a_textured_surface_is_taken_away(rng: np.random.Generator) -> None:
     brightness, measured, exact = seen_through_a_spot(rng)
     valid = np.ones(SHAPE, dtype=bool)
-    shift = texture_shift(measured, valid, log_gradient(brightness))
+    shift, _ = texture_shift(measured, valid, log_gradient(brightness), roughness(brightness))
     before = inside(measured - exact)
     after = inside(measured - SPOT**2 * shift - exact)
     assert np.abs(before).max() > 5e-4
@@ -73,9 +82,19 @@ def test_slopes_do_not_reach_across_edges_or_gaps() -> None:
     valid[:, 10] = False
     gradient = np.zeros((2, 12, 40))
     gradient[0] = 1.0
-    shift = texture_shift(omega, valid, gradient)
+    shift, spread = texture_shift(omega, valid, gradient, 3.0 * gradient)
     assert (shift[:, ~valid] == 0.0).all()
     np.testing.assert_allclose(shift[:, valid], 0.01, atol=1e-12)  # rounding
+    np.testing.assert_allclose(spread[:, valid], 0.03, rtol=1e-6)  # single precision
+
+
+def test_roughness_is_how_far_from_straight_the_neighbours_are() -> None:
+    image = np.full((5, 9), 2.0)
+    image[:, 5:] = 6.0
+    found = roughness(image)
+    np.testing.assert_array_equal(found[1], 0.0)
+    # The second difference is 4 at columns 4 and 5, and reaches one further, in units of 2 and of 6.
+    np.testing.assert_allclose(found[0][2], [0, 0, 0, 2, 2, 2 / 3, 2 / 3, 0, 0], atol=1e-15)
 
 
 def test_the_blur_is_found_from_gaps(rng: np.random.Generator) -> None:
@@ -83,38 +102,45 @@ def test_the_blur_is_found_from_gaps(rng: np.random.Generator) -> None:
     change = rng.normal(scale=0.3, size=n)
     gap = rng.normal(scale=sigma, size=n) - variance * change
     gap[:100] += 5.0  # pixels that see two surfaces
-    found = estimate_blur(gap, np.full(n, sigma), change)
-    # sigma / (0.3 sqrt(n)) = 1e-3; four times that.
+    found = estimate_blur(gap, np.full(n, sigma), change, np.abs(change))
+    # sigma / (0.3 sqrt(n)) = 1e-3, and it is said so; four times that.
     assert found.variance == pytest.approx(variance, abs=4e-3)
-    # Chi-square of 4000 degrees of freedom scatters by 2 %: of noise sigma against 0.34 x 0.3 mm.
-    assert found.unexplained < 0.05
+    assert found.variance_sigma == pytest.approx(1.05e-3, rel=0.1)
+    # Chi-square of 4000 degrees of freedom scatters by 2 %: of noise sigma against a gap of 0.3 mm / px.
+    assert found.rough_px < 0.02
 
 
 def test_what_the_correction_leaves_is_measured_too(rng: np.random.Generator) -> None:
-    n, sigma, variance, part = 20_000, 0.005, 0.34, 0.25
+    n, sigma, variance, unseen = 20_000, 0.005, 0.34, 0.08
     change = rng.normal(scale=0.3, size=n)
-    gap = rng.normal(scale=sigma, size=n) - variance * change * (1.0 + part * rng.normal(size=n))
-    found = estimate_blur(gap, np.full(n, sigma), change)
-    assert found.variance == pytest.approx(variance, rel=0.05)  # part / sqrt(n), and the trimming's share
-    assert found.unexplained == pytest.approx(part, rel=0.25)  # trimming at 4 cuts the tails of a product
+    rough = np.abs(rng.normal(scale=0.4, size=n))
+    gap = rng.normal(scale=sigma, size=n) - variance * change + unseen * rough * rng.normal(size=n)
+    found = estimate_blur(gap, np.full(n, sigma), change, rough)
+    # Each point tells its variance to sqrt(2): 1 % of it in all, half of that of its root; four times that.
+    assert found.variance == pytest.approx(variance, abs=4e-3)
+    assert found.rough_px == pytest.approx(unseen, rel=0.03)
 
 
 def test_a_gap_from_calibration_is_not_the_textures(rng: np.random.Generator) -> None:
     n, sigma, variance = 20_000, 0.02, 0.34
     change = rng.normal(scale=0.3, size=n)
     gap = 0.08 + rng.normal(scale=sigma, size=n) - variance * change
-    found = estimate_blur(gap, np.full(n, sigma), change)
+    found = estimate_blur(gap, np.full(n, sigma), change, np.abs(rng.normal(scale=0.3, size=n)))
     # 0.08 / (0.3 sqrt(n)) = 2e-3, as the offset is noise to the fit; four times that.
     assert found.variance == pytest.approx(variance, abs=8e-3)
-    # The excess, 0.0064 mm^2, scatters by 0.0033 / sqrt(n / 5) = 5e-5 against 0.01 mm^2: a part of 0.07.
-    assert found.unexplained < 0.15
+    # The excess, 0.0064 mm^2, scatters by 0.0033, its slope over squares that scatter by 0.13 by 1.8e-4.
+    assert found.rough_px < 0.03
 
 
-def test_without_texture_the_lens_is_taken_to_be_in_focus(rng: np.random.Generator) -> None:
+def test_without_texture_the_spot_is_the_pixels_own_area(rng: np.random.Generator) -> None:
     gap = rng.normal(size=500)
     nothing = np.zeros(0)
-    assert estimate_blur(gap, np.ones(500), np.zeros(500)) == TYPICAL
-    assert estimate_blur(nothing, nothing, nothing) == TYPICAL
+    for found in (
+        estimate_blur(gap, np.ones(500), np.zeros(500), np.zeros(500)),
+        estimate_blur(nothing, nothing, nothing, nothing),
+    ):
+        assert (found.variance, found.variance_sigma) == (pytest.approx(1.0 / 12.0), UNKNOWN.variance_sigma)
+        assert found.rough_px == pytest.approx(UNKNOWN.rough_px)
 
 
 def test_edges_and_plain_surface_do_not_tell_the_blur() -> None:
@@ -128,3 +154,49 @@ def test_edges_and_plain_surface_do_not_tell_the_blur() -> None:
     expected[3:6, 7:10] = False
     expected[7, 2] = False
     np.testing.assert_array_equal(inside, expected)
+
+
+@pytest.mark.parametrize(
+    "plate",
+    [
+        TexturedPlate("squares", 6.0, 0.0, 0.002),
+        TexturedPlate("squares", 12.0, 0.25, 0.004),
+        TexturedPlate("speckle", 0.0, 0.5, 0.002),
+        TexturedPlate("plain", 0.0, 0.5, 0.002),
+    ],
+    ids=lambda plate: f"{plate.pattern} {plate.square_mm}",
+)
+def test_points_and_their_means_are_as_good_as_stated(rng: np.random.Generator, plate: TexturedPlate) -> None:
+    """Squares of two tones, 5 : 1, without a texture's part: z up to 2.7, and 192 points beyond 10."""
+    seen = record(rng, plate, FringeSequence((32, 31, 30, 28, 24, 16), orientations_rad=(0.0, 0.5 * np.pi)))
+    score, valid = scores(seen, {})
+    assert valid > 0.98
+    # The thousandfold points tell their rms to 1 %; the roughness knows an edge's place to within the pixel,
+    # and errors of edges are no normal deviates: a tenth, and tails of up to 8.
+    assert np.sqrt(np.mean(np.square(score))) == pytest.approx(1.0, abs=0.12)
+    assert score.max() < 10.0
+    records = {"measurement": seen.measurement, "calibration": seen.calibration}
+    output = run_kind(KIND, Subject("plate", "S00", "C1P1"), records, 1, ReconstructParameters())
+    surface = output.records["surface"]
+    assert isinstance(surface, Surface)
+    means, stated = blocks(surface, surface.position - seen.point, 12)
+    # Of a hundred means the rms is known to 7 %; what the sides of a blob hide cancels but for the blobs that
+    # a mean cuts, a fifth.
+    assert 0.8 < np.sqrt(np.mean(means**2 / stated)) < 1.4
+
+
+def blocks(surface: Surface, error: Floats, size: int) -> tuple[Floats, Floats]:
+    """Return errors along the ray as means of square blocks by their weights, and the variances stated."""
+    along = np.sign(error[2]) * np.linalg.norm(error, axis=0)
+    weight = 1.0 / np.asarray(surface.covariance, float)[[0, 3, 5]].sum(axis=0)
+    alone = independent_covariance(surface)[[0, 3, 5]].sum(axis=0)
+    rows, columns = (n // size for n in along.shape)
+
+    def of(values: Floats) -> Floats:
+        cut = values[: rows * size, : columns * size].reshape(rows, size, columns, size)
+        return np.asarray(cut.sum(axis=(1, 3)))
+
+    total = of(weight)
+    means, stated = of(weight * along) / total, of(weight**2 * alone) / total**2
+    whole = np.isfinite(means)
+    return means[whole], stated[whole]
