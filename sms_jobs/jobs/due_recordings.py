@@ -249,20 +249,27 @@ def rehearse(catalogue: Catalogue, one: Due, now: datetime) -> None:
 
 
 def _drafted(session: Session, one: Due, now: datetime) -> Draft:
-    if (other := _others(session, one.campaign, one.label)) is not None:
+    wanted = recordings.requests((one.label,), ask=one.ask, process=one.process)
+    by = f"plan of {one.planned_by}"[:80]
+    planned = draft(session, one.campaign, wanted, now, by=by, key=one.key).whole()
+    other = _others(session, one.campaign, one.label)
+    if other is not None and other != _recording(planned):  # its own: somebody was faster
         raise Conflict(
             f"job {other[:SHORT_ID]} records {one.campaign}/{one.label} already; 'sms acquire list' shows it"
         )
-    wanted = recordings.requests((one.label,), ask=one.ask, process=one.process)
-    by = f"plan of {one.planned_by}"[:80]
-    return draft(session, one.campaign, wanted, now, by=by, key=one.key).whole()
+    return planned
+
+
+def _recording(planned: Draft) -> str:
+    """Return the id of the job that records."""
+    submitted = planned.submission
+    return submitted.job_ids[submitted.kinds.index(KIND.name)]
 
 
 def _begin(catalogue: Catalogue, one: Due, due_at: datetime, now: datetime, holder: str | None) -> str | None:
     with catalogue.reading() as session:
         planned = _drafted(session, one, now)
-    submitted = planned.submission
-    job_id = submitted.job_ids[submitted.kinds.index(KIND.name)]
+    job_id = _recording(planned)
     with catalogue.writing() as session:
         if not _claimed(session, one, due_at):
             return None

@@ -103,6 +103,14 @@ def test_of_many_who_begin_it_at_once_one_does(test_plan: Catalogue) -> None:
     assert jobs(test_plan) == ["wing/S00"]
 
 
+def test_whoever_is_too_late_begins_nothing(test_plan: Catalogue) -> None:
+    put(test_plan, *LABELS)
+    one = due(test_plan)
+    assert due_recordings.begin(test_plan, one, NOW, NOW) is not None
+    assert due_recordings.begin(test_plan, one, NOW, NOW) is None
+    assert jobs(test_plan) == ["wing/S00"]
+
+
 def test_its_jobs_could_not_be_entered_twice(test_plan: Catalogue) -> None:
     put(test_plan, "S00")
     one, job = due(test_plan), begin(test_plan)
