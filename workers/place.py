@@ -13,8 +13,7 @@ import time
 from typing import Any, NoReturn
 
 import cv2
-import scipy.optimize
-import scipy.stats  # noqa: F401 - with what is above, for all places that are forked
+import scipy.optimize  # noqa: F401 - with what is above, for all places that are forked
 from celery.worker import WorkController
 from celery.worker.consumer import Consumer
 

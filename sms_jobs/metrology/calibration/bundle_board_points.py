@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from sms_jobs.metrology.calibration.bundle_normal import Block, Observed, Packed
 from sms_jobs.metrology.calibration.bundle_parameters import Freedom, Layout, State, parameter_names
@@ -229,8 +230,6 @@ def judge_points(
     sigma. Where their sum is beyond chance, sigma is raised until it is not, and the points are freed with
     that: a calibration that would move by more than its deviations is warned of.
     """
-    from scipy.stats import chi2
-
     moved = _moved_by(equations, freedom, covariance)
     size = 3 * len(equations.own)
     information = -equations.mixed[freedom.free].T @ moved
@@ -248,7 +247,7 @@ def judge_points(
         return float(np.sum(along**2 / (values + values**2 * (within + raised)))) - len(values)
 
     named = _misplaced(problem, equations)
-    if excess(0.0) + len(values) <= chi2.isf(_CHANCE, len(values)):
+    if excess(0.0) + len(values) <= chdtri(len(values), _CHANCE):
         return PointsFound(0.0, named)
     raised = _root(excess)
     off = vectors @ (along / (values + 1.0 / (within + raised)))
@@ -304,8 +303,6 @@ def _shape_warning(
 
 def _misplaced(problem: BundleProblem, equations: PointEquations) -> tuple[str, ...]:
     """Name points that most poses see in another place than the rest of the board puts them."""
-    from scipy.stats import chi2
-
     which, slopes, residuals = equations.whitened
     count = len(equations.board)
     off, views = np.zeros((count, 3)), np.bincount(which, minlength=count)
@@ -322,8 +319,8 @@ def _misplaced(problem: BundleProblem, equations: PointEquations) -> tuple[str, 
     spread = np.linalg.inv(own) + (stated**2)[:, None, None] * np.eye(3)
     squares = np.einsum("ni,ni->n", off, np.linalg.solve(spread, off[:, :, None])[:, :, 0])
     # A board whose shape is wrong as a whole has no single points to name: each is judged beside the others.
-    usual = max(1.0, float(np.median(squares)) / chi2.median(3))
-    loud = np.flatnonzero((squares / usual > chi2.isf(_CHANCE / count, 3)) & (views >= _FEWEST_VIEWS))
+    usual = max(1.0, float(np.median(squares)) / chdtri(3, 0.5))
+    loud = np.flatnonzero((squares / usual > chdtri(3, _CHANCE / count)) & (views >= _FEWEST_VIEWS))
     order = loud[np.argsort(-squares[loud])]
     found = [
         f"the point at x {equations.place[k, 0]:.4g}, y {equations.place[k, 1]:.4g} mm of "

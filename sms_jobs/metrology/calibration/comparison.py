@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.comparison_points import (
@@ -248,8 +249,6 @@ def _tested(
     relation: Relation,
     same_world: bool,
 ) -> _Test:
-    from scipy.stats import chi2
-
     alignment = alignment_of(through, weights)
     later = {n: after[n] if same_world else _carried(after[n], alignment) for n in before}
     step = np.concatenate([parameter_change(before[n], later[n]) for n in before])
@@ -257,7 +256,7 @@ def _tested(
     if spread is not None:
         spread = left @ spread @ left.T
     whitened, taking = _whitened(step, spread, relation, 0 if same_world else 6)
-    p_value = float(chi2.sf(np.sum(whitened**2), len(whitened))) if len(whitened) else float("nan")
+    p_value = float(chdtrc(len(whitened), np.sum(whitened**2))) if len(whitened) else float("nan")
     variance = None if spread is None else np.diag(spread)
     return _Test(weights, alignment, step, variance, whitened, taking @ left, p_value)
 

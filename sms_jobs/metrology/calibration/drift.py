@@ -12,6 +12,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri, chndtrinc
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.gap_blocks import GapBlocks, block_gaps
@@ -262,11 +263,7 @@ def _explain(gap: Floats, patterns: Floats, spread: Floats) -> _Fit:
 
 def _detectable(patterns: Floats, spread: Floats, threshold: float) -> float:
     """Return the rms over blocks of the least detectable pattern that is found with 95 %."""
-    from scipy.optimize import brentq
-    from scipy.stats import ncx2
-
-    freedom = patterns.shape[1]
-    needed = brentq(lambda x: ncx2.sf(threshold, freedom, x) - _POWER, 1e-3, 1e4)
+    needed = chndtrinc(threshold, patterns.shape[1], 1.0 - _POWER)
     q, _ = np.linalg.qr(patterns)
     weakest = np.linalg.eigvalsh(q.T @ np.linalg.solve(spread, q))[0]
     return float(np.sqrt(needed / (weakest * len(patterns))))
@@ -282,12 +279,10 @@ def _judged(
     pair: tuple[Parameters, Parameters],
     options: DriftOptions,
 ) -> DriftCheck:
-    from scipy.stats import chi2
-
     count, freedom = len(blocks.gap), fit.directions.shape[1]
     each = 1.0 - np.sqrt(1.0 - options.false_alarm)
-    motion = float(chi2.isf(each, freedom)) if freedom else float("inf")
-    rest = float(chi2.isf(each, count - freedom))
+    motion = float(chdtri(freedom, each)) if freedom else float("inf")
+    rest = float(chdtri(count - freedom, each))
     largest = int(np.argmax(np.abs(blocks.gap)))
     detectable = _detectable(patterns @ fit.directions, spread, motion) if freedom else float("inf")
     moved_much, strange = fit.statistic > motion, fit.rest > rest

@@ -9,6 +9,7 @@ from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 Mask = NDArray[np.bool_]
 Floating = NDArray[np.floating]
@@ -62,6 +63,4 @@ def phase_error_factor(fitted: int, kept: float) -> float:
     With Gaussian noise, (n - 1) (phase error / sigma)^2 of n fitted densities has the chi-square
     distribution of n - 1 degrees of freedom. Infinite for one density, which leaves no residual.
     """
-    from scipy.stats import chi2
-
-    return sqrt(chi2.ppf(kept, fitted - 1) / (fitted - 1)) if fitted > 1 else float("inf")
+    return sqrt(chdtri(fitted - 1, 1.0 - kept) / (fitted - 1)) if fitted > 1 else float("inf")

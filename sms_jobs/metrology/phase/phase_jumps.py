@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri
 
 from sms_jobs.metrology.phase.frame_fit import FrameFit, Singles
 
@@ -47,8 +48,6 @@ def find_jump(fit: FrameFit, densities: tuple[int, ...]) -> PhaseJump | None:
     residuals of each pixel; what is left has a chi-square law with two degrees of freedom less than there are
     densities, of which 99.9 % is kept. A density during which the jump happened is left out.
     """
-    from scipy.stats import chi2
-
     n = len(densities)
     t = np.array(densities, np.float32)[:, None]
     time = np.arange(n, dtype=np.float32)[:, None]
@@ -66,12 +65,12 @@ def find_jump(fit: FrameFit, densities: tuple[int, ...]) -> PhaseJump | None:
                 slope = np.sum(w * own * r, axis=0) / np.maximum(np.sum(w * own * own, axis=0), _TINY)
                 left += np.sum(w * np.square(r - own * slope), axis=0)
                 change += np.float32(sign) * slope
-            share = float(np.mean(left < chi2.ppf(_KEPT, freedom)))
+            share = float(np.mean(left < chdtri(freedom, 1.0 - _KEPT)))
             skipped = _PRICE * (after - before - 1)
             tried.append((share - skipped, share, before, after, float(np.median(change))))
     if n - 2 >= _LEAST_FREEDOM:
         left, rate = _drifting(fit.residual, fit.weight, t, time - time.mean())
-        share = float(np.mean(left < chi2.ppf(_KEPT, n - 2)))
+        share = float(np.mean(left < chdtri(n - 2, 1.0 - _KEPT)))
         tried.append((share - _PRICE, share, 0, n - 1, float(np.median(rate)) * (n - 1)))
     _, share, before, after, omega = max(tried, default=(0.0, 0.0, 0, 0, 0.0))
     return PhaseJump(before, after, omega * max(densities)) if share >= _EXPLAINED else None
