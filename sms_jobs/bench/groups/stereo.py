@@ -10,6 +10,7 @@ import numpy as np
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, Sense
 from sms_jobs.bench.peers import PEERS, peers_folder
+from sms_jobs.bench.published_stereo import FOLDER, STATES, between_cameras, in_time, published
 from sms_jobs.bench.rigid_plates import STAND_OFF_MM, search_range_px, shifted_plate, true_shift, with_shape
 from sms_jobs.bench.shelf import Shelf, reconstructed
 from sms_jobs.bench.stereo_errors import (
@@ -93,6 +94,7 @@ def measure(run: Run) -> Iterator[Found]:
     yield from _still(run)
     yield from _speed(run)
     yield from _specimens(run)
+    yield from _published()
     yield from _peers(run)
 
 
@@ -262,6 +264,24 @@ def _specimens(run: Run) -> Iterator[Found]:
         f"{_gauge_length_mm('telephoto'):g} and "
         f"{_gauge_length_mm('wide-angle'):g} mm; wanted 0.8 to 1.2",
     )
+
+
+def _published() -> Iterator[Found]:
+    cross, moved = None, None
+    if published():
+        cross = float(np.nanmedian(between_cameras(2)))
+        each = [in_time(state, 1) for state in STATES]
+        moved = float(np.nanmedian(np.concatenate(each)))
+        told = (
+            "DICe's points and matches, subsets of 25 px; between the cameras of second order (of first "
+            f"{np.nanmedian(between_cameras(1)):.3f} px), in time of first, by state "
+            f"{', '.join(f'{np.nanmedian(one):.3f}' for one in each)} px"
+        )
+    else:
+        told = f"left out: {FOLDER} is not there"
+    yield Figure("gt4_cross_median_px", cross, "px", 0.03, "at most")
+    yield Figure("gt4_displacement_median_px", moved, "px", 0.01, "at most")
+    yield Condition("gt4", told)
 
 
 def _peers(run: Run) -> Iterator[Found]:
