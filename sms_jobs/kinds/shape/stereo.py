@@ -47,6 +47,13 @@ from sms_jobs.kinds.products import (
     UNCERTAINTY,
     Product,
 )
+from sms_jobs.kinds.shape.ray_images import (
+    line_width,
+    refuse_far_from_rays,
+    stated_of_lines,
+    told_of_lines,
+    why_nothing,
+)
 from sms_jobs.kinds.shape.textures import white_texture
 from sms_jobs.kinds.valid_parts import fractions, losses
 from sms_jobs.metrology.deformation.camera_matching import (
@@ -55,7 +62,10 @@ from sms_jobs.metrology.deformation.camera_matching import (
     distance_from_rays,
     match_cameras,
 )
-from sms_jobs.metrology.deformation.correlation import CONVERGED, MatchSettings
+from sms_jobs.metrology.deformation.correlation import (
+    CONVERGED,
+    MatchSettings,
+)
 from sms_jobs.metrology.deformation.displacement import blend_matches
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings
 from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
@@ -80,8 +90,6 @@ _GAP_SIGMAS = 6.0
 """Largest gap of the rays, in units of what noise and calibration explain; noise alone never reaches it."""
 _MOST_SATURATED = 0.5
 """Part of an image that may be saturated: a bright background may, a specimen and its surroundings not."""
-_EXCHANGED = 5.0
-"""How much better cameras the other way round have to explain the matches to be believed."""
 
 
 class StereoParameters(Parameters):
@@ -113,12 +121,12 @@ class StereoParameters(Parameters):
     minimum_subset_part: float = Field(
         0.3, gt=0.0, le=1.0, description="least part of a subset that shows the specimen"
     )
-    epipolar_width_px: float = Field(
-        3.0,
+    epipolar_width_px: float | None = Field(
+        None,
         gt=0.0,
         le=100.0,
-        description="how far off the image of a pixel's ray its counterpart is looked for at first: what the "
-        "calibration may be wrong by",
+        description="how far off the image of a pixel's ray its counterpart is looked for at first; six "
+        "standard deviations of what the calibration says of itself if not given, 3 where it says nothing",
     )
     maximum_epipolar_px: float = Field(
         1.0,
@@ -155,14 +163,19 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
     reference, partners = seen[0], seen[1:]
     labels = _specimen(reference, parameters)
     nodes = sample_nodes(labels, parameters.spacing_px)
+    factor = calibration_factor(inputs, _CALIBRATION, calibration)
     found: list[GridMatches] = []
     for number, (name, partner) in enumerate(zip(inputs.view.other_cameras, partners, strict=True)):
         progress(
             0.8 * number / len(partners), f"matching {len(nodes.x)} points of {inputs.view.camera} in {name}"
         )
-        found.append(_matched(inputs, calibration, reference, partner, labels, nodes, parameters))
+        volume = (calibration.volume.low, calibration.volume.high)
+        search = RaySearch(volume, line_width(factor, number + 1, parameters.epipolar_width_px))
+        found.append(_matched(inputs, reference, partner, labels, nodes, parameters, search))
     progress(0.8, "; ".join(summary(one.matches.ending) for one in found))
-    epipolar = _refuse_far_from_rays(inputs, seen, found, parameters)
+    epipolar = refuse_far_from_rays(
+        inputs.view, [one.camera for one in seen], found, parameters.maximum_epipolar_px, inputs.threads
+    )
     field = _points(reference, partners, labels, found, parameters, inputs.threads)
     surface = _surface(inputs, calibration, field, labels, found, parameters, epipolar)
     kept = {
@@ -171,12 +184,12 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
     records: dict[Product[Any], object] = {SURFACE: surface}
     records |= {MATCHES.of(name): matches for name, matches in kept.items()}
     statistics = _statistics(surface, labels, kept, epipolar)
-    factor = calibration_factor(inputs, _CALIBRATION, calibration)
     if factor is not None:
+        statistics |= stated_of_lines(factor, surface)
         surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
         records |= {SURFACE: surface, CALIBRATION_FACTOR: factor}
         statistics |= median_part(surface.sigma_calibration, "mm")
-    progress(1.0, "met the rays")
+    progress(1.0, told_of_lines(statistics))
     yield DatasetOutput(inputs.subject, records, statistics)
 
 
@@ -227,15 +240,14 @@ def _specimen(reference: TexturedCamera, parameters: StereoParameters) -> NDArra
 
 def _matched(
     inputs: Inputs,
-    calibration: Calibration,
     reference: TexturedCamera,
     partner: TexturedCamera,
     labels: NDArray[np.int32],
     nodes: Nodes,
     parameters: StereoParameters,
+    search: RaySearch,
 ) -> GridMatches:
     """Match the points with a partner; raise `MeasurementFailed` where nothing of them is found."""
-    volume = (calibration.volume.low, calibration.volume.high)
     found = match_cameras(
         reference,
         partner,
@@ -252,73 +264,15 @@ def _matched(
             minimum_score=parameters.minimum_score,
             maximum_sigma=parameters.maximum_sigma_px,
         ),
-        RaySearch(volume, parameters.epipolar_width_px),
+        search,
         inputs.threads,
     )
     if not len(nodes.x):
         raise MeasurementFailed(f"the image of {inputs.subject.recordings[0]} shows no texture to be matched")
     if not (found.matches.ending == CONVERGED).any():
-        off = distance_from_rays(reference, partner, labels, nodes, volume, threads=inputs.threads)
-        raise MeasurementFailed(_why_nothing(inputs.view.sensors, off))
+        off = distance_from_rays(reference, partner, labels, nodes, search.volume, threads=inputs.threads)
+        raise MeasurementFailed(why_nothing(inputs.view, off))
     return found
-
-
-def _why_nothing(sensors: tuple[str, ...], off_px: float) -> str:
-    cameras = " and ".join(sensors)
-    if not np.isfinite(off_px):
-        return f"{cameras} see nothing together: their textures do not overlap, or are too weak"
-    return (
-        f"the textures of {cameras} match, but {off_px:.2g} px (median) beside the images of their rays: the "
-        "calibration is not that of these images; the cameras may be swapped, or have moved since"
-    )
-
-
-def _refuse_far_from_rays(
-    inputs: Inputs, seen: list[TexturedCamera], found: list[GridMatches], parameters: StereoParameters
-) -> float:
-    """Return the rms distance of the matches from the images of their rays, in px, robustly.
-
-    Raises `MeasurementFailed` where it is so large that the calibration is not theirs, or where they lie on
-    those of the cameras the other way round.
-    """
-    own = [seen[0].camera, *(one.camera for one in seen[1:])]
-    middle = _distance_from_rays(own, found, inputs.threads)
-    exchanged = _distance_from_rays([own[1], own[0], *own[2:]], found, inputs.threads)
-    if middle > max(_EXCHANGED * exchanged, 0.1):
-        raise MeasurementFailed(
-            f"{_why_nothing(inputs.view.sensors, middle)}. With {inputs.view.camera} and "
-            f"{inputs.view.other_cameras[0]} exchanged it is {exchanged:.2g} px: import the images or the "
-            "calibration again with the cameras in the other order"
-        )
-    if middle > parameters.maximum_epipolar_px:
-        raise MeasurementFailed(
-            f"{_why_nothing(inputs.view.sensors, middle)}; maximum_epipolar_px allows "
-            f"{parameters.maximum_epipolar_px:g}"
-        )
-    return 1.4826 * middle
-
-
-def _distance_from_rays(cameras: list[Camera], found: list[GridMatches], threads: int) -> float:
-    """Return the median distance in px of matches from the images of their rays, of the worst partner.
-
-    All together would hide one camera that has moved among others that have not.
-    """
-    worst = 0.0
-    for partner, one in zip(cameras[1:], found, strict=True):
-        good = one.matches.ending == CONVERGED
-        pixels = np.stack([one.x[good], one.y[good]]).astype(np.float64)
-        sigma = one.matches.sigma[good].T[None]
-        met = meet_rays(cameras[0], [partner], pixels, _places(one, good)[None], sigma, threads)
-        distance = np.sqrt(met.chi_square * np.mean(sigma[0] ** 2, axis=0))
-        if np.isfinite(distance).any():
-            worst = max(worst, float(np.nanmedian(distance)))
-    return worst
-
-
-def _places(found: GridMatches, chosen: Mask) -> Floats:
-    """Return where points were found, (2, n)."""
-    at = np.stack([found.x[chosen], found.y[chosen]])
-    return np.asarray(at + found.matches.warp[chosen][:, [0, 3]].T)
 
 
 def _points(
@@ -434,7 +388,7 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=6,
+    version=7,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),

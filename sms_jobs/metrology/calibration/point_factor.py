@@ -125,13 +125,7 @@ def _on_the_ray(view: KnownView, points: Floats) -> Floats:
     beside = plane @ np.linalg.inv(projection_jacobian(*own, points) @ plane)
     steps = np.concatenate([ray[:, :, None], beside], axis=2)
     for number, partner in enumerate(partners, start=1):
-        pixels, by_pose, by_lens = project_with_derivatives(partner.intrinsics, partner.pose, points)
-        slopes = projection_jacobian(partner.intrinsics, partner.pose, points)
-        rows = np.zeros((len(points), 2, size))
-        rows[:, :, :PER_SENSOR] = slopes @ moved
-        at = PER_SENSOR * number
-        rows[:, :, at : at + PER_POSE] = by_pose
-        rows[:, :, at + PER_POSE : at + PER_SENSOR] = by_lens
+        pixels, slopes, rows = _seen_by_partner(partner, number, points, moved, size)
         seen = (_inside(partner, pixels) | (len(partners) == 1))[:, None, None]
         by_step = slopes @ steps
         if view.orientations_rad:
@@ -147,6 +141,58 @@ def _on_the_ray(view: KnownView, points: Floats) -> Floats:
     rows[:, :, :PER_SENSOR] += moved
     rows[~known] = np.nan
     return rows
+
+
+def _seen_by_partner(
+    partner: Camera, number: int, points: Floats, moved: Floats, size: int
+) -> tuple[Floats, Floats, Floats]:
+    """Return pixels (n, 2) of points in a partner, their slopes by the points and by all `size` parameters.
+
+    `moved` (n, 3, parameters) is how the points move with the reference camera's, whose pixels are held.
+    """
+    pixels, by_pose, by_lens = project_with_derivatives(partner.intrinsics, partner.pose, points)
+    slopes = projection_jacobian(partner.intrinsics, partner.pose, points)
+    rows = np.zeros((len(points), 2, size))
+    rows[:, :, :PER_SENSOR] = slopes @ moved
+    at = PER_SENSOR * number
+    rows[:, :, at : at + PER_POSE] = by_pose
+    rows[:, :, at + PER_POSE : at + PER_SENSOR] = by_lens
+    return pixels, slopes, rows
+
+
+def line_sigma_px(view: KnownView, partner: int, points: Floats) -> Floats:
+    """Return how well it is known how far beside the images of their rays a camera sees points.
+
+    Parameters
+    ----------
+    view
+        Of cameras.
+    partner
+        Which of its sensors sees the points, from 1 on.
+    points
+        (n, 3) in mm.
+
+    Returns
+    -------
+    (n,) in px: the standard deviation, by the calibration alone, of the distance of a point's image in the
+    partner from that of the reference camera's ray through it (its epipolar line; with distortion, the
+    tangent of that curve); NaN behind a camera.
+
+    Notes
+    -----
+    The reference camera's pixel is held. What moves along the line is depth, and no matter here: n J L, with
+    n across the line, J the derivatives of the image by the parameters and L the view's root.
+    """
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    reference = view.sensors[0]
+    own = reference.intrinsics, reference.pose
+    ray, by_ray, by_hole = ray_derivatives(*own, points)
+    moved = by_hole + transform(reference.pose, points)[:, 2, None, None] * by_ray
+    size = PER_SENSOR * len(view.sensors)
+    _, slopes, rows = _seen_by_partner(view.sensors[partner], partner, points, moved, size)
+    along = (slopes @ ray[:, :, None])[:, :, 0]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
+    return sigma_of((across[:, None] @ rows)[:, 0] @ view.root)
 
 
 def _inside(camera: Camera, pixels: Floats) -> NDArray[np.bool_]:

@@ -20,7 +20,7 @@ from sms_jobs.metrology.deformation.correlation import (
     match_points,
     prepare_images,
 )
-from sms_jobs.metrology.deformation.epipolar_search import FoundSeeds, search_along_rays
+from sms_jobs.metrology.deformation.epipolar_search import FoundSeeds, Width, search_along_rays
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, Seeds, spread_matches
 from sms_jobs.metrology.deformation.sampling import Nodes, choose_seeds
 from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
@@ -56,7 +56,7 @@ class RaySearch:
     ----------
     volume
         Two corners of the box in mm that the points lie in.
-    width_px
+    width
         How far off the images of the rays: what the calibration may be wrong by.
     template_radius
         Half the side of the squares that are compared, in px.
@@ -65,7 +65,7 @@ class RaySearch:
     """
 
     volume: tuple[Corner, Corner]
-    width_px: float
+    width: Width
     template_radius: int = 20
     spacing: int = 96
 
@@ -141,7 +141,7 @@ def _first_matches(
         pixels,
         search.volume,
         radius=search.template_radius,
-        width_px=search.width_px,
+        width=search.width,
         threads=threads,
     )
 

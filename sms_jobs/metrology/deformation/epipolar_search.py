@@ -7,6 +7,7 @@ each place and orientation of it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -20,9 +21,12 @@ from sms_jobs.metrology.geometry.several_cameras import depths_in_box, plane_war
 
 Floats: TypeAlias = NDArray[np.float64]
 Corner: TypeAlias = tuple[float, float, float]
+Width: TypeAlias = Callable[[Floats], Floats]
+"""How far off the images of their rays points (n, 3) in mm may be seen, (n,) in px."""
 
 _BIN = 2  # px of the images in one of those that are searched
 _MOST_PLACES = 4096  # along a ray
+_MOST_BESIDE = 100.0  # px: who knows so little calibrates again
 _AT_ONCE = 64  # squares, for the memory's sake
 _LEAST_OVERLAP = 0.6  # part of a template that must meet the partner's image
 _SURE = 0.6  # correlation from which on a surface that faces the cameras explains a place
@@ -112,7 +116,7 @@ def _score(
 @kernel
 def _search_block(
     start: int, stop: int, template: Floats, image: Floats, pixels: Floats, places: Floats, slopes: Floats,
-    half: int, width: int,
+    half: int, widths: NDArray[np.int64],
     best: Floats, found: NDArray[np.int64], met: Floats, runner_up: Floats,
 ) -> None:  # fmt: skip
     """Fill for points start .. stop the best score, beside which place, where, and the best elsewhere."""
@@ -133,7 +137,7 @@ def _search_block(
             length = np.sqrt(ax * ax + ay * ay)
             if not length > 0.0:
                 continue
-            for k in range(-width, width + 1):
+            for k in range(-widths[i], widths[i] + 1):
                 place[0] = places[i, m, 0] + k * ax / length
                 place[1] = places[i, m, 1] + k * ay / length
                 score = _score(template, image, pixels[i, 0], pixels[i, 1], place, slopes[i, m], half)
@@ -156,7 +160,7 @@ def search_along_rays(
     volume: tuple[Corner, Corner],
     *,
     radius: int,
-    width_px: float,
+    width: Width,
     threads: int = 1,
 ) -> FoundSeeds:
     """Find where a partner sees the squares about some pixels of the reference camera, to about a pixel.
@@ -171,14 +175,15 @@ def search_along_rays(
         Two corners of the box in mm that the points lie in.
     radius
         Half the side of the squares, in px.
-    width_px
-        How far off the ray's image to look: what the calibration may be wrong by.
+    width
+        How far off the ray's image to look: what the calibration may be wrong by. The largest value at both
+        ends and in the middle of a ray counts, but at least a step of the search, 2 px, and at most 100 px.
     threads
         How many threads to use; the result does not depend on it.
     """
     rays, near, far = depths_in_box(reference, pixels, *volume)
     coarse = tuple(block_means(np.asarray(image, dtype=np.float64), _BIN) for image in images)
-    width = max(1, int(np.ceil(width_px / _BIN)))
+    widths = _steps_beside(points_along_rays(reference, rays, near, far, 3), width)
     middle = 0.5 * (reference.pose.centre() + partner.pose.centre())
 
     def search(points: NDArray[np.intp], tilt: tuple[float, float]) -> FoundSeeds:
@@ -186,7 +191,7 @@ def search_along_rays(
         for some in np.split(points, range(_AT_ONCE, len(points), _AT_ONCE)):
             depths = (rays[some], near[some], far[some])
             found.enter(some, _with_tilt(
-                reference, partner, coarse, pixels[some], depths, middle, tilt, radius, width, threads
+                reference, partner, coarse, pixels[some], depths, middle, tilt, radius, widths[some], threads
             ))  # fmt: skip
         return found
 
@@ -195,6 +200,13 @@ def search_along_rays(
     if len(weak):
         tried += [search(weak, tilt) for tilt in _TILTS]
     return _best_of(tried)
+
+
+def _steps_beside(points: Floats, width: Width) -> NDArray[np.int64]:
+    """Return how many steps beside rays' images to look, (n,), by what is known at points (n, m, 3)."""
+    wide = width(np.nan_to_num(points).reshape(-1, 3)).reshape(points.shape[:2])
+    widest = np.fmax.reduce(np.where(np.isfinite(points[..., 0]), wide, 0.0), axis=1, initial=0.0)
+    return np.asarray(np.maximum(np.ceil(np.minimum(widest, _MOST_BESIDE) / _BIN), 1.0), dtype=np.int64)
 
 
 def _best_of(tried: list[FoundSeeds]) -> FoundSeeds:
@@ -216,7 +228,7 @@ def _with_tilt(
     middle: Floats,
     tilt: tuple[float, float],
     radius: int,
-    width: int,
+    widths: NDArray[np.int64],
     threads: int,
 ) -> FoundSeeds:
     """Search for pieces of surface that are tilted by a slope against one that faces the cameras."""
@@ -248,7 +260,7 @@ def _with_tilt(
 
     def work(start: int, stop: int) -> None:
         _search_block(
-            start, stop, coarse[0], coarse[1], own, there, slopes, half, width, best, found, met, runner_up
+            start, stop, coarse[0], coarse[1], own, there, slopes, half, widths, best, found, met, runner_up
         )
 
     in_row_blocks(work, count, threads, block=4)

@@ -12,6 +12,7 @@ from sms_jobs.metrology.calibration.pair_points import moved_sensor
 from sms_jobs.metrology.calibration.point_factor import (
     KnownView,
     economical,
+    line_sigma_px,
     motion_factor,
     point_factor,
     sigma_of,
@@ -186,6 +187,32 @@ def test_what_drawn_calibrations_make_scatters_as_the_factor_says(rig: Rig) -> N
         made.append(results(rig.measured(sensors, first), rig.measured(sensors, last)))
     scatter = np.sqrt(np.mean((np.array(made) - results(first, last)) ** 2, axis=0))
     np.testing.assert_allclose(scatter / stated(view, first, last), 1.0, atol=WITHIN)
+
+
+@pytest.mark.parametrize("partner", [1, 2])
+def test_images_miss_those_of_their_rays_by_what_drawn_calibrations_say(partner: int) -> None:
+    """Held are the pixels in which the exact cameras see points; the line is that of a drawn pair."""
+    rig = RIGS["three cameras"]
+    view, random = known(rig), np.random.default_rng(4)
+    world = points(rig.sensors[0]).reshape(-1, 3)[::40]
+    pixels = [project(one.intrinsics, one.pose, world) for one in rig.sensors]
+    far = np.linalg.norm(world - rig.sensors[0].pose.centre(), axis=1)[:, None]
+    missed = []
+    for _ in range(DRAWS):
+        sensors = drawn(view, random)
+        rays = ray_directions(sensors[0].intrinsics, sensors[0].pose, pixels[0])
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        other = sensors[partner]
+        line = [
+            project(other.intrinsics, other.pose, sensors[0].pose.centre() + step * far * rays)
+            for step in (1.0, 1.001)
+        ]
+        along = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0], axis=1, keepdims=True)
+        missed.append(
+            along[:, 0] * (pixels[partner] - line[0])[:, 1] - along[:, 1] * (pixels[partner] - line[0])[:, 0]
+        )
+    scatter = np.sqrt(np.mean(np.square(missed), axis=0))
+    np.testing.assert_allclose(scatter / line_sigma_px(view, partner, world), 1.0, atol=WITHIN)
 
 
 def test_a_root_is_that_of_its_covariance_and_of_what_is_held_there_is_none() -> None:

@@ -16,7 +16,7 @@ from sms_jobs.metrology.deformation.camera_matching import (
     match_cameras,
 )
 from sms_jobs.metrology.deformation.correlation import CONVERGED, MatchSettings, Noise
-from sms_jobs.metrology.deformation.epipolar_search import search_along_rays
+from sms_jobs.metrology.deformation.epipolar_search import Width, search_along_rays
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings
 from sms_jobs.metrology.deformation.sampling import sample_nodes
 from sms_jobs.metrology.geometry.camera import project
@@ -44,11 +44,17 @@ def textured(rig: tuple, levels: tuple[Floats, Floats], noise: float, seed: int 
     ]
 
 
+def within(width_px: float) -> Width:
+    return lambda points: np.full(len(points), width_px)
+
+
 def matched(seen: list[TexturedCamera], order: int = 2) -> GridMatches:
     labels = np.ones(seen[0].texture.shape, dtype=np.int32)
     nodes = sample_nodes(labels, SPACING)
     settings = MatchSettings(RADIUS, 0.3, shape_order=order)
-    return match_cameras(*seen, labels, nodes, settings, GridSettings(SPACING), RaySearch(VOLUME, 2.0))
+    return match_cameras(
+        *seen, images, nodes, settings, GridSettings(SPACING), RaySearch(VOLUME, within(2.0))
+    )
 
 
 def errors(found: GridMatches, exact: Floats) -> tuple[Floats, Floats]:
@@ -111,10 +117,25 @@ def test_matches_scatter_as_they_say(height: Height) -> None:
 def test_a_place_is_found_without_a_range() -> None:
     rig, levels, exact = images(curved)
     pixels = np.array([[150.0, 100.0], [220.0, 180.0], [260.0, 60.0]])
-    found = search_along_rays(*rig, levels, pixels, VOLUME, radius=20, width_px=2.0)
+    found = search_along_rays(*rig, levels, pixels, VOLUME, radius=20, width=within(2.0))
     truth = exact[pixels[:, 1].astype(int), pixels[:, 0].astype(int)] - pixels
     np.testing.assert_allclose(found.warp[:, [0, 3]], truth, atol=2.0)
     assert found.unique.all()
+
+
+def test_a_place_is_looked_for_as_far_beside_its_ray_as_that_is_known_there() -> None:
+    """The partner's image is 12 px too low, and only above are lines known to be that uncertain."""
+    rig, levels, exact = images(curved)
+    lower = (levels[0], np.roll(levels[1], 12, axis=0))
+    pixels = np.array([[200.0, 70.0], [200.0, 220.0]])
+    found = search_along_rays(
+        *rig, lower, pixels, VOLUME, radius=20, width=lambda points: np.where(points[:, 1] > 0.0, 14.0, 3.0)
+    )
+    there = exact[pixels[:, 1].astype(int), pixels[:, 0].astype(int)] + [0.0, 12.0] - pixels
+    # To a step of 2 px along and across.
+    np.testing.assert_allclose(found.warp[0, [0, 3]], there[0], atol=2.0)
+    assert found.score[0] > 0.8
+    assert not found.score[1] > 0.6
 
 
 def test_a_grid_is_no_texture_to_begin_at() -> None:

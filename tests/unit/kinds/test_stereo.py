@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 from typing import Any
@@ -14,9 +15,11 @@ from sms_jobs.bench.in_memory import InMemory, unheard
 from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
-from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.kinds.kind import DatasetOutput, Inputs, Progress
 from sms_jobs.kinds.shape import stereo
 from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
+from sms_jobs.records.calibration import CalibrationUncertainty
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
@@ -54,14 +57,30 @@ def calibration(count: int = 2, order: tuple[int, ...] = (0, 1, 2)) -> Calibrati
     return Calibration(Rig("two", sensors), Box(*VOLUME), AT, "exact")
 
 
+def known(sigma_px: float) -> CalibrationUncertainty:
+    """Return what a calibration says whose second camera's principal point alone is known so well."""
+    covariance = np.zeros((2 * PER_SENSOR, 2 * PER_SENSOR))
+    place = PER_SENSOR + SENSOR_PARAMETERS.index("cy")
+    covariance[place, place] = sigma_px**2
+    return CalibrationUncertainty(("C1", "C2"), SENSOR_PARAMETERS, covariance)
+
+
 def surface_of(
-    subject: Subject, images: list[Measurement], calibrated: Calibration, **parameters: Any
+    subject: Subject,
+    images: list[Measurement],
+    calibrated: Calibration,
+    uncertainty: CalibrationUncertainty | None = None,
+    progress: Progress = unheard,
+    **parameters: Any,
 ) -> DatasetOutput:
+    records: dict[str, Any] = {"calibration": calibrated}
+    if uncertainty is not None:
+        records["uncertainty"] = uncertainty
     datasets = {
         f"measurement {own}": InMemory(own, {"measurement": image})
         for own, image in zip(subject.recordings, images, strict=True)
-    } | {"calibration": InMemory(subject, {"calibration": calibrated})}
-    (output,) = stereo.run(Inputs(subject, None, datasets), stereo.StereoParameters(**parameters), unheard)
+    } | {"calibration": InMemory(subject, records)}
+    (output,) = stereo.run(Inputs(subject, None, datasets), stereo.StereoParameters(**parameters), progress)
     assert isinstance(output, DatasetOutput)
     return output
 
@@ -155,6 +174,34 @@ def test_cameras_that_moved_are_refused() -> None:
         surface_of(subject, [images[0], shifted], calibration(), epipolar_width_px=10.0)
     with pytest.raises(MeasurementFailed, match=r"[45](\.\d)? px \(median\) beside the images of their rays"):
         surface_of(subject, [images[0], shifted], calibration())
+
+
+def test_textures_are_looked_for_where_the_calibration_knows_their_lines_to_be() -> None:
+    """The second camera is said to look 0.8 px higher than it does: known to 0.5 px, that is no wonder."""
+    subject = Subject("test", "S00", "C1C2")
+    images = [exposed(k, 2, curved, at_rest, 0)[0] for k in range(2)]
+    exact = calibration()
+    first, second = exact.rig.sensors
+    lens = replace(second.intrinsics, cy=second.intrinsics.cy - 0.8)
+    off = replace(exact, rig=Rig("two", (first, replace(second, intrinsics=lens))))
+    told: dict[float, str] = {}
+    said: list[str] = []
+
+    def heard(fraction: float, words: str = "") -> None:
+        said.append(words)
+
+    for sigma in (0.5, 0.02):
+        output = surface_of(subject, images, off, known(sigma), heard)
+        # Between cameras side by side lines run along x, so that cy is the distance from them.
+        assert output.statistics["epipolar_stated_px"] == pytest.approx(sigma, rel=0.02)
+        # What is left of 0.8 px by the rms of noise, 0.03 px, and by the lines' tilt.
+        assert output.statistics["epipolar_rms_px"] == pytest.approx(1.4826 * 0.8, rel=0.1)
+        told[sigma] = said[-1]
+    assert "the calibration states 0.5 px" in told[0.5]
+    assert "moved" not in told[0.5]
+    assert "states 0.02 px, far less: the cameras may have moved since, or be swapped" in told[0.02]
+    surface_of(subject, images, exact, progress=heard)
+    assert said[-1].endswith("the calibration does not say how well it is known")
 
 
 def test_one_camera_of_three_that_moved_is_not_hidden_by_the_others() -> None:

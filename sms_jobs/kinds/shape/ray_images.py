@@ -1,0 +1,120 @@
+"""How far beside the images of their rays cameras see what they see: how far to look, and what it tells."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import MeasurementFailed
+from sms_jobs.kinds.calibration_factors import known_view
+from sms_jobs.metrology.calibration.point_factor import economical, line_sigma_px
+from sms_jobs.metrology.deformation.correlation import CONVERGED
+from sms_jobs.metrology.deformation.epipolar_search import Width
+from sms_jobs.metrology.deformation.matching import GridMatches
+from sms_jobs.metrology.geometry.camera import Camera
+from sms_jobs.metrology.geometry.several_cameras import meet_rays
+from sms_jobs.metrology.images.coarse_maps import sample_blocks
+from sms_jobs.records.calibration import CalibrationFactor
+from sms_jobs.records.fields import Surface
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.views import View
+
+Floats: TypeAlias = NDArray[np.float64]
+Mask: TypeAlias = NDArray[np.bool_]
+
+_LINE_SIGMAS = 6.0
+"""How far off the image of a ray to look, in standard deviations that the calibration states."""
+_LINE_PX = 3.0
+"""The same where it states none."""
+_EXCHANGED = 5.0
+"""How much better cameras the other way round have to explain the matches to be believed."""
+
+
+def line_width(factor: CalibrationFactor | None, partner: int, given_px: float | None) -> Width:
+    """Return how far off the images of their rays a partner, from 1 on, may see points.
+
+    As it is given, or six standard deviations of what the calibration says, or 3 px where it says nothing.
+    """
+    if factor is None or given_px is not None:
+        return lambda points: np.full(len(points), _LINE_PX if given_px is None else given_px)
+    view = economical(known_view(factor))
+    return lambda points: _LINE_SIGMAS * line_sigma_px(view, partner, points)
+
+
+def stated_of_lines(factor: CalibrationFactor, surface: Surface) -> dict[str, float]:
+    """Return how far off the images of their rays the calibration lets points be seen, for people."""
+    rows, columns = sample_blocks(surface.reason == Reason.VALID).pixels
+    points, view = surface.position[:, rows, columns].T, economical(known_view(factor))
+    sigma = [line_sigma_px(view, partner, points) for partner in range(1, len(view.sensors))]
+    return {"epipolar_stated_px": float(np.sqrt(np.mean(np.square(sigma))))} if len(points) else {}
+
+
+def told_of_lines(statistics: Mapping[str, float]) -> str:
+    """Return in a sentence how far matches lie off the images of their rays, and what was to be expected."""
+    found = f"met the rays, whose images the matches miss by {statistics['epipolar_rms_px']:.2g} px (rms)"
+    stated = statistics.get("epipolar_stated_px")
+    if stated is None:
+        return f"{found}; the calibration does not say how well it is known"
+    noise = statistics.get("median_match_sigma_px", 0.0)
+    told = f"{found}; the calibration states {stated:.2g} px"
+    if statistics["epipolar_rms_px"] > _LINE_SIGMAS * float(np.hypot(stated, noise)):
+        told += ", far less: the cameras may have moved since, or be swapped, or it is another rig's"
+    return told
+
+
+def why_nothing(view: View, off_px: float) -> str:
+    """Return in words why textures do not match along the rays."""
+    cameras = " and ".join(view.sensors)
+    if not np.isfinite(off_px):
+        return f"{cameras} see nothing together: their textures do not overlap, or are too weak"
+    return (
+        f"the textures of {cameras} match, but {off_px:.2g} px (median) beside the images of their rays: the "
+        "calibration is not that of these images; the cameras may be swapped, or have moved since"
+    )
+
+
+def refuse_far_from_rays(
+    view: View, cameras: list[Camera], found: list[GridMatches], most_px: float, threads: int
+) -> float:
+    """Return the rms distance of the matches from the images of their rays, in px, robustly.
+
+    Raises `MeasurementFailed` where it is so large that the calibration is not theirs, or where they lie on
+    those of the cameras the other way round.
+    """
+    middle = _distance_from_rays(cameras, found, threads)
+    exchanged = _distance_from_rays([cameras[1], cameras[0], *cameras[2:]], found, threads)
+    if middle > max(_EXCHANGED * exchanged, 0.1):
+        raise MeasurementFailed(
+            f"{why_nothing(view, middle)}. With {view.camera} and "
+            f"{view.other_cameras[0]} exchanged it is {exchanged:.2g} px: import the images or the "
+            "calibration again with the cameras in the other order"
+        )
+    if middle > most_px:
+        raise MeasurementFailed(f"{why_nothing(view, middle)}; maximum_epipolar_px allows {most_px:g}")
+    return 1.4826 * middle
+
+
+def _distance_from_rays(cameras: list[Camera], found: list[GridMatches], threads: int) -> float:
+    """Return the median distance in px of matches from the images of their rays, of the worst partner.
+
+    All together would hide one camera that has moved among others that have not.
+    """
+    worst = 0.0
+    for partner, one in zip(cameras[1:], found, strict=True):
+        good = one.matches.ending == CONVERGED
+        pixels = np.stack([one.x[good], one.y[good]]).astype(np.float64)
+        sigma = one.matches.sigma[good].T[None]
+        met = meet_rays(cameras[0], [partner], pixels, _places(one, good)[None], sigma, threads)
+        distance = np.sqrt(met.chi_square * np.mean(sigma[0] ** 2, axis=0))
+        if np.isfinite(distance).any():
+            worst = max(worst, float(np.nanmedian(distance)))
+    return worst
+
+
+def _places(found: GridMatches, chosen: Mask) -> Floats:
+    """Return where points were found, (2, n)."""
+    at = np.stack([found.x[chosen], found.y[chosen]])
+    return np.asarray(at + found.matches.warp[chosen][:, [0, 3]].T)
