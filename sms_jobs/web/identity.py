@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Annotated
 
 from fastapi import Depends, Request
+from fastapi.security import APIKeyCookie, HTTPBearer
 
 from sms_jobs.app import people
 from sms_jobs.bootstrap import Services
@@ -14,6 +15,19 @@ from sms_jobs.errors import NotAllowed
 from sms_jobs.web.refusals import NobodyKnown
 
 COOKIE = "sms_session"
+_TOKEN = HTTPBearer(
+    scheme_name="token",
+    auto_error=False,
+    description="As `POST /tokens` and `sms token create` give it; it has the rights of a person.",
+)
+_SESSION = APIKeyCookie(
+    name=COOKIE,
+    scheme_name="session",
+    auto_error=False,
+    description="Of a browser, by `POST /session`; changes have to come from pages of this site.",
+)
+WAYS = (Depends(_TOKEN), Depends(_SESSION))
+"""How people say who they are, for the description of an address; either will do."""
 
 
 def services_for(request: Request) -> Services:

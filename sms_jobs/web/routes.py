@@ -73,6 +73,7 @@ class Routes:
             # The password, where one is asked for, comes with the body; the use case asks for it.
             require(identity.services_for(request), Rule(rule.name, rule.right))
 
+        asked_for = () if rule.right is None else identity.WAYS
         summary, _, more = (use_case.__doc__ or rule.name).strip().partition("\n")
         described: dict[int | str, dict[str, Any]] = dict(DESCRIBED)
         if media:
@@ -89,7 +90,7 @@ class Routes:
                 description=more.partition("Raises")[0].strip() or None,
                 response_model=answers,
                 status_code=status,
-                dependencies=[Depends(permitted)],
+                dependencies=[*asked_for, Depends(permitted)],
                 responses=described,
                 openapi_extra={"x-use-case": rule.name, "x-right": rule.right and rule.right.value},
             )
