@@ -47,6 +47,7 @@ def serve(
     import uvicorn
 
     from sms_jobs.web.application import application
+    from sms_jobs.web.connections import PromptProtocol
     from sms_jobs.web.protection import Options
 
     address, port = _place(listen)
@@ -76,6 +77,7 @@ def serve(
                 app,
                 host=address,
                 port=port,
+                http=PromptProtocol,
                 ssl_certfile=tls_certificate,
                 ssl_keyfile=tls_key,
                 proxy_headers=behind_proxy,
