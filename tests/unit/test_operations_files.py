@@ -83,10 +83,14 @@ def test_a_unit_takes_no_more_than_it_needs(unit: Path) -> None:
     assert "MemoryDenyWriteExecute" not in found
     assert not any("URL=" in value for value in found["Environment"])
     (start,) = found["ExecStart"]
-    program, *words = start.split()
+    program, *words = (word for word in start.split() if word != "$OPTIONS")
     if program.endswith("/sms"):
         assert complaint(shlex.join(words)) == ""
-        assert words[:1] in (["up"], ["metrics"]) or words[:2] in (["worker", "start"], ["rig", "serve"])
+        assert words[:1] in (["up"], ["metrics"]) or words[:2] in (
+            ["worker", "start"],
+            ["rig", "serve"],
+            ["serve"],
+        )
     # Without it a home whose database is elsewhere would be taken for one with a database of its own.
     assert "/etc/sms/sms.env" in found["EnvironmentFile"]
     if {"up", "start", "serve"} & set(words):
@@ -97,6 +101,18 @@ def test_a_unit_takes_no_more_than_it_needs(unit: Path) -> None:
         # Jobs may take 10 minutes to finish; systemd must not kill them before the supervisor would.
         assert (found["KillMode"], found["TimeoutStopSec"]) == (["mixed"], ["11min"])
         assert found["Restart"] == ["always"]
+
+
+def test_the_options_that_the_console_is_documented_with_are_some_of_the_command() -> None:
+    unit = OPS / "systemd" / "sms-web.service"
+    given = re.findall(r"^# OPTIONS=(.*)$", unit.read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(given) == 2
+    for options in given:
+        assert complaint(f"serve {options}") == ""
+    found = settings(unit)
+    # Without options it answers on this machine alone, and a service that dies comes back.
+    assert "OPTIONS=" in found["Environment"]
+    assert found["Restart"] == ["always"]
 
 
 def test_a_worker_serves_the_rigs_of_its_host() -> None:
