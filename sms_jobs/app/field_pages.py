@@ -155,8 +155,8 @@ def field_page(services: Services, key: str, part: str | None = None) -> FieldPa
             campaign = campaigns.definition(campaigns.campaign_row(session, about.campaign))
             found = search.find_files(session, source=file.source, campaign=about.campaign, limit=_MOST_FILES)
             alike = _alike(file, found, campaign)
-            if campaign.scene is not None and fields.position is not None:
-                placement = campaign.scene.placement
+            if fields.position is not None:
+                placement = campaign.placement
                 turn, shift = placement.matrix().T, np.array(placement.translation)
     return FieldPage(
         file,

@@ -176,6 +176,7 @@ def define(row: CampaignRow, campaign: Campaign) -> None:
     """Give a row its definition, or another one."""
     row.definition = as_json(campaign)
     row.views, row.frames = list(campaign.views), campaign.sequence.frames
+    row.frame = None if campaign.frame is None else campaign.frame.method
     canonical = json.dumps(row.definition, sort_keys=True, separators=(",", ":"))
     row.definition_hash = hashlib.sha256(canonical.encode()).hexdigest()
 

@@ -87,6 +87,8 @@ class CampaignRow(Table):
     """As the definition has them, which with hundreds of states takes long to read."""
     frames: Mapped[int] = mapped_column(server_default="0")
     """Of its whole fringe sequence."""
+    frame: Mapped[str | None] = mapped_column(String(16))
+    """How the specimen's frame was found; None where nobody has."""
     plan: Mapped[str | None] = mapped_column(Text)
     """The file that it was made from, letter by letter; None where it was made by a program."""
 

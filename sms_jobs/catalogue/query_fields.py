@@ -147,6 +147,7 @@ def file_fields() -> dict[str, Field]:
         Field("version", "number", version),
         Field("rig", "text", _rig()),
         Field("specimen", "text", _specimen()),
+        Field("frame", "text", _of(CampaignRow.id == FileRow.campaign_id, CampaignRow.frame)),
         Field("job", "prefix", FileRow.job_id.expression),
         Field("path", "text", FileRow.path.expression),
         Field("size_bytes", "number", FileRow.size_bytes.expression),

@@ -90,6 +90,7 @@ def _built_in() -> dict[str, StateField]:
         ("planned_displacement_mm", "number", LoadStateRow.planned_displacement_mm.expression),
         ("time", "time", _time()),
         ("specimen", "text", _of_campaign(SpecimenRow.name)),
+        ("frame", "text", _of_campaign(CampaignRow.frame)),
         ("rig", "text", _of_campaign(RigRow.name)),
     )
     of_view = (("view", SEEN.view), ("camera", SEEN.camera), ("projector", SEEN.projector))

@@ -10,7 +10,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app import campaigns
-from sms_jobs.cli import completion, output, simulated
+from sms_jobs.cli import completion, output, simulated, specimen_frame
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.units import typed
@@ -20,6 +20,7 @@ app = typer.Typer(
 )
 app.command("simulate")(simulated.simulate)
 app.command("exact")(simulated.exact)
+app.command("frame")(specimen_frame.frame)
 
 
 @app.command()

@@ -18,6 +18,7 @@ from sms_jobs.catalogue.models import (
     ResultRow,
 )
 from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
+from sms_jobs.jobs.turned_results import turned_files
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.job import ACTIVE, JobState
@@ -36,20 +37,24 @@ class _File:
 
 
 def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]:
-    """Return what there is of a campaign, the oldest first, in three queries however large it is.
+    """Return what there is of a campaign, the oldest first, in a few queries however large it is.
 
-    A result is stale where another version of its kind would compute it now, or another calibration holds
-    for what it was computed from.
+    A result is stale where another version of its kind would compute it now, another calibration holds for
+    what it was computed from, or it lies along the axes of another frame of the specimen. Where the newest
+    job has reused a result, that is what there is.
     """
-    files, jobs = _files(session, campaign.id), _jobs(session, campaign)
+    files, by_job = _files(session, campaign.id)
+    jobs = _jobs(session, campaign)
+    turned = turned_files(session, campaign)
     used = _calibrations_used(session, campaign.id)
     valid = ValidCalibrations(session, campaign.id, now)
     cells = []
     for state, view, kind in dict.fromkeys([*files, *jobs]):
         place = (state, view, kind)
-        file, job = files.get(place), jobs.get(place)
-        if job is not None and job[1] is not JobState.SUCCEEDED and (file is None or _tells(job[1])):
-            condition = job[1].value
+        job = jobs.get(place)
+        file = by_job.get((place, "" if job is None else job.reused_from or ""), files.get(place))
+        if job is not None and job.state is not JobState.SUCCEEDED and (file is None or _tells(job.state)):
+            condition = job.state.value
         elif file is None or (kind != MEASUREMENT and kind not in all_kinds()):
             continue  # not made yet, or no result: the definition of the campaign
         elif kind == MEASUREMENT:
@@ -59,6 +64,7 @@ def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]
             own = used.get(file.number, set())
             other = file.version not in (None, all_kinds()[kind].version)
             withdrawn = state is not None and bool(own) and (holding is None or holding.number not in own)
+            other = other or file.number in turned
             condition = "stale" if other or withdrawn else "computed"
         cells.append(
             Cell(
@@ -66,7 +72,7 @@ def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]
                 condition,
                 None if file is None else file.number,
                 "" if file is None else file.media_type,
-                None if job is None else job[0],
+                None if job is None else job.id,
             )
         )
     return cells
@@ -77,8 +83,15 @@ def _tells(state: JobState) -> bool:
     return state in ACTIVE or state in (JobState.FAILED, JobState.QUARANTINED, JobState.NEEDS_OPERATOR)
 
 
-def _files(session: Session, campaign_id: int) -> dict[_Place, _File]:
-    """Return the newest file of each place."""
+@dataclass(frozen=True)
+class _Job:
+    id: str
+    state: JobState
+    reused_from: str | None
+
+
+def _files(session: Session, campaign_id: int) -> tuple[dict[_Place, _File], dict[tuple[_Place, str], _File]]:
+    """Return the newest file of each place, and that of each place and job."""
     rows = session.execute(
         select(
             LoadStateRow.label,
@@ -87,29 +100,32 @@ def _files(session: Session, campaign_id: int) -> dict[_Place, _File]:
             FileRow.id,
             FileRow.media_type,
             ResultRow.kind_version,
+            FileRow.job_id,
         )
         .outerjoin(LoadStateRow, LoadStateRow.id == FileRow.state_id)
         .outerjoin(ResultRow, ResultRow.file_id == FileRow.id)
         .where(FileRow.campaign_id == campaign_id)
         .order_by(FileRow.id)
     )
-    return {
-        (label, view, source): _File(number, media_type, version)
-        for label, view, source, number, media_type, version in rows
-    }
+    newest: dict[_Place, _File] = {}
+    by_job: dict[tuple[_Place, str], _File] = {}
+    for label, view, source, number, media_type, version, job in rows:
+        place = (label, view, source)
+        newest[place] = by_job[place, job or ""] = _File(number, media_type, version)
+    return newest, by_job
 
 
-def _jobs(session: Session, campaign: CampaignRow) -> dict[_Place, tuple[str, JobState]]:
+def _jobs(session: Session, campaign: CampaignRow) -> dict[_Place, _Job]:
     """Return the newest job of each place."""
     rows = session.execute(
-        select(JobRow.subject, JobRow.kind, JobRow.id, JobRow.state)
+        select(JobRow.subject, JobRow.kind, JobRow.id, JobRow.state, JobRow.reused_from)
         .where(JobRow.campaign_id == campaign.id)
         .order_by(JobRow.position)
     )
-    found: dict[_Place, tuple[str, JobState]] = {}
-    for subject, kind, job, state in rows:
+    found: dict[_Place, _Job] = {}
+    for subject, kind, job, state, reused_from in rows:
         about = Subject.parse(subject)
-        found[about.state, about.view, kind] = (job, state)
+        found[about.state, about.view, kind] = _Job(job, state, reused_from)
     return found
 
 

@@ -276,7 +276,7 @@ def _read(state: LoadState, reading: Reading, changes: list[str], replace_others
 def amend_campaign(
     catalogue: Catalogue, archive: Archive, before: Campaign, after: Campaign, now: datetime
 ) -> None:
-    """Give a campaign further states, or its states further readings: sealed first, then in the catalogue.
+    """Give a campaign further states, readings or another frame: sealed first, then in the catalogue.
 
     Raises
     ------
@@ -287,7 +287,7 @@ def amend_campaign(
     """
     if not continues(before, after):
         raise InvalidInput(
-            f"campaign {before.name} can be given states and readings, nothing else of it changes"
+            f"campaign {before.name} can be given states, readings and a frame, nothing else of it changes"
         )
     with catalogue.reading() as session:
         row = campaigns.campaign_row(session, before.name)
@@ -308,6 +308,6 @@ def amend_campaign(
 
 
 def continues(before: Campaign, after: Campaign) -> bool:
-    """Say whether a campaign is another one with further states behind its own, or other readings of them."""
-    same = replace(after, states=before.states) == before
+    """Say whether a campaign is another one with further states, other readings of them, or another frame."""
+    same = replace(after, states=before.states, frame=before.frame) == before
     return same and [s.label for s in after.states[: len(before.states)]] == [s.label for s in before.states]

@@ -272,6 +272,9 @@ def _input_hashes(session: Session, job_id: str) -> dict[str, str]:
 
 
 def _staleness(session: Session, job: JobRow, now: datetime) -> list[str]:
+    # What makes keys reads archives, which nobody who only lists jobs should wait for.
+    from sms_jobs.jobs.turned_results import is_turned
+
     say = []
     current = all_kinds().get(job.kind)
     if current is not None and current.version != job.kind_version:
@@ -289,6 +292,8 @@ def _staleness(session: Session, job: JobRow, now: datetime) -> list[str]:
             say.append("its calibration is not in use any more, and there is no other")
         elif holds.file_id != used.file_id:
             say.append("it is stale: another calibration of the rig is valid for this state now")
+    if is_turned(session, job, _input_hashes(session, job.id)):
+        say.append("it is stale: the specimen's frame of the campaign is another now")
     return say
 
 

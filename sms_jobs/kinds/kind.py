@@ -307,6 +307,9 @@ class Kind(Generic[P]):
         Whether its jobs run where the instruments of the campaign's rig are connected, and hold that rig.
     adds_states
         Whether its results may be about states that the campaign does not have; it is given them.
+    along_frame
+        Whether its numbers lie along the axes of the specimen's frame, so that another frame makes its
+        results stale.
     """
 
     name: str
@@ -328,6 +331,7 @@ class Kind(Generic[P]):
     devices: Callable[[Campaign, Subject], Iterable[str]] = no_devices
     with_instruments: bool = False
     adds_states: bool = False
+    along_frame: bool = False
 
     def checked_needs(self, campaign: Campaign, subject: Subject, parameters: P) -> tuple[Need, ...]:
         """Return every input of a job about a subject; raise `TypeError` for one that is not declared."""

@@ -23,8 +23,6 @@ class ViewAlignment:
         The other one.
     rotation, translation_mm
         R and T.
-    specimen_axis, specimen_axis_there
-        The specimen's x axis, along which strain is stated, in the frame of each campaign.
     scale
         Robust scatter of the residuals in units of what is stated of the points, at least 1.
     rms_mm
@@ -36,8 +34,6 @@ class ViewAlignment:
     campaign: str
     rotation: tuple[Vector, Vector, Vector]
     translation_mm: Vector
-    specimen_axis: Vector
-    specimen_axis_there: Vector
     scale: float
     rms_mm: float
     points: int

@@ -7,11 +7,13 @@ from datetime import datetime
 from typing import Literal, TypeAlias
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.artefacts import Artefact
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.numbers import checked_number
-from sms_jobs.records.scene import Deformation, Rigid, Scene
+from sms_jobs.records.scene import AT_ORIGIN, Deformation, Rigid, Scene
 from sms_jobs.records.sensors import Box, SensorFormat
+from sms_jobs.records.specimen_frame import SpecimenFrame
 from sms_jobs.records.subject import RESERVED_NAME, checked_name
 from sms_jobs.records.texts import NAME_LETTERS, checked_text
 from sms_jobs.records.times import checked_time
@@ -142,6 +144,8 @@ class Campaign:
         For a virtual rig: what stands in front of it.
     session
         For a calibration session: what is shown to the rig; None for a test.
+    frame
+        The specimen's own, as it was found on the measured surface; None where nobody has.
     """
 
     name: str
@@ -153,6 +157,7 @@ class Campaign:
     scene: Scene | None = None
     processing: dict[str, dict[str, ParameterValue]] = field(default_factory=dict)
     session: CalibrationSession | None = None
+    frame: SpecimenFrame | None = None
 
     def __post_init__(self) -> None:
         checked_name(self.name, "campaign")
@@ -178,6 +183,16 @@ class Campaign:
     def reference(self) -> LoadState:
         """The state that displacements are measured from."""
         return self.states[0]
+
+    @property
+    def placement(self) -> Pose:
+        """What brings the specimen's frame into the world: as it was found, else as the scene has it.
+
+        Where nothing is known of it the two are one.
+        """
+        if self.frame is not None:
+            return self.frame.placement
+        return AT_ORIGIN if self.scene is None else self.scene.placement
 
     @property
     def recordings(self) -> tuple[str, ...]:

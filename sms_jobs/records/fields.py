@@ -22,6 +22,7 @@ from sms_jobs.records.views import view_of
 Double = NDArray[np.float64]
 Single = NDArray[np.float32]
 Reasons = NDArray[np.uint32]
+Axis = tuple[float, float, float]
 
 VECTOR_IMAGE = ("component", *IMAGE)
 ORIENTED_IMAGE = ("orientation", *IMAGE)
@@ -229,6 +230,11 @@ class StrainField:
     The frame at a point lies in the tangent plane of the reference surface: x is the specimen's x axis
     projected onto that plane, z the outward normal (towards the camera), y completes it. In the plane of an
     image x points to the right and y up. The gauge length is in `unit`.
+
+    Attributes
+    ----------
+    x_axis
+        The vector that is projected, in the frame of the surface; None where nobody has said it.
     """
 
     measure: StrainMeasure
@@ -242,6 +248,7 @@ class StrainField:
     sigma_calibration: Single | None = array(
         "1", _FROM_CALIBRATION, VECTOR_IMAGE, ("xx", "yy", "xy"), default=None
     )
+    x_axis: Axis | None = None
 
 
 @dataclass(frozen=True)
@@ -278,7 +285,8 @@ class Mesh:
     """Triangles over measured points, with values at the points.
 
     Where the points are pixels, `cameras[camera[k]]` is what saw vertex k, at (column, row) `pixel[:, k]`.
-    In the plane of an image vertices have no Z.
+    In the plane of an image vertices have no Z. `strain_axis` is the x axis of strain among the values, as
+    in `StrainField`.
     """
 
     value_names: tuple[str, ...]
@@ -296,6 +304,7 @@ class Mesh:
     pixel: NDArray[np.int32] | None = array(
         "px", "where it saw the vertex", ("component", "vertex"), ("column", "row"), default=None
     )
+    strain_axis: Axis | None = None
 
     @property
     def has_depth(self) -> bool:

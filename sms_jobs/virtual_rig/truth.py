@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
-from sms_jobs.records.scene import Simulation
+from sms_jobs.records.scene import Simulation, Vector
 from sms_jobs.virtual_rig.deformations import carried_points, gradients
 from sms_jobs.virtual_rig.light import direct_light, sensor_named
 from sms_jobs.virtual_rig.optics import image_point, in_image, packed_sensor, pixel_ray
@@ -64,8 +64,8 @@ class Truth:
     displacement
         (3, rows, columns), in the world, mm.
     green_lagrange, small
-        (3, rows, columns), xx, yy and xy of the strain in the tangent plane of the reference surface;
-        NaN where the specimen's x axis is normal to the surface.
+        (3, rows, columns), xx, yy and xy of the strain in the tangent plane of the reference surface, x
+        along an axis; NaN where that axis is normal to the surface.
     lit_and_seen_at_end
         (rows, columns), whether the material point is still in the camera's image, in its free sight,
         and lit by the projector, or seen by further cameras.
@@ -112,11 +112,17 @@ def exact_shape(
 
 
 def exact_truth(
-    reference: Simulation, state: Simulation, partners: tuple[str, ...] | None = None, *, threads: int = 1
+    reference: Simulation,
+    state: Simulation,
+    partners: tuple[str, ...] | None = None,
+    *,
+    x_axis: Vector | None = None,
+    threads: int = 1,
 ) -> Truth:
     """Return what truly happens, between two simulated measurements, to what the first one sees.
 
-    `partners` are those of `exact_shape`.
+    `partners` are those of `exact_shape`; `x_axis` is the vector in the world whose projection onto the
+    surface is the strain's x, the specimen's if it is None.
 
     Raises
     ------
@@ -137,7 +143,7 @@ def exact_truth(
     displacement = np.full_like(shape.xyz, np.nan)
     displacement[:, seen] = (ends - carried_points(before.chain, material)).T
     relative = gradients(after.chain, material) @ np.linalg.inv(gradients(before.chain, material))
-    axis = state.scene.placement.matrix()[:, 0]
+    axis = state.scene.placement.matrix()[:, 0] if x_axis is None else np.array(x_axis)
     frame = tangent_frame(np.ascontiguousarray(shape.normal[:, seen].T), axis)
     green, small = np.full_like(shape.xyz, np.nan), np.full_like(shape.xyz, np.nan)
     green[:, seen] = _green_lagrange(relative, frame).T
@@ -167,7 +173,7 @@ def tangent_frame(normals: Floats, axis: Floats) -> Floats:
     normals
         (n, 3), unit normals.
     axis
-        (3,), the specimen's x axis in the world; its projection onto the tangent plane is x.
+        (3,), a vector in the world; its projection onto the tangent plane is x.
     """
     x = axis - normals * (normals @ axis)[:, None]
     length = np.linalg.norm(x, axis=1, keepdims=True)

@@ -17,7 +17,6 @@ from pydantic import Field, field_validator
 
 from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
-from sms_jobs.kinds.deformation.strain import specimen_axis
 from sms_jobs.kinds.deformation.textured_state import read_texture
 from sms_jobs.kinds.kind import (
     DatasetOutput,
@@ -47,7 +46,6 @@ from sms_jobs.metrology.surfaces.continuity import continuous_labels
 from sms_jobs.records.alignment import ViewAlignment
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.scene import Vector
 from sms_jobs.records.subject import Subject, checked_name
 
 _ROUNDS = 2  # the second starts from what the first found, and so finds points at the rim of the overlap
@@ -122,14 +120,9 @@ def _at_rest(campaign: Campaign, subject: Subject) -> tuple[Subject, ...]:
     return tuple(Subject(campaign.name, label, views[0]) for views in cameras(campaign, subject).values())
 
 
-def _context(campaign: Campaign, subject: Subject) -> tuple[tuple[Subject, ...], Vector]:
-    """Return a tuple of each camera at rest, and the specimen's axis."""
-    return _at_rest(campaign, subject), specimen_axis(campaign, subject)
-
-
 def run(inputs: Inputs, parameters: AlignParameters, progress: Progress) -> Iterator[Output]:
     """Find how each of the other views lies to this one."""
-    seen, axis = inputs.context
+    seen: tuple[Subject, ...] = inputs.context
     own = inputs.subject.campaign
     if own in parameters.views:
         raise InvalidInput(
@@ -141,8 +134,7 @@ def run(inputs: Inputs, parameters: AlignParameters, progress: Progress) -> Iter
     for number, name in enumerate(parameters.views, start=1):
         there = [_view(inputs, replace(each, campaign=name), parameters) for each in seen]
         points, found = _aligned(here, there, parameters, inputs.threads)
-        other_axis = _axis_of(inputs, replace(seen[0], campaign=name))
-        records[ALIGNMENT.of(str(number))] = _record(name, points, found, axis, other_axis)
+        records[ALIGNMENT.of(str(number))] = _record(name, points, found)
         statistics |= {
             f"alignment_rms_mm_{number}": found.rms_mm,
             f"alignment_scale_{number}": found.scale,
@@ -192,24 +184,13 @@ def _start(here: list[View], there: list[View], range_rotation: float, threads: 
     return overlapping(here[-1], there[-1], range_rotation, threads)
 
 
-def _axis_of(inputs: Inputs, about: Subject) -> Vector:
-    """Return the specimen's x axis in the frame of another campaign, as its strain was stated."""
-    simulation = _AT_REST.recorded(inputs, about).simulation
-    if simulation is None:
-        return (1.0, 0.0, 0.0)
-    x, y, z = simulation.scene.placement.matrix()[:, 0]
-    return (float(x), float(y), float(z))
-
-
-def _record(name: str, points: CommonPoints, found: Alignment, axis: Vector, there: Vector) -> ViewAlignment:
+def _record(name: str, points: CommonPoints, found: Alignment) -> ViewAlignment:
     pose: Pose = found.pose
     used: NDArray[np.bool_] = found.used
     return ViewAlignment(
         name,
         pose.rotation,
         pose.translation,
-        axis,
-        there,
         found.scale,
         found.rms_mm,
         len(used),
@@ -223,13 +204,13 @@ def _record(name: str, points: CommonPoints, found: Alignment, axis: Vector, the
 KIND = Kind(
     name="align",
     summary="how other campaigns' views lie to this one's, by the texture of the specimen, and the residual",
-    version=2,
+    version=3,
     scope=Scope.CAMPAIGN,
     parameters=AlignParameters,
     inputs=_AT_REST.all,
     outputs=(ALIGNMENT,),
     needs=_needs,
     run=run,
-    context=_context,
+    context=_at_rest,
     in_pipeline=False,
 )

@@ -64,13 +64,15 @@ def _needs(campaign: Campaign, subject: Subject, parameters: CombineParameters) 
 
 def run(inputs: Inputs, parameters: CombineParameters, progress: Progress) -> Iterator[Output]:
     """Bring the surfaces of the other views into this campaign's frame, and join them with its own."""
-    surfaces = [_surface(inputs.read(_MERGED, MESH))]
+    own = inputs.read(_MERGED, MESH)
+    own_axis = _axis_of(own, inputs.subject.campaign)
+    surfaces = [_surface(own)]
     alignments = _alignments(inputs)
     for view in parameters.views:
         lies = _of(alignments, view, inputs.subject.campaign)
         pose = Pose(lies.rotation, lies.translation_mm)
-        own_axis, axis = np.array(lies.specimen_axis), np.array(lies.specimen_axis_there)
         there = inputs.read(_MERGED, MESH, replace(inputs.subject, campaign=view))
+        axis = _axis_of(there, view)
         surfaces.append(brought(_surface(there), pose, own_axis, axis))
     progress(0.3, f"brought {len(parameters.views)} views into the frame of {inputs.subject.campaign}")
     apart, pairs = differences(surfaces)
@@ -81,7 +83,7 @@ def run(inputs: Inputs, parameters: CombineParameters, progress: Progress) -> It
         for number, (surface, difference) in enumerate(zip(surfaces, apart, strict=True))
     ]
     names, units = zip(*_VALUES, strict=True)
-    mesh = Mesh(names, units, vertices, faces, np.concatenate(values, axis=1))
+    mesh = Mesh(names, units, vertices, faces, np.concatenate(values, axis=1), strain_axis=own.strain_axis)
     statistics = {"vertices": float(len(vertices)), "faces": float(len(faces))}
     for (a, b), both in pairs.items():
         between = f"{a}_{b}"
@@ -93,6 +95,16 @@ def run(inputs: Inputs, parameters: CombineParameters, progress: Progress) -> It
         }
     progress(1.0, f"joined {len(surfaces)} views")
     yield DatasetOutput(inputs.subject, {MESH: mesh}, statistics)
+
+
+def _axis_of(mesh: Mesh, campaign: str) -> Floats:
+    """Return the x axis of the strain of a mesh in its own frame, (3,)."""
+    if mesh.strain_axis is None:
+        raise InvalidInput(
+            f"the merged surface of {campaign} does not say along which axis its strain is: submit strain "
+            "and merge of it again"
+        )
+    return np.array(mesh.strain_axis)
 
 
 def _alignments(inputs: Inputs) -> dict[str, ViewAlignment]:
@@ -140,7 +152,7 @@ def _values(surface: StrainedSurface, view: int, difference: Floats) -> Floats:
 KIND = Kind(
     name="combine",
     summary="one surface of this campaign's and other positions' views of a state, none of it doubled",
-    version=1,
+    version=2,
     scope=Scope.STATE,
     parameters=CombineParameters,
     inputs=(_ALIGNED, _MERGED),

@@ -85,9 +85,8 @@ def _needs(campaign: Campaign, subject: Subject, parameters: GaugesParameters) -
 
 
 def frame_of_gauges(campaign: Campaign, subject: Subject) -> Pose:
-    """Return what brings the gauges' frame into that of the surface: the specimen's, where it is known."""
-    known = campaign.scene is not None and view_of(subject.view).measures_shape
-    return campaign.scene.placement if known and campaign.scene is not None else AT_ORIGIN
+    """Return what brings the gauges' frame into that of the surface: the specimen's, or an image's own."""
+    return campaign.placement if view_of(subject.view).measures_shape else AT_ORIGIN
 
 
 def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Iterator[Output]:
@@ -206,5 +205,6 @@ KIND = Kind(
     run=run,
     subjects=deformed_views,
     context=frame_of_gauges,
+    along_frame=True,
     in_pipeline=False,
 )

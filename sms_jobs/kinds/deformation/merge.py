@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.calibration_factors import median_part, merged_sigma, states_of
 from sms_jobs.kinds.kind import (
     DatasetOutput,
@@ -47,7 +48,7 @@ from sms_jobs.metrology.deformation.strain import principal_and_equivalent
 from sms_jobs.metrology.geometry.planes import covariance_in_plane, covariance_in_space, in_space
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.fields import SIGMA_CALIBRATION, DisplacementField, MergedField, Mesh, Surface
+from sms_jobs.records.fields import SIGMA_CALIBRATION, Axis, DisplacementField, MergedField, Mesh, Surface
 from sms_jobs.records.quantity import SYMMETRIC, XYZ
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.subject import Subject
@@ -115,7 +116,7 @@ def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iter
 def _of_camera(inputs: Inputs, camera: str, views: tuple[str, ...], parameters: MergeParameters) -> _Seen:
     """Merge what the views of one camera say, and put triangles between its pixels."""
     field, measurable = _merged_camera(inputs, camera, views)
-    strain = _merged_strain(inputs, views)
+    strain, axis = _merged_strain(inputs, views)
     labels = combine_labels([inputs.read(_MOVED, REGIONS, own).labels for own in _of(inputs, views)])
     labels[field.reason != Reason.VALID] = 0
     usual = _STEP_PX if field.has_depth else _STEP_IN_PLANE_PX
@@ -132,6 +133,7 @@ def _of_camera(inputs: Inputs, camera: str, views: tuple[str, ...], parameters: 
         (camera,),
         np.zeros(len(row), np.uint8),
         np.stack([column, row]).astype(np.int32),
+        axis,
     )
     return _Seen(field, mesh, measurable)
 
@@ -145,6 +147,7 @@ def _joined(meshes: Sequence[Mesh]) -> Mesh:
     each = [vertex[source == number] for number in range(len(meshes))]
     together = list(zip(meshes, each, strict=True))
     first = meshes[0]
+    _one_axis({", ".join(mesh.cameras): mesh.strain_axis for mesh in meshes})
     names = [name for name in first.value_names if all(name in mesh.value_names for mesh in meshes)]
     return replace(
         first,
@@ -221,15 +224,29 @@ def _calibrations_part(
     return merged_sigma(list(zip(states, surfaces, moved, strict=True)), list(weights), valid)
 
 
-def _merged_strain(inputs: Inputs, views: tuple[str, ...]) -> Merged:
-    """Merge the strain (xx, yy, xy) of the views of one camera; their tangent planes are the same."""
+def _one_axis(axes: Mapping[str, Axis | None]) -> Axis | None:
+    """Return the x axis that strain of views or cameras has; `InvalidInput` where they have not the same."""
+    if len(set(axes.values())) > 1:
+        raise InvalidInput(
+            f"the strains of {' and '.join(axes)} lie along different axes, since the specimen's frame was "
+            "changed between them: submit strain of all of them again"
+        )
+    return next(iter(axes.values()))
+
+
+def _merged_strain(inputs: Inputs, views: tuple[str, ...]) -> tuple[Merged, Axis | None]:
+    """Merge the strain (xx, yy, xy) of the views of one camera, and say along which axis it lies.
+
+    Their tangent planes are the same.
+    """
     fields = [inputs.read(_STRAINED, STRAIN, own) for own in _of(inputs, views)]
+    axis = _one_axis({view: field.x_axis for view, field in zip(views, fields, strict=True)})
     variances = []
     for field in fields:
         packed = np.zeros((6, *field.reason.shape))
         packed[_DIAGONAL] = field.sigma.astype(np.float64) ** 2
         variances.append(packed)
-    return _merged([f.strain for f in fields], variances)
+    return _merged([f.strain for f in fields], variances), axis
 
 
 def _merged(values: Sequence[Floats], covariances: Sequence[NDArray[np.floating]]) -> Merged:
@@ -293,7 +310,7 @@ def _statistics(seen: Sequence[_Seen], meshes: Sequence[Mesh]) -> dict[str, floa
 KIND = Kind(
     name="merge",
     summary="views of a camera merged by inverse variance, and all cameras joined into one surface",
-    version=6,
+    version=7,
     scope=Scope.STATE,
     parameters=MergeParameters,
     inputs=(_MOVED, _STRAINED, *_REFERENCE.all),

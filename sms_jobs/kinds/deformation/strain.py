@@ -76,18 +76,12 @@ def _needs(campaign: Campaign, subject: Subject, parameters: StrainParameters) -
     yield _REFERENCE.of(campaign, replace(subject, state=campaign.reference.label))
 
 
-def specimen_axis(campaign: Campaign, subject: Subject) -> Vector:
-    """Return the specimen's x axis in the world: from the scene, or the world's X where there is none."""
-    if campaign.scene is None:
-        return (1.0, 0.0, 0.0)
-    x, y, z = campaign.scene.placement.matrix()[:, 0]
-    return (float(x), float(y), float(z))
-
-
-def _x_axis(campaign: Campaign, subject: Subject) -> Vector:
+def x_axis_of(campaign: Campaign, subject: Subject) -> Vector:
     """Return the x axis of strain: the specimen's, in an image that along its rows."""
-    in_world = view_of(subject.view).measures_shape
-    return specimen_axis(campaign, subject) if in_world else (1.0, 0.0, 0.0)
+    if not view_of(subject.view).measures_shape:
+        return (1.0, 0.0, 0.0)
+    x, y, z = campaign.placement.matrix()[:, 0]
+    return (float(x), float(y), float(z))
 
 
 def gauge_length_of(surface: Surface, parameters: StrainParameters) -> float:
@@ -145,6 +139,7 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
         found.principal,
         found.von_mises,
         reason,
+        x_axis=inputs.context,
     )
     states = states_of(inputs, _MOVED)
     if states is not None:
@@ -184,7 +179,7 @@ def _statistics(field: StrainField, surface: Surface) -> dict[str, float]:
 KIND = Kind(
     name="strain",
     summary="strain in the tangent plane, with principal and equivalent strain, over a stated gauge length",
-    version=6,
+    version=7,
     scope=Scope.TUPLE,
     parameters=StrainParameters,
     inputs=(_MOVED, *_REFERENCE.all),
@@ -193,5 +188,6 @@ KIND = Kind(
     run=run,
     subjects=deformed_views,
     pipeline_subjects=deformed_tuples,
-    context=_x_axis,
+    context=x_axis_of,
+    along_frame=True,
 )

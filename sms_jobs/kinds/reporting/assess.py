@@ -28,6 +28,7 @@ from sms_jobs.kinds.products import ASSESSMENT, DISPLACEMENT, MEASURED, STRAIN, 
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port, textured_by
 from sms_jobs.records.assessment import Assessment, Errors
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.fields import StrainField
 from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Simulation
@@ -79,11 +80,14 @@ def run(inputs: Inputs, parameters: AssessParameters, progress: Progress) -> Ite
         yield _output(inputs.subject, Assessment(shape, None, None, shape_error))
         return
     reference = _simulation(inputs, _REFERENCE)
-    truth = exact_truth(reference, state, inputs.view.partners, threads=inputs.threads)
+    strained = inputs.read(_STRAINED, STRAIN)
+    truth = exact_truth(
+        reference, state, inputs.view.partners, x_axis=strained.x_axis, threads=inputs.threads
+    )
     expected = truth.shape.seen & truth.shape.lit & truth.lit_and_seen_at_end
     progress(0.6, "comparing displacement and strain")
     moved, moved_error = _displacement_errors(inputs, truth, expected)
-    strain, strain_error = _strain_errors(inputs, truth, expected)
+    strain, strain_error = _strain_errors(strained, truth, expected)
     yield _output(inputs.subject, Assessment(shape, moved, strain, shape_error, moved_error, strain_error))
 
 
@@ -102,8 +106,7 @@ def _displacement_errors(inputs: Inputs, truth: Truth, expected: Flags) -> tuple
     return vector_errors(field.displacement - truth.displacement, field.covariance, field.reason, expected)
 
 
-def _strain_errors(inputs: Inputs, truth: Truth, expected: Flags) -> tuple[Errors, NDArray[np.float32]]:
-    field = inputs.read(_STRAINED, STRAIN)
+def _strain_errors(field: StrainField, truth: Truth, expected: Flags) -> tuple[Errors, NDArray[np.float32]]:
     return strain_errors(field.strain - truth.strain(field.measure), field.sigma, field.reason, expected)
 
 

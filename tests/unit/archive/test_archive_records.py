@@ -22,8 +22,9 @@ from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.measurement import ArrayStack, FrameStack, FringeSequence, Measurement
 from sms_jobs.records.numbers import LARGEST
 from sms_jobs.records.quantity import QUANTITY, Quantity
-from sms_jobs.records.scene import Cylinder, HalvesApart, Plane, Rigid, Scene, TopHat
+from sms_jobs.records.scene import AT_ORIGIN, Cylinder, HalvesApart, Plane, Rigid, Scene, TopHat
 from sms_jobs.records.sensors import Rig, Sensor
+from sms_jobs.records.specimen_frame import SpecimenFrame
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.texts import NAME_LETTERS, REMARK_LETTERS, harmless
 from sms_jobs.records.times import EARLIEST, LATEST
@@ -79,6 +80,8 @@ def example(hint: Any, rng: np.random.Generator, meta: Any = None) -> Any:
         if hint is Intrinsics:
             values["fx"], values["fy"] = LENS["fx"].low, LENS["fx"].high
             values["skew"] = LENS["skew"].low
+        if hint is SpecimenFrame:
+            values["placement"] = AT_ORIGIN
         made = hint(**values)
         # An artefact must be one of those that its campaign describes, which chance does not know.
         return replace(made, artefact=None) if isinstance(made, LoadState) else made

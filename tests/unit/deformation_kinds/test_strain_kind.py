@@ -59,8 +59,10 @@ def test_a_gauge_shorter_than_a_pixel_finds_no_neighbours(plate: Any) -> None:
 def test_the_axis_is_the_specimens(plate: Any) -> None:
     subject = plate.subject("S01", VIEW)
     placement = plate.campaign.scene.placement.matrix()
-    assert strain.specimen_axis(plate.campaign, subject) == pytest.approx(tuple(placement[:, 0]))
-    assert strain.specimen_axis(replace(plate.campaign, scene=None), subject) == (1.0, 0.0, 0.0)
+    assert strain.x_axis_of(plate.campaign, subject) == pytest.approx(tuple(placement[:, 0]))
+    assert strain.x_axis_of(replace(plate.campaign, scene=None), subject) == (1.0, 0.0, 0.0)
+    field = plate.results["strain", subject]["strain"]
+    assert field.x_axis == strain.x_axis_of(plate.campaign, subject)
 
 
 def test_the_reference_state_has_no_strain(plate: Any) -> None:

@@ -91,8 +91,6 @@ def test_the_alignment_is_the_true_one_within_its_covariance(views: tuple[Shelf,
     assert found.points >= 24
     assert found.used_fraction > 0.9
     assert found.place.shape == found.residual.shape == (found.points, 3)
-    x_axis, there = np.array(found.specimen_axis), np.array(found.specimen_axis_there)
-    np.testing.assert_allclose(true_pose(views).matrix() @ there, x_axis, atol=1e-12)
 
 
 def test_the_result_does_not_depend_on_threads(views: tuple[Shelf, Shelf]) -> None:

@@ -1,0 +1,86 @@
+"""Results that lie along other axes than the specimen's frame of their campaign has by now."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from sqlalchemy import Row, Select, func, select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.models import CampaignRow, DependencyRow, FileRow, JobRow, ProvenanceRow
+from sms_jobs.catalogue.parts import parts
+from sms_jobs.jobs.indexing import CAMPAIGN
+from sms_jobs.jobs.reuse import reuse_key
+from sms_jobs.kinds import all_kinds
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.subject import Subject
+
+
+def turned_files(session: Session, campaign: CampaignRow) -> set[int]:
+    """Return the files of a campaign that another frame was taken for, and those computed from them.
+
+    A result is one of them where its reuse key is not what the present definition makes of its parameters and
+    inputs. A campaign whose definition was never amended has none, and is not looked at.
+    """
+    defined = select(func.count()).where(FileRow.campaign_id == campaign.id, FileRow.source == CAMPAIGN)
+    if (session.scalar(defined) or 0) < 2:
+        return set()
+    chosen = _along_the_frame().where(JobRow.campaign_id == campaign.id)
+    known = campaigns.definition(campaign)
+    jobs = [job for job in session.execute(chosen) if _is_current(job)]
+    of_jobs = select(DependencyRow.job_id, DependencyRow.role, FileRow.content_hash)
+    of_jobs = of_jobs.join(FileRow, FileRow.id == DependencyRow.file_id)
+    hashes: dict[str, dict[str, str]] = {}
+    for some in parts([job.id for job in jobs]):
+        for job_id, role, content_hash in session.execute(of_jobs.where(DependencyRow.job_id.in_(some))):
+            hashes.setdefault(job_id, {})[role] = content_hash
+    other = [job.id for job in jobs if _key(known, job, hashes.get(job.id, {})) != job.reuse_key]
+    files = {
+        number
+        for some in parts(other)
+        for number in session.scalars(select(FileRow.id).where(FileRow.job_id.in_(some)))
+    }
+    return files | _made_from(session, files)
+
+
+def is_turned(session: Session, job: JobRow, hashes: Mapping[str, str]) -> bool:
+    """Say whether a job took another frame than its campaign has; `hashes` are of its inputs by role."""
+    row = session.execute(_along_the_frame().where(JobRow.id == job.id)).one_or_none()
+    if row is None or not _is_current(row):
+        return False
+    known = campaigns.definition(session.get_one(CampaignRow, job.campaign_id))
+    return bool(_key(known, row, hashes) != row.reuse_key)
+
+
+def _along_the_frame() -> Select[Any]:
+    """Select the jobs of kinds whose numbers lie along the specimen's axes, of which it can be told."""
+    kinds = [kind.name for kind in all_kinds().values() if kind.along_frame]
+    return select(
+        JobRow.id, JobRow.kind, JobRow.kind_version, JobRow.subject, JobRow.parameters, JobRow.reuse_key
+    ).where(JobRow.kind.in_(kinds), JobRow.reuse_key.is_not(None))
+
+
+def _is_current(job: Row[Any]) -> bool:
+    return bool(all_kinds()[job.kind].version == job.kind_version)
+
+
+def _key(campaign: Campaign, job: Row[Any], hashes: Mapping[str, str]) -> str:
+    kind, subject = all_kinds()[job.kind], Subject.parse(job.subject)
+    return reuse_key(kind, subject, job.parameters, kind.context(campaign, subject), hashes)
+
+
+def _made_from(session: Session, files: Iterable[int]) -> set[int]:
+    """Return what was computed from some files, and from that, and so on."""
+    found: set[int] = set()
+    front = set(files)
+    while front:
+        outputs: set[int] = set()
+        for some in parts(sorted(front)):
+            outputs.update(
+                session.scalars(select(ProvenanceRow.output_id).where(ProvenanceRow.input_id.in_(some)))
+            )
+        front = outputs - found
+        found |= front
+    return found

@@ -1,0 +1,140 @@
+"""A campaign's specimen frame: what it makes stale, what it leaves, and what comes back with it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from support.archives import Clock, emptied, registered, run_jobs, work_again
+from support.command import inside
+from support.deployments import Deployment
+
+from sms_jobs.archive import Archive
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.jobs import campaign_matrix, reindexing
+from sms_jobs.jobs.planning import Request
+from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.subject import Subject
+
+KINDS = ("simulate", "reconstruct", "correlate", "strain", "merge")
+STRAINED = Subject("plate", "S01", "C1P1")
+POINTS = ("--origin", "64,60", "--x", "100,57", "--plane", "60,90")
+
+
+@pytest.fixture
+def measured(catalogue: Catalogue, archive: Archive, clock: Clock) -> None:
+    """Compute a campaign of one deformed state and view, strain and merged surface too."""
+    registered(catalogue, archive, clock)
+    run_jobs(catalogue, archive, clock, [Request(kind) for kind in KINDS])
+
+
+def said(deployment: Deployment, *words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+    done = inside(*words, "--home", str(deployment.home), environment=deployment.environment)
+    assert done.returncode == code, done.stderr
+    return done
+
+
+def frame(deployment: Deployment, *words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+    return said(deployment, "campaign", "frame", "plate", *words, code=code)
+
+
+def conditions(catalogue: Catalogue) -> dict[str, str]:
+    with catalogue.reading() as session:
+        row = campaigns.campaign_row(session, "plate")
+        cells = campaign_matrix.matrix(session, row, datetime.now(UTC))
+    return {cell.kind: cell.condition for cell in cells if cell.state != "S00" and cell.kind != "measurement"}
+
+
+def defined(catalogue: Catalogue) -> Campaign:
+    with catalogue.reading() as session:
+        return campaigns.definition(campaigns.campaign_row(session, "plate"))
+
+
+@pytest.mark.usefixtures("measured")
+def test_a_frame_makes_stale_what_lies_along_it_and_nothing_else(
+    deployment: Deployment, catalogue: Catalogue, archive: Archive, clock: Clock
+) -> None:
+    assert set(conditions(catalogue).values()) == {"computed"}
+    told = json.loads(frame(deployment, *POINTS, "--json").stdout)
+    assert told["stale"] == {"strain": 1}
+    assert told["frame"]["view"] == "C1P1"
+    assert len(told["frame"]["surface"]) == 64
+    after = conditions(catalogue)
+    assert after == {"reconstruct": "computed", "correlate": "computed", "strain": "stale", "merge": "stale"}
+    with catalogue.reading() as session:
+        strains = campaigns.newest_file(session, "strain", STRAINED, "application/x-hdf5")
+    found = json.loads(said(deployment, "data", "states", "frame = points", "--format", "json").stdout)
+    assert len(found["states"]) == 2
+
+    run_jobs(catalogue, archive, clock, [Request("strain"), Request("merge")])
+    assert set(conditions(catalogue).values()) == {"computed"}
+    with catalogue.reading() as session:
+        again = campaigns.newest_file(session, "strain", STRAINED, "application/x-hdf5")
+    assert again != strains
+
+    # Without the frame the first results hold again, and nothing is computed to say so.
+    frame(deployment, "--drop")
+    assert conditions(catalogue)["strain"] == "stale"
+    run_jobs(catalogue, archive, clock, [Request("strain"), Request("merge")])
+    assert set(conditions(catalogue).values()) == {"computed"}
+    with catalogue.reading() as session:
+        row = campaigns.campaign_row(session, "plate")
+        cells = campaign_matrix.matrix(session, row, datetime.now(UTC))
+    assert [cell.file for cell in cells if cell.kind == "strain"] == [strains]
+
+
+@pytest.mark.usefixtures("measured")
+def test_a_lost_catalogue_comes_back_with_the_frame(
+    deployment: Deployment, catalogue: Catalogue, archive: Archive, clock: Clock
+) -> None:
+    frame(deployment, *POINTS)
+    frame(deployment, "--fit", "rectangle 30 30 100 100", "--x", "100,57")
+    before = defined(catalogue)
+    assert before.frame is not None
+    assert before.frame.method == "plane"
+    z = np.array(before.frame.placement.rotation)[:, 2]
+    assert before.scene is not None
+    # The plane of 70 x 70 pixels with 20 um of noise; a degree is far more.
+    assert z @ before.scene.placement.matrix()[:, 2] > np.cos(np.radians(0.5))
+    stale = conditions(catalogue)
+    emptied(catalogue)
+    work_again(catalogue, clock)
+    paths = reindexing.unknown_files(catalogue, archive)
+    assert {one.outcome for one in reindexing.reindex(catalogue, archive, paths)} == {"indexed"}
+    assert defined(catalogue) == before
+    assert conditions(catalogue) == stale
+
+
+@pytest.mark.usefixtures("measured")
+def test_what_tells_no_frame_is_refused(deployment: Deployment, catalogue: Catalogue) -> None:
+    before = defined(catalogue)
+    for words, told in (
+        (("--x", "100,57"), "third point by --plane"),
+        (("--origin", "64,60"), "point of the x axis by --x"),
+        (("--origin", "64,60", "--x", "100,57,3", "--plane", "60,90"), "all points as pixels"),
+        (("--origin", "64,60", "--x", "9", "--plane", "60,90"), "--x 9 is not a point"),
+        (("--origin", "64,60", "--x", "900,57", "--plane", "60,90"), "not in the image"),
+        (("--origin", "64,60", "--x", "100,57", "--plane", "82,58.5"), "nearly on one line"),
+        (("--x", "100,57", "--fit", "circle 3"), "write 'rectangle LEFT TOP"),
+        (("--x", "100,57", "--fit", "rectangle 3 3 6 6"), "needs 100"),
+        ((*POINTS, "--view", "C1"), "choose a view that measures shape"),
+        ((*POINTS, "--markers"), "in no round mark"),
+        ((*POINTS, "--drop"), "leave the other options out"),
+    ):
+        assert told in frame(deployment, *words, code=2).stderr
+    assert defined(catalogue) == before
+
+
+def test_a_campaign_without_a_surface_says_what_is_missing(
+    deployment: Deployment, catalogue: Catalogue, archive: Archive, clock: Clock
+) -> None:
+    registered(catalogue, archive, clock)
+    assert "there is no surface of plate/S00/C1P1" in frame(deployment, *POINTS, code=3).stderr
+    assert "those of the scene" in frame(deployment).stderr
+    assert "no specimen frame" in frame(deployment, "--drop", code=3).stderr
+    told = frame(deployment, "--origin", "0,0,0", "--x", "9,1,0", "--plane", "0,5,0")
+    assert "not known of points of the world" in told.stdout
