@@ -15,7 +15,7 @@ from sms_jobs.jobs import planned_recordings
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
 from sms_jobs.records.triggers import Counted, Every, Holding, InTurn, Trigger
-from sms_jobs.records.units import Typed
+from sms_jobs.records.units import Typed, in_unit_of_name
 
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import LoadState
@@ -138,9 +138,8 @@ def _holding(state: LoadState, when: AtLoad, unit: str) -> Holding:
     # Which loads the instruments, as the states have by now.
     from sms_jobs.jobs.recordings import state_value
 
-    target = state_value(state, when.channel)
-    if when.channel == "load_n":
-        target = Typed(f"{target:g}N", target, "N").in_unit(unit, f"the load of {state.label}")
+    # The test plan says it in the unit of the channel's name.
+    target = state_value(state, when.channel) / in_unit_of_name(when.channel, 1.0, unit)
     tolerance = when.tolerance.in_unit(unit, "--tolerance")
     if tolerance <= 0.0:
         raise InvalidInput(

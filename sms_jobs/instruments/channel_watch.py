@@ -12,10 +12,9 @@ from sms_jobs.errors import InstrumentError
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.holding import EventDetector
 from sms_jobs.instruments.kept_streams import LineLog
-from sms_jobs.instruments.protocols import Channel
+from sms_jobs.instruments.protocols import Channel, recorded_value
 from sms_jobs.records.events import Event
 from sms_jobs.records.numbers import is_excessive
-from sms_jobs.records.units import in_unit_of_name
 
 _READS_EVERY_S = 0.02
 _UNREAD_S = 5.0
@@ -111,6 +110,6 @@ class ChannelWatch:
         if time_s <= self._read_until[name] + _SAME_S or is_excessive(reading.value):
             return None
         self._read_until[name] = time_s
-        value = in_unit_of_name(name, reading.value, channel.unit)
+        value = recorded_value(name, channel, reading.value)
         self.log.write(name, f"{time_s - self.zero_s:.6f}", repr(value))
         return time_s, reading.value

@@ -33,6 +33,7 @@ from sms_jobs.instruments.simulated.serial.simulation import SerialSimulation
 from sms_jobs.records.instruments import TriggerController, VideoSplitter
 from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.records.serial_links import SIMULATED
+from sms_jobs.records.units import in_unit_of_name
 
 
 @contextmanager
@@ -59,7 +60,7 @@ def connected(
     """
     clock = clock or RealClock()
     faulty = rig.serial.at("" if setting is None else setting.state)
-    simulation = SerialSimulation(faulty, clock, _values(setting))
+    simulation = SerialSimulation(faulty, clock, _values(setting, rig))
     connector = Connector(clock, OperationLog(clock), simulation)
     with ExitStack() as stack:
 
@@ -230,10 +231,13 @@ def _sensors(box: TriggerController | VideoSplitter) -> frozenset[str]:
     return frozenset(wire.sensor for wire in box.wiring)
 
 
-def _values(setting: Setting | None) -> dict[str, Callable[[float], float]]:
-    """Return what simulated channels read: what the state says."""
-    channels = {} if setting is None else setting.channels
-    return {name: partial(_steady, value) for name, value in channels.items()}
+def _values(setting: Setting | None, rig: RigFile) -> dict[str, Callable[[float], float]]:
+    """Return what simulated channels read, in their units: what the state says in those of their names."""
+    said = {} if setting is None else setting.channels
+    units = {channel.name: channel.unit for channel in rig.serial.channels if channel.name in said}
+    return {
+        name: partial(_steady, said[name] / in_unit_of_name(name, 1.0, unit)) for name, unit in units.items()
+    }
 
 
 def _steady(value: float, time_s: float) -> float:

@@ -38,7 +38,7 @@ class Limits:
         How often a set may be recorded until it keeps the limits; the last is kept as it is.
     channels
         Those that have to be read before and after a set, by name, each with how far it may go meanwhile, in
-        its unit; None for any way.
+        the unit of its name; None for any way.
     apart_s
         How far apart in time the images of cameras without a projector may be that are to show one state.
     speckled

@@ -14,6 +14,7 @@ from sms_jobs.instruments.devices.device import Status
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.operations import Reading
+from sms_jobs.records.units import in_unit_of_name
 
 
 class Recorder(Protocol):
@@ -160,6 +161,11 @@ class Channel(Protocol):
     def reading(self) -> Reading:
         """Return the same with the time of day at which it was so."""
         ...
+
+
+def recorded_value(name: str, channel: Channel, value: float) -> float:
+    """Return what a channel read in the unit of its name, in which every recording keeps it: load_n in N."""
+    return in_unit_of_name(name, value, channel.unit)
 
 
 class Stage(Protocol):

@@ -47,11 +47,13 @@ from sms_jobs.instruments.protocols import (
     Trigger,
     Video,
     apart_s,
+    recorded_value,
 )
 from sms_jobs.instruments.spool import Spooled, SpoolHeader
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.recording import Verdict
 from sms_jobs.records.scene import Simulation
+from sms_jobs.records.units import unit_of_name
 from sms_jobs.records.views import view_of
 
 FRAME_TIMEOUT_S = 5.0
@@ -106,8 +108,8 @@ class ConnectedRig:
         return (self.trigger or SoftwareTrigger(self.clock)).fire(cameras)
 
     def read_channels(self) -> dict[str, float]:
-        """Return what every channel reads now."""
-        return {name: channel.read() for name, channel in self.channels.items()}
+        """Return what every channel reads now, as it is recorded: in the unit of its name."""
+        return {name: recorded_value(name, one, one.read()) for name, one in self.channels.items()}
 
 
 def record_state(
@@ -209,7 +211,7 @@ class _Set(ABC):
             }
             self.take_all(writers, zero, progress)
         after = rig.read_channels()
-        units = {name: channel.unit for name, channel in rig.channels.items()}
+        units = {name: unit_of_name(name, channel.unit) for name, channel in rig.channels.items()}
         moved = drifted(channels, after, units, self.limits)
         return self.finish(writers, after, moved)
 

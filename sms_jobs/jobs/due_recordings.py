@@ -31,6 +31,7 @@ from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.shown.planned_recordings import Status
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.triggers import Counted, Holding, Trigger
+from sms_jobs.records.units import in_unit_of_name
 
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import LoadState
@@ -197,7 +198,8 @@ def _found_at(session: Session, one: Planned) -> str | None:
         .where(FileRow.job_id == one.row.job_id, StatisticRow.name.in_(names))
         .group_by(StatisticRow.name)
     )
-    return doubt(trigger, {name: (low, high) for name, low, high in rows})
+    size = in_unit_of_name(trigger.channel, 1.0, trigger.unit) if isinstance(trigger, Holding) else 1.0
+    return doubt(trigger, {name: (low / size, high / size) for name, low, high in rows})
 
 
 def doubt(trigger: Holding | Counted, read: Mapping[str, tuple[float, float]]) -> str | None:
@@ -206,7 +208,8 @@ def doubt(trigger: Holding | Counted, read: Mapping[str, tuple[float, float]]) -
     Parameters
     ----------
     read
-        Least and greatest readings of all its sets, by `channel_before` and `channel_after`.
+        Least and greatest readings of all its sets, by `channel_before` and `channel_after`, in the unit of
+        the trigger.
     """
     if not read:
         return f"{trigger.channel} was not read while it was recorded"

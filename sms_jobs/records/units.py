@@ -83,15 +83,18 @@ def typed(text: str, what: str) -> Typed:
     return Typed(text.strip(), float(found["number"]), found["unit"] or "")
 
 
-def in_unit_of_name(name: str, number: float, unit: str) -> float:
-    """Return a number in the unit at the end of its name: 20 kN of load_n are 20000.
-
-    It is returned as it is where the name ends in no unit of the same quantity.
-    """
+def unit_of_name(name: str, unit: str) -> str:
+    """Return the unit at the end of a name, N of load_n; `unit` where that is none of the same quantity."""
     family = next((f for f in FAMILIES if unit in f), {})
-    sizes = {each.lower(): size for each, size in family.items()}
     stem, _, own = name.rpartition("_")
-    return number * family[unit] / sizes[own.lower()] if stem and own.lower() in sizes else number
+    return next((each for each in family if stem and each.lower() == own.lower()), unit)
+
+
+def in_unit_of_name(name: str, number: float, unit: str) -> float:
+    """Return a number in the unit of `unit_of_name`: 20 kN of load_n are 20000."""
+    own = unit_of_name(name, unit)
+    family = next((f for f in FAMILIES if unit in f), {})
+    return number if own == unit else number * family[unit] / family[own]
 
 
 def time_words(seconds: float) -> str:

@@ -84,7 +84,7 @@ class AcquireParameters(Parameters):
     channels: tuple[str, ...] = Field(
         (),
         description="channels of the rig that have to be read before and after every set, such as load_n; as "
-        "load_n=3000 a set is doubted during which it went by more, in its unit",
+        "load_n=3000 a set is doubted during which it went by more, in the unit of its name",
     )
     doubtful: Literal["keep", "ask"] = Field(
         "keep",
@@ -295,7 +295,7 @@ def whole_rig(campaign: Campaign, subject: Subject) -> tuple[str, ...]:
 KIND = Kind(
     name="acquire",
     summary="record every view of a state with the instruments of the rig",
-    version=2,
+    version=3,
     scope=Scope.STATE,
     parameters=AcquireParameters,
     inputs=(),

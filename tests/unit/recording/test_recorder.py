@@ -212,6 +212,18 @@ def test_a_set_during_which_the_load_moved_is_recorded_again(
     )
 
 
+def test_a_channel_is_recorded_and_judged_in_the_unit_of_its_name(
+    make_rig: Callable[..., ConnectedRig], tmp_path: Path
+) -> None:
+    limits = Limits(channels={"load_n": 500.0})
+    record(make_rig(channels={"load_n": Ramp(1000.0, unit="kN")}), tmp_path / "s", limits=limits)
+    _, recording = recorded(tmp_path / "s", "C2P1", SEQUENCE)
+    assert (recording.channels_before, recording.channels_after) == ({"load_n": 103e3}, {"load_n": 104e3})
+    assert recording.verdict.doubts == (
+        "C2P1: load_n went from 103000 to 104000 N while it was recorded, allowed is 500 N",
+    )
+
+
 def test_a_channel_that_is_only_to_be_read_may_move(
     make_rig: Callable[..., ConnectedRig], tmp_path: Path
 ) -> None:
