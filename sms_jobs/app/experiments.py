@@ -25,7 +25,10 @@ EXPERIMENTS: Mapping[str, str] = {
     "tension-panel": "a flat panel of 290 mm stretched by 500, 1000 and 2000 microstrain (section 6.2)",
     "wing-panel": "a wing panel of 660 mm in tension and compression, from three positions of the rig: three "
     "campaigns (section 6.2)",
+    "cracked-wing-panel": "the same at nine loads, a stringer behind it cracking on: three campaigns "
+    "(section 6.2)",
     "disbond-buckling": "a stiffened panel in compression, whose stringer comes off the skin (section 6.3)",
+    "buckling-panel": "the same at seven loads, with bolts, sensors, and a tie rod before it (section 6.3)",
     "plate-and-mirror": "a white plate that a mirror lights a second time (section 7.3.1)",
 }
 
@@ -72,12 +75,15 @@ def experiment_campaigns(experiment: str, name: str, size: Size) -> tuple[Made, 
 
     if experiment == "wing-panel":
         return wing_campaigns.wing_panel(name, size)
+    if experiment == "cracked-wing-panel":
+        return wing_campaigns.cracked_wing_panel(name, size)
     return (
         {
             "top-hat-bending": tests.top_hat_bending,
             "hole-and-step": tests.hole_and_step_translation,
             "tension-panel": tests.tension_panel,
             "disbond-buckling": wing_campaigns.disbond_buckling,
+            "buckling-panel": wing_campaigns.buckling_panel,
             "plate-and-mirror": tests.plate_and_mirror,
         }[experiment](name, size),
     )

@@ -82,6 +82,7 @@ _Motion: TypeAlias = Annotated[
         scenes.MidPointBending,
         scenes.HalvesApart,
         scenes.Disbond,
+        scenes.StringerCrack,
         scenes.Bow,
         tag="motion",
     ),

@@ -1,11 +1,12 @@
-"""How tables of a file become flat records: known keys, exact types, angles in degrees, limits by name."""
+"""How tables of a file become records: known keys, exact types, angles in degrees, limits by name."""
 
 from __future__ import annotations
 
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from math import radians
-from typing import Annotated, Any, TypeAlias, Union, get_type_hints
+from types import GenericAlias, UnionType
+from typing import Annotated, Any, TypeAlias, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, GetPydanticSchema, create_model, model_validator
@@ -15,7 +16,7 @@ from sms_jobs.records.sensors import Box
 
 _POSITIVE = (
     *("width_mm", "height_mm", "radius_mm", "size_mm", "depth_mm", "diameter_mm"),
-    *("pitch_mm", "length_mm", "sigma_mm", "pitch_relative_sigma"),
+    *("pitch_mm", "length_mm", "fade_mm", "sigma_mm", "pitch_relative_sigma"),
     *("exposure", "full_well", "gamma", "strength", "exponent"),
 )
 """Endings of the names of fields that must be above zero."""
@@ -59,7 +60,7 @@ class Table(BaseModel):
 
 @cache
 def table_of(record: type) -> Any:
-    """Return the table that describes a flat record: its fields, radians written as degrees."""
+    """Return the table that describes a record: its fields, radians written as degrees, records as tables."""
     hints = get_type_hints(record)
     columns: dict[str, Any] = {}
     for f in fields(record):
@@ -84,8 +85,29 @@ def table_of(record: type) -> Any:
             default = ...  # the file says what it is
         elif name != f.name and default is not ...:
             default = mapped(np.degrees, default)
-        columns[name] = (kind, Field(default, **limits))
+        columns[name] = (_with_tables(kind), Field(default, **limits))
     return create_model(record.__name__, __base__=Table, **columns)
+
+
+def _with_tables(kind: Any) -> Any:
+    """Return a type with tables in place of records, which may stand in a tuple or beside None."""
+    if isinstance(kind, type) and is_dataclass(kind):
+        return table_of(kind)
+    parts = tuple(_with_tables(part) for part in get_args(kind))
+    if get_origin(kind) is tuple:
+        return GenericAlias(tuple, parts)
+    return Union[parts] if isinstance(kind, UnionType) else kind  # noqa: UP007
+
+
+def _with_records(kind: Any, value: Any) -> Any:
+    """Return a value of a type with the records that its tables describe: the inverse of `_with_tables`."""
+    if isinstance(kind, type) and is_dataclass(kind):
+        return record_of(kind, value)
+    if isinstance(value, tuple) and any(map(is_dataclass, get_args(kind))):
+        return tuple(_with_records(get_args(kind)[0], one) for one in value)
+    if isinstance(kind, UnionType) and value is not None:
+        return next((_with_records(k, value) for k in get_args(kind) if is_dataclass(k)), value)
+    return value
 
 
 def mapped(function: Any, value: Any) -> Any:
@@ -94,18 +116,19 @@ def mapped(function: Any, value: Any) -> Any:
 
 
 def record_of(kind: type, table: Any) -> Any:
-    """Return the flat record that a table describes."""
+    """Return the record that a table describes."""
     values = {}
+    hints = get_type_hints(kind)
     for f in fields(kind):
         if f.name.endswith("_rad"):
             values[f.name] = mapped(radians, getattr(table, f.name.removesuffix("_rad") + "_deg"))
         else:
-            values[f.name] = getattr(table, f.name)
+            values[f.name] = _with_records(hints[f.name], getattr(table, f.name))
     return kind(**values)
 
 
 def flat(*kinds: type, tag: str | None = None) -> GetPydanticSchema:
-    """Read one of several flat records, told apart by the value of their field `tag`."""
+    """Read one of several records, told apart by the value of their field `tag`."""
     kind_of = {table_of(kind): kind for kind in kinds}
     table: Any = Union[tuple(kind_of)]  # noqa: UP007
     if tag is not None:

@@ -83,10 +83,32 @@ class TopHat:
 
 
 @dataclass(frozen=True)
+class Stud:
+    """A short round post on a face of a panel, along z: the head of a bolt, or a sensor."""
+
+    centre_mm: tuple[float, float]
+    level_mm: float
+    """Height of the face that it stands on."""
+    radius_mm: float
+    height_mm: float
+
+
+@dataclass(frozen=True)
+class TieRod:
+    """A round rod across a panel, along y, that hides what is behind it and casts a shadow."""
+
+    x_mm: float
+    z_mm: float
+    radius_mm: float
+    length_mm: float
+
+
+@dataclass(frozen=True)
 class StiffenedPanel:
     """A flat skin with a stringer of T profile along x, whose foot lies on it (thesis section 6.3.1).
 
     The skin is at z = 0; the foot's top is at its thickness, and the web stands on its middle line y = 0.
+    Studs stand on skin or foot, and a tie rod may run across.
     """
 
     width_mm: float
@@ -95,6 +117,8 @@ class StiffenedPanel:
     foot_thickness_mm: float
     web_height_mm: float
     web_thickness_mm: float
+    studs: tuple[Stud, ...] = ()
+    rod: TieRod | None = None
     shape: Literal["stiffened-panel"] = "stiffened-panel"
 
 
@@ -186,6 +210,33 @@ class Disbond:
 
 
 @dataclass(frozen=True)
+class StringerCrack:
+    """A stiffened skin under load along x, behind which a stringer has cracked (section 6.2).
+
+    d_x = e x (1 + t y) + e r w I B, d_y = -nu e (y + t y^2 / 2) - e t x^2 / 2, d_z = bulge S B: a strain e
+    that grows across the skin by t, and is larger by the part r where the stringer along y = `stringer_mm`
+    carries nothing. With s = (x - tip) / w that is from S(s) = (1 + tanh s) / 2 on, whose integral is I(s) =
+    (s + ln(2 cosh s)) / 2, and about the stringer, by B = exp(-(y - stringer)^2 / (2 width^2)). The crack
+    comes from large x as far as its tip.
+    """
+
+    strain: float
+    poisson_ratio: float
+    slope_per_mm: float
+    """t: by which part of it the strain grows per mm along y."""
+    tip_mm: float
+    fade_mm: float
+    """w: over which the strain changes at the tip."""
+    stringer_mm: float
+    width_mm: float
+    relief: float
+    """r: the part that the cracked stringer no longer takes."""
+    bulge_mm: float
+    """How far the skin comes out where nothing holds it."""
+    motion: Literal["stringer-crack"] = "stringer-crack"
+
+
+@dataclass(frozen=True)
 class PanTilt:
     """The rotation of a pan-tilt stage about its origin, where its axes meet: R~ of thesis Eq. (2.3).
 
@@ -213,7 +264,9 @@ class Bow:
     motion: Literal["bow"] = "bow"
 
 
-Deformation: TypeAlias = Rigid | PanTilt | UniaxialStrain | MidPointBending | HalvesApart | Disbond | Bow
+Deformation: TypeAlias = (
+    Rigid | PanTilt | UniaxialStrain | MidPointBending | HalvesApart | Disbond | StringerCrack | Bow
+)
 
 
 @dataclass(frozen=True)

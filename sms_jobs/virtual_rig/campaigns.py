@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import Literal, TypeAlias
 
@@ -87,7 +88,7 @@ def bending_rig(size: Size) -> Rig:
     return Rig(f"virtual-rig-{pixels}", sensors)
 
 
-def top_hat_bending(name: str, size: Size) -> Made:
+def top_hat_bending(name: str, size: Size, deflections_mm: Sequence[float] = (2.0, 5.0, 10.0)) -> Made:
     """Return the rig and the campaign of thesis section 5.3: a top hat, pushed out at its middle.
 
     The scanners of `bending_rig` stand so far round that each sees one side of the hat and not the other.
@@ -99,6 +100,8 @@ def top_hat_bending(name: str, size: Size) -> Made:
         Of the campaign.
     size
         Cameras of 512 x 512 px or of 1024 x 1024 px; the speckles have about 6 px in both.
+    deflections_mm
+        Of the middle, a state each; the thesis has 1 to 10 mm in steps of 1 mm.
     """
     hat = TopHat()
     scene = Scene(
@@ -109,8 +112,15 @@ def top_hat_bending(name: str, size: Size) -> Made:
         CameraResponse(exposure=1.0),
         BENDING_PROJECTOR,
     )
+    states = bent_states(hat, deflections_mm)
+    specimen = Specimen("top hat", "aluminium", "1 mm sheet bent along four lines, two holes in the top")
+    return made(name, BENDING_VOLUME, specimen, states, FringeSequence(), scene)
+
+
+def bent_states(hat: TopHat, deflections_mm: Sequence[float]) -> tuple[LoadState, ...]:
+    """Return a top hat at rest, and pushed out at its middle; its frame gives a hundredth of that."""
     states = [LoadState("S00", 0.0, 0.0, START)]
-    for number, deflection in enumerate((2.0, 5.0, 10.0), start=1):
+    for number, deflection in enumerate(deflections_mm, start=1):
         give = deflection / 10.0
         deformation = (
             MidPointBending(deflection, hat.width_mm, hat.height_mm),
@@ -118,8 +128,34 @@ def top_hat_bending(name: str, size: Size) -> Made:
         )
         load_n, time = 38.0 * deflection, START + number * HOLD
         states.append(LoadState(f"S{number:02d}", load_n, deflection, time, deformation=deformation))
+    return tuple(states)
+
+
+def top_hat_before_two_cameras(name: str, size: Size, deflections_mm: Sequence[float]) -> Made:
+    """Return the rig and the campaign with which thesis section 5.3 compares: a top hat, two ways at once.
+
+    Cameras C1 and C2 stand 34 degrees apart, as in the thesis's Table 4, and measure as the view C1C2, lit by
+    a lamp; C1 measures with the projector P1 beside it as well, as the view C1P1.
+    """
+    pixels, hat, half = PIXELS[size], TopHat(), np.radians(17.0)
+    x, z = 2500.0 * float(np.sin(half)), 2500.0 * float(np.cos(half))
+    sensors = (
+        aimed("C1", pixels, pixels, CAMERA_LENS, (-x, -50.0, z), 0.01),
+        aimed("C2", pixels, pixels, CAMERA_LENS, (x, 50.0, z), -0.015),
+        aimed("P1", 1024, 768, PROJECTOR_LENS, (450.0, -100.0, 2460.0), -0.02),
+    )
+    scene = Scene(
+        Rig("virtual-stereo-scanner", sensors),
+        hat,
+        Speckle(diameter_mm=6.0 * 2500.0 / (CAMERA_LENS.focal * pixels)),
+        placed((0.02, -0.015, 0.01), (3.0, -2.0, 5.0)),
+        CameraResponse(exposure=0.9),
+        BENDING_PROJECTOR,
+    )
     specimen = Specimen("top hat", "aluminium", "1 mm sheet bent along four lines, two holes in the top")
-    return made(name, BENDING_VOLUME, specimen, tuple(states), FringeSequence(), scene)
+    states = bent_states(hat, deflections_mm)
+    calibration, campaign = made(name, BENDING_VOLUME, specimen, states, FringeSequence(), scene)
+    return calibration, replace(campaign, views=("C1P1", "C1C2"))
 
 
 def small_plate(name: str) -> Made:
@@ -154,7 +190,8 @@ def small_plate(name: str) -> Made:
 def hole_and_step_translation(name: str, size: Size) -> Made:
     """Return the rig and the campaign of thesis section 4.6: a plate with a hole and a step, translated.
 
-    One scanner, 2.7 m away, sees a plate of 700 mm that is tilted by 10 degrees and moved in its plane.
+    One scanner, 2.7 m away, sees a plate of 640 mm that is tilted by 10 degrees and moved along X: by
+    0.127 mm a state as far as 1.016 mm, then by 1.016 mm as far as 10.16 mm.
     """
     pixels = PIXELS[size]
     lens = Lens(3.3, -0.08, 0.12, 2e-4, -3e-4)
@@ -171,7 +208,7 @@ def hole_and_step_translation(name: str, size: Size) -> Made:
         CameraResponse(exposure=0.9),
         ProjectorResponse(defocus_px=0.8, visibility=0.95),
     )
-    shifts = (0.0, 0.127, 0.508, 1.016, 5.08, 10.16)
+    shifts = (*(0.127 * n for n in range(8)), *(1.016 * n for n in range(1, 11)))
     states = tuple(
         LoadState(
             f"S{number:02d}",

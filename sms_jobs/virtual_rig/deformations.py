@@ -6,7 +6,8 @@ has an exact inverse, so that a ray of light can be followed back to the specime
 Kernels take the maps as rows of an array: code 0, then for an affine map x -> A x + b the matrix 1 - 9,
 b 10 - 12 and the inverse matrix 13 - 21; for bending deflection, width, height 1 - 3; for halves apart
 the gap 1; for a disbond gap, length, tilt and level 1 - 4; for a bow those along x and y and the twist 1 - 3,
-the centre 4 - 5 and half of the sides 6 - 7.
+the centre 4 - 5 and half of the sides 6 - 7; for a stringer's crack strain, Poisson's ratio, slope, tip,
+fade, stringer, width, relief and bulge 1 - 9.
 """
 
 from __future__ import annotations
@@ -29,12 +30,13 @@ from sms_jobs.records.scene import (
     MidPointBending,
     PanTilt,
     Rigid,
+    StringerCrack,
     UniaxialStrain,
 )
 
 Floats: TypeAlias = NDArray[np.float64]
 
-AFFINE, BENDING, HALVES, DISBOND, BOW = 0, 1, 2, 3, 4
+AFFINE, BENDING, HALVES, DISBOND, BOW, CRACK = 0, 1, 2, 3, 4, 5
 
 
 def packed_chain(deformation: Iterable[Deformation], placement: Pose) -> Floats:
@@ -54,6 +56,9 @@ def bending_slack(deformation: Iterable[Deformation]) -> float:
             slack += abs(d.gap_mm)
         elif isinstance(d, Disbond):
             slack += 2.0 * abs(d.gap_mm)
+        elif isinstance(d, StringerCrack):
+            # Beyond the bulge less than half of the strain over the farthest of a metre.
+            slack += abs(d.bulge_mm) + 500.0 * abs(d.strain)
         elif isinstance(d, Bow):
             # At the plate's edge, up to twice as far from the middle as its points.
             slack += 4.0 * (abs(d.x_mm) + abs(d.y_mm) + abs(d.twist_mm))
@@ -79,6 +84,12 @@ def _packed(deformation: Deformation) -> Floats:
     elif isinstance(deformation, Bow):
         row[:4] = BOW, deformation.x_mm, deformation.y_mm, deformation.twist_mm
         row[4:8] = *deformation.centre_mm, deformation.half_width_mm, deformation.half_height_mm
+    elif isinstance(deformation, StringerCrack):
+        d = deformation
+        row[:10] = (
+            CRACK, d.strain, d.poisson_ratio, d.slope_per_mm, d.tip_mm, d.fade_mm, d.stringer_mm, d.width_mm,
+            d.relief, d.bulge_mm,
+        )  # fmt: skip
     else:
         row[:2] = HALVES, deformation.gap_mm
     return row
@@ -111,6 +122,31 @@ def _height(m: Floats, x: float, y: float) -> tuple[float, float, float]:
     u, v = (x - m[4]) / m[6], (y - m[5]) / m[7]
     along, across = 2.0 * m[1] * u + m[3] * v, 2.0 * m[2] * v + m[3] * u
     return m[1] * u * u + m[2] * v * v + m[3] * u * v, along / m[6], across / m[7]
+
+
+@kernel
+def _over_stringer(
+    m: Floats, x: float, y: float
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Return the displacement of a stringer's crack at (x, y), and the slopes of its components, x then y."""
+    e, nu, t = m[1], m[2], m[3]
+    s, off = (x - m[4]) / m[5], y - m[6]
+    part = 0.5 * (1.0 + np.tanh(s))
+    grown = 0.5 * (s + abs(s) + np.log1p(np.exp(-2.0 * abs(s))))
+    about = np.exp(-0.5 * off * off / (m[7] * m[7]))
+    falls = -off / (m[7] * m[7]) * about
+    more = e * m[8]
+    return (
+        e * x * (1.0 + t * y) + more * m[5] * grown * about,
+        -nu * e * y * (1.0 + 0.5 * t * y) - 0.5 * e * t * x * x,
+        m[9] * part * about,
+        e * (1.0 + t * y) + more * part * about,
+        e * x * t + more * m[5] * grown * falls,
+        -e * t * x,
+        -nu * e * (1.0 + t * y),
+        m[9] * 2.0 * part * (1.0 - part) / m[5] * about,
+        m[9] * part * falls,
+    )
 
 
 @kernel
@@ -160,6 +196,12 @@ def carried(
             z += height
             nx -= along * nz
             ny -= across * nz
+        elif m[0] == CRACK:
+            dx, dy, dz, xx, xy, yx, yy, zx, zy = _over_stringer(m, x, y)
+            x, y, z = x + dx, y + dy, z + dz
+            nx, ny = nx - zx * nz, ny - zy * nz
+            whole = (1.0 + xx) * (1.0 + yy) - xy * yx
+            nx, ny = ((1.0 + yy) * nx - yx * ny) / whole, ((1.0 + xx) * ny - xy * nx) / whole
         elif x < 0.0:
             x -= 0.5 * m[1]
         else:
@@ -205,6 +247,20 @@ def followed_back(
             height, along, across = _height(m, x, y)
             z -= height
             vz -= along * vx + across * vy
+        elif m[0] == CRACK:
+            endx, endy = x, y
+            dx, dy, dz, xx, xy, yx, yy, zx, zy = _over_stringer(m, x, y)
+            for _ in range(12):
+                # Slopes are strains, some thousandths: every round makes the error that much smaller.
+                before = dx, dy
+                x, y = endx - dx, endy - dy
+                dx, dy, dz, xx, xy, yx, yy, zx, zy = _over_stringer(m, x, y)
+                if before == (dx, dy):
+                    break
+            z -= dz
+            whole = (1.0 + xx) * (1.0 + yy) - xy * yx
+            vx, vy = ((1.0 + yy) * vx - xy * vy) / whole, ((1.0 + xx) * vy - yx * vx) / whole
+            vz -= zx * vx + zy * vy
         else:
             half = 0.5 * m[1]
             if abs(x) < half:
@@ -223,6 +279,15 @@ def _carry_all(chain: Floats, points: Floats, out: Floats) -> None:
         out[i, 0], out[i, 1], out[i, 2], _, _, _ = carried(
             chain, points[i, 0], points[i, 1], points[i, 2], 0.0, 0.0, 0.0
         )
+
+
+@kernel
+def _slopes_over_stringer(m: Floats, points: Floats, out: Floats) -> None:
+    for i in range(points.shape[0]):
+        _, _, _, xx, xy, yx, yy, zx, zy = _over_stringer(m, points[i, 0], points[i, 1])
+        out[i, 0, 0], out[i, 0, 1] = xx, xy
+        out[i, 1, 0], out[i, 1, 1] = yx, yy
+        out[i, 2, 0], out[i, 2, 1] = zx, zy
 
 
 def carried_points(chain: Floats, material: Floats) -> Floats:
@@ -259,6 +324,10 @@ def gradients(chain: Floats, material: Floats) -> Floats:
             along, across = 2.0 * row[1] * u + row[3] * v, 2.0 * row[2] * v + row[3] * u
             slope = np.stack([along / row[6], across / row[7]], axis=-1)
             total[:, 2] += np.einsum("ni,nij->nj", slope, total[:, :2])
+        elif row[0] == CRACK:
+            slopes = np.empty((len(x), 3, 2))
+            _slopes_over_stringer(row, np.ascontiguousarray(x), slopes)
+            total = total + slopes @ total[:, :2]
         x = carried_points(chain[i : i + 1], x)
     return total
 

@@ -9,6 +9,7 @@ Kernels take the patches as rows of an array, see `Packed`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import asin, atan2, cos, hypot, inf, pi, sin, sqrt
 from typing import NamedTuple, TypeAlias
@@ -25,7 +26,9 @@ from sms_jobs.records.scene import (
     PlateWithHoleAndStep,
     Sphere,
     StiffenedPanel,
+    Stud,
     Surface,
+    TieRod,
     TopHat,
     Vector,
 )
@@ -235,7 +238,7 @@ def _top_hat(surface: TopHat) -> tuple[Patch, ...]:
 def _stiffened_panel(surface: StiffenedPanel) -> tuple[Patch, ...]:
     """Return skin (1), the foot's halves (2: +y, 3: -y), the web's top (4), its sides and the foot's (5 - 8).
 
-    The skin goes on under the foot.
+    The skin goes on under the foot. Then follow top and side of every stud (9, 10, ...), and the rod.
     """
     width, foot, web = surface.width_mm, surface.foot_width_mm, surface.web_thickness_mm
     thickness, height = surface.foot_thickness_mm, surface.web_height_mm
@@ -257,7 +260,36 @@ def _stiffened_panel(surface: StiffenedPanel) -> tuple[Patch, ...]:
         side(6, -web / 2.0, thickness, top),
         side(7, foot / 2.0, 0.0, thickness),
         side(8, -foot / 2.0, 0.0, thickness),
+        *_studs(surface.studs, 9),
+        *_rod(surface.rod, 9 + 2 * len(surface.studs)),
     )
+
+
+def _studs(studs: Sequence[Stud], first: int) -> Iterator[Patch]:
+    """Yield top and side of every stud, regions numbered from `first`; each has a print of its own."""
+    up: Vector = (0.0, 0.0, 1.0)
+    for number, stud in enumerate(studs):
+        (x, y), radius, height = stud.centre_mm, stud.radius_mm, stud.height_mm
+        region = first + 2 * number
+        top = (x, y, stud.level_mm + height)
+        limits, around = (-radius, radius), (-pi * radius, pi * radius)
+        shifts = ((1000.0 * (region - 1), 0.0), (1000.0 * region, 0.0))
+        yield Patch(region, top, X_AXIS, Y_AXIS, limits, limits, rim=radius, speckle_shift=shifts[0])
+        foot = (x, y, stud.level_mm)
+        yield Patch(
+            region + 1, foot, X_AXIS, up, around, (0.0, height), CYLINDER, radius, speckle_shift=shifts[1]
+        )
+
+
+def _rod(rod: TieRod | None, region: int) -> Iterator[Patch]:
+    if rod is None:
+        return
+    around, half = (-pi * rod.radius_mm, pi * rod.radius_mm), rod.length_mm / 2.0
+    shift = (1000.0 * (region - 1), 0.0)
+    yield Patch(
+        region, (rod.x_mm, 0.0, rod.z_mm), X_AXIS, Y_AXIS, around, (-half, half), CYLINDER, rod.radius_mm,
+        speckle_shift=shift,
+    )  # fmt: skip
 
 
 def _plate_and_mirror(surface: PlateAndMirror) -> tuple[Patch, ...]:

@@ -31,7 +31,10 @@ from sms_jobs.records.scene import (
     Rigid,
     Simulation,
     Speckle,
+    StiffenedPanel,
+    Stud,
     Surface,
+    TieRod,
     UniaxialStrain,
 )
 from sms_jobs.records.views import Role, view_of
@@ -240,6 +243,38 @@ def test_every_surface_and_motion_is_known_by_its_name() -> None:
         with pytest.raises(ConfigurationError) as refused:
             changed('motion = "rigid"', f'motion = "{motion.motion}", no_such_key = 1')
         assert "states[S01].deformation[2] has no key 'no_such_key'" in str(refused.value)
+
+
+def test_what_stands_on_a_panel_is_written_as_tables_in_its_table() -> None:
+    old = 'shape = "plane"                         # or cylinder, sphere, plate-with-hole-and-step, top-hat, '
+    old += "plate-and-mirror\nwidth_mm = 300.0\nheight_mm = 240.0\n"
+    new = """shape = "stiffened-panel"
+width_mm = 300.0
+height_mm = 240.0
+foot_width_mm = 80.0
+foot_thickness_mm = 5.0
+web_height_mm = 30.0
+web_thickness_mm = 8.0
+studs = [{ centre_mm = [10.0, 20.0], level_mm = 5.0, radius_mm = 6.0, height_mm = 8.0 }]
+rod = { x_mm = 100.0, z_mm = 70.0, radius_mm = 6.0, length_mm = 280.0 }
+"""
+    scene = changed(old, new).campaign.scene
+    assert scene is not None
+    assert scene.surface == StiffenedPanel(
+        300.0,
+        240.0,
+        80.0,
+        5.0,
+        30.0,
+        8.0,
+        (Stud((10.0, 20.0), 5.0, 6.0, 8.0),),
+        TieRod(100.0, 70.0, 6.0, 280.0),
+    )
+    bare = changed(old, "\n".join(new.splitlines()[:-2]) + "\n").campaign.scene
+    assert bare is not None
+    assert bare.surface == StiffenedPanel(300.0, 240.0, 80.0, 5.0, 30.0, 8.0)
+    with pytest.raises(ConfigurationError, match="radius_mm"):
+        changed(old, new.replace("radius_mm = 6.0, length", "radius_mm = 0.0, length"))
 
 
 def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.transforms import inverse, transform
 from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.scene import Simulation
+from sms_jobs.records.scene import AT_ORIGIN, Simulation, StiffenedPanel, StringerCrack
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.campaigns import (
@@ -21,12 +21,19 @@ from sms_jobs.virtual_rig.campaigns import (
     tension_panel,
     top_hat_bending,
 )
-from sms_jobs.virtual_rig.deformations import carried_points, packed_chain
+from sms_jobs.virtual_rig.deformations import carried_points, gradients, packed_chain
 from sms_jobs.virtual_rig.exact_meshes import exact_mesh
 from sms_jobs.virtual_rig.light import trace
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import exact_shape, exact_truth
-from sms_jobs.virtual_rig.wing_campaigns import disbond_buckling, wing_panel
+from sms_jobs.virtual_rig.wing_campaigns import (
+    GAUGES_MM,
+    TABLE_5,
+    buckling_panel,
+    cracked_wing_panel,
+    disbond_buckling,
+    wing_panel,
+)
 
 HAT = top_hat_bending("hat", "small")[1]
 PRINTED = [
@@ -35,8 +42,9 @@ PRINTED = [
     hole_and_step_translation("step", "small"),
     tension_panel("panel", "small"),
     disbond_buckling("stringer", "small"),
+    buckling_panel("buckling", "small"),
 ]
-NAMES = ["plate", "hat", "step", "panel", "stringer"]
+NAMES = ["plate", "hat", "step", "panel", "stringer", "buckling"]
 
 
 def simulation(campaign: Campaign, state: int, view: str) -> Simulation:
@@ -159,6 +167,59 @@ def test_the_wing_panel_is_seen_from_three_positions_that_overlap() -> None:
     for (_, end), (start, _) in pairwise(sorted(ranges)):
         assert 100.0 < end - start < 180.0
     assert (min(r[0] for r in ranges), max(r[1] for r in ranges)) == pytest.approx((-330.0, 330.0), abs=20.0)
+
+
+def test_the_translated_plate_has_the_states_of_the_thesis() -> None:
+    _, campaign = PRINTED[NAMES.index("step")]
+    shifts = [state.displacement_mm for state in campaign.states]
+    assert len(shifts) == 18
+    steps = np.diff(np.array(shifts, dtype=np.float64))
+    np.testing.assert_allclose(steps, [0.127] * 8 + [1.016] * 9, rtol=1e-12)
+
+
+def test_gauges_on_the_cracked_wing_panel_would_read_those_of_the_thesis() -> None:
+    made = cracked_wing_panel("wing", "small")
+    loads = [state.load_n for state in made[0][1].states[1:]]
+    assert loads == [load_n for load_n, *_ in TABLE_5]
+    places = np.array([(*place, 0.0) for place in GAUGES_MM])
+    tips = []
+    for state, (_, *strains) in zip(made[0][1].states[1:], TABLE_5, strict=True):
+        crack = state.deformation[0]
+        assert isinstance(crack, StringerCrack)
+        tips.append(crack.tip_mm)
+        slopes = gradients(packed_chain((crack,), AT_ORIGIN), places)[:, 0, 0] - 1.0
+        # What the crack adds 100 mm, four fades, before its tip: 0.35 (1 + tanh -4) / 2 = 1.2e-4 of the
+        # strain.
+        np.testing.assert_allclose(slopes, strains, rtol=2e-4)
+    assert (np.diff(tips) == -15.0).all()
+
+
+def test_the_tie_rod_hides_and_shades_skin_foot_and_web() -> None:
+    bare, whole = (
+        exact_shape(simulation(PRINTED[NAMES.index(name)][1], 0, "C1P1")) for name in ("stringer", "buckling")
+    )
+    surface = PRINTED[NAMES.index("buckling")][1].scene.surface  # type: ignore[union-attr]
+    assert isinstance(surface, StiffenedPanel)
+    assert surface.rod is not None
+    rod = 9 + 2 * len(surface.studs)
+    assert int(((whole.region == rod) & whole.lit).sum()) > 2_000
+    far = np.abs(bare.material[0]) > 60.0
+    for part in (1, 2, 3, 4):
+        seen = (bare.region == part) & bare.lit & far
+        hidden = seen & (whole.region == rod)
+        shaded = seen & (whole.region == part) & ~whole.lit
+        assert hidden.any()
+        # The rod is 12 mm thick, and so is its shadow: 12 mm of the 2 x 85 mm that are far, less what a
+        # pixel cuts.
+        assert 0.04 < shaded.sum() / seen.sum() < 0.12
+    # Where nothing stands in the way the panel is seen as before.
+    same = (bare.region == whole.region) & (bare.region > 0)
+    np.testing.assert_array_equal(bare.xyz[:, same], whole.xyz[:, same])
+    tops = [int(((whole.region == number) & whole.lit).sum()) for number in range(9, rod, 2)]
+    # Discs of 6 and 9 mm radius in pixels of 0.65 mm: 268 and 602 px, foreshortened by 4 %.
+    assert len(tops) == 8
+    assert min(tops[:4]) > 200
+    assert min(tops[4:]) > 450
 
 
 def test_the_exact_mesh_is_that_of_the_deformation() -> None:

@@ -13,6 +13,7 @@ from sms_jobs.records.scene import (
     HalvesApart,
     MidPointBending,
     Rigid,
+    StringerCrack,
     UniaxialStrain,
 )
 from sms_jobs.virtual_rig.deformations import (
@@ -34,6 +35,10 @@ CHAINS: list[tuple[Deformation, ...]] = [
     (UniaxialStrain(0.02), MidPointBending(-8.0, 500.0, 500.0), Rigid((0.02, 0.01, 0.0), (1.0, 2.0, 3.0))),
     (Rigid((0.3, 0.1, -0.2)), MidPointBending(5.0, 600.0, 600.0), HalvesApart(2.0)),
     (Disbond(3.0, 250.0, 0.004, 3.0), UniaxialStrain(-1e-3), MidPointBending(2.0, 600.0, 500.0)),
+    (
+        StringerCrack(1.6e-3, 0.33, -2.6e-4, 60.0, 25.0, -50.0, 30.0, 0.35, 0.4),
+        Rigid((0.02, 0.01, 0.0), (1.0, 2.0, 3.0)),
+    ),
     (Bow(0.5, -0.3, 0.2, (20.0, -10.0), 150.0, 120.0), Rigid((0.2, -0.1, 0.3), (5.0, 0.0, 9.0))),
 ]
 
@@ -126,3 +131,17 @@ def test_a_disbond_lifts_the_stringer_and_leaves_the_skin() -> None:
     # The foot lifts by 4 (1 + 0.01 x 20) mm in the middle, its side at half the height by half of that;
     # the skin stays, and so does all beyond the ends.
     np.testing.assert_allclose(carried_points(chain, places)[:, 2], [0.0, 7.8, 3.9, 3.0], atol=1e-14)
+
+
+def test_the_skin_over_a_cracked_stringer_is_strained_more() -> None:
+    crack = StringerCrack(1e-3, 0.33, -2e-4, 0.0, 20.0, -50.0, 30.0, 0.4, 0.0)
+    chain = packed_chain((crack,), Pose.from_arrays(np.eye(3), np.zeros(3)))
+    # Ten fades off the tip tanh is 1 but for 4e-9, and 5 widths off the stringer B is 4e-6.
+    places = np.array([[-200.0, -50.0, 0.0], [200.0, -50.0, 0.0], [200.0, 100.0, 0.0]])
+    along = gradients(chain, places)[:, 0, 0] - 1.0
+    expected = [1e-3 * 1.01, 1e-3 * (1.01 + 0.4), 1e-3 * 0.98]
+    np.testing.assert_allclose(along, expected, rtol=1e-5)
+    # Half of it at the tip, and the panel bends in its plane so that nothing is sheared far from the crack.
+    slopes = gradients(chain, np.array([[0.0, -50.0, 0.0], [-200.0, 80.0, 0.0]]))
+    assert slopes[0, 0, 0] - 1.0 == pytest.approx(1e-3 * 1.21, rel=1e-9)
+    assert slopes[1, 0, 1] + slopes[1, 1, 0] == pytest.approx(0.0, abs=1e-9)
