@@ -407,30 +407,6 @@ class QueueRow(Table):
     """Paused because a disk is full: it goes on by itself once there is room."""
 
 
-class ScheduleRow(Table):
-    """Work to be submitted at times that an expression gives."""
-
-    __tablename__ = "schedule"
-    id: Mapped[int] = mapped_column(primary_key=True)
-    name: Mapped[str] = mapped_column(String(64), unique=True)
-    expression: Mapped[str] = mapped_column(String(128))
-    time_zone: Mapped[str] = mapped_column(String(64))
-    request: Mapped[dict[str, Any]]
-    missed_fire: Mapped[str] = mapped_column(String(16))
-    grace_s: Mapped[float]
-    paused: Mapped[bool] = mapped_column(default=False)
-    created_at: Mapped[datetime]
-
-
-class ScheduleFireRow(Table):
-    """One firing of a schedule; its key makes a second one impossible."""
-
-    __tablename__ = "schedule_fire"
-    schedule_id: Mapped[int] = mapped_column(ForeignKey("schedule.id"), primary_key=True)
-    fire_time: Mapped[datetime] = mapped_column(primary_key=True)
-    outcome: Mapped[str] = mapped_column(MessageText)
-
-
 class SavedQueryRow(Table):
     """A question to the archive that somebody wants to ask again."""
 

@@ -13,15 +13,8 @@ from sqlalchemy.orm import Session
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import job_counts
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import (
-    EventRow,
-    FileRow,
-    JobCountRow,
-    JobRow,
-    ScheduleFireRow,
-    ScheduleRow,
-    WorkerRow,
-)
+from sms_jobs.catalogue.models import EventRow, FileRow, JobCountRow, JobRow, WorkerRow
+from sms_jobs.catalogue.schedule_tables import ScheduleFireRow, ScheduleRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs import queues
 from sms_jobs.jobs.fire_times import parse_expression, times_until

@@ -14,7 +14,8 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow, ScheduleFireRow, ScheduleRow
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.schedule_tables import ScheduleFireRow, ScheduleRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, ServerUnreachable, SmsError
 from sms_jobs.jobs import occurrences, runs
 from sms_jobs.jobs.fire_times import Expression, next_times, parse_expression, times_until

@@ -10,7 +10,8 @@ from sqlalchemy import select, update
 from support.jobs import JOBS, NOW, REQUESTS, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow, ScheduleFireRow
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.schedule_tables import ScheduleFireRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.jobs import inquiry, schedules
 from sms_jobs.jobs.fire_times import parse_expression
