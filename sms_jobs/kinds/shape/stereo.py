@@ -13,7 +13,7 @@ cylinder of 300 mm seen from 600 mm at 20 degrees that is 0.012 px, against 0.00
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -65,11 +65,14 @@ from sms_jobs.metrology.deformation.camera_matching import (
 from sms_jobs.metrology.deformation.correlation import (
     CONVERGED,
     MatchSettings,
+    PreparedImages,
+    prepare_images,
 )
 from sms_jobs.metrology.deformation.displacement import blend_matches
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings
 from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
 from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
+from sms_jobs.metrology.deformation.verification import verify_displacement
 from sms_jobs.metrology.geometry.camera import Camera, pixel_grid
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.metrology.geometry.several_cameras import SeenPoints, meet_rays
@@ -88,6 +91,8 @@ Mask: TypeAlias = NDArray[np.bool_]
 
 _GAP_SIGMAS = 6.0
 """Largest gap of the rays, in units of what noise and calibration explain; noise alone never reaches it."""
+_OFF_SIGMAS = 3.0
+"""Deviations of a match by which the images may ask for another place before it is none."""
 _MOST_SATURATED = 0.5
 """Part of an image that may be saturated: a bright background may, a specimen and its surroundings not."""
 
@@ -165,19 +170,23 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
     nodes = sample_nodes(labels, parameters.spacing_px)
     factor = calibration_factor(inputs, _CALIBRATION, calibration)
     found: list[GridMatches] = []
+    spread: list[_Spread] = []
     for number, (name, partner) in enumerate(zip(inputs.view.other_cameras, partners, strict=True)):
         progress(
             0.8 * number / len(partners), f"matching {len(nodes.x)} points of {inputs.view.camera} in {name}"
         )
         volume = (calibration.volume.low, calibration.volume.high)
         search = RaySearch(volume, line_width(factor, number + 1, parameters.epipolar_width_px))
-        found.append(_matched(inputs, reference, partner, labels, nodes, parameters, search))
+        images = prepare_images(reference.texture, partner.texture, labels, (reference.noise, partner.noise))
+        found.append(_matched(inputs, reference, partner, images, nodes, parameters, search))
+        spread.append(_spread(images, found[-1], parameters, inputs.threads))
     progress(0.8, "; ".join(summary(one.matches.ending) for one in found))
     epipolar = refuse_far_from_rays(
         inputs.view, [one.camera for one in seen], found, parameters.maximum_epipolar_px, inputs.threads
     )
-    field = _points(reference, partners, labels, found, parameters, inputs.threads)
+    field = _points(reference, partners, spread, inputs.threads)
     surface = _surface(inputs, calibration, field, labels, found, parameters, epipolar)
+    surface = _held_against_the_images(surface, spread)
     kept = {
         name: matches_record(one, labels) for name, one in zip(inputs.view.other_cameras, found, strict=True)
     }
@@ -242,7 +251,7 @@ def _matched(
     inputs: Inputs,
     reference: TexturedCamera,
     partner: TexturedCamera,
-    labels: NDArray[np.int32],
+    images: PreparedImages,
     nodes: Nodes,
     parameters: StereoParameters,
     search: RaySearch,
@@ -251,7 +260,7 @@ def _matched(
     found = match_cameras(
         reference,
         partner,
-        labels,
+        images,
         nodes,
         MatchSettings(
             parameters.subset_radius_px,
@@ -270,41 +279,76 @@ def _matched(
     if not len(nodes.x):
         raise MeasurementFailed(f"the image of {inputs.subject.recordings[0]} shows no texture to be matched")
     if not (found.matches.ending == CONVERGED).any():
-        off = distance_from_rays(reference, partner, labels, nodes, search.volume, threads=inputs.threads)
+        off = distance_from_rays(
+            reference, partner, images.labels, nodes, search.volume, threads=inputs.threads
+        )
         raise MeasurementFailed(why_nothing(inputs.view, off))
     return found
 
 
-def _points(
-    reference: TexturedCamera,
-    partners: list[TexturedCamera],
-    labels: NDArray[np.int32],
-    found: list[GridMatches],
-    parameters: StereoParameters,
-    threads: int,
-) -> SeenPoints:
-    """Spread the matches to the pixels, and return the point of each."""
+@dataclass(frozen=True)
+class _Spread:
+    """The matches with a partner, spread to every pixel and held against the images.
+
+    Attributes
+    ----------
+    place, variance
+        (2, rows, columns): where the partner sees what the pixel sees, in px, NaN where nobody has looked or
+        the images disagree, and its variances in px^2.
+    disagree
+        (rows, columns): where there was a place at which the partner shows something else.
+    """
+
+    place: Floats
+    variance: Floats
+    disagree: Mask
+
+
+def _spread(
+    images: PreparedImages, found: GridMatches, parameters: StereoParameters, threads: int
+) -> _Spread:
+    """Spread matches to the pixels, and compare the images again along what comes of that."""
+    labels, radius = images.labels, parameters.subset_radius_px
     plane = in_space(pixels_as_plane(labels.shape))
-    pixels = pixel_grid(*labels.shape).reshape(-1, 2).T
-    places, sigma = np.empty((2, len(partners), *pixels.shape))
-    for number, one in enumerate(found):
-        shift, variance = blend_matches(
-            trusted_points(one, labels), plane, labels, parameters.subset_radius_px, threads
-        )
-        shift[:, ~_between_matches(one, labels.shape, parameters.spacing_px)] = np.nan
-        places[number] = _well_inside(pixels + shift.reshape(2, -1), labels.shape, parameters.edge_margin_px)
-        sigma[number] = np.sqrt(variance).reshape(2, -1)
+    shift, variance = blend_matches(trusted_points(found, labels), plane, labels, radius, threads)
+    shift[:, ~_between_matches(found, labels.shape, parameters.spacing_px)] = np.nan
+    verified = verify_displacement(
+        images, shift, radius, parameters.shape_order, parameters.smoothing_px, threads
+    )
+    place = _well_inside(
+        np.moveaxis(pixel_grid(*labels.shape), -1, 0) + shift, labels.shape, parameters.edge_margin_px
+    )
+    off = (verified.bias > _OFF_SIGMAS**2 * variance).any(axis=0)
+    disagree = (off | ~verified.agrees) & np.isfinite(place[0])
+    place[:, disagree] = np.nan
+    return _Spread(place, variance, disagree)
+
+
+def _points(
+    reference: TexturedCamera, partners: list[TexturedCamera], spread: list[_Spread], threads: int
+) -> SeenPoints:
+    """Return the point of each pixel."""
+    pixels = pixel_grid(*reference.texture.shape).reshape(-1, 2).T
+    places = np.stack([one.place.reshape(2, -1) for one in spread])
+    sigma = np.stack([np.sqrt(one.variance).reshape(2, -1) for one in spread])
     cameras = [partner.camera for partner in partners]
     return meet_rays(reference.camera, cameras, pixels, places, sigma, threads)
 
 
+def _held_against_the_images(surface: Surface, spread: list[_Spread]) -> Surface:
+    """Return the surface with the reason of pixels that no partner shows as the reference camera does."""
+    disagree = np.any([one.disagree for one in spread], axis=0) & np.isnan(surface.position[0])
+    unseen = disagree & (surface.reason == Reason.NO_MATCH)
+    return replace(surface, reason=np.where(unseen, np.uint32(Reason.IMAGES_DISAGREE), surface.reason))
+
+
 def _well_inside(places: Floats, shape: tuple[int, ...], margin_px: int) -> Floats:
-    """Return places (2, n) in a partner's image, NaN nearer to its border than a margin, or beyond.
+    """Return places (2, rows, columns) in a partner's image, NaN beyond a margin from its border.
 
     There subsets are cut, and a place is told from those further in alone.
     """
     rows, columns = shape
-    low, high = np.full((2, 1), margin_px), np.array([[columns], [rows]]) - 1 - margin_px
+    low, high = float(margin_px), np.array([columns, rows])[:, None, None] - 1.0 - margin_px
     inside = ((places >= low) & (places <= high)).all(axis=0)
     return np.asarray(np.where(inside, places, np.nan))
 
@@ -388,7 +432,7 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=7,
+    version=8,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),

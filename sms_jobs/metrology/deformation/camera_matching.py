@@ -17,6 +17,7 @@ from sms_jobs.metrology.deformation.correlation import (
     Matches,
     MatchSettings,
     Noise,
+    PreparedImages,
     match_points,
     prepare_images,
 )
@@ -73,7 +74,7 @@ class RaySearch:
 def match_cameras(
     reference: TexturedCamera,
     partner: TexturedCamera,
-    labels: Labels,
+    images: PreparedImages,
     nodes: Nodes,
     settings: MatchSettings,
     grid: GridSettings,
@@ -86,8 +87,8 @@ def match_cameras(
     ----------
     reference, partner
         What both saw at one time.
-    labels
-        (rows, columns), where the reference image shows the specimen.
+    images
+        Both textures, prepared, with labels where that of the reference shows the specimen.
     nodes
         The points.
     settings, grid, search
@@ -95,11 +96,9 @@ def match_cameras(
     threads
         How many threads to use; the result does not depend on it.
     """
-    noise = (reference.noise, partner.noise)
-    images = prepare_images(reference.texture, partner.texture, labels, noise)
     if len(nodes.x) == 0:
         return spread_matches(images, nodes, Seeds.none(), settings, grid, threads)
-    first, found = _first_matches(reference, partner, labels, nodes, search, threads)
+    first, found = _first_matches(reference, partner, images.labels, nodes, search, threads)
     likely = (found.score >= _SEED_SCORE) & found.unique
     seeds = Seeds(first[likely], found.warp[likely])
     result = spread_matches(images, nodes, seeds, settings, grid, threads)

@@ -15,7 +15,7 @@ from sms_jobs.metrology.deformation.camera_matching import (
     distance_from_rays,
     match_cameras,
 )
-from sms_jobs.metrology.deformation.correlation import CONVERGED, MatchSettings, Noise
+from sms_jobs.metrology.deformation.correlation import CONVERGED, MatchSettings, Noise, prepare_images
 from sms_jobs.metrology.deformation.epipolar_search import Width, search_along_rays
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings
 from sms_jobs.metrology.deformation.sampling import sample_nodes
@@ -52,6 +52,7 @@ def matched(seen: list[TexturedCamera], order: int = 2) -> GridMatches:
     labels = np.ones(seen[0].texture.shape, dtype=np.int32)
     nodes = sample_nodes(labels, SPACING)
     settings = MatchSettings(RADIUS, 0.3, shape_order=order)
+    images = prepare_images(*(one.texture for one in seen), labels, (seen[0].noise, seen[1].noise))
     return match_cameras(
         *seen, images, nodes, settings, GridSettings(SPACING), RaySearch(VOLUME, within(2.0))
     )
