@@ -110,74 +110,62 @@ class DenseDisplacement:
 
 @kernel
 def _blend_rows(
-    start: int,
-    stop: int,
-    xyz: Floats,
-    labels: Labels,
-    footprint: float,
-    side: int,
-    first: Ints,
-    order: Ints,
-    px: Ints,
-    py: Ints,
-    region: Labels,
-    warp: Floats,
-    sigma: Floats,
-    reach: float,
-    noise: float,
-    value: Floats,
-    variance: Floats,
-) -> None:
+    start: int, stop: int, xyz: Floats, labels: Labels, footprint: float, side: int, first: Ints,
+    px: Ints, py: Ints, region: Labels, at: Floats, warp: Floats, own_variance: Floats,
+    reach: float, noise: float, value: Floats, variance: Floats,
+) -> None:  # fmt: skip
     """Do the work of `blend_matches` for rows start .. stop.
 
-    Matches are sorted into square cells of `side`: those of cell (j, i) are `order[first[j, i]: ...]`.
+    Matches are sorted into square cells of `side`: those of cells (j, i) to (j, m) are `first[j, i]` up to
+    `first[j, m + 1]`. `at` (n, 3) is where they lie in space, `own_variance` (n, 2) that of their u and v.
     """
     cells = int(np.ceil(reach / side))
     bent = warp.shape[1] > 6
     for r in range(start, stop):
         for c in range(labels.shape[1]):
-            total, off_x, off_y = 0.0, 0.0, 0.0
-            sums, squares = np.zeros(4), np.zeros(2)
+            value[0, r, c] = value[1, r, c] = variance[0, r, c] = variance[1, r, c] = np.nan
+            if labels[r, c] == 0:
+                continue
+            total, off_x, off_y, u_sum, v_sum = 0.0, 0.0, 0.0, 0.0, 0.0
+            u_squares, v_squares, u_noise, v_noise = 0.0, 0.0, 0.0, 0.0
             row = r // side
             column = c // side
+            left, right = max(column - cells, 0), min(column + cells + 1, first.shape[1] - 1)
             for j in range(max(row - cells, 0), min(row + cells + 1, first.shape[0])):
-                for i in range(max(column - cells, 0), min(column + cells + 1, first.shape[1] - 1)):
-                    for k in range(first[j, i], first[j, i + 1]):
-                        m = order[k]
-                        dx = c - px[m]
-                        dy = r - py[m]
-                        d2 = dx * dx + dy * dy
-                        if region[m] != labels[r, c] or d2 >= 2.0 * reach * reach:
-                            continue
-                        apart = 0.0
-                        for a in range(3):
-                            apart += (xyz[a, r, c] - xyz[a, py[m], px[m]]) ** 2
-                        d2 = 0.5 * (d2 + apart / footprint**2) / reach**2
-                        if not d2 < 1.0:
-                            continue
-                        w = (1.0 - d2) ** 2 / (sigma[m, 0] ** 2 + sigma[m, 1] ** 2)
-                        total += w
-                        off_x += w * dx
-                        off_y += w * dy
-                        u = warp[m, 0] + warp[m, 1] * dx + warp[m, 2] * dy
-                        v = warp[m, 3] + warp[m, 4] * dx + warp[m, 5] * dy
-                        if bent:
-                            xx, xy, yy = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
-                            u += warp[m, 6] * xx + warp[m, 7] * xy + warp[m, 8] * yy
-                            v += warp[m, 9] * xx + warp[m, 10] * xy + warp[m, 11] * yy
-                        sums[0] += w * u
-                        sums[1] += w * v
-                        squares[0] += w * u * u
-                        squares[1] += w * v * v
-                        sums[2] += w * sigma[m, 0] ** 2
-                        sums[3] += w * sigma[m, 1] ** 2
-            value[:, r, c] = np.nan
-            variance[:, r, c] = np.nan
+                for m in range(first[j, left], first[j, right]):
+                    dx = c - px[m]
+                    dy = r - py[m]
+                    d2 = dx * dx + dy * dy
+                    if d2 >= 2.0 * reach * reach or region[m] != labels[r, c]:
+                        continue
+                    apart = 0.0
+                    for a in range(3):
+                        apart += (xyz[a, r, c] - at[m, a]) ** 2
+                    d2 = 0.5 * (d2 + apart / footprint**2) / reach**2
+                    if not d2 < 1.0:
+                        continue
+                    w = (1.0 - d2) ** 2 / (own_variance[m, 0] + own_variance[m, 1])
+                    total += w
+                    off_x += w * dx
+                    off_y += w * dy
+                    u = warp[m, 0] + warp[m, 1] * dx + warp[m, 2] * dy
+                    v = warp[m, 3] + warp[m, 4] * dx + warp[m, 5] * dy
+                    if bent:
+                        xx, xy, yy = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
+                        u += warp[m, 6] * xx + warp[m, 7] * xy + warp[m, 8] * yy
+                        v += warp[m, 9] * xx + warp[m, 10] * xy + warp[m, 11] * yy
+                    u_sum += w * u
+                    v_sum += w * v
+                    u_squares += w * u * u
+                    v_squares += w * v * v
+                    u_noise += w * own_variance[m, 0]
+                    v_noise += w * own_variance[m, 1]
             if total > 0.0:
                 one_sided = (off_x * off_x + off_y * off_y) / (total * reach * _HALF_DISC) ** 2
                 for a in range(2):
-                    mean, own = sums[a] / total, noise * sums[2 + a] / total
-                    scatter = max(squares[a] / total - mean * mean, 0.0)
+                    mean = (u_sum if a == 0 else v_sum) / total
+                    own = noise * (u_noise if a == 0 else v_noise) / total
+                    scatter = max((u_squares if a == 0 else v_squares) / total - mean * mean, 0.0)
                     value[a, r, c] = mean
                     variance[a, r, c] = own + one_sided * max(_CARRIED * scatter, scatter - _CHANCE * own)
 
@@ -248,12 +236,15 @@ def blend_matches(
     value = np.empty((2, rows, columns))
     variance = np.empty((2, rows, columns))
     footprint = pixel_pitch(xyz, labels, 0.5)
-    sigma = np.maximum(points.sigma, 1e-6)
+    x, y = points.x[order], points.y[order]
+    at = np.ascontiguousarray(xyz[:, y, x].T)
+    region, warp = points.region[order], np.ascontiguousarray(points.warp[order])
+    own_variance = np.maximum(points.sigma[order], 1e-6) ** 2
 
     def work(start: int, stop: int) -> None:
         _blend_rows(
-            start, stop, xyz, labels, footprint, side, first, order,
-            points.x, points.y, points.region, points.warp, sigma, reach, noise, value, variance,
+            start, stop, xyz, labels, footprint, side, first, x, y, region, at, warp, own_variance,
+            reach, noise, value, variance,
         )  # fmt: skip
 
     in_row_blocks(work, rows, threads)
