@@ -8,16 +8,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from sqlalchemy.orm import Session
-
 from sms_jobs.app.rules import use_case
 from sms_jobs.app.waiting import Waited, Waiting, wait_for
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row, definition
-from sms_jobs.catalogue.models import JobRow
-from sms_jobs.errors import Conflict, InvalidInput
+from sms_jobs.errors import Conflict
 from sms_jobs.instruments.holding import Hold, HoldDetector
-from sms_jobs.jobs import inquiry, orders, recordings
+from sms_jobs.jobs import orders, recordings
 from sms_jobs.jobs.campaign_progress import progress_of
 from sms_jobs.jobs.chosen import Chosen, named, submitted
 from sms_jobs.jobs.planning import PIPELINE, Request
@@ -201,7 +198,7 @@ def resume(services: Services, prefix: str, *, retake: bool = False) -> Begun:
         It cannot go on, or has no doubtful set.
     """
     with services.catalogue.writing() as session:
-        row = _recording(session, prefix)
+        row = recordings.recording_row(session, prefix)
         if retake and not recordings.forget_doubtful(services.stations.spool_of(row.id)):
             short = row.id[:SHORT_ID]
             raise Conflict(f"job {short} has no doubtful set to record again; leave out --retake")
@@ -217,7 +214,7 @@ def abort(services: Services, prefix: str | None = None) -> list[str]:
     """
     with services.catalogue.writing() as session:
         if prefix is not None:
-            ids = [_recording(session, prefix).id]
+            ids = [recordings.recording_row(session, prefix).id]
         else:
             found = recordings.open_recordings(session, services.settings.spool_folder)
             ids = [r.job_id for r in found if r.state in (JobState.QUEUED, JobState.RUNNING)]
@@ -233,11 +230,3 @@ def progress(services: Services, campaign: str) -> list[StateProgress]:
     """Return what is recorded of each state, how good it is, and what is known of it already."""
     with services.catalogue.reading() as session:
         return progress_of(session, campaign)
-
-
-def _recording(session: Session, prefix: str) -> JobRow:
-    row = inquiry.find_job(session, prefix)
-    if row.kind not in recordings.RECORDING:
-        short = row.id[:SHORT_ID]
-        raise InvalidInput(f"job {short} is no recording but a {row.kind}; see 'sms job retry'")
-    return row

@@ -16,11 +16,12 @@ from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.kept_sets import forget, kept
 from sms_jobs.jobs.chosen import Chosen
+from sms_jobs.jobs.inquiry import find_job
 from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND, stage_angles
 from sms_jobs.kinds.recording.stream import KIND as STREAM
-from sms_jobs.records.job import JobState
+from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
@@ -116,6 +117,15 @@ def open_recordings(session: Session, spool: Path) -> list[OpenRecording]:
             )
         )
     return found
+
+
+def recording_row(session: Session, prefix: str) -> JobRow:
+    """Return the recording whose id begins so; raise as `find_job` does, `InvalidInput` for another job."""
+    row = find_job(session, prefix)
+    if row.kind not in RECORDING:
+        short = row.id[:SHORT_ID]
+        raise InvalidInput(f"job {short} is no recording but a {row.kind}; see 'sms job retry'")
+    return row
 
 
 def requests(states: tuple[str, ...], *, ask: bool, process: bool) -> list[Request]:

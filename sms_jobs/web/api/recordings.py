@@ -6,12 +6,15 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from fastapi import Query
+from fastapi.responses import Response
 from pydantic import Field
 
-from sms_jobs.app import recordings
+from sms_jobs.app import last_frames, recordings
 from sms_jobs.records.campaign import LoadState
+from sms_jobs.records.shown.last_frames import LastFrame
 from sms_jobs.records.shown.rehearsals import DryRun
-from sms_jobs.web.asked import Asked, Text, Texts
+from sms_jobs.web.api.files import PNG
+from sms_jobs.web.asked import Asked, Name, Text, Texts
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer, returned
 
@@ -128,3 +131,15 @@ def resume(services: Acting, body: Going) -> Any:
 def abort(services: Acting, body: Aborting) -> Any:
     """Stop recordings now."""
     return answer({"stopped": recordings.abort(services, body.job)})
+
+
+@ROUTES.offer("GET", "/recordings/{job}/frame", last_frames.last_frame, answers=LastFrame)
+def frame(services: Acting, job: Name) -> Any:
+    """Return what is known of the newest frame."""
+    return answer(last_frames.last_frame(services, job))
+
+
+@ROUTES.offer("GET", "/recordings/{job}/frame.png", last_frames.last_picture, media=(PNG,))
+def frame_picture(services: Acting, job: Name) -> Any:
+    """Return the newest frame as a small picture."""
+    return Response(last_frames.last_picture(services, job), media_type=PNG)
