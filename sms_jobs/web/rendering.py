@@ -24,6 +24,8 @@ _STATES = {
     "running": "busy",
     "queued": "waits",
     "waiting": "waits",
+    "planned": "waits",
+    "held": "asks",
     "failed": "bad",
     "quarantined": "bad",
     "lost": "bad",
