@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import time
-from datetime import UTC, datetime, timedelta
+from calendar import monthrange
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 from sms_jobs.app.jobs import Work
@@ -11,9 +13,12 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs import schedules
-from sms_jobs.jobs.fire_times import parse_expression
-from sms_jobs.jobs.schedules import MissedFire, Order, ScheduleView
+from sms_jobs.jobs.fire_times import parse_expression, zone_named
+from sms_jobs.jobs.schedules import MOST_A_DAY as MOST_A_DAY
+from sms_jobs.jobs.schedules import FiringsOfDay, MissedFire, Order, ScheduleView
 from sms_jobs.records.people import Right
+
+_MONTH = re.compile(r"2[01]\d\d-(0[1-9]|1[0-2])")
 
 
 @use_case(Right.RECORD)
@@ -78,6 +83,33 @@ def coming(services: Services, name: str, count: int) -> list[datetime]:
     """Return the next times of a schedule; raises `NotFound` where there is none of that name."""
     with services.catalogue.reading() as session:
         return schedules.coming(session, name, datetime.now(UTC), count)
+
+
+@use_case(Right.READ)
+def calendar(services: Services, month: str | None = None, zone: str | None = None) -> list[FiringsOfDay]:
+    """Return what is coming in a month, a line for each day and schedule.
+
+    Parameters
+    ----------
+    month
+        As 2026-05; the present one if it is None.
+    zone
+        IANA time zone of the days; this machine's if it is None.
+
+    Raises `InvalidInput` for what is no month or no zone.
+    """
+    where = zone_named(zone or local_zone())
+    now = datetime.now(UTC)
+    first = month_of(month or f"{now.astimezone(where):%Y-%m}")
+    with services.catalogue.reading() as session:
+        return schedules.calendar(session, first, monthrange(first.year, first.month)[1], where, now)
+
+
+def month_of(text: str) -> date:
+    """Return the first day of a month that is written as 2026-05; raise `InvalidInput` for anything else."""
+    if _MONTH.fullmatch(text) is None:
+        raise InvalidInput(f"'{text}' is no month from 2000 to 2199; write it as 2026-05")
+    return date.fromisoformat(f"{text}-01")
 
 
 @use_case(Right.RECORD)

@@ -52,12 +52,7 @@ def parse_expression(text: str, zone: str) -> Expression:
     InvalidInput
         It is none of the four forms, or the zone does not exist.
     """
-    try:
-        where = ZoneInfo(zone)
-    except (ZoneInfoNotFoundError, ValueError, OSError):
-        raise InvalidInput(
-            f"there is no time zone '{zone}'; give an IANA name such as Europe/London, or UTC"
-        ) from None
+    where = zone_named(zone)
     form, _, what = text.strip().partition(" ")
     what = what.strip()
     if form == "cron":
@@ -76,6 +71,16 @@ def parse_expression(text: str, zone: str) -> Expression:
     if form == "after" and what:
         return Expression("after", what, where)
     raise InvalidInput(f"'{text}' is no schedule; write cron, at, every or after, and what follows it")
+
+
+def zone_named(name: str) -> ZoneInfo:
+    """Return the IANA time zone of that name; raise `InvalidInput` where there is none."""
+    try:
+        return ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        raise InvalidInput(
+            f"there is no time zone '{name}'; give an IANA name such as Europe/London, or UTC"
+        ) from None
 
 
 def _moment(text: str, zone: ZoneInfo) -> datetime:

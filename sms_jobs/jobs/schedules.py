@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, time, timedelta
 from functools import partial
+from itertools import islice, takewhile
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from zoneinfo import ZoneInfo
 
 from sqlalchemy import and_, delete, exists, func, select
 from sqlalchemy.exc import IntegrityError
@@ -18,7 +20,7 @@ from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.schedule_tables import ScheduleFireRow, ScheduleRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, ServerUnreachable, SmsError
 from sms_jobs.jobs import occurrences, runs
-from sms_jobs.jobs.fire_times import Expression, next_times, parse_expression, times_until
+from sms_jobs.jobs.fire_times import Expression, fire_times, next_times, parse_expression, times_until
 from sms_jobs.jobs.found_states import states_to_submit
 from sms_jobs.jobs.planning import Existing, Request, given_parameters, plan
 from sms_jobs.jobs.submission import Draft, draft, enter, while_outdated
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 MissedFire: TypeAlias = Literal["skip", "once", "all"]
 """What becomes of fire times that nobody looked at in time: none, the last one, or each of them."""
 
+MOST_A_DAY = 100
+"""Fire times of a schedule that are counted on a day of the calendar."""
 _MOST_AT_ONCE = 100
 """Fire times of one schedule that are looked at in one go; older ones are as if they had never been."""
 
@@ -98,6 +102,26 @@ class ScheduleView:
     last_fire: datetime | None
     last_outcome: str | None
     next_fire: datetime | None
+
+
+@dataclass(frozen=True)
+class FiringsOfDay:
+    """When one schedule fires on one day.
+
+    Attributes
+    ----------
+    campaign, kinds
+        What it submits.
+    first, count
+        The first time, and how many there are; of `MOST_A_DAY` there may be more.
+    """
+
+    day: date
+    schedule: str
+    campaign: str
+    kinds: tuple[str, ...]
+    first: datetime
+    count: int
 
 
 @dataclass(frozen=True)
@@ -241,6 +265,27 @@ def coming(session: Session, name: str, now: datetime, count: int) -> list[datet
     """Return the next times of a schedule; none for one that waits for a campaign."""
     row = _required(session, name)
     return next_times(_expression(row), row.created_at, now, count)
+
+
+def calendar(session: Session, first: date, days: int, zone: ZoneInfo, now: datetime) -> list[FiringsOfDay]:
+    """Return when schedules that are not paused fire on days of a zone, later than `now`, day by day."""
+    found = []
+    for row in session.scalars(select(ScheduleRow).where(ScheduleRow.paused.is_(False))):
+        expression, order = _expression(row), Order.from_json(row.request)
+        about = (row.name, order.about, tuple(r.kind for r in order.requests))
+        after = max(now, _midnight(first, zone) - timedelta(microseconds=1))
+        for day in (first + timedelta(days=k) for k in range(days)):
+            end = _midnight(day + timedelta(days=1), zone)
+            coming = takewhile(lambda t, e=end: t < e, fire_times(expression, row.created_at, after))
+            times = list(islice(coming, MOST_A_DAY))
+            if times:
+                found.append(FiringsOfDay(day, *about, times[0], len(times)))
+            after = max(after, end - timedelta(microseconds=1))
+    return sorted(found, key=lambda one: (one.day, one.first, one.schedule))
+
+
+def _midnight(day: date, zone: ZoneInfo) -> datetime:
+    return datetime.combine(day, time(), zone).astimezone(UTC)
 
 
 def first_fire(session: Session, name: str, now: datetime) -> datetime | None:

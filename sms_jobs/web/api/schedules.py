@@ -76,6 +76,16 @@ def add(services: Acting, body: NewSchedule) -> Any:
     return answer(Scheduled(body.name, first), 201)
 
 
+@ROUTES.offer("GET", "/schedules/calendar", schedules.calendar, answers=returned(schedules.calendar))
+def calendar(
+    services: Acting,
+    month: Annotated[Text | None, Query(description="As 2026-05; the present one if not given.")] = None,
+    zone: Annotated[Text | None, Query(description="IANA time zone; the server's if not given.")] = None,
+) -> Any:
+    """Return what is coming in a month."""
+    return answer(schedules.calendar(services, month, zone))
+
+
 @ROUTES.offer("GET", "/schedules/{name}/coming", schedules.coming, answers=list[datetime])
 def coming(services: Acting, name: Name, count: Annotated[int, Query(ge=1, le=1000)] = 5) -> Any:
     """Return when a schedule fires next."""

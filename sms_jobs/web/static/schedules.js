@@ -1,6 +1,23 @@
-// The time of a new schedule is written in the form that was chosen.
+// The time of a new schedule is written in the form that was chosen; another kind brings its own parameters.
 const form = document.getElementById("form"), when = document.getElementById("when");
 form?.addEventListener("change", () => {
   when.name = form.value;
   when.placeholder = form.selectedOptions[0].dataset.example;
+});
+
+const choose = document.getElementById("choose");
+choose?.querySelector("select").addEventListener("change", () => choose.requestSubmit());
+
+// In the calendar arrow keys go from day to day, Page Up and Page Down from month to month.
+const STEPS = { ArrowLeft: -1, ArrowRight: 1, ArrowUp: -7, ArrowDown: 7 };
+const MONTHS = { PageUp: "month-before", PageDown: "month-after" };
+document.addEventListener("keydown", (event) => {
+  const day = event.target.closest?.(".calendar a");
+  if (!day || event.altKey || event.ctrlKey || event.metaKey) return;
+  const days = [...document.querySelectorAll(".calendar a")];
+  const next = days[days.indexOf(day) + STEPS[event.key]] ?? document.getElementById(MONTHS[event.key]);
+  if (!next) return;
+  event.preventDefault();
+  if (event.key in MONTHS) next.click();
+  else next.focus();
 });
