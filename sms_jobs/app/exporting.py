@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from sms_jobs.app import writing
+from sms_jobs.app import campaigns, writing
 from sms_jobs.app.rules import use_case
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.bootstrap import Services
@@ -76,12 +76,15 @@ class ExportOptions:
         Only these values; empty for all.
     force
         Whether files that are there are replaced.
+    frame
+        Along whose axes shape and displacement are written.
     """
 
     form: str | None = None
     record: str | None = None
     fields: tuple[str, ...] = ()
     force: bool = False
+    frame: Literal["world", "specimen"] = "world"
 
 
 @use_case(Right.READ)
@@ -150,8 +153,10 @@ def _export(services: Services, view: FileView, out: Path | None, options: Expor
     if form == _PLAIN_HDF5:
         return [_repacked(services, view, out, options)]
     if form is None:
-        if options.fields or options.record:
-            raise InvalidInput("--fields and --record need a format: add --as, see 'sms data formats'")
+        if options.fields or options.record or options.frame != "world":
+            raise InvalidInput(
+                "--fields, --record and --frame need a format: add --as, see 'sms data formats'"
+            )
         target = _target(out, PurePosixPath(view.path).name, options.force)
         services.archive.verify_bytes(view)
         with writing.new_file(target, options.force) as part:
@@ -167,6 +172,8 @@ def _export(services: Services, view: FileView, out: Path | None, options: Expor
             )
         for name in names:
             record: Any = dataset.read(name, dataset.record_class(name))
+            if options.frame == "specimen":
+                record = _turned(services, view, record)
             source = source_for(exporter, record, options.fields, _texture(dataset, record))
             stem = "-".join(
                 [view.subject.replace("/", "-"), view.source, *([name] if len(names) > 1 else ())]
@@ -182,13 +189,20 @@ def _repacked(services: Services, view: FileView, out: Path | None, options: Exp
     """Write a dataset as it is, but with the filters that every HDF5 library has."""
     from sms_jobs.archive.repacking import repack
 
-    if options.fields or options.record:
-        raise InvalidInput("hdf5 takes the whole file; leave out --fields and --record")
+    if options.fields or options.record or options.frame != "world":
+        raise InvalidInput("hdf5 takes the whole file; leave out --fields, --record and --frame")
     target = _target(out, f"{view.subject.replace('/', '-')}-{view.source}.h5", options.force)
     services.archive.verify_bytes(view)
     with writing.new_file(target, options.force) as part, services.archive.local(view.path) as sealed:
         repack(sealed, part, view.path)
     return target
+
+
+def _turned(services: Services, view: FileView, record: Any) -> Any:
+    """Return a record along the axes of the specimen of its campaign."""
+    from sms_jobs.app.specimen_axes import in_specimen_frame
+
+    return in_specimen_frame(record, campaigns.definition(services, view.subject.partition("/")[0]))
 
 
 def _form(view: FileView, out: Path | None, options: ExportOptions) -> str | None:

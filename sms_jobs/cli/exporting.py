@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -69,6 +69,10 @@ def export(
     ] = None,
     state: Annotated[str | None, typer.Option(help="With --kind: only of this state.")] = None,
     view: Annotated[str | None, typer.Option(help="With --kind: only of this view.")] = None,
+    frame: Annotated[
+        Literal["world", "specimen"],
+        typer.Option(help="Along whose axes shape and displacement are; see 'sms campaign frame'."),
+    ] = "world",
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
     home: Home = None,
     as_json: Json = False,
@@ -81,9 +85,11 @@ def export(
     Example: sms data export 42 --as ply --fields "deviation,sigma of deviation" -o deviation.ply
 
     Example: sms data export --kind merge -c wing --as vtu -o for-paraview/
+
+    Example: sms data export 42 -o shape.csv --frame specimen, with x along the specimen and z out of it
     """
     chosen = Chosen(file, kind, campaign, state, view)
-    options = ExportOptions(form, record, _split(fields), force)
+    options = ExportOptions(form, record, _split(fields), force, frame)
     with bootstrap.services(home) as services:
         written = exporting.export(services, chosen, out, options)
     if as_json:

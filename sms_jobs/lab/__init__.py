@@ -9,11 +9,13 @@ from __future__ import annotations
 import os
 import weakref
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from sms_jobs.app.jobs import Submitted, Work
+from sms_jobs.app.reading import StoredRecord
+from sms_jobs.app.specimen_axes import in_specimen_frame
 from sms_jobs.app.waiting import Waited
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.lab.datasets import MISSING, dataset_of
@@ -162,7 +164,13 @@ class Lab:
         table.attrs["next"] = pages[-1].next
         return table
 
-    def read(self, what_of: str | int, what: str | None = None) -> xarray.Dataset:
+    def read(
+        self,
+        what_of: str | int,
+        what: str | None = None,
+        *,
+        frame: Literal["world", "specimen"] = "world",
+    ) -> xarray.Dataset:
         """Read the newest record about a subject, or a record of a file, with units, sigma and provenance.
 
         Frames of measurements are left out: they are larger than memory.
@@ -174,6 +182,8 @@ class Lab:
         what
             Name of a kind or of a record, such as strain, displacement or surface; None for the first record
             of a file.
+        frame
+            Along whose axes shape and displacement are: X, Y, Z of the world or x, y, z of the specimen.
 
         Returns
         -------
@@ -184,15 +194,22 @@ class Lab:
         NotFound
             There is no such file, record or result.
         InvalidInput
-            It is no subject, or a document.
+            It is no subject, or a document, or it cannot be along the specimen's axes.
         ArchiveCorrupt
             The file is not as it was sealed.
         ConfigurationError
             xarray is not installed.
         """
         if isinstance(what_of, int) or what is None:
-            return dataset_of(self._source.of_file(str(what_of), what))
-        return dataset_of(self._source.newest(what_of, what))
+            stored = self._source.of_file(str(what_of), what)
+        else:
+            stored = self._source.newest(what_of, what)
+        return dataset_of(stored if frame == "world" else self._along_specimen(stored))
+
+    def _along_specimen(self, stored: StoredRecord) -> StoredRecord:
+        """Return a record along the axes of the specimen of its campaign."""
+        campaign = self._source.definition(stored.file.subject.partition("/")[0])
+        return replace(stored, record=in_specimen_frame(stored.record, campaign))
 
     def submit(
         self,

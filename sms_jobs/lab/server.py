@@ -19,6 +19,7 @@ from sms_jobs.app.jobs import Explanation, Refusal, Submitted, Work
 from sms_jobs.app.reading import RecordParts, StoredRecord
 from sms_jobs.app.waiting import Waited, timed_out
 from sms_jobs.lab.connection import Connection
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.shown.estimates import Estimate
 from sms_jobs.records.shown.files import FileView, Found, Page
 from sms_jobs.records.shown.runs import RunComparison
@@ -30,6 +31,7 @@ _WAIT_S = 25.0
 _AT_ONCE = 200
 """Jobs that are named in one request."""
 
+_CAMPAIGN = TypeAdapter(Campaign)
 _FILE = TypeAdapter(FileView)
 _PARTS = TypeAdapter(RecordParts)
 _ESTIMATE = TypeAdapter(Estimate)
@@ -102,6 +104,11 @@ class Server:
             return values
 
         return reading.assembled(parts, read)
+
+    def definition(self, campaign: str) -> Campaign:
+        """Return a campaign as it is defined."""
+        told = self._connection.get(f"/campaigns/{quote(campaign, safe='')}")
+        return _CAMPAIGN.validate_python(told["campaign"])
 
     def submit(self, work: Work, dry_run: bool) -> Submitted:
         """Submit jobs."""

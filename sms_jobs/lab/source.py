@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Protocol
 
 from sms_jobs import bootstrap
-from sms_jobs.app import finding, jobs, reading, run_comparison, waiting
+from sms_jobs.app import campaigns, finding, jobs, reading, run_comparison, waiting
 from sms_jobs.app.finding_states import find_states
 from sms_jobs.app.jobs import Explanation, Submitted, Work
 from sms_jobs.app.reading import StoredRecord
 from sms_jobs.app.waiting import Waited
+from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.shown.files import Page
 from sms_jobs.records.shown.runs import RunComparison
 from sms_jobs.records.shown.states import StatePage
@@ -37,6 +38,9 @@ class Source(Protocol):
 
     def of_file(self, key: str, name: str | None) -> StoredRecord:
         """Return a record of a file."""
+
+    def definition(self, campaign: str) -> Campaign:
+        """Return a campaign as it is defined."""
 
     def submit(self, work: Work, dry_run: bool) -> Submitted:
         """Submit jobs."""
@@ -93,6 +97,10 @@ class Home:
     def of_file(self, key: str, name: str | None) -> StoredRecord:
         """Return a record of a file."""
         return reading.of_file(self._services, key, name)
+
+    def definition(self, campaign: str) -> Campaign:
+        """Return a campaign as it is defined."""
+        return campaigns.definition(self._services, campaign)
 
     def submit(self, work: Work, dry_run: bool) -> Submitted:
         """Submit jobs."""

@@ -3,6 +3,9 @@
 Fields are component-first: a vector over an image is (3, rows, columns), a packed symmetric tensor
 (6, rows, columns) in the order of `SYMMETRIC`. Values are NaN where `reason` is not `Reason.VALID`.
 
+`axes` are X, Y, Z of the world or of the plane of an image, as everything in the archive has them, or x, y, z
+of the specimen, where somebody asks for a record along these.
+
 `sigma_calibration` is no part of the covariance or sigma beside it; None is not known, never none: where the
 calibration states no covariance, or where there is no calibration.
 """
@@ -16,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.quantity import IMAGE, SYMMETRIC, UNIT, XYZ, LengthUnit, array
+from sms_jobs.records.quantity import IMAGE, SYMMETRIC, UNIT, XYZ, Axes, LengthUnit, array
 from sms_jobs.records.views import view_of
 
 Double = NDArray[np.float64]
@@ -124,6 +127,7 @@ class Surface:
     texture_part: Single | None = array(
         "1", "part of the covariance that cancels where neighbouring pixels are averaged", default=None
     )
+    axes: Axes = "XYZ"
 
     @property
     def camera(self) -> str:
@@ -218,6 +222,7 @@ class DisplacementField:
         default=None,
     )
     sigma_calibration: Single | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
+    axes: Axes = "XYZ"
 
 
 StrainMeasure = Literal["green-lagrange", "small"]
@@ -269,6 +274,7 @@ class MergedField:
     )
     mm_per_px: float | None = None
     sigma_calibration: Single | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
+    axes: Axes = "XYZ"
 
     @property
     def has_depth(self) -> bool:
@@ -305,6 +311,7 @@ class Mesh:
         "px", "where it saw the vertex", ("component", "vertex"), ("column", "row"), default=None
     )
     strain_axis: Axis | None = None
+    axes: Axes = "XYZ"
 
     @property
     def has_depth(self) -> bool:

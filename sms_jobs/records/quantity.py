@@ -9,6 +9,8 @@ QUANTITY = "quantity"
 
 LengthUnit = Literal["mm", "px"]
 """In which a record counts lengths: the world in mm, the plane of an image in px where no scale is known."""
+Axes = Literal["XYZ", "xyz"]
+"""Along which axes a record has its vectors: those of the world or of an image's plane, or the specimen's."""
 UNIT = "{unit}"
 """The unit of an array that is in the unit of its record."""
 
@@ -72,7 +74,10 @@ def quantities_of(record: Any) -> dict[str, Quantity]:
         values = getattr(record, name)
         if values is not None:
             unit = quantity.unit.replace(UNIT, getattr(record, "unit", ""))
-            found[name] = replace(quantity, unit=unit, components=components_of(quantity, values.shape))
+            components = components_of(quantity, values.shape)
+            if getattr(record, "axes", "XYZ") == "xyz":
+                components = tuple(component.lower() for component in components)
+            found[name] = replace(quantity, unit=unit, components=components)
     return found
 
 

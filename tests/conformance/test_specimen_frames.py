@@ -75,6 +75,12 @@ def test_a_frame_makes_stale_what_lies_along_it_and_nothing_else(
     with catalogue.reading() as session:
         again = campaigns.newest_file(session, "strain", STRAINED, "application/x-hdf5")
     assert again != strains
+    exported = deployment.home / "merged.csv"
+    said(
+        deployment,
+        *("data", "export", "--kind", "merge", "-c", "plate", "-o", str(exported), "--frame", "specimen"),
+    )
+    assert '"x [mm]","y [mm]","z [mm]","displacement x [mm]"' in exported.read_text().splitlines()[0]
 
     # Without the frame the first results hold again, and nothing is computed to say so.
     frame(deployment, "--drop")

@@ -12,7 +12,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.exporters.exporter import Exporter, labels_of, placed, write_rows
 from sms_jobs.formats.exporters.formulas import with_formula
 from sms_jobs.records.fields import Mesh
-from sms_jobs.records.quantity import XYZ, quantities_of
+from sms_jobs.records.quantity import quantities_of
 
 
 def _save(
@@ -33,7 +33,7 @@ def write(record: Any, path: Path) -> None:
     mesh = placed(record)
     labels = [with_formula(n, label) for n, label in zip(mesh.value_names, labels_of(mesh), strict=True)]
     unit = mesh.unit
-    axes = [f"{axis} [{unit}]" for axis, _ in zip(XYZ, mesh.vertices.T, strict=False)]
+    axes = [f"{axis} [{unit}]" for axis, _ in zip(mesh.axes, mesh.vertices.T, strict=False)]
     _save(path, [*axes, *labels], [*mesh.vertices.T, *mesh.values])
 
 

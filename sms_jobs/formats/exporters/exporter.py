@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.metrology.geometry.planes import in_space
 from sms_jobs.records.fields import Mesh
-from sms_jobs.records.quantity import LengthUnit
+from sms_jobs.records.quantity import Axes, LengthUnit
 
 TEXTURE = "texture"
 """The value of a mesh that formats with colours show as grey: 0 is black, 1 the camera's full scale."""
@@ -40,6 +40,8 @@ class PointGrid:
         (rows, columns), 0 for black to 1 for white; None where it is not known.
     unit
         Of `xyz`: mm, or px for an image of which nothing else is known.
+    axes
+        X, Y, Z of the world, or x, y, z of the specimen.
     """
 
     xyz: NDArray[np.float64]
@@ -48,6 +50,7 @@ class PointGrid:
     values: NDArray[np.floating]
     texture: NDArray[np.floating] | None = None
     unit: LengthUnit = "mm"
+    axes: Axes = "XYZ"
 
     def known(self) -> NDArray[np.bool_]:
         """Return where there is a point, (rows, columns); raise `MeasurementFailed` where there is none."""

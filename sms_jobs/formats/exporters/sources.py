@@ -13,7 +13,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.exporters.exporter import TEXTURE, Exporter, PointGrid
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.records.fields import Mesh
-from sms_jobs.records.quantity import QUANTITY, LengthUnit, Quantity, quantities_of
+from sms_jobs.records.quantity import QUANTITY, Axes, LengthUnit, Quantity, quantities_of
 
 _POSITION = "position"
 
@@ -95,7 +95,8 @@ def grid_of(
             values.append(part)
     stacked = np.stack(values) if values else np.zeros((0, *shape))
     unit: LengthUnit = getattr(record, "unit", "mm")
-    return PointGrid(in_space(record.position), tuple(names), tuple(units), stacked, texture, unit)
+    axes: Axes = getattr(record, "axes", "XYZ")
+    return PointGrid(in_space(record.position), tuple(names), tuple(units), stacked, texture, unit, axes)
 
 
 def _over(field: Any, quantity: Quantity, shape: tuple[int, ...]) -> bool:
@@ -132,7 +133,7 @@ def mesh_of(grid: PointGrid, sigma: NDArray[np.float64] | None = None, step: int
         names, units = (*names, TEXTURE), (*units, "1")
         values = np.concatenate([values, np.asarray(grid.texture[row, column], np.float64)[None]])
     vertices = np.ascontiguousarray(grid.xyz[:, row, column].T)
-    return Mesh(names, units, vertices, faces, values, grid.unit)
+    return Mesh(names, units, vertices, faces, values, grid.unit, axes=grid.axes)
 
 
 def _check(record: Any, chosen: Sequence[str]) -> None:

@@ -15,7 +15,8 @@ def write_header(mesh: Mesh, packing: str, stream: TextIO) -> None:
     Readers know the coordinates by the bare names X, Y and Z, so their unit stands in the title.
     """
     variables = ", ".join(f'"{name}"' for name in ["X", "Y", "Z", *labels_of(mesh)])
-    stream.write(f'TITLE = "shape and displacement, X, Y, Z in {mesh.unit}"\n')
+    of = " of the specimen" if mesh.axes == "xyz" else ""
+    stream.write(f'TITLE = "shape and displacement, X, Y, Z{of} in {mesh.unit}"\n')
     stream.write(f"VARIABLES = {variables}\n")
     stream.write(
         f'ZONE T="surface", N={len(mesh.vertices)}, E={len(mesh.faces)}, '

@@ -26,7 +26,9 @@ def write(points: Mesh | PointGrid, path: Path) -> None:
         points = placed(points)
         columns = [*points.vertices.T, *points.values]
     # Of a comment line, some readers want two slashes and most skip it.
-    title = " ".join(name.replace(" ", "_") for name in [f"{a} [{unit}]" for a in "XYZ"] + labels_of(points))
+    title = " ".join(
+        name.replace(" ", "_") for name in [f"{a} [{unit}]" for a in points.axes] + labels_of(points)
+    )
     with path.open("w", encoding="utf-8") as file:
         file.write(f"// {title}\n")
         write_rows(file, columns, " ".join(["%.9g"] * len(columns)), places)

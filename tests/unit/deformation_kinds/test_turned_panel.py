@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sms_jobs.app.frame_finding import Finder
+from sms_jobs.app.specimen_axes import in_specimen_frame
 from sms_jobs.app.specimen_frames import Choice, Place
 from sms_jobs.bench.shelf import Shelf, reconstructed
 from sms_jobs.errors import InvalidInput
@@ -168,3 +169,50 @@ def test_strains_along_different_axes_are_not_merged(shelf: Shelf) -> None:
     turned.run(strain.KIND, second, strain.KIND.parameters())
     with pytest.raises(InvalidInput, match="C1P1 and C1P2 lie along different axes"):
         turned.run(merge.KIND, Subject("turned", "S01"), merge.KIND.parameters())
+
+
+def test_shape_and_displacement_are_offered_along_the_frame(shelf: Shelf) -> None:
+    own = with_frame(shelf, found_by(shelf, picked(shelf)))
+    own.run(strain.KIND, DEFORMED, strain.KIND.parameters())
+    own.run(merge.KIND, Subject("turned", "S01"), merge.KIND.parameters())
+    campaign = own.campaign
+    surface = in_specimen_frame(at_rest(shelf), campaign)
+    flat = surface.position[2][np.isfinite(surface.position[2])]
+    # A plane at z = 0: 20 um of noise, and 4 um over 75 mm from the frame's own.
+    assert np.abs(flat.mean()) < 0.02
+    assert flat.std() < 0.06
+    moved = own.records["correlate", DEFORMED]["displacement"]
+    there = in_specimen_frame(moved, campaign)
+    known = np.isfinite(moved.displacement[0])
+    np.testing.assert_allclose(
+        np.linalg.norm(there.displacement[:, known], axis=0),
+        np.linalg.norm(moved.displacement[:, known], axis=0),
+        rtol=1e-12,
+    )
+    # Neither the trace nor the determinant of a covariance knows of a turn; float32 keeps 1e-7 of each part.
+    for packed, turned in ((moved.covariance, there.covariance),):
+        trace = [one[[0, 3, 5]][:, known].sum(axis=0) for one in (packed, turned)]
+        np.testing.assert_allclose(trace[1], trace[0], rtol=1e-5)
+    along = true_frame(shelf)[:, 0]
+    full = moved.covariance[:, known][:, 0].astype(np.float64)
+    c = np.array([[full[0], full[1], full[2]], [full[1], full[3], full[4]], [full[2], full[4], full[5]]])
+    # The frame is 0.1 degrees off at most: 0.4 % of the largest variance.
+    assert there.covariance[0][known][0] == pytest.approx(along @ c @ along, abs=4e-3 * np.trace(c))
+    mesh = in_specimen_frame(own.records["merge", Subject("turned", "S01")]["mesh"], campaign)
+    assert mesh.value_names[:3] == ("displacement x", "displacement y", "displacement z")
+    # 0.5 % of the length along x, less the middle's shift: the slope over the panel is the strain.
+    slope = np.polyfit(mesh.vertices[:, 0], mesh.value("displacement x"), 1)[0]
+    # Noise of 30 um a vertex over 150 mm is nothing; the rigid turn of 3 mrad is second order.
+    assert slope == pytest.approx(0.005, abs=1e-4)
+
+
+def test_what_has_no_frame_is_refused(shelf: Shelf) -> None:
+    own = with_frame(shelf, None)
+    with pytest.raises(InvalidInput, match="nobody has found the specimen's frame"):
+        in_specimen_frame(at_rest(shelf), own.campaign)
+    own.run(strain.KIND, DEFORMED, strain.KIND.parameters())
+    framed = with_frame(shelf, found_by(shelf, picked(shelf))).campaign
+    with pytest.raises(InvalidInput, match="degrees off the specimen's x axis"):
+        in_specimen_frame(own.records["strain", DEFORMED]["strain"], framed)
+    with pytest.raises(InvalidInput, match="has nothing that lies in a frame"):
+        in_specimen_frame(shelf.records["correlate", DEFORMED]["regions"], framed)
