@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeAlias
 
@@ -22,6 +23,7 @@ from sms_jobs.metrology.calibration.point_factor import (
 )
 from sms_jobs.metrology.deformation.common_errors import directional, mean_slopes, strain_factor, tangents
 from sms_jobs.metrology.deformation.gauges import GaugeValue
+from sms_jobs.metrology.deformation.rigid_motion import RigidMotion, common_factor
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, Camera, Pose
 from sms_jobs.metrology.images.coarse_maps import Samples, sample_blocks, spread
 from sms_jobs.records.calibration import CalibrationFactor, CalibrationUncertainty
@@ -177,6 +179,37 @@ def gauge_sigma(
         green_lagrange=green_lagrange,
     )
     return float(sigma_of(found[0, 0]))
+
+
+@dataclass(frozen=True)
+class RelativeSigma:
+    """The calibration's part of the standard deviations of a motion (6,), and of what is left without it."""
+
+    motion: Floats
+    field: Single
+
+
+def relative_sigma(
+    states: States,
+    surface: Surface,
+    moved: DisplacementField,
+    motion: RigidMotion,
+    pixels: tuple[NDArray[np.int64], NDArray[np.int64]],
+) -> RelativeSigma:
+    """Return what the calibration adds to a region's motion, and to a displacement without it.
+
+    The motion is fitted to the factor's columns as it was to the displacement, over at most 2000 of the
+    region's `pixels`: what region and displacement have in common cancels.
+    """
+    before, after = map(economical, states)
+    some = slice(None, None, -(-len(pixels[0]) // _MOST_UNDER_A_GAUGE))
+    rows, columns = pixels[0][some], pixels[1][some]
+    points, shift = (field[:, rows, columns].T for field in (surface.position, moved.displacement))
+    of_motion = common_factor(motion, points, motion_factor(before, after, points, shift))
+    samples = sample_blocks(moved.reason == Reason.VALID)
+    points, shift = (_at(samples, field) for field in (surface.position, moved.displacement))
+    left = motion_factor(before, after, points, shift) - motion.modes(points) @ of_motion
+    return RelativeSigma(sigma_of(of_motion), spread(samples, sigma_of(left).T))
 
 
 def merged_sigma(

@@ -26,6 +26,7 @@ from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.recording import FramesBetween, InterruptedRecording, Recording
+from sms_jobs.records.rigid_motion import RegionMotion
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.surfaces import DeviationField, ReferenceSurface, SurfaceRegistration
 from sms_jobs.records.system_test import SystemTest
@@ -95,6 +96,8 @@ REGIONS = Product("regions", Regions)
 STRAIN = Product("strain", StrainField)
 GAUGES = Product("gauges", GaugeReadings)
 CRACKS = Product("cracks", CrackOpenings)
+RELATIVE = Product("relative", DisplacementField)
+MOTION = Product("motion", RegionMotion)
 MERGED = Product("merged", MergedField)
 MESH = Product("mesh", Mesh)
 ALIGNMENT = Product("view", ViewAlignment)

@@ -28,7 +28,7 @@ AVERAGED_PX = 5.0
 _LEAST_VALID = 0.5  # of the pixels about a picked one
 _LEAST_SINE = 0.05  # of the angle at the origin: nearer to a line, three points tell no plane
 _FEWEST_PIXELS = 100  # of a fitted plane
-_TILES = 6  # along each side of the region's box
+_TILES = 4  # along each side of the region's box: wider than what neighbours have in common
 _ROUNDS = 4
 _OUTLIER = 4.0  # in units of the scatter: three good pixels of ten thousand are farther off
 _TO_SIGMA = 1.4826  # of a normal deviate, over its median size
@@ -313,7 +313,7 @@ def _plane_of(moments: tuple[Floats, ...], outward: Floats) -> tuple[Floats, Flo
 
 
 def tiles_of(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the tile of each pixel (n,): six by six over the box of all."""
+    """Return the tile of each pixel (n,): four by four over the box of all."""
     parts = []
     for each in (rows, columns):
         first, size = int(each.min()), int(np.ptp(each)) + 1
