@@ -13,15 +13,17 @@ from numpy.typing import NDArray
 
 from sms_jobs.bench.lone_camera import FULL_SCALE
 from sms_jobs.bench.speckle_pairs import Floats, speckle_pair
+from sms_jobs.metrology.deformation.spatial_resolution import KEPT, resolution_of
 
 ROWS, COLUMNS = 501, 2000
 MIDDLE = ROWS // 2
 AMPLITUDE_PX = 0.5
 SHORTEST_PX, LONGEST_PX = 10.0, 300.0
-KEPT = 0.9
-"""Part of the amplitude that is left at the period that is called the spatial resolution."""
 CONTRAST, NOISE = 250.0, 12.5
 """Standard deviations of speckle and of noise, in grey levels of 12 bits."""
+_STRAIGHT = 1.5
+"""Periods from the middle row within which the star's waves run along the columns; farther off they are
+oblique, and shorter than their column's period."""
 _NEAR = 0.82, 0.97
 """What has to be left of the amplitude for a column to tell where `KEPT` is."""
 _SMOOTHED = 25
@@ -82,13 +84,14 @@ def amplitudes(v: Floats, rows: Floats, periods: Floats) -> Floats:
 
     Returns
     -------
-    (columns,), by least squares of a cosine and a constant over each column's rows; NaN for a column of which
-    a fifth of the rows or more is missing.
+    (columns,), by least squares of a cosine and a constant over the rows within one and a half periods of the
+    middle; NaN for a column of which a fifth of these or more is missing.
     """
     found = np.full(len(periods), np.nan)
     for k, period in enumerate(periods):
-        known = np.isfinite(v[:, k])
-        if known.mean() > 0.8:
+        straight = np.abs(rows) <= _STRAIGHT * period
+        known = np.isfinite(v[:, k]) & straight
+        if known.sum() > 0.8 * straight.sum():
             basis = np.stack([np.cos(2.0 * np.pi * rows[known] / period), np.ones(known.sum())], axis=1)
             found[k] = np.linalg.lstsq(basis, v[known, k], rcond=None)[0][0] / AMPLITUDE_PX
     return found
@@ -138,12 +141,9 @@ def transfer(side: int, order: int, periods: Floats) -> Floats:
 
 
 def expected_resolution(side: int, order: int) -> float:
-    """Return the period in px at which `KEPT` is left, by theory: the longest such."""
+    """Return the period in px at which nine tenths are left of a match alone, by theory: the longest such."""
     periods = np.linspace(2.0, 20.0 * side, 200_000 // side)
-    kept = transfer(side, order, periods)
-    last = int(np.flatnonzero(kept < KEPT)[-1])
-    low, high = kept[last], kept[last + 1]
-    return float(periods[last] + (KEPT - low) / (high - low) * (periods[last + 1] - periods[last]))
+    return resolution_of(periods, transfer(side, order, periods))
 
 
 def noise_gain(side: int, order: int) -> float:

@@ -31,6 +31,7 @@ VECTOR_IMAGE = ("component", *IMAGE)
 ORIENTED_IMAGE = ("orientation", *IMAGE)
 RETURNS_IMAGE = ("orientation", "return", *IMAGE)
 POINTS = ("point",)
+_RESOLUTION = "spatial resolution: period of a wave of which 90 % of the amplitude is left"
 _FROM_CALIBRATION = "standard deviation from the calibration alone, whose errors all pixels share"
 
 
@@ -105,6 +106,9 @@ class Surface:
     texture_part
         What the texture hides within pixels: it counts for each point, and cancels in a mean over several.
         None is none.
+    resolution_px
+        Period in the image of a wave of shape of which 90 % of the amplitude is left, where positions come
+        from matches between cameras; None where each pixel is measured by itself.
     """
 
     view: str
@@ -128,6 +132,7 @@ class Surface:
         "1", "part of the covariance that cancels where neighbouring pixels are averaged", default=None
     )
     axes: Axes = "XYZ"
+    resolution_px: float | None = None
 
     @property
     def camera(self) -> str:
@@ -203,6 +208,9 @@ class DisplacementField:
     over `subset_radius_px`; 0 where they are independent. The part of the covariance that is bias goes
     together over as much as a gauge, and no mean makes it less. Frame and unit are those of the surface: in
     the plane of an image there is no displacement along Z.
+
+    The spatial resolution is that of whole subsets: in the image as the median, `resolution_px`, and on the
+    surface at each pixel, in the direction in which a pixel covers most of it.
     """
 
     view: str
@@ -223,6 +231,8 @@ class DisplacementField:
     )
     sigma_calibration: Single | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
     axes: Axes = "XYZ"
+    resolution_px: float | None = None
+    resolution: Single | None = array(UNIT, _RESOLUTION, default=None)
 
 
 StrainMeasure = Literal["green-lagrange", "small"]
@@ -234,7 +244,8 @@ class StrainField:
 
     The frame at a point lies in the tangent plane of the reference surface: x is the specimen's x axis
     projected onto that plane, z the outward normal (towards the camera), y completes it. In the plane of an
-    image x points to the right and y up. The gauge length is in `unit`.
+    image x points to the right and y up. The gauge length is in `unit`. The spatial resolution is that of
+    gauge disc and displacement together, told as that of a displacement is.
 
     Attributes
     ----------
@@ -254,11 +265,16 @@ class StrainField:
         "1", _FROM_CALIBRATION, VECTOR_IMAGE, ("xx", "yy", "xy"), default=None
     )
     x_axis: Axis | None = None
+    resolution_px: float | None = None
+    resolution: Single | None = array(UNIT, _RESOLUTION, default=None)
 
 
 @dataclass(frozen=True)
 class MergedField:
-    """Surface and displacement as one camera sees them, all its views taken together; in `unit`."""
+    """Surface and displacement as one camera sees them, all its views taken together; in `unit`.
+
+    Its spatial resolution is that of the coarsest of the views that measured.
+    """
 
     camera: str
     views: tuple[str, ...]
@@ -275,6 +291,8 @@ class MergedField:
     mm_per_px: float | None = None
     sigma_calibration: Single | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
     axes: Axes = "XYZ"
+    resolution_px: float | None = None
+    resolution: Single | None = array(UNIT, _RESOLUTION, default=None)
 
     @property
     def has_depth(self) -> bool:

@@ -13,6 +13,7 @@ from sms_jobs.bench.speckle_pairs import Floats
 from sms_jobs.bench.star import Star
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
+from sms_jobs.metrology.deformation.spatial_resolution import KEPT
 from sms_jobs.metrology.images.texture_quality import examine_texture, match_sigma
 from sms_jobs.records.fields import DisplacementField, ImageMatches
 
@@ -24,7 +25,8 @@ _COLUMNS = (
     "subset, px", "order",
     "match: noise, px", "match: stated, px", "bound, px",
     "match: resolution, px", "theory, px", "match: MEI, px^2", "theory: MEI, px^2",
-    "field: noise, px", "field: resolution, px", "field: MEI, px^2", "field: valid",
+    "field: noise, px", "field: resolution, px", "field: stated resolution, px", "field: MEI, px^2",
+    "field: valid",
 )  # fmt: skip
 
 
@@ -67,6 +69,8 @@ class Judged:
         RMS standard deviation that the matches of the still pair state, in px.
     bound
         What the texture and its noise allow a shift of such a subset, in px.
+    stated_resolution
+        Of the field of the still pair, as its record says, in px.
     valid
         Part of the pixels that have a value at periods from the field's resolution to 1.5 times that.
     """
@@ -75,6 +79,7 @@ class Judged:
     field: Curve
     stated: float
     bound: float
+    stated_resolution: float
     valid: float
 
 
@@ -106,6 +111,7 @@ def judge(images: Star, radius: int, order: int) -> Judged:
         field_curve,
         float(np.sqrt(np.mean(sigma.astype(np.float64) ** 2))),
         match_sigma(replace(texture, noise=star.NOISE), radius),
+        still["displacement"].resolution_px,
         float(np.isfinite(fields[1][:, near]).mean()),
     )
 
@@ -136,6 +142,7 @@ def _row(radius: int, order: int, found: Sequence[Judged]) -> tuple[Cell, ...]:
         _over_stars([one.match.mei for one in found]), bound * theory,
         _over_stars([one.field.noise for one in found]),
         _over_stars([one.field.resolution for one in found]),
+        _over_stars([one.stated_resolution for one in found]),
         _over_stars([one.field.mei for one in found]),
         _over_stars([one.valid for one in found]),
     )  # fmt: skip
@@ -172,7 +179,7 @@ def run(say: Callable[[str], None]) -> Outcome:
     for order in sorted({order for _, order in CHOICES}):
         of_order = [row for row in rows if row[1] == order]
         plane.loglog([row[6] for row in of_order], [row[4] for row in of_order], "k:", linewidth=0.8)
-    kept.axhline(star.KEPT, color="grey", linewidth=0.6)
+    kept.axhline(KEPT, color="grey", linewidth=0.6)
     kept.set(xlabel="period [px]", ylabel="part of the amplitude", xlim=(10, 300), ylim=(0, 1.1))
     kept.set_title("measured; dotted: theory", fontsize="small")
     kept.legend(fontsize="x-small")
@@ -189,11 +196,12 @@ def _remarks(seeds: Sequence[int], apart: float) -> dict[str, str]:
         f"noise {star.NOISE:g} grey levels, both images; seeds {', '.join(map(str, seeds))}; correlate with "
         "its defaults but for radius and order",
         "noise": "rms of v of a still pair, of what is valid: of the matched points, and of every pixel",
-        "resolution": f"period at which {star.KEPT:.0%} of the amplitude is left, the amplitude by least "
+        "resolution": f"period at which {KEPT:.0%} of the amplitude is left, the amplitude by least "
         "squares over each column's rows; the stars' figures differ by at most "
         f"{apart:.1%}",
         "bound": "Cramer-Rao bound of a shift, sqrt(2) noise / sqrt(sum Iy^2), rms over subsets, times what "
         "the order adds at the centre where the texture is alike everywhere",
+        "stated resolution": "what the record of the displacement says, from the texture's own slopes",
         "theory": "least squares of the shape function over the subset at its centre (Savitzky-Golay)",
         "MEI": "noise times spatial resolution, as in the DIC Challenge 2.0 (Reu et al. 2022); the less the "
         "better; its published curves are not at hand as numbers, so theory is what it is compared with",

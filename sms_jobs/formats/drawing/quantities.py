@@ -24,6 +24,7 @@ _NAMES = {
     "reason": "status",
     "von_mises": "von Mises strain",
     "sigma_calibration": "sigma from the calibration",
+    "resolution": "spatial resolution",
     "ray_gap": "gap between the rays",
     "discrepancy": "disagreement of the views",
     "image_displacement": "displacement",

@@ -307,8 +307,16 @@ def _displacement_statistics(
         most,
         Statistic("sigma, median", unit, _median(sigma), group=group),
         *_calibrations_part(merged.sigma_calibration, unit, group),
+        *_resolution(merged, group),
         Statistic("disagreement of the views, rms", unit, _finite(merged.discrepancy_rms), group=group),
     )
+
+
+def _resolution(field: MergedField | StrainField, group: str) -> tuple[Statistic, ...]:
+    """Return the period of a wave of which 90 % is left, where it is known."""
+    if field.resolution is None:
+        return ()
+    return (Statistic("spatial resolution, median", field.unit, _median(field.resolution), group=group),)
 
 
 def _strain_statistics(field: StrainField) -> tuple[Statistic, ...]:
@@ -316,6 +324,7 @@ def _strain_statistics(field: StrainField) -> tuple[Statistic, ...]:
     return (
         Statistic("valid", "%", PER_CENT * float(np.mean(field.reason == Reason.VALID)), group=group),
         Statistic("gauge length", field.unit, field.gauge_length, group=group),
+        *_resolution(field, group),
         *(
             Statistic(f"{name}, median", "µε", _micro(_median(field.strain[k])), group=group)
             for k, name in enumerate(("xx", "yy", "xy"))

@@ -26,6 +26,7 @@ from sms_jobs.kinds.deformation.dense_fields import (
     field_in_plane,
     field_in_space,
     image_displacement,
+    resolution_in_image,
 )
 from sms_jobs.kinds.deformation.textured_state import (
     CALIBRATION_OF_SHAPE,
@@ -48,6 +49,7 @@ from sms_jobs.kinds.kind import (
 )
 from sms_jobs.kinds.point_matches import match_statistics, matches_record, summary
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MATCHES, REGIONS, Product
+from sms_jobs.kinds.resolution import resolution_statistics
 from sms_jobs.kinds.surface_ports import state_ports
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation import correlation
@@ -123,10 +125,11 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         grid, steps = _match(inputs, images, before, last, after, parameters, known)
         image = image_displacement(grid, images, before, parameters, threads).without(out)
     matches = matches_record(grid, before.regions.labels, steps)
+    resolution = resolution_in_image(grid, images, before, parameters)
     if before.surface.has_depth:
-        field = field_in_space(image, before, after, reference, parameters, threads)
+        field = field_in_space(image, before, after, reference, parameters, resolution, threads)
     else:
-        field = field_in_plane(image, matches, before, reference, parameters)
+        field = field_in_plane(image, matches, before, reference, parameters, resolution)
     field, factors = _with_calibration(inputs, field, before)
     progress(1.0, "looked up the displacement")
     yield DatasetOutput(
@@ -271,6 +274,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
             f"median_displacement_{field.unit}": float(np.median(length)),
             f"maximum_displacement_{field.unit}": float(length.max()),
             **median_part(field.sigma_calibration, field.unit),
+            **resolution_statistics(field),
         }
     return statistics
 
@@ -278,7 +282,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both surfaces",
-    version=13,
+    version=14,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(CALIBRATION_OF_SHAPE, *_REFERENCE.all, *_DEFORMED.all, *_BEFORE.all, _MATCHED_BEFORE),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,13 @@ from scipy.spatial import cKDTree
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.deformation.textured_state import TexturedState
 from sms_jobs.kinds.point_matches import trusted_points
+from sms_jobs.kinds.resolution import extent_of_pixels, resolution_of_matches
 from sms_jobs.kinds.surface_ports import independent_covariance, position_covariance
 from sms_jobs.metrology.deformation import displacement
 from sms_jobs.metrology.deformation.correlation import PreparedImages
 from sms_jobs.metrology.deformation.displacement import StateShape, blend_matches, displacement_field
 from sms_jobs.metrology.deformation.matching import GridMatches
+from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
 from sms_jobs.metrology.deformation.verification import Verified, verify_displacement
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.records.fields import DisplacementField, ImageMatches
@@ -78,6 +81,7 @@ def field_in_space(
     after: TexturedState,
     reference: str,
     parameters: CorrelateParameters,
+    resolution_px: float | None,
     threads: int,
 ) -> DisplacementField:
     """Look the displacement of every pixel up in the measured shapes of both states."""
@@ -101,6 +105,7 @@ def field_in_space(
     reason[~agrees & (before.surface.reason == Reason.VALID)] = np.uint32(Reason.IMAGES_DISAGREE)
     for values in (found.displacement, found.covariance, found.image_displacement, found.bias):
         values[:, reason != 0] = np.nan
+    radius = max(parameters.subset_radius_px, subsets)
     return DisplacementField(
         before.surface.view,
         reference,
@@ -110,9 +115,46 @@ def field_in_space(
         found.image_displacement,
         reason,
         averaging,
-        max(parameters.subset_radius_px, subsets),
+        radius,
         found.bias.astype(np.float32),
+        resolution_px=resolution_px,
+        resolution=_on_surface(resolution_px, before, reason, radius),
     )
+
+
+def resolution_in_image(
+    grid: GridMatches, images: PreparedImages, before: TexturedState, parameters: CorrelateParameters
+) -> float | None:
+    """Return the spatial resolution of displacement in px; None where it is not known.
+
+    Where shape comes from matches between cameras it is that of the coarser of the two.
+    """
+    surface = before.surface
+    averaged = surface.has_depth and not surface.subset_radius_px
+    # A peak of the cross-correlation is a shift.
+    order = 0 if parameters.method == "fourier-newton" else parameters.shape_order
+    found = resolution_of_matches(
+        grid,
+        images,
+        parameters.subset_radius_px,
+        cast(ShapeOrder, order),
+        parameters.spacing_px,
+        parameters.averaging_radius_px if averaged else 0.0,
+    )
+    if not surface.subset_radius_px:
+        return found
+    of_shape = surface.resolution_px
+    return None if found is None or of_shape is None else max(found, of_shape)
+
+
+def _on_surface(
+    resolution_px: float | None, before: TexturedState, reason: NDArray[np.uint32], radius: int
+) -> NDArray[np.float32] | None:
+    """Return the spatial resolution on the surface where there is a value, (rows, columns) in its unit."""
+    if resolution_px is None:
+        return None
+    extent = extent_of_pixels(before.surface, before.told, radius)
+    return np.where(reason == Reason.VALID, resolution_px * extent, np.nan).astype(np.float32)
 
 
 def _shape(state: TexturedState) -> StateShape:
@@ -131,6 +173,7 @@ def field_in_plane(
     before: TexturedState,
     reference: str,
     parameters: CorrelateParameters,
+    resolution_px: float | None,
 ) -> DisplacementField:
     """Return the displacement in the plane of the image, which the specimen does not leave."""
     surface, value, bias = before.surface, image.value, image.verified.bias
@@ -155,6 +198,8 @@ def field_in_plane(
         0.0,
         parameters.subset_radius_px,
         biased.astype(np.float32),
+        resolution_px=resolution_px,
+        resolution=_on_surface(resolution_px, before, reason, parameters.subset_radius_px),
     )
 
 

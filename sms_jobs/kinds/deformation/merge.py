@@ -207,8 +207,18 @@ def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple
         displacement.discrepancy.astype(np.float32),
         surfaces[0].mm_per_px,
         _calibrations_part(inputs, views, surfaces, moved),
+        *_resolution(moved),
     )
     return field, np.logical_or.reduce([s.reason == Reason.VALID for s in surfaces])
+
+
+def _resolution(moved: Sequence[DisplacementField]) -> tuple[float | None, NDArray[np.float32] | None]:
+    """Return the coarsest spatial resolution of the views, in px and at each pixel; None if one has none."""
+    in_px = [d.resolution_px for d in moved if d.resolution_px is not None]
+    each = [d.resolution for d in moved if d.resolution is not None]
+    if len(each) < len(moved):
+        return None, None
+    return max(in_px), np.asarray(np.fmax.reduce(each))
 
 
 def _calibrations_part(

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from sms_jobs.errors import InvalidInput
@@ -24,9 +25,11 @@ from sms_jobs.kinds.kind import (
     deformed_views,
 )
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, REGIONS, STRAIN, SURFACE
+from sms_jobs.kinds.resolution import extent_of_pixels, resolution_statistics
 from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, surface_port
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.displacement import pixel_pitch
+from sms_jobs.metrology.deformation.spatial_resolution import strain_resolution
 from sms_jobs.metrology.deformation.strain import surface_strain
 from sms_jobs.metrology.deformation.strain_errors import independent_equivalent
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
@@ -141,6 +144,8 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
         reason,
         x_axis=inputs.context,
     )
+    if moved.resolution is not None:
+        field = _with_resolution(field, moved.resolution, surface, regions.labels, moved.subset_radius_px)
     states = states_of(inputs, _MOVED)
     if states is not None:
         sigma = strain_sigma(
@@ -159,6 +164,21 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
     yield DatasetOutput(inputs.subject, {STRAIN: field}, _statistics(field, surface))
 
 
+def _with_resolution(
+    field: StrainField,
+    of_displacement: NDArray[np.float32],
+    surface: Surface,
+    labels: NDArray[np.int32],
+    radius_px: int,
+) -> StrainField:
+    """Return strain with the spatial resolution that displacement and gauge disc leave it."""
+    found = strain_resolution(of_displacement, field.gauge_length).astype(np.float32)
+    found[field.reason != Reason.VALID] = np.nan
+    in_px = found / extent_of_pixels(surface, labels, radius_px)
+    median = float(np.nanmedian(in_px)) if np.isfinite(in_px).any() else None
+    return replace(field, resolution_px=median, resolution=found)
+
+
 def _statistics(field: StrainField, surface: Surface) -> dict[str, float]:
     """Return what people search by; where nothing is valid, only the fractions."""
     valid = field.reason == Reason.VALID
@@ -169,6 +189,7 @@ def _statistics(field: StrainField, surface: Surface) -> dict[str, float]:
             "minimum_principal_strain": float(field.principal[1][valid].min()),
             "median_von_mises_strain": float(np.median(field.von_mises[valid])),
             "median_sigma_strain": float(np.median(field.sigma[:, valid])),
+            **resolution_statistics(field),
         }
         if field.sigma_calibration is not None:
             part = field.sigma_calibration[:, valid]

@@ -16,7 +16,7 @@ from sms_jobs.formats.report.html import number
 from sms_jobs.formats.report.origins import Traceable
 from sms_jobs.formats.report.page import Section
 from sms_jobs.kinds.kind import DocumentOutput, Inputs, Kind, Need, Output, Parameters, Progress, Scope
-from sms_jobs.kinds.products import CALIBRATED, MEASURED, RECORDED, STRAIN, SURFACE
+from sms_jobs.kinds.products import CALIBRATED, MEASURED, MERGED, RECORDED, STRAIN, SURFACE
 from sms_jobs.kinds.reporting import report
 from sms_jobs.kinds.reporting.chapter import (
     CALIBRATION_SHOWN,
@@ -34,7 +34,7 @@ from sms_jobs.metrology.deformation.displacement import pixel_pitch
 from sms_jobs.metrology.geometry.planes import in_space
 from sms_jobs.metrology.images.texture_quality import speckle_width
 from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.fields import Surface
+from sms_jobs.records.fields import MergedField, StrainField, Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Sensor
@@ -55,6 +55,7 @@ _CRITERIA = {
 }
 _MICROSTRAIN = 1e6
 _VSG = "virtual strain gauge (VSG) size"
+_RESOLUTION = "spatial resolution"
 _READ = (CALIBRATION_SHOWN, RECORDINGS, *SURFACES.all, DISPLACEMENTS, STRAINS, MERGED_STATES)
 
 
@@ -67,6 +68,7 @@ def conditions(inputs: Inputs, planned: Campaign) -> tuple[Condition, ...]:
         for view in views:
             found += _of_images(inputs, campaign, view, strained)
     found += _of_matching(inputs)
+    found += _of_displacement(inputs, campaign)
     found += _of_strain(inputs, strained)
     found += _of_noise(still_noise(inputs, planned, campaign))
     return tuple(sorted(found, key=lambda one: (IMAGES, MATCHING, STRAINED, NOISE).index(one.group)))
@@ -225,6 +227,29 @@ def _answers(parameters: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
+def _of_displacement(inputs: Inputs, campaign: Campaign) -> Iterator[Condition]:
+    """Yield the spatial resolution of displacement: of the first state of each camera."""
+    states = inputs.about(MERGED_STATES)
+    for camera in campaign.views_by_camera() if states else ():
+        merged = inputs.read(MERGED_STATES, MERGED.of(camera), states[0])
+        yield Condition(MATCHING, _RESOLUTION, camera, _resolution(merged))
+    if not states:
+        yield Condition(MATCHING, _RESOLUTION, "", NOT_RECORDED)
+
+
+def _resolution(field: MergedField | StrainField) -> str:
+    """Return the spatial resolution in px and in mm where they are known, and what is meant by it."""
+    if field.resolution_px is None or field.resolution is None or np.isnan(field.resolution).all():
+        return NOT_RECORDED
+    on_surface = (
+        "" if field.unit == "px" else f" ({number(float(np.nanmedian(field.resolution)))} {field.unit})"
+    )
+    return (
+        f"{number(field.resolution_px)} px{on_surface}, median; the period of a wave of which 90 % of the "
+        "amplitude is left"
+    )
+
+
 def _of_strain(inputs: Inputs, pitches: Mapping[str, float]) -> Iterator[Condition]:
     """Yield window, gauge and formulation of strain: of the first state of each view."""
     seen: set[str] = set()
@@ -240,10 +265,11 @@ def _of_strain(inputs: Inputs, pitches: Mapping[str, float]) -> Iterator[Conditi
         window = f"disc of {number(field.gauge_length)} {field.unit}{in_px} over every pixel"
         yield Condition(STRAINED, "strain window", view, window)
         yield Condition(STRAINED, _VSG, view, _gauge_size(inputs, subject, wide))
+        yield Condition(STRAINED, _RESOLUTION, view, _resolution(field))
         formulation = f"{field.measure}, plane fitted to displacement in the tangent plane, least squares"
         yield Condition(STRAINED, "strain formulation", view, formulation)
     if not seen:
-        for name in ("strain window", _VSG, "strain formulation"):
+        for name in ("strain window", _VSG, _RESOLUTION, "strain formulation"):
             yield Condition(STRAINED, name, "", NOT_RECORDED)
 
 
@@ -313,7 +339,7 @@ CLOSING = Closing("what to report", 0, _section)
 KIND = Kind(
     name="conditions",
     summary="write what the iDICs Good Practices Guide asks to be reported, as a table",
-    version=1,
+    version=2,
     scope=Scope.CAMPAIGN,
     parameters=Parameters,
     inputs=_READ,

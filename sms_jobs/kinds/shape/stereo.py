@@ -47,6 +47,7 @@ from sms_jobs.kinds.products import (
     UNCERTAINTY,
     Product,
 )
+from sms_jobs.kinds.resolution import resolution_of_matches
 from sms_jobs.kinds.shape.ray_images import (
     line_width,
     refuse_far_from_rays,
@@ -185,7 +186,8 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
         inputs.view, [one.camera for one in seen], found, parameters.maximum_epipolar_px, inputs.threads
     )
     field = _points(reference, partners, spread, inputs.threads)
-    surface = _surface(inputs, calibration, field, labels, found, parameters, epipolar)
+    resolution = _resolution(reference, labels, found, parameters)
+    surface = _surface(inputs, calibration, field, labels, found, parameters, epipolar, resolution)
     surface = _held_against_the_images(surface, spread)
     kept = {
         name: matches_record(one, labels) for name, one in zip(inputs.view.other_cameras, found, strict=True)
@@ -342,6 +344,23 @@ def _held_against_the_images(surface: Surface, spread: list[_Spread]) -> Surface
     return replace(surface, reason=np.where(unseen, np.uint32(Reason.IMAGES_DISAGREE), surface.reason))
 
 
+def _resolution(
+    reference: TexturedCamera,
+    labels: NDArray[np.int32],
+    found: list[GridMatches],
+    parameters: StereoParameters,
+) -> float | None:
+    """Return the spatial resolution in px, the coarsest of all partners; None if one is not known."""
+    images = prepare_images(reference.texture, reference.texture, labels)
+    order = cast(ShapeOrder, parameters.shape_order)
+    each = [
+        resolution_of_matches(one, images, parameters.subset_radius_px, order, parameters.spacing_px)
+        for one in found
+    ]
+    known = [one for one in each if one is not None]
+    return max(known) if len(known) == len(each) else None
+
+
 def _well_inside(places: Floats, shape: tuple[int, ...], margin_px: int) -> Floats:
     """Return places (2, rows, columns) in a partner's image, NaN beyond a margin from its border.
 
@@ -375,6 +394,7 @@ def _surface(
     found: list[GridMatches],
     parameters: StereoParameters,
     epipolar_px: float,
+    resolution_px: float | None,
 ) -> Surface:
     """Return the points as a surface, NaN where there is a reason."""
     shape = labels.shape
@@ -404,6 +424,7 @@ def _surface(
         covariance,
         gap,
         subset_radius_px=parameters.subset_radius_px,
+        resolution_px=resolution_px,
     )
 
 
@@ -432,7 +453,7 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=8,
+    version=9,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),

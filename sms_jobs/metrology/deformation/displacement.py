@@ -182,6 +182,11 @@ def pixel_pitch(xyz: Floats, labels: NDArray[np.int32], quantile: float) -> floa
     return float(np.quantile(every, quantile)) if len(every) else 1.0
 
 
+def blending_reach(subset_radius: int, numbers: int) -> float:
+    """Return the distance in px over which matches are blended whose warps have 6 or 12 numbers."""
+    return _BLEND[numbers][0] * subset_radius
+
+
 def blend_matches(
     points: ImagePoints, xyz: Floats, labels: NDArray[np.int32], subset_radius: int, threads: int = 1
 ) -> tuple[Floats, Floats]:
@@ -225,8 +230,8 @@ def blend_matches(
     middle is nearer.
     """
     rows, columns = labels.shape
-    radii, noise = _BLEND[points.warp.shape[1]]
-    reach = radii * subset_radius
+    noise = _BLEND[points.warp.shape[1]][1]
+    reach = blending_reach(subset_radius, points.warp.shape[1])
     side = max(1, int(reach / 4))
     shape = (-(-rows // side), -(-columns // side))
     cell = (points.y // side) * (shape[1] + 1) + points.x // side

@@ -167,6 +167,23 @@ def test_strain_is_taken_from_what_is_stored_over_any_gauge(scaled: Test) -> Non
     assert spread[1] < 0.6 * spread[0]
 
 
+def test_the_spatial_resolution_is_stated_and_found_by(scaled: Test) -> None:
+    moved = displacement_of(scaled)
+    valid = moved.reason == Reason.VALID
+    assert moved.resolution_px is not None
+    np.testing.assert_array_equal(np.isfinite(moved.resolution), valid)
+    np.testing.assert_allclose(moved.resolution[valid], 0.05 * moved.resolution_px, rtol=1e-6)
+    each = [scaled.ran(strain.KIND, StrainParameters(gauge_length_mm=length)) for length in (2.0, 4.0)]
+    short, long = (output.records["strain"] for output in each)
+    for one, output in zip((short, long), each, strict=True):
+        assert np.isfinite(one.resolution[one.reason == Reason.VALID]).all()
+        assert np.isnan(one.resolution[one.reason != Reason.VALID]).all()
+        assert output.statistics["median_resolution_px"] == one.resolution_px
+        assert output.statistics["median_resolution_mm"] == pytest.approx(0.05 * one.resolution_px)
+    # A gauge alone leaves nine tenths of a period of 2.8 gauge lengths; displacement only adds to that.
+    assert moved.resolution_px < 2.8 * 40.0 < short.resolution_px < long.resolution_px
+
+
 def test_the_scale_changes_lengths_and_no_strain(scaled: Test, images: dict[str, Measurement]) -> None:
     bare = Test(images)
     bare.moved()

@@ -36,6 +36,19 @@ def test_every_value_is_known_or_has_a_reason(plate: Any) -> None:
         np.testing.assert_array_equal(np.isfinite(values).all(axis=0), field.reason == Reason.VALID)
 
 
+def test_the_resolution_on_a_surface_is_that_in_the_image_times_what_a_pixel_covers(plate: Any) -> None:
+    moved = plate.results["correlate", plate.subject("S01", VIEW)]["displacement"]
+    found = plate.results["strain", plate.subject("S01", VIEW)]["strain"]
+    position = plate.results["reconstruct", plate.subject("S00", VIEW)]["surface"].position
+    steps = [np.linalg.norm(np.diff(position, axis=axis), axis=0) for axis in (1, 2)]
+    pitch = max(float(np.nanmedian(one)) for one in steps)
+    # The plate is turned about both axes: a diagonal covers up to a tenth more than the longer of the two.
+    ratio = np.nanmedian(moved.resolution) / (pitch * moved.resolution_px)
+    assert 0.95 < ratio < 1.15
+    assert np.nanmedian(found.resolution) > max(np.nanmedian(moved.resolution), found.gauge_length)
+    np.testing.assert_array_equal(np.isfinite(found.resolution), found.reason == Reason.VALID)
+
+
 def test_a_longer_gauge_is_less_noisy(plate: Any) -> None:
     sigma = [
         plate.run(strain.KIND, plate.subject("S01", VIEW), StrainParameters(gauge_length_mm=g)).statistics[

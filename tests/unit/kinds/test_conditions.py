@@ -67,6 +67,20 @@ def test_the_noise_floor_is_that_of_a_still_pair(tmp_path: Path) -> None:
     assert {(one["name"], one["about"]): one["value"] for one in told} == rows
 
 
+def test_the_spatial_resolution_is_told_in_the_image_and_on_the_surface(tmp_path: Path) -> None:
+    given = noisy(0.0, 2e-3)
+    known = {"resolution_px": 50.84, "resolution": np.full(SIZE, 254.2, np.float32)}
+    strained = {"resolution_px": 180.0, "resolution": np.full(SIZE, np.nan, np.float32)}
+    given = {
+        "merged_C1": replace(given["merged_C1"], **known),
+        "strain": replace(given["strain"], **strained),
+    }
+    ((_, table), _) = run_on_results(tmp_path, conditions.KIND, still(), Subject("plate"), instead=given)
+    rows = rows_of(table)
+    assert rows["spatial resolution", "C1"].startswith("50.84 px (254.2 mm), median; the period of a wave of")
+    assert rows["spatial resolution", "C1P1"] == "not recorded"  # no pixel has a strain
+
+
 def test_a_pair_without_the_reference_is_subtracted(tmp_path: Path) -> None:
     loaded = still((0.0, 1000.0, 1000.0))
     # Both states have the same field: nothing is left.
