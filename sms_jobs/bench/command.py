@@ -16,9 +16,11 @@ from rich.table import Table
 from sms_jobs.bench.compilation import compile_seconds
 from sms_jobs.bench.figures import Figure, Run, machine
 from sms_jobs.bench.groups import all_groups, group_named
+from sms_jobs.bench.published import COLUMNS
 from sms_jobs.bench.studies import all_studies, study_named
 from sms_jobs.bench.study import write
 from sms_jobs.cli import output
+from sms_jobs.cli.demo import Size
 from sms_jobs.cli.output import Json
 
 _WIDE = 240
@@ -115,13 +117,16 @@ def _verdict(figure: Figure) -> str:
 def study(
     name: Annotated[str, typer.Argument(help="Name of a study, or 'list'.", autocompletion=_study_names)],
     out: Annotated[Path, typer.Option(help="Folder for the picture and the numbers.")] = Path("sms-study"),
+    size: Annotated[
+        Size | None, typer.Option(help="Cameras of 512 (small) or 1024 (full) px, where a study has both.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Run a study again: its table on the screen, its picture and numbers in a folder.
 
-    The table is written too, as CSV.
+    The table is written too, as CSV. Studies of the thesis's tests say besides what the thesis has.
 
-    Example: sms study table-6 --out /tmp/studies; sms study resolution --out /tmp/studies
+    Example: sms study table-6 --out /tmp/studies; sms study rigid-motion --size full --out /tmp/studies
     """
     if name == "list":
         if as_json:
@@ -131,12 +136,14 @@ def study(
         output.print_table(("study", "what it shows"), rows, empty="there are no studies")
         return
     chosen = study_named(name)
-    outcome = chosen.run(output.say)
+    outcome = chosen.of_size(size.value if size else None)(output.say)
     files = write(outcome, chosen, out)
     if as_json:
         about = {"study": name, "machine": machine(), "files": [str(f) for f in files]}
-        output.print_json(about | outcome.table.as_json())
+        output.print_json(about | outcome.as_json())
         return
     _print_wide(outcome.table.columns, outcome.table.known())
+    if outcome.judged:
+        _print_wide(COLUMNS, [one.row() for one in outcome.judged])
     output.print_facts(dict(outcome.table.remarks))
     output.say(f"wrote {', '.join(map(str, files))}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Parameters
 from sms_jobs.kinds.recording import simulate
 from sms_jobs.kinds.surface_ports import maker_of, textured_by
-from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
@@ -42,12 +42,19 @@ class Shelf:
             self.records[kind.makes or kind.name, output.subject] = dict(output.records)
 
     def record(self, subject: Subject) -> None:
-        """Record a state on the virtual rig, and keep the frames of a tuple in memory."""
-        self.run(simulate.KIND, Subject(subject.campaign, subject.state), simulate.KIND.parameters())
-        for own in subject.recordings:
+        """Record a state on the virtual rig, and keep the frames of a tuple, or of all, in memory."""
+        at = Subject(subject.campaign, subject.state)
+        self.run(simulate.KIND, at, simulate.KIND.parameters())
+        every = tuple(replace(at, view=view) for view in self.campaign.recordings)
+        for own in subject.recordings if subject.view else every:
             recorded: Measurement = self.records[MEASUREMENT, own]["measurement"]
             frames = np.stack([recorded.frames.frame(i) for i in range(recorded.frames.shape[0])])
             self.records[MEASUREMENT, own] = {"measurement": replace(recorded, frames=ArrayStack(frames))}
+
+    def forget(self, state: str) -> None:
+        """Drop all that has been recorded and computed of a state."""
+        for source, subject in [key for key in self.records if key[1].state == state]:
+            del self.records[source, subject]
 
     def shape(self, subject: Subject) -> Shape:
         """Return the exact shape at a recorded state."""
@@ -61,6 +68,48 @@ class Shelf:
             self.records[MEASUREMENT, textured_by(s)]["measurement"].simulation for s in (at_rest, subject)
         )
         return exact_truth(first, last, view_of(subject.view).partners, threads=self.threads)
+
+
+def state_by_state(
+    calibration: Calibration,
+    campaign: Campaign,
+    say: Callable[[str], None],
+    threads: int,
+    chain: Sequence[tuple[Kind[Any], Parameters]],
+    labels: Sequence[str] = (),
+) -> Iterator[tuple[LoadState, Shelf]]:
+    """Record and measure a campaign, yield each deformed state with what came of it, and then forget that.
+
+    Parameters
+    ----------
+    calibration, campaign
+        On the virtual rig.
+    say
+        Told which state comes next.
+    threads
+        How many threads to use.
+    chain
+        Kinds that run one after the other on every tuple of a deformed state, with their parameters.
+    labels
+        Of the deformed states that are measured; all if none are given.
+    """
+    shelf = Shelf(campaign, threads)
+    for state in campaign.states:
+        at_rest = state is campaign.reference
+        if labels and not at_rest and state.label not in labels:
+            continue
+        at = Subject(campaign.name, state.label)
+        say(f"recording and measuring {at}")
+        shelf.record(at)
+        for view in campaign.views:
+            subject, maker = replace(at, view=view), all_kinds()[maker_of(view).kind]
+            shelf.records[CALIBRATION, subject] = {"calibration": calibration}
+            shelf.run(maker, subject, maker.parameters())
+            for kind, parameters in () if at_rest else chain:
+                shelf.run(kind, subject, parameters)
+        if not at_rest:
+            yield state, shelf
+            shelf.forget(state.label)
 
 
 def reconstructed(

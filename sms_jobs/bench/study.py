@@ -11,6 +11,10 @@ from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sms_jobs.bench.published import COLUMNS, Judged
+from sms_jobs.errors import InvalidInput
+from sms_jobs.virtual_rig.campaigns import Size
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -47,10 +51,19 @@ class Table:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a study found: its numbers, and a picture of them."""
+    """What a study found: its numbers, a picture of them, and what they say to those of the thesis."""
 
     table: Table
     picture: Figure
+    judged: Sequence[Judged] = ()
+
+    def as_json(self) -> dict[str, object]:
+        """Return it as plain values, one object a row."""
+        found = self.table.as_json()
+        if self.judged:
+            beside = Table(COLUMNS, [one.row() for one in self.judged], {})
+            found["thesis"] = beside.as_json()["rows"]
+        return found
 
 
 @dataclass(frozen=True)
@@ -63,11 +76,28 @@ class Study:
         As `sms study list` shows them.
     run
         Answers the question; takes a function that tells the person how far it is.
+    full
+        The same with cameras of 1024 px instead of 512 px; None of a study of one size.
     """
 
     name: str
     summary: str
     run: Callable[[Callable[[str], None]], Outcome]
+    full: Callable[[Callable[[str], None]], Outcome] | None = None
+
+    def of_size(self, size: Size | None) -> Callable[[Callable[[str], None]], Outcome]:
+        """Return what answers the question with cameras of a size; its own if none is given.
+
+        Raises
+        ------
+        InvalidInput
+            A study of one size is asked for another.
+        """
+        if size is None:
+            return self.run
+        if self.full is None:
+            raise InvalidInput(f"study {self.name} has one size; leave --size out")
+        return self.full if size == "full" else self.run
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -88,7 +118,7 @@ def write(outcome: Outcome, study: Study, folder: Path) -> tuple[Path, Path, Pat
     # Without the version of the program: the same picture has the same bytes.
     outcome.picture.savefig(buffer, format="png", metadata={"Software": None})
     picture.write_bytes(buffer.getvalue())
-    text = json.dumps({"study": study.name, "summary": study.summary} | outcome.table.as_json(), indent=1)
+    text = json.dumps({"study": study.name, "summary": study.summary} | outcome.as_json(), indent=1)
     numbers.write_text(text + "\n", encoding="utf-8")
     with table.open("w", encoding="utf-8", newline="") as out:
         csv.writer(out).writerows([outcome.table.columns, *outcome.table.known()])
