@@ -14,9 +14,9 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs import schedules
 from sms_jobs.jobs.fire_times import parse_expression, zone_named
-from sms_jobs.jobs.schedules import MOST_A_DAY as MOST_A_DAY
-from sms_jobs.jobs.schedules import FiringsOfDay, MissedFire, Order, ScheduleView
+from sms_jobs.jobs.schedules import MissedFire, Order, ScheduleView
 from sms_jobs.records.people import Right
+from sms_jobs.records.shown.schedules import FiringsOfDay
 
 _MONTH = re.compile(r"2[01]\d\d-(0[1-9]|1[0-2])")
 

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from datetime import UTC, date, datetime, time, timedelta
 from functools import partial
 from itertools import islice, takewhile
+from operator import gt
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from zoneinfo import ZoneInfo
 
@@ -26,6 +27,7 @@ from sms_jobs.jobs.planning import Existing, Request, given_parameters, plan
 from sms_jobs.jobs.submission import Draft, draft, enter, while_outdated
 from sms_jobs.records.job import ACTIVE
 from sms_jobs.records.shown.notifications import Topic
+from sms_jobs.records.shown.schedules import MOST_A_DAY, FiringsOfDay
 from sms_jobs.records.subject import checked_name
 
 if TYPE_CHECKING:
@@ -34,8 +36,6 @@ if TYPE_CHECKING:
 MissedFire: TypeAlias = Literal["skip", "once", "all"]
 """What becomes of fire times that nobody looked at in time: none, the last one, or each of them."""
 
-MOST_A_DAY = 100
-"""Fire times of a schedule that are counted on a day of the calendar."""
 _MOST_AT_ONCE = 100
 """Fire times of one schedule that are looked at in one go; older ones are as if they had never been."""
 
@@ -102,26 +102,6 @@ class ScheduleView:
     last_fire: datetime | None
     last_outcome: str | None
     next_fire: datetime | None
-
-
-@dataclass(frozen=True)
-class FiringsOfDay:
-    """When one schedule fires on one day.
-
-    Attributes
-    ----------
-    campaign, kinds
-        What it submits.
-    first, count
-        The first time, and how many there are; of `MOST_A_DAY` there may be more.
-    """
-
-    day: date
-    schedule: str
-    campaign: str
-    kinds: tuple[str, ...]
-    first: datetime
-    count: int
 
 
 @dataclass(frozen=True)
@@ -276,7 +256,7 @@ def calendar(session: Session, first: date, days: int, zone: ZoneInfo, now: date
         after = max(now, _midnight(first, zone) - timedelta(microseconds=1))
         for day in (first + timedelta(days=k) for k in range(days)):
             end = _midnight(day + timedelta(days=1), zone)
-            coming = takewhile(lambda t, e=end: t < e, fire_times(expression, row.created_at, after))
+            coming = takewhile(partial(gt, end), fire_times(expression, row.created_at, after))
             times = list(islice(coming, MOST_A_DAY))
             if times:
                 found.append(FiringsOfDay(day, *about, times[0], len(times)))

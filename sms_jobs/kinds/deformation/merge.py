@@ -194,6 +194,7 @@ def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple
     reason[missing] = np.bitwise_or.reduce([d.reason for d in moved])[missing]
     covariance = displacement.covariance.astype(np.float32)
     axes = len(surfaces[0].position)
+    resolution_px, resolution = _resolution(moved)
     field = MergedField(
         camera,
         views,
@@ -207,7 +208,8 @@ def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple
         displacement.discrepancy.astype(np.float32),
         surfaces[0].mm_per_px,
         _calibrations_part(inputs, views, surfaces, moved),
-        *_resolution(moved),
+        resolution_px=resolution_px,
+        resolution=resolution,
     )
     return field, np.logical_or.reduce([s.reason == Reason.VALID for s in surfaces])
 

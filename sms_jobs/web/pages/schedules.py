@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo
 from fastapi.responses import HTMLResponse
 
 from sms_jobs.app import campaigns, kinds, schedules
-from sms_jobs.app.schedules import FiringsOfDay
+from sms_jobs.records.shown.schedules import MOST_A_DAY, FiringsOfDay
 from sms_jobs.web.console import Entry, Page, Pages
 
 PAGES = Pages("schedules", Entry("Schedules", "/schedules", 60))
@@ -65,7 +65,7 @@ def list_(page: Page, month: str = "", day: date | None = None, kind: str = kind
         today=today,
         chosen=day,
         here=here,
-        most=schedules.MOST_A_DAY,
+        most=MOST_A_DAY,
         campaigns=campaigns.names(services),
         kinds=offered,
         kind=next((one for one in offered if one.name == kind), None),

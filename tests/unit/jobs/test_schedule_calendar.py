@@ -18,7 +18,8 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs import schedules
 from sms_jobs.jobs.fire_times import fire_times, parse_expression
 from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.schedules import MOST_A_DAY, Order
+from sms_jobs.jobs.schedules import Order
+from sms_jobs.records.shown.schedules import MOST_A_DAY
 
 NOW = datetime(2026, 3, 10, 9, 30, tzinfo=UTC)
 LONDON = ZoneInfo("Europe/London")
