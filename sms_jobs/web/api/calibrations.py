@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 from fastapi import Query
 from pydantic import Field
 
-from sms_jobs.app import calibration_worth, calibrations
+from sms_jobs.app import calibration_drift, calibration_worth, calibrations
+from sms_jobs.app.calibration_drift import Drift
 from sms_jobs.app.calibration_worth import Overview
 from sms_jobs.app.calibrations import CalibrationText, Decision
 from sms_jobs.web.asked import Asked, FileNumber, Moment, Number, Text
@@ -80,6 +81,12 @@ def compare(
 ) -> Any:
     """Say what changed between two calibrations."""
     return answer(calibrations.compare(services, before, after, tolerance_mm))
+
+
+@ROUTES.offer("GET", "/calibrations/drift", calibration_drift.drift, answers=Drift)
+def drift(services: Acting, rig: Text) -> Any:
+    """Return how far a rig has drifted."""
+    return answer(calibration_drift.drift(services, rig))
 
 
 @ROUTES.offer("GET", "/calibrations/{number}", calibration_worth.overview, answers=Overview)

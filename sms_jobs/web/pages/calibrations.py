@@ -5,7 +5,9 @@ from __future__ import annotations
 from fastapi.responses import HTMLResponse
 from markupsafe import Markup
 
-from sms_jobs.app import calibration_worth, calibrations
+from sms_jobs.app import calibration_drift, calibration_worth, calibrations
+from sms_jobs.app.calibration_drift import Drift
+from sms_jobs.bootstrap import Services
 from sms_jobs.web.console import Entry, Page, Pages
 
 PAGES = Pages("calibrations", Entry("Calibrations", "/calibrations", 40))
@@ -16,8 +18,13 @@ def list_(page: Page) -> HTMLResponse:
     """List the calibrations, with the drift of each rig."""
     found = calibrations.list_calibrations(page.services)
     rigs = dict.fromkeys(one.rig for one in found)
-    drift = {rig: Markup(calibration_worth.drift_chart(page.services, rig)) for rig in rigs}  # noqa: S704
-    return page.render("calibrations.html", found=found, drift=drift)
+    return page.render("calibrations.html", found=found, drift=[_drift(page.services, rig) for rig in rigs])
+
+
+def _drift(services: Services, rig: str) -> tuple[Drift, Markup]:
+    """Return the drift of a rig, and its chart."""
+    drift = calibration_drift.drift(services, rig)
+    return drift, Markup(calibration_drift.drift_chart(drift))  # noqa: S704 - it escapes what it writes
 
 
 @PAGES.show("/calibrations/{number}", calibration_worth.overview)
@@ -30,6 +37,7 @@ def show(page: Page, number: int) -> HTMLResponse:
         view=next(
             one for one in calibrations.list_calibrations(page.services, overview.rig) if one.id == number
         ),
+        drift=_drift(page.services, overview.rig),
         distortion=calibrations.distortion(),
         styles=calibrations.STYLES,
     )
