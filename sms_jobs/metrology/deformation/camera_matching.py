@@ -21,7 +21,7 @@ from sms_jobs.metrology.deformation.correlation import (
     match_points,
     prepare_images,
 )
-from sms_jobs.metrology.deformation.epipolar_search import FoundSeeds, Width, search_along_rays
+from sms_jobs.metrology.deformation.epipolar_search import FoundSeeds, Width, best_of, search_along_rays
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, Seeds, spread_matches
 from sms_jobs.metrology.deformation.sampling import Nodes, choose_seeds
 from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
@@ -33,6 +33,7 @@ Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]
 Corner: TypeAlias = tuple[float, float, float]
 
+_SURE = 0.6  # correlation from which on a surface that faces the cameras explains a place
 _SEED_SCORE = 0.4  # of a place to a pixel: a poor start, but the refinement judges it
 _MISFIT = 12.0  # variance left over, in medians: on a curved panel no more than 8, across a step 50 to 500
 _RETURN_SIGMAS = 4.0  # by which a point may come back beside where it set out
@@ -98,10 +99,18 @@ def match_cameras(
     """
     if len(nodes.x) == 0:
         return spread_matches(images, nodes, Seeds.none(), settings, grid, threads)
-    first, found = _first_matches(reference, partner, images.labels, nodes, search, threads)
-    likely = (found.score >= _SEED_SCORE) & found.unique
-    seeds = Seeds(first[likely], found.warp[likely])
-    result = spread_matches(images, nodes, seeds, settings, grid, threads)
+    squares = SearchSettings(template_radius=search.template_radius, spacing=search.spacing)
+    first = choose_seeds(images.labels, nodes.x, nodes.y, squares)
+    facing = _first_matches(reference, partner, nodes, first, search, threads)
+    result = spread_matches(images, nodes, _likely(first, facing, _SURE), settings, grid, threads)
+    # What they have not led to may be tilted more: where there is such a place, matching goes on from there.
+    lost = np.flatnonzero((facing.score < _SURE) & (result.matches.ending[first] != CONVERGED))
+    if len(lost):
+        tilted = _first_matches(reference, partner, nodes, first[lost], search, threads, tilted=True)
+        seeds = _likely(first[lost], best_of([facing.only(lost), tilted]), _SEED_SCORE)
+        if len(seeds.points):
+            known = _matched_of(result)
+            result = spread_matches(images, nodes, seeds, settings, grid, threads, known=known)
     refuse_misfits(result.matches)
     missed, allowed = _way_back(reference, partner, result, settings, threads)
     with np.errstate(invalid="ignore"):
@@ -121,19 +130,32 @@ def refuse_misfits(found: Matches) -> None:
         found.ending[matched & (found.misfit > _MISFIT * usual)] = NOT_CONVERGED
 
 
+def _likely(points: NDArray[np.int64], found: FoundSeeds, least_score: float) -> Seeds:
+    """Return what was found at points as seeds, where it is good enough and nothing else is about as good."""
+    likely = (found.score >= least_score) & found.unique
+    return Seeds(points[likely], found.warp[likely])
+
+
+def _matched_of(found: GridMatches) -> GridMatches:
+    """Return the points that have a match."""
+    good = found.matches.ending == CONVERGED
+    matches = Matches(*(values[good] for values in vars(found.matches).values()))
+    return GridMatches(found.x[good], found.y[good], matches)
+
+
 def _first_matches(
     reference: TexturedCamera,
     partner: TexturedCamera,
-    labels: Labels,
     nodes: Nodes,
+    points: NDArray[np.int64],
     search: RaySearch,
     threads: int,
-) -> tuple[NDArray[np.int64], FoundSeeds]:
-    """Return the indices of some nodes and what was found for them along their rays."""
-    where = SearchSettings(template_radius=search.template_radius, spacing=search.spacing)
-    first = choose_seeds(labels, nodes.x, nodes.y, where)
-    pixels = np.stack([nodes.x[first], nodes.y[first]], axis=1).astype(np.float64)
-    return first, search_along_rays(
+    *,
+    tilted: bool = False,
+) -> FoundSeeds:
+    """Return what is found for some of the nodes along their rays."""
+    pixels = np.stack([nodes.x[points], nodes.y[points]], axis=1).astype(np.float64)
+    return search_along_rays(
         reference.camera,
         partner.camera,
         (reference.texture, partner.texture),
@@ -141,6 +163,7 @@ def _first_matches(
         search.volume,
         radius=search.template_radius,
         width=search.width,
+        tilted=tilted,
         threads=threads,
     )
 

@@ -29,7 +29,6 @@ _MOST_PLACES = 4096  # along a ray
 _MOST_BESIDE = 100.0  # px: who knows so little calibrates again
 _AT_ONCE = 64  # squares, for the memory's sake
 _LEAST_OVERLAP = 0.6  # part of a template that must meet the partner's image
-_SURE = 0.6  # correlation from which on a surface that faces the cameras explains a place
 _UPRIGHT = (0.0, 0.0)
 _TILTS = tuple((np.tan(0.6) * np.cos(a), np.tan(0.6) * np.sin(a)) for a in np.arange(6) * np.pi / 3.0)
 """Slopes of surfaces that are tried where one that faces the cameras fits nowhere."""
@@ -59,6 +58,10 @@ class FoundSeeds:
     def none(cls, count: int) -> FoundSeeds:
         """Return room for `count` points, of which none has been found."""
         return cls(np.full((count, 6), np.nan), np.full(count, -1.0), np.full(count, -1.0))
+
+    def only(self, points: NDArray[np.intp]) -> FoundSeeds:
+        """Return what was found at some of the points."""
+        return FoundSeeds(*(values[points] for values in vars(self).values()))
 
     def enter(self, points: NDArray[np.intp], found: FoundSeeds) -> None:
         """Enter what was found for some of the points."""
@@ -161,6 +164,7 @@ def search_along_rays(
     *,
     radius: int,
     width: Width,
+    tilted: bool = False,
     threads: int = 1,
 ) -> FoundSeeds:
     """Find where a partner sees the squares about some pixels of the reference camera, to about a pixel.
@@ -178,6 +182,9 @@ def search_along_rays(
     width
         How far off the ray's image to look: what the calibration may be wrong by. The largest value at both
         ends and in the middle of a ray counts, but at least a step of the search, 2 px, and at most 100 px.
+    tilted
+        Whether the squares are taken for pieces of surface that are tilted by 34 degrees, in six directions,
+        rather than for such that face the cameras: six times the work.
     threads
         How many threads to use; the result does not depend on it.
     """
@@ -195,11 +202,8 @@ def search_along_rays(
             ))  # fmt: skip
         return found
 
-    tried = [search(np.flatnonzero(np.isfinite(near)), _UPRIGHT)]
-    weak = np.flatnonzero(np.isfinite(near) & (tried[0].score < _SURE))
-    if len(weak):
-        tried += [search(weak, tilt) for tilt in _TILTS]
-    return _best_of(tried)
+    met = np.flatnonzero(np.isfinite(near))
+    return best_of([search(met, tilt) for tilt in (_TILTS if tilted else (_UPRIGHT,))])
 
 
 def _steps_beside(points: Floats, width: Width) -> NDArray[np.int64]:
@@ -209,7 +213,7 @@ def _steps_beside(points: Floats, width: Width) -> NDArray[np.int64]:
     return np.asarray(np.maximum(np.ceil(np.minimum(widest, _MOST_BESIDE) / _BIN), 1.0), dtype=np.int64)
 
 
-def _best_of(tried: list[FoundSeeds]) -> FoundSeeds:
+def best_of(tried: list[FoundSeeds]) -> FoundSeeds:
     """Return what fits best; what another tilt explains at the same place is no rival, elsewhere it is."""
     warp = np.stack([one.warp for one in tried])
     score, runner_up = (np.stack([getattr(one, name) for one in tried]) for name in ("score", "runner_up"))
