@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.groups.strain import warm_up
@@ -18,27 +18,26 @@ def measure(run: Run) -> Iterator[Found]:
         yield Figure("rows", None, "published numbers")
         yield Condition("rows", "left out: the studies behind it take minutes")
         return
-    wanted = in_chapters(*_CHAPTERS)
-    judged: dict[str, Judged] = {}
+    judged: list[Judged] = []
     for name in dict.fromkeys(one.study for one in PUBLISHED.values() if one.study):
-        judged |= {one.key: one for one in study_named(name).run(run.say).judged}
-    inside = [
-        one
-        for one in judged.values()
-        if one.published.chapter in range(_CHAPTERS[0], _CHAPTERS[1] + 1) and one.verdict != "not measured"
-    ]
+        judged += study_named(name).run(run.say).judged
+    yield from counted(judged)
+
+
+def counted(judged: Sequence[Judged]) -> Iterator[Found]:
+    """Yield how many numbers have a verdict and how many are met, with what is missed and what has none."""
+    wanted = in_chapters(*_CHAPTERS)
+    inside = [one for one in judged if one.published in wanted and one.verdict != "not measured"]
     yield Figure("rows", float(len(inside)), f"of {len(wanted)} published numbers of chapters 5 to 7")
     yield Figure("met", float(sum(one.verdict == "met" for one in inside)), f"of these {len(inside)}")
-    missed = [
-        f"{one.published.place}, {one.published.what}" for one in judged.values() if one.verdict == "missed"
-    ]
-    reasons = dict.fromkeys(one.why_not for one in wanted if one.why_not)
-    without = sum(bool(one.why_not) for one in wanted)
+    without = [one for one in wanted if one.why_not]
+    reasons = "; ".join(dict.fromkeys(one.why_not for one in without))
     yield Condition(
         "rows",
         "numbers that the thesis publishes as results in chapters 5 to 7, which a study compares with its "
-        f"own and with exact truth; cameras of 512 px; {without} have none: {'; '.join(reasons)}",
+        f"own and with exact truth; cameras of 512 px; {len(without)} have no study: {reasons}",
     )
+    missed = [f"{one.published.place}, {one.published.what}" for one in judged if one.verdict == "missed"]
     yield Condition("met", f"missed, section 4.6 included: {'; '.join(missed) or 'none'}")
 
 

@@ -218,7 +218,8 @@ def run_at(size: Size, say: Callable[[str], None], labels: Sequence[str] = ()) -
         true_tip, _ = tip_of(nets[2], nets[1])
         rows.append(
             (
-                state.label, load, *cells, *(_MICROSTRAIN * np.sqrt(squared[:2] / strained)),
+                state.label, load, *cells,
+                *(float(v) for v in _MICROSTRAIN * np.sqrt(squared[:2] / strained)),
                 float(np.sqrt(squared[2] / moved)), rms(np.linalg.norm(apart, axis=1)),
                 true_tip, tip, (tip - true_tip) / tip_sigma,
             )

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 
+from sms_jobs.bench.figures import Condition, Figure, Run
+from sms_jobs.bench.groups import thesis
 from sms_jobs.bench.published import COLUMNS, PUBLISHED, Judged, in_chapters
 from sms_jobs.bench.studies import all_studies
 
@@ -54,3 +57,27 @@ def test_z_is_of_what_has_a_truth_and_a_deviation() -> None:
     assert Judged("wing-1955-1", 1700.0, 1612.0, 40.0).z == pytest.approx(2.2)
     assert Judged("wing-1955-1", 1700.0, 1612.0).z is None
     assert Judged("motion-largest", 0.1).z is None
+
+
+def test_numbers_with_a_verdict_are_counted_and_what_is_missed_is_named() -> None:
+    judged = [
+        Judged("motion-largest", 0.2),
+        Judged("hat-pairs", 0.05),
+        Judged("plate-better", 3.0),
+        Judged("wing-1955-1", float("nan"), 1612.0),
+    ]
+    found = list(thesis.counted(judged))
+    figures = {one.name: one for one in found if isinstance(one, Figure)}
+    # Section 4.6 is not of chapters 5 to 7, and what was not measured has no verdict.
+    assert (figures["rows"].value, figures["met"].value) == (2.0, 1.0)
+    assert f"of {len(in_chapters(5, 7))} published" in figures["rows"].unit
+    told = {one.topic: one.text for one in found if isinstance(one, Condition)}
+    assert "Fig. 53, mean displacement, largest error, mm; Fig. 111, lit twice" in told["met"]
+    assert "lost in the text at hand" in told["rows"]
+
+
+def test_a_quick_run_leaves_the_studies_out(tmp_path: Path) -> None:
+    figure, condition = thesis.measure(Run(True, print, 1, tmp_path))
+    assert isinstance(figure, Figure)
+    assert figure.value is None
+    assert isinstance(condition, Condition)
