@@ -25,6 +25,7 @@ from sms_jobs.records.fields import (
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.observations import BarObservation, BoardObservation
+from sms_jobs.records.quick_look import QuickLook
 from sms_jobs.records.recording import FramesBetween, InterruptedRecording, Recording
 from sms_jobs.records.rigid_motion import RegionMotion
 from sms_jobs.records.sensors import Calibration
@@ -95,6 +96,7 @@ MATCHES = Product("matches", ImageMatches)
 REGIONS = Product("regions", Regions)
 STRAIN = Product("strain", StrainField)
 GAUGES = Product("gauges", GaugeReadings)
+QUICK_LOOK = Product("look", QuickLook)
 CRACKS = Product("cracks", CrackOpenings)
 RELATIVE = Product("relative", DisplacementField)
 MOTION = Product("motion", RegionMotion)

@@ -27,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.calibration_factors import calibration_factor, median_part, position_sigma
 from sms_jobs.kinds.kind import (
     CALIBRATION,
@@ -56,25 +55,21 @@ from sms_jobs.kinds.shape.direction_check import check_directions
 from sms_jobs.kinds.shape.fringe_response import SampledResponse
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, PhaseTask, mark
 from sms_jobs.kinds.shape.phases import find_phases, sensor_pair
+from sms_jobs.kinds.shape.trusted_points import (
+    LARGEST_SHIFT_PX,
+    as_surface,
+    gap_sigma_px,
+    mark_points,
+    paired_sensors,
+)
 from sms_jobs.kinds.valid_parts import fractions, losses
-from sms_jobs.metrology.calibration.expected_gap import expected_gap_px
-from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.triangulation import Triangulation
-from sms_jobs.metrology.images.masks import at_edge, large_ray_gap, outside_box
 from sms_jobs.metrology.phase.response import corrected_gradient
 from sms_jobs.metrology.phase.texture_error import Blur, correct_texture
-from sms_jobs.metrology.surfaces.mixed_pixels import between_surfaces
 from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.fields import PhaseMaps, ReturnMaps, Surface
+from sms_jobs.records.fields import PhaseMaps, ReturnMaps
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
-from sms_jobs.records.views import Role
-
-# Of good pixels 0.2 % fail by noise: four that touch each other do so once in many million images.
-_SMALLEST_GAP = 4
-_UNSTATED_PX = 0.05
-"""Ray gap from a calibration that says nothing of itself; one with residuals of 0.1 px has about that."""
 
 Reasons = NDArray[np.uint32]
 
@@ -89,7 +84,7 @@ class ReconstructParameters(PhaseParameters):
         "error; found from the ray gaps if not given, 0 for no correction",
     )
     maximum_shift_px: float = Field(
-        0.5,
+        LARGEST_SHIFT_PX,
         gt=0.0,
         description="how far off its centre a pixel's light may come from: beyond is the edge of a surface",
     )
@@ -108,21 +103,9 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     """Unwrap and triangulate a tuple slab by slab, and say of every pixel whether it can be trusted."""
     measurement = inputs.read(_FRAMES, MEASURED)
     calibration = inputs.read(_CALIBRATION, CALIBRATED)
-    camera_name, projector_name = inputs.view.camera, inputs.view.projector
-    camera = calibration.rig.sensor(camera_name)
-    projector = calibration.rig.sensor(projector_name)
-    if (camera.role, projector.role) != (Role.CAMERA, Role.PROJECTOR):
-        raise InvalidInput(
-            f"{inputs.subject} is not of a camera and a projector of rig {calibration.rig.name}"
-        )
-    _, rows, columns = measurement.frames.shape
-    if (rows, columns) != (camera.rows, camera.columns):
-        raise InvalidInput(
-            f"the frames of {inputs.subject} are {columns} x {rows} px but {camera_name} is calibrated for "
-            f"{camera.columns} x {camera.rows} px: choose the calibration of the camera that recorded them"
-        )
+    camera, projector = paired_sensors(inputs, calibration, measurement)
     pair = sensor_pair(camera, projector, measurement.sequence, inputs.threads)
-    geometry = Geometry(pair, calibration.volume, _gap_sigma_px(inputs, parameters, calibration))
+    geometry = Geometry(pair, calibration.volume, gap_sigma_px(inputs, _CALIBRATION, parameters, calibration))
     task = PhaseTask(inputs.subject, measurement, parameters, inputs.threads, geometry)
     found = find_phases(task, progress)
     phase, reason = found.maps, found.reason
@@ -140,8 +123,8 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     mark(reason, beside, Reason.OUTSIDE_REGION)
     progress(0.9, "corrected for the texture")
     points = pair.meet(phase.omega, phase.omega_sigma, part=part)
-    _mark_points(points, geometry, parameters, reason)
-    surface = _as_surface(str(inputs.view), points, reason)
+    mark_points(points, geometry, parameters, reason)
+    surface = as_surface(str(inputs.view), points, reason)
     statistics = _statistics(points, phase, reason, blur)
     records: dict[Product[Any], object] = {SURFACE: surface, PHASE: phase}
     factor = calibration_factor(inputs, _CALIBRATION, calibration, measurement.sequence.orientations_rad)
@@ -158,56 +141,6 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     if phase.exposure is not None:
         statistics |= _exposure_statistics(phase.exposure, measurement.sequence.exposures)
     yield DatasetOutput(inputs.subject, records, statistics)
-
-
-def _gap_sigma_px(inputs: Inputs, parameters: ReconstructParameters, calibration: Calibration) -> float:
-    """Return by how much the rays may miss each other because of the calibration, in projector pixels."""
-    if parameters.calibration_sigma_px is not None:
-        return parameters.calibration_sigma_px
-    if not inputs.has(_CALIBRATION, UNCERTAINTY):
-        return _UNSTATED_PX
-    names = (inputs.view.camera, inputs.view.projector)
-    camera, projector = ((s.intrinsics, s.pose) for s in map(calibration.rig.sensor, names))
-    places = box_grid(np.array(calibration.volume.low), np.array(calibration.volume.high), per_side=3)
-    covariance = inputs.read(_CALIBRATION, UNCERTAINTY).of(names)
-    return expected_gap_px(camera, projector, covariance, places)
-
-
-def _mark_points(
-    points: Triangulation, geometry: Geometry, parameters: ReconstructParameters, reason: Reasons
-) -> None:
-    """Mark the pixels whose point cannot be trusted.
-
-    One whose rays do not meet, or so flatly that its covariance is beyond all numbers, is out of volume.
-    """
-    pair, volume = geometry.pair, geometry.volume
-    outside = outside_box(points.xyz, volume.low, volume.high)
-    nowhere = ~np.isfinite(points.covariance).all(axis=0) & (reason & Reason.SATURATED == 0)
-    mark(reason, outside | nowhere, Reason.OUT_OF_VOLUME)
-    apart = large_ray_gap(
-        points.ray_gap,
-        points.ray_gap_sigma,
-        geometry.gap_sigma_mm(points.xyz),
-        parameters.maximum_ray_gap_to_noise,
-    )
-    mark(reason, apart, Reason.LARGE_RAY_GAP)
-    known = reason == Reason.VALID
-    mark(reason, at_edge(known, _SMALLEST_GAP), Reason.OUTSIDE_REGION)
-    asked = reason == Reason.VALID
-    mixed = between_surfaces(
-        points.xyz, points.covariance, known, asked, pair.intrinsics, pair.pose, pair.threads
-    )
-    mark(reason, mixed, Reason.BETWEEN_SURFACES)
-
-
-def _as_surface(view: str, points: Triangulation, reason: Reasons) -> Surface:
-    """Return the surface, NaN where there is a reason."""
-    bad = reason != Reason.VALID
-    for values in (points.xyz, points.covariance, points.ray_gap[None], points.part[None]):
-        values[:, bad] = np.nan
-    return Surface(
-        view, "mm", points.xyz, reason, points.covariance, points.ray_gap, texture_part=points.part
-    )
 
 
 def _statistics(points: Triangulation, phase: PhaseMaps, reason: Reasons, blur: Blur) -> dict[str, float]:

@@ -1,0 +1,118 @@
+"""The surface of a camera and a projector at some pixels of the image only, in a second."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sms_jobs.kinds.kind import Inputs, Port, Progress
+from sms_jobs.kinds.products import CALIBRATED
+from sms_jobs.kinds.shape.direction_check import check_directions
+from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, PhaseTask, mark
+from sms_jobs.kinds.shape.phases import find_phases, sensor_pair
+from sms_jobs.kinds.shape.trusted_points import (
+    LARGEST_SHIFT_PX,
+    as_surface,
+    gap_sigma_px,
+    mark_points,
+    paired_sensors,
+)
+from sms_jobs.metrology.deformation.gauge_points import SparseSurface
+from sms_jobs.metrology.images.segmentation import label_regions, pixel_footprint
+from sms_jobs.metrology.phase.texture_error import correct_texture
+from sms_jobs.records.fields import Surface
+from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.sensors import Sensor
+
+_PARAMETERS = PhaseParameters()
+_LEAST_AREA = 30
+"""Places of a region: a gauge's end is fitted to as many."""
+
+
+def first_px(step: int) -> int:
+    """Return the first pixel, of rows and of columns, that gets a position."""
+    return step // 2
+
+
+def sparse_surface(
+    inputs: Inputs, port: Port, measurement: Measurement, step: int, progress: Progress
+) -> Surface:
+    """Return the points of every `step`-th pixel, (3, rows, columns) of those alone.
+
+    Phases are found, checked and corrected for the texture at every pixel, as by `reconstruct`: that takes
+    less time than reading the frames.
+
+    Parameters
+    ----------
+    port
+        Of the calibration.
+
+    Raises
+    ------
+    InvalidInput
+        The calibration is not of the sensors that recorded it.
+    MeasurementFailed
+        The frames are not what is told of them.
+    """
+    calibration = inputs.read(port, CALIBRATED)
+    camera, projector = paired_sensors(inputs, calibration, measurement)
+    sequence, threads = measurement.sequence, inputs.threads
+    pair = sensor_pair(camera, projector, sequence, threads)
+    geometry = Geometry(pair, calibration.volume, gap_sigma_px(inputs, port, _PARAMETERS, calibration))
+    found = find_phases(PhaseTask(inputs.subject, measurement, _PARAMETERS, threads, geometry), progress)
+    phase, reason = found.maps, found.reason
+    check_directions(inputs.subject, geometry, phase, reason == Reason.VALID)
+    _, beside, part = correct_texture(
+        phase.omega,
+        phase.omega_sigma,
+        phase.modulation,
+        reason == Reason.VALID,
+        pair.meet,
+        maximum_shift_px=LARGEST_SHIFT_PX,
+        threads=threads,
+    )
+    mark(reason, beside, Reason.OUTSIDE_REGION)
+    chosen = slice(first_px(step), None, step)
+    thinned = replace(geometry, pair=sensor_pair(thinned_sensor(camera, step), projector, sequence, threads))
+    reason = np.ascontiguousarray(reason[chosen, chosen])
+    points = thinned.pair.meet(
+        np.ascontiguousarray(phase.omega[:, chosen, chosen]),
+        np.ascontiguousarray(phase.omega_sigma[:, chosen, chosen]),
+        part=np.ascontiguousarray(part[:, chosen, chosen]),
+    )
+    mark_points(points, thinned, _PARAMETERS, reason)
+    return as_surface(str(inputs.view), points, reason)
+
+
+def with_regions(inputs: Inputs, port: Port, surface: Surface, step: int) -> SparseSurface:
+    """Return a sparse surface with its continuous regions; `port` is that of the calibration."""
+    camera = thinned_sensor(inputs.read(port, CALIBRATED).rig.sensor(surface.camera), step)
+    covariance = np.asarray(surface.covariance)
+    regions = label_regions(
+        surface.position,
+        surface.reason == Reason.VALID,
+        np.sqrt(covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64)),
+        pixel_footprint(surface.position, camera.intrinsics, camera.pose),
+        minimum_area=_LEAST_AREA,
+        threads=inputs.threads,
+    )
+    return SparseSurface(surface.position, covariance, regions.labels, step, first_px(step))
+
+
+def thinned_sensor(camera: Sensor, step: int) -> Sensor:
+    """Return a camera that has every `step`-th pixel of another one alone."""
+    first, inner = first_px(step), camera.intrinsics
+    return replace(
+        camera,
+        columns=len(range(first, camera.columns, step)),
+        rows=len(range(first, camera.rows, step)),
+        intrinsics=replace(
+            inner,
+            fx=inner.fx / step,
+            fy=inner.fy / step,
+            cx=(inner.cx - first) / step,
+            cy=(inner.cy - first) / step,
+        ),
+    )
