@@ -18,7 +18,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.errors import SmsError
 from sms_jobs.instruments.connection import channel_reader
 from sms_jobs.instruments.holding import Detector, Hold, HoldDetector, StandstillDetector
-from sms_jobs.jobs import due_recordings, watched_rigs
+from sms_jobs.jobs import due_recordings, quick_looks, watched_rigs
 from sms_jobs.jobs.due_recordings import Due
 from sms_jobs.kinds.kind import rig_queue
 from sms_jobs.records.triggers import Every, Holding, InTurn, Watched
@@ -124,6 +124,7 @@ class Planner:
     def look(self, now: datetime) -> None:
         """Note what is recorded, begin what is due, and see which channels are to be watched."""
         due_recordings.settle(self._services.catalogue)
+        quick_looks.judge(self._services.catalogue, now)
         with self._services.catalogue.reading() as session:
             following = due_recordings.due(session)
         watched: dict[str, Watch] = {}

@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING, TypeAlias
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row, definition
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.jobs import planned_recordings
+from sms_jobs.records.gauge_limits import NO_LOOK, GaugeLimit, Look
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
 from sms_jobs.records.triggers import Counted, Every, Holding, InTurn, Trigger
 from sms_jobs.records.units import Typed, in_unit_of_name
 
 if TYPE_CHECKING:
-    from sms_jobs.records.campaign import LoadState
+    from sms_jobs.records.campaign import Campaign, LoadState
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ def plan(
     *,
     ask: bool = False,
     process: bool = False,
+    look: Look = NO_LOOK,
 ) -> list[PlannedRecording]:
     """Plan recordings, behind those that are planned, and return the whole plan of the campaign.
 
@@ -89,16 +91,19 @@ def plan(
         All that are neither recorded nor planned nor skipped if there is none.
     ask, process
         See `recordings.record`.
+    look
+        Whether there is a quick look at each state once it is recorded, and which limits hold the plan.
 
     Raises
     ------
     NotFound
-        There is no such campaign or state; or the rig of the channel is not connected to this host.
+        There is no such campaign, state or gauge; or the rig of the channel is not connected to this host.
     Conflict
         A state is recorded, or being recorded; or nothing is left.
     InvalidInput
         The campaign is a calibration session, before whose poses somebody has to be there; the test plan does
-        not say what the channel reads at a state; or what is waited for does not fit channel or states.
+        not say what the channel reads at a state; what is waited for does not fit channel or states; or there
+        is no view of a camera and a projector to look at.
     """
     # Which loads the kinds; nothing else here needs them.
     from sms_jobs.jobs import due_recordings
@@ -106,11 +111,35 @@ def plan(
     now = datetime.now(UTC)
     with services.catalogue.reading() as session:
         left = due_recordings.plannable(session, campaign, states)
-        rig = definition(campaign_row(session, campaign)).rig
-    wanted = _wanted(services, rig, left, when, named=bool(states))
+        defined = definition(campaign_row(session, campaign))
+    if look.wanted:
+        _require_looked_at(defined, look.stop_if)
+    wanted = _wanted(services, defined.rig, left, when, named=bool(states))
     with services.catalogue.writing() as session:
-        planned_recordings.put(session, campaign, wanted, services.actor.name, now, ask=ask, process=process)
+        planned_recordings.put(
+            session, campaign, wanted, services.actor.name, now, ask=ask, process=process, look=look
+        )
         return planned_recordings.shown(session, now, campaign)
+
+
+def _require_looked_at(campaign: Campaign, stop_if: Sequence[GaugeLimit]) -> None:
+    """Raise `InvalidInput` without a view to look at, and `NotFound` for a gauge that is not described."""
+    # Which loads the kinds, as the states have by now.
+    from sms_jobs.formats.gauge_descriptions import described_gauge
+    from sms_jobs.kinds.deformation.quick_look import declared_gauges
+
+    if not campaign.fringe_views:
+        raise InvalidInput(
+            f"{campaign.name} has no view of a camera and a projector, and others have no quick look; leave "
+            "--look and --stop-if out"
+        )
+    known = [described_gauge(text).name for text in declared_gauges(campaign)]
+    for limit in stop_if:
+        if limit.gauge not in known:
+            raise NotFound(
+                f"{campaign.name} has no gauge '{limit.gauge}' in mm; it has {', '.join(known) or 'none'}: "
+                "describe it under [processing.gauges] of the test plan"
+            )
 
 
 def _wanted(

@@ -3,7 +3,7 @@
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ForeignKey
+from sqlalchemy import JSON, ForeignKey, false
 from sqlalchemy.orm import Mapped, mapped_column
 
 from sms_jobs.catalogue.columns import MessageText, String
@@ -38,3 +38,11 @@ class PlannedRecordingRow(Table):
     seen_at: Mapped[datetime | None]
     note: Mapped[str | None] = mapped_column(MessageText)
     """What keeps it from being watched, or was found when it was recorded."""
+    look: Mapped[bool] = mapped_column(server_default=false())
+    """Whether there is to be a quick look at it once it is recorded."""
+    stop_if: Mapped[list[dict[str, Any]]] = mapped_column(JSON, server_default="[]")
+    """Limits beyond which that holds the plan, see `records.gauge_limits`."""
+    awaited: Mapped[bool] = mapped_column(server_default=false())
+    """Whether nothing behind it begins before its quick look was held against the limits."""
+    stopped_by: Mapped[str | None] = mapped_column(MessageText)
+    """Which limit has held the plan after it, until somebody lets it go on."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from contextlib import suppress
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
@@ -9,12 +11,14 @@ import typer
 from typer.core import TyperGroup
 
 from sms_jobs import bootstrap
-from sms_jobs.app import planned_recordings
+from sms_jobs.app import planned_recordings, quick_looks
 from sms_jobs.app.planned_recordings import AtCycles, AtLoad, InTime, When
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
+from sms_jobs.records.gauge_limits import Look, gauge_limit
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
+from sms_jobs.records.shown.quick_looks import GaugeLook, QuickLookView
 from sms_jobs.records.units import duration_s, typed
 
 _LONGEST_S = 30 * 86400.0
@@ -22,6 +26,9 @@ _HOLD = "5s"
 _LONGEST_HOLD_S = 86400.0
 _COUNTER = "cycles"
 _DIGITS = 15
+_EVERY_S = 1.0
+_LAST_READ = "; it read "
+_LOOK_COLUMNS = ("quick look at", "is", "lit part", "gauges", "doubts")
 
 
 class _PlanOrCommand(TyperGroup):
@@ -48,6 +55,14 @@ Campaign = Annotated[
 ]
 Ask = Annotated[
     bool, typer.Option("--ask", help="Ask an operator about a doubtful set instead of keeping it.")
+]
+StopIf = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--stop-if",
+        help="Hold the plan where the quick look at a state finds this, such as 'g1.extension_mm > 0.5mm'; "
+        "can be repeated. --look is not needed then.",
+    ),
 ]
 Process = Annotated[bool, typer.Option("--process", help="Process each state as soon as it is recorded.")]
 States = Annotated[
@@ -96,6 +111,10 @@ def add(
     ] = None,
     ask: Ask = False,
     process: Process = False,
+    look: Annotated[
+        bool, typer.Option("--look", help="Take a quick look at each state, seconds after it is recorded.")
+    ] = False,
+    stop_if: StopIf = None,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
@@ -111,11 +130,20 @@ def add(
     Example: sms acquire plan wing-fatigue --every 15min --process
 
     Example: sms acquire plan wing-fatigue --state S07 --next
+
+    Example: sms acquire plan wing-fatigue --next --stop-if 'g1.extension_mm > 0.5mm'
     """
     when = _when(on, tolerance, hold, at_cycles, every, next_)
+    limits = tuple(gauge_limit(text, "--stop-if") for text in stop_if or ())
     with bootstrap.services(home) as services:
         found = planned_recordings.plan(
-            services, campaign, when, tuple(state or ()), ask=ask, process=process
+            services,
+            campaign,
+            when,
+            tuple(state or ()),
+            ask=ask,
+            process=process,
+            look=Look(look or bool(limits), limits),
         )
     _tell(found, as_json)
 
@@ -178,7 +206,85 @@ def show(
     """
     with bootstrap.services(home) as services:
         found = planned_recordings.show(services, campaign)
+        seen = [look for name in _campaigns(found) for look in quick_looks.show(services, name)]
     _tell(found, as_json)
+    if seen and not as_json:
+        output.print_table(_LOOK_COLUMNS, map(_look_row, seen), empty="")
+
+
+@app.command()
+def looks(campaign: Campaign, home: Home = None, as_json: Json = False) -> None:
+    """Show what quick looks have found: shape, gauges in mm with standard deviations, and what is doubted.
+
+    Example: sms acquire plan looks wing-fatigue
+    """
+    with bootstrap.services(home) as services:
+        found = quick_looks.show(services, campaign)
+    if as_json:
+        output.print_json_list(found)
+        return
+    output.print_table(
+        _LOOK_COLUMNS, map(_look_row, found), empty="there is no quick look; see 'sms acquire plan --help'"
+    )
+
+
+@app.command()
+def watch(campaign: Campaign, home: Home = None) -> None:
+    """Tell what happens to a plan until it has ended, or until Ctrl-C; the bell rings when it is stopped.
+
+    Example: sms acquire plan watch wing-fatigue
+    """
+    told: dict[str, str] = {}
+
+    def tell(about: str, words: str) -> bool:
+        is_new = told.get(about) != words
+        told[about] = words
+        if is_new and words:
+            output.print_sentence(words)
+        return is_new and bool(words)
+
+    with bootstrap.services(home) as services, suppress(KeyboardInterrupt):
+        while True:
+            found, seen = planned_recordings.show(services, campaign), quick_looks.show(services, campaign)
+            for look in seen:
+                tell(look.job_id, "" if _is_coming(look) else _look_sentence(look))
+            for one in found:
+                if one.is_next:
+                    waits = one.waits_for.partition(_LAST_READ)[0]
+                    tell("next", f"{campaign}/{one.state} is next: {waits}")
+                stopped = f"{campaign} is held: {one.stopped_by}" if one.stopped_by else ""
+                if tell(one.state, stopped):
+                    output.answer().bell()
+            if not any(one.is_next for one in found) and not any(map(_is_coming, seen)):
+                return
+            time.sleep(_EVERY_S)
+
+
+def _is_coming(look: QuickLookView) -> bool:
+    return look.looked_at is None and not look.doubts
+
+
+def _campaigns(found: list[PlannedRecording]) -> list[str]:
+    return list(dict.fromkeys(one.campaign for one in found))
+
+
+def _look_sentence(look: QuickLookView) -> str:
+    about, *cells = _look_row(look)
+    return "; ".join([f"quick look at {about}", *(str(cell) for cell in cells if cell)])
+
+
+def _look_row(look: QuickLookView) -> tuple[str, ...]:
+    shape = "" if look.valid_fraction is None else f"shape of {look.valid_fraction:.0%}"
+    read = [_gauge_words(gauge) for gauge in look.gauges]
+    if look.gauges_lost:
+        read.append(f"{look.gauges_lost} without a value")
+    return f"{look.campaign}/{look.state}/{look.view}", look.status, shape, "; ".join(read), look.doubts
+
+
+def _gauge_words(gauge: GaugeLook) -> str:
+    moved = ", ".join(f"{value:.3f}" for value in (gauge.x_mm, gauge.y_mm, gauge.z_mm))
+    longer = f"{gauge.extension_mm:+.3f} +- {gauge.extension_sigma_mm:.3f}"
+    return f"{gauge.name} longer by {longer}, moved by {moved} mm"
 
 
 @app.command()

@@ -16,14 +16,17 @@ from typing import TYPE_CHECKING
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session, aliased
 
-from sms_jobs.catalogue.campaigns import campaign_row, definition
+from sms_jobs.archive import DATASET_MEDIA_TYPE
+from sms_jobs.catalogue.campaigns import campaign_row, definition, newest_file
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow, StatisticRow
 from sms_jobs.catalogue.planned_tables import PlannedRecordingRow
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs import locks, planned_recordings, recordings
 from sms_jobs.jobs.planned_recordings import Planned
+from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.submission import Draft, draft, enter, while_outdated
+from sms_jobs.kinds.deformation.quick_look import KIND as LOOK
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records import triggers
@@ -35,6 +38,10 @@ from sms_jobs.records.units import in_unit_of_name
 
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import LoadState
+
+
+_FIRST = 100
+"""Priority of quick looks: the highest that there is, so that they come before results of other states."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +60,7 @@ class Due:
         When the recording before it was due; None where there was none.
     planned_at, planned_by
         When, and by whom.
-    ask, process
+    ask, process, look
         See `recordings.requests`.
     note
         What is known to keep it from being watched.
@@ -70,6 +77,7 @@ class Due:
     planned_by: str
     ask: bool
     process: bool
+    look: bool
     note: str | None
 
     @property
@@ -116,8 +124,17 @@ def plannable(session: Session, campaign: str, labels: Collection[str] = ()) -> 
 
 
 def due(session: Session) -> list[Due]:
-    """Return of each campaign the recording that comes next, where it has not begun and is not held back."""
-    following = [one for one in planned_recordings.next_ones(session) if one.job is None and not one.row.held]
+    """Return of each campaign the recording that comes next, where it has not begun and may begin.
+
+    What keeps it is somebody, or a quick look that was not held against its limits yet.
+    """
+    awaited = select(PlannedRecordingRow.campaign_id).where(planned_recordings.AWAITED)
+    looked_at = set(session.scalars(awaited))
+    following = [
+        one
+        for one in planned_recordings.next_ones(session)
+        if one.job is None and not one.row.held and one.row.campaign_id not in looked_at
+    ]
     if not following:
         return []
     last = dict(
@@ -140,6 +157,7 @@ def due(session: Session) -> list[Due]:
             one.row.planned_by,
             one.row.ask,
             one.row.process,
+            one.row.look,
             one.row.note,
         )
         for one in following
@@ -252,7 +270,8 @@ def rehearse(catalogue: Catalogue, one: Due, now: datetime) -> None:
 
 
 def _drafted(session: Session, one: Due, now: datetime) -> Draft:
-    wanted = recordings.requests((one.label,), ask=one.ask, process=one.process)
+    look = _look(session, one) if one.look else None
+    wanted = recordings.requests((one.label,), ask=one.ask, process=one.process, look=look)
     by = f"plan of {one.planned_by}"[:80]
     planned = draft(session, one.campaign, wanted, now, by=by, key=one.key).whole()
     other = _others(session, one.campaign, one.label)
@@ -267,6 +286,18 @@ def _recording(planned: Draft) -> str:
     """Return the id of the job that records."""
     submitted = planned.submission
     return submitted.job_ids[submitted.kinds.index(KIND.name)]
+
+
+def _look(session: Session, one: Due) -> Request:
+    """Return the quick look at a state: at its shape alone where views have no reference."""
+    campaign = definition(campaign_row(session, one.campaign))
+    rest = campaign.reference.label
+    there = (
+        newest_file(session, MEASUREMENT, Subject(one.campaign, rest, view), DATASET_MEDIA_TYPE)
+        for view in campaign.fringe_views
+    )
+    alone = one.label != rest and None in there
+    return Request(LOOK.name, {"alone": alone}, (one.label,), priority=_FIRST)
 
 
 def _begin(catalogue: Catalogue, one: Due, due_at: datetime, now: datetime, holder: str | None) -> str | None:

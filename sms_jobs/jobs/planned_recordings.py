@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 from datetime import datetime
 from typing import NamedTuple
 
-from sqlalchemy import ColumnElement, and_, func, select
+from sqlalchemy import ColumnElement, and_, func, or_, select, update
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.campaigns import campaign_id, state_ids
@@ -25,6 +25,7 @@ from sms_jobs.catalogue.planned_tables import PlannedRecordingRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.kinds.kind import rig_queue
 from sms_jobs.records import triggers
+from sms_jobs.records.gauge_limits import NO_LOOK, GaugeLimit, Look
 from sms_jobs.records.job import ALIVE_WITHIN, SHORT_ID, JobState
 from sms_jobs.records.shown.planned_recordings import PlannedRecording, Status
 from sms_jobs.records.triggers import Every, Trigger
@@ -32,6 +33,9 @@ from sms_jobs.records.triggers import Every, Trigger
 _OPEN = (Status.PLANNED.value, Status.BEGUN.value)
 OPEN = PlannedRecordingRow.status.in_(_OPEN)
 """Of a row that was neither skipped nor noted as recorded."""
+AWAITED = and_(PlannedRecordingRow.status == Status.RECORDED.value, PlannedRecordingRow.awaited.is_(True))
+"""Of a row whose quick look was not held against its limits yet."""
+_RECORDED = Status.RECORDED.value
 _RUNS = (JobState.QUEUED, JobState.WAITING, JobState.RUNNING, JobState.LOST)
 
 
@@ -57,8 +61,8 @@ def planned(session: Session, campaigns: Collection[int]) -> list[Planned]:
 
 
 def anything_open(session: Session) -> bool:
-    """Say whether any recording is planned that was neither skipped nor noted as recorded."""
-    return bool(session.scalar(select(select(PlannedRecordingRow.id).where(OPEN).exists())))
+    """Say whether any recording is planned that was neither skipped nor noted as recorded and looked at."""
+    return bool(session.scalar(select(select(PlannedRecordingRow.id).where(or_(OPEN, AWAITED)).exists())))
 
 
 def next_ones(session: Session) -> list[Planned]:
@@ -102,8 +106,20 @@ def put(
     *,
     ask: bool = False,
     process: bool = False,
+    look: Look = NO_LOOK,
 ) -> None:
     """Plan recordings of states, behind those that are planned; one that is planned gets the new trigger.
+
+    Parameters
+    ----------
+    wanted
+        Labels of states, and what each waits for.
+    by
+        Who plans it.
+    ask, process
+        See `recordings.requests`.
+    look
+        Whether there is to be a quick look at each, and where that holds the plan.
 
     Raises
     ------
@@ -119,7 +135,7 @@ def put(
     for label, trigger in wanted:
         if label not in known:
             raise NotFound(f"campaign {campaign} has no state {label}; 'sms campaign add-state' adds one")
-        values = {"trigger": triggers.as_json(trigger), "ask": ask, "process": process}
+        values = {"trigger": triggers.as_json(trigger), "ask": ask, "process": process, **_looked_at(look)}
         said = {"planned_at": now, "planned_by": by, "seen": None, "seen_at": None, "note": None}
         found = there.get(label)
         if found is not None and found.row.status not in (Status.PLANNED.value, Status.SKIPPED.value):
@@ -145,6 +161,12 @@ def put(
             )
 
 
+def _looked_at(look: Look) -> dict[str, object]:
+    """Return what a row keeps of the look that is wanted."""
+    limits = [limit.as_json() for limit in look.stop_if]
+    return {"look": look.wanted, "stop_if": limits, "awaited": bool(limits), "stopped_by": None}
+
+
 def set_held(session: Session, campaign: str, labels: Collection[str], held: bool) -> list[str]:
     """Hold some planned recordings back, or all, or let them go on; return the states that changed.
 
@@ -159,6 +181,13 @@ def set_held(session: Session, campaign: str, labels: Collection[str], held: boo
         changed = one.row.held is not held
         one.row.held = held
         return changed
+
+    if not held:
+        session.execute(
+            update(PlannedRecordingRow)
+            .where(PlannedRecordingRow.campaign_id == _locked(session, campaign))
+            .values(stopped_by=None)
+        )
 
     return _each(session, campaign, labels, hold)
 
@@ -268,7 +297,8 @@ def _served(session: Session, now: datetime) -> set[str]:
 def _shown(one: Planned, rows: Sequence[Planned], served: Collection[str], is_next: bool) -> PlannedRecording:
     row, trigger = one.row, triggers.from_json(one.row.trigger)
     due = [r.row.due_at for r in rows if r.campaign == one.campaign and r.row.due_at is not None]
-    waits_for = _waits_for(one, trigger, max(due, default=None)) if is_next else ""
+    own = [r for r in rows if r.campaign == one.campaign]
+    waits_for = _waits_for(one, trigger, max(due, default=None), own) if is_next else ""
     if is_next and (queue := rig_queue(one.rig)) not in served:
         waits_for += f"; no worker serves {queue}: start 'sms up' on the host of the rig"
     return PlannedRecording(
@@ -284,6 +314,8 @@ def _shown(one: Planned, rows: Sequence[Planned], served: Collection[str], is_ne
         row.job_id,
         row.planned_by,
         row.note or "",
+        tuple(str(GaugeLimit.from_json(kept)) for kept in row.stop_if),
+        row.stopped_by or "",
     )
 
 
@@ -293,11 +325,15 @@ def _status(one: Planned) -> str:
     return "held" if one.row.held and one.row.status == Status.PLANNED.value else one.row.status
 
 
-def _waits_for(one: Planned, trigger: Trigger, before: datetime | None) -> str:
+def _waits_for(one: Planned, trigger: Trigger, before: datetime | None, rows: Sequence[Planned]) -> str:
     if one.job is not None:
         return _why_not(one)
     if one.row.held:
-        return f"it is held back; 'sms acquire plan go {one.campaign}' lets it go on"
+        why = next((f": {each.row.stopped_by}" for each in rows if each.row.stopped_by), "")
+        return f"it is held back{why}; 'sms acquire plan go {one.campaign}' lets it go on"
+    looked = next((each.label for each in rows if each.row.awaited and each.row.status == _RECORDED), None)
+    if looked is not None:
+        return f"waits for the quick look at {looked}; 'sms acquire plan show {one.campaign}' tells of it"
     words = f"waits for its time: {trigger}"
     if isinstance(trigger, Every):
         due = trigger.next_time(before)

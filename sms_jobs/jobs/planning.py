@@ -43,12 +43,15 @@ class Request:
         By name; for the pipeline, by `kind.name`.
     states, views
         Empty for all.
+    priority
+        By how much its jobs come before the others of their submission.
     """
 
     kind: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
     states: tuple[str, ...] = ()
     views: tuple[str, ...] = ()
+    priority: int = 0
 
 
 def given_parameters(requests: Iterable[Request]) -> dict[str, Any]:
@@ -85,6 +88,7 @@ class PlannedJob:
     subject: Subject
     parameters: Parameters
     inputs: tuple[PlannedInput, ...]
+    priority: int = 0
 
 
 @dataclass(frozen=True)
@@ -193,6 +197,7 @@ def plan_possible(
                 PlannedInput(need, existing, None if producer is None else place[producer])
                 for need, producer, existing in nodes[name, subject].inputs
             ),
+            requested[name].request.priority,
         )
         for name, subject in order
     )

@@ -128,9 +128,12 @@ def recording_row(session: Session, prefix: str) -> JobRow:
     return row
 
 
-def requests(states: tuple[str, ...], *, ask: bool, process: bool) -> list[Request]:
-    """Return what records some states, asking about doubtful sets and processing each where wished."""
+def requests(
+    states: tuple[str, ...], *, ask: bool, process: bool, look: Request | None = None
+) -> list[Request]:
+    """Return what records some states, asking about doubtful sets, and looking at and processing each."""
     found = [Request(KIND.name, {"doubtful": "ask" if ask else "keep"}, states)]
+    found += [look] if look is not None else []
     return [*found, Request(PIPELINE, {}, states)] if process else found
 
 

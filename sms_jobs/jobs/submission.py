@@ -312,14 +312,21 @@ def _rows(
     ]
     same = {
         "campaign_id": campaign_id,
-        "priority": priority,
         "use_cache": use_cache,
         "submitted_at": now,
         "submitted_by": by,
     }
     first = int(now.timestamp() * 1e6)
     submitted = [
-        {**_job_columns(job), **same, "id": job_id, "queue": queue, "position": first + place, "state": state}
+        {
+            **_job_columns(job),
+            **same,
+            "id": job_id,
+            "queue": queue,
+            "priority": priority + job.priority,
+            "position": first + place,
+            "state": state,
+        }
         for place, (job_id, job, queue, state) in enumerate(zip(ids, jobs, queues, states, strict=True))
     ]
     events = [

@@ -110,6 +110,11 @@ def test_what_comes_next_is_told_with_what_it_waits_for(services: Services) -> N
         ("wing --at-cycles 5 --tolerance 1N", 2, "--tolerance goes with --on"),
         ("wing --every 5s --hold 1s", 2, "--hold goes with"),
         ("tail --next", 3, "no campaign 'tail'"),
+        ("wing --next --stop-if g1.z_mm>5", 2, "'5', which has no unit: write it in mm"),
+        ("wing --next --stop-if g1.z>5mm", 2, "is no limit of a gauge: write GAUGE.extension_mm > 0.5mm"),
+        ("wing --next --stop-if g1.z_mm>5mm", 3, "wing has no gauge 'g1' in mm; it has none"),
+        ("looks tail", 3, "no campaign 'tail'"),
+        ("watch tail", 3, "no campaign 'tail'"),
         ("wing --next -s S09", 2, "no state S09"),
         ("show tail", 3, "no campaign 'tail'"),
         ("skip wing", 3, "nothing is left to record"),
@@ -124,6 +129,22 @@ def test_what_is_not_clear_is_refused(services: Services, words: str, code: int,
         said in found[1],
     )
     assert plan(services, "show") == []
+
+
+def test_what_is_looked_at_and_where_that_stops_the_plan_is_told(home: Path) -> None:
+    bootstrap.initialise(home)
+    calibration, campaign = small_plate("wing")
+    gauges: Any = {"gauges": {"gauge": "g1 x=0 y=0 length=60; c1 x=9px y=9px length=9px"}}
+    with bootstrap.services(home) as found:
+        record = replace(campaign, processing=gauges)
+        register_campaign(found.catalogue, found.archive, record, calibration, datetime.now(UTC), PLAN)
+        planned = plan(found, "wing", "--next", "--stop-if", "g1.z_mm > 2mm", "--stop-if", "g1.x_mm<-1mm")
+        assert [one["stop_if"] for one in planned] == [["g1.z_mm > 2 mm", "g1.x_mm < -1 mm"]] * 2
+        assert {one["stopped_by"] for one in planned} == {""}
+        assert (plan(found, "looks", "wing"), plan(found, "show", "wing")) == ([], planned)
+        # A gauge of a camera alone has no place on a surface.
+        said = refused(found, "acquire", "plan", "wing", "-s", "S01", "--next", "--stop-if", "c1.z_mm>2mm")[1]
+        assert "wing has no gauge 'c1' in mm; it has g1" in said
 
 
 def test_a_state_is_added_while_the_test_goes_on(services: Services) -> None:

@@ -37,6 +37,7 @@ class Topic(Enum):
     QUEUE_DONE = "queue-done"
     SCHEDULE_MISSED = "schedule-missed"
     DISK_LOW = "disk-low"
+    LIMIT_REACHED = "limit-reached"
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,12 @@ TOPICS: Mapping[Topic, Told] = {
         "the archive's disk has little room left",
         "the archive's disk has little room left",
         "free some space, or see 'sms archive gc --help'",
+    ),
+    Topic.LIMIT_REACHED: Told(
+        "the quick look at a recorded state is beyond a limit, and its plan is held",
+        "the plan of {campaign} is held by a quick look",
+        "the plan of {campaign} is held by {count} quick looks",
+        "look at the specimen; 'sms acquire plan show {campaign}' tells why",
     ),
 }
 

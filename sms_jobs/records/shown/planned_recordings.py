@@ -42,6 +42,10 @@ class PlannedRecording:
         Who has planned it.
     note
         What was found when it was recorded, or keeps its channel from being read; empty where nothing does.
+    stop_if
+        Limits beyond which the quick look at it holds the plan.
+    stopped_by
+        What has held the plan after it; empty where nothing has, or it goes on again.
     """
 
     campaign: str
@@ -56,3 +60,5 @@ class PlannedRecording:
     job_id: str | None
     planned_by: str
     note: str
+    stop_if: tuple[str, ...]
+    stopped_by: str
