@@ -10,7 +10,10 @@ import numpy as np
 from sms_jobs.bench.compared_runs import RADIUS_PX, measured
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.killed_plan import HOLD_S, SEQUENCE, TOLERANCE, KilledPlan
+from sms_jobs.bench.quick_looked import GAUGES, looked
+from sms_jobs.bench.quick_looked import SIDE as LOOKED_SIDE
 from sms_jobs.bench.streamed_cameras import SIDE, archived_per_cpu_s, disk_mb_s, streamed
+from sms_jobs.records.measurement import FringeSequence
 
 _STATES, _KILLS = 50, 50
 _STATES_QUICKLY, _KILLS_QUICKLY = 4, 4
@@ -19,11 +22,14 @@ _DEMO = "the demo's bending test, 512 px, 4 views, 3 deformed states"
 _RATE_HZ, _STREAM_S, _STREAM_QUICKLY_S = 60.0, 20.0, 2.0
 _WANTED_HZ = 50.0
 _SEALED, _SEALED_QUICKLY = 20, 3
+_LOOKED, _LOOKED_QUICKLY = 3, 1
+_QUICK_LOOK_S = 6.0
 
 
 def measure(run: Run) -> Iterator[Found]:
-    """Yield how fast cameras stream, how many states were recorded once, and the conditions."""
+    """Yield how fast cameras stream, how soon states are looked at and how many were recorded once."""
     yield from _cameras(run)
+    yield from _looked(run)
     yield from _killed(run)
 
 
@@ -49,6 +55,25 @@ def _cameras(run: Run) -> Iterator[Found]:
         f"both; missed are frames that were exposed too late, and {done.refused} that had no room in memory; "
         f"archived is what comes afterwards of {sealed} states: each image judged, packed as texture and "
         f"frame, sealed and read back; load {os.getloadavg()[0]:.1f} of {os.cpu_count()} processors",
+    )
+
+
+def _looked(run: Run) -> Iterator[Found]:
+    """Yield how soon after the last frame the gauges are read, and the conditions."""
+    states = _LOOKED_QUICKLY if run.quick else _LOOKED
+    done = looked(run.folder / "looked", states, lambda said: run.say(f"testday: {said}"))
+    of = "s from the last frame to the gauges"
+    yield Figure("quick_look_s", max(done.after_s), of, _QUICK_LOOK_S, "at most")
+    read = sum(len(one.gauges) for one in done.looks)
+    yield Condition(
+        "quick_look",
+        f"the slowest of {states} states of a plan with --next --look, after the reference: one camera of "
+        f"{LOOKED_SIDE} x {LOOKED_SIDE} px with one projector, both simulated, "
+        f"{FringeSequence().frames} frames and white, {len(GAUGES)} gauges, of whose {states * len(GAUGES)} "
+        f"values {read} came; from the time of the last frame, the white one, until the job of the quick "
+        "look has succeeded in the catalogue: judging, packing, sealing and reading back of all frames is in "
+        "it; `sms up` on SQLite in the temporary folder, settings as they come; load "
+        f"{os.getloadavg()[0]:.1f} of {os.cpu_count()} processors",
     )
 
 
@@ -91,7 +116,7 @@ def _compared(run: Run) -> Iterator[Found]:
 
 GROUP = Group(
     "testday",
-    "cameras at a rate, a plan of recordings under kills, runs compared",
+    "cameras at a rate, quick looks, a plan of recordings under kills, runs compared",
     lambda: None,
     measure,
 )
