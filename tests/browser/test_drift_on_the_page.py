@@ -71,7 +71,7 @@ def test_drift_is_what_points_move_against_each_other(
     assert max(moved[2, view] for view in ("C1P1", "C1P2")) < 1e-7
     # A turn by 1e-4 rad at some 500 mm shifts rays by 50 um, of which a motion of the whole takes a part.
     assert moved[3, "C1P1"] > 1e-3
-    # Twice the turn moves twice as far, but for its square: 1e-4 of it, and for where the robust alignment lies.
+    # Twice the turn moves twice as far, but for its square, 1e-4 of it, and where the robust alignment lies.
     assert moved[4, "C1P1"] == pytest.approx(2.0 * moved[3, "C1P1"], rel=0.01)
     assert moved[3, "C1P2"] < moved[3, "C1P1"]
     assert all(one.expected_mm is None for one in found.moved)  # exact parameters, of no known covariance
