@@ -145,6 +145,9 @@ def test_what_is_looked_at_and_where_that_stops_the_plan_is_told(home: Path) -> 
         # A gauge of a camera alone has no place on a surface.
         said = refused(found, "acquire", "plan", "wing", "-s", "S01", "--next", "--stop-if", "c1.z_mm>2mm")[1]
         assert "wing has no gauge 'c1' in mm; it has g1" in said
+        # Where nothing is left that could come, watching has an end.
+        assert refused(found, "acquire", "plan", "drop", "wing")[0] == 0
+        assert refused(found, "acquire", "plan", "watch", "wing") == (0, "")
 
 
 def test_a_state_is_added_while_the_test_goes_on(services: Services) -> None:

@@ -88,6 +88,7 @@ OF_A_NAME = {
     "tolerance": ("500N", "500", "0N", "-1N", "5mm", "1e999N", "nanN", "5" * 400 + "N"),
     "hold": ("0s", "10s", "10", "-1s", "15m", "1e400h", "s"),
     "at_cycles": ("1,2", "2,1", "1k", ",", "-1", "9" * 400, "1," * 5_000, "\u0661"),
+    "stop_if": ("g1.x_mm>1mm", "g1.x_mm > 1e999mm", "g1.x_mm<nanmm", "g1.x>1mm", "a." * 5_000 + "x_mm>1mm"),
     "load": ("20kN", "20", "20mm", "1e999MN", "kN", "-0N"),
     "older_than": ("1s", "0s", "-1d", "99999999999999d", "999999999d", "d", "1e400d"),
     "zone": ("Europe/London", "UTC", "../../etc/passwd", "/etc/passwd", "localtime", "Etc", "", "a\x01"),
