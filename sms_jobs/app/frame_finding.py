@@ -9,12 +9,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.app import reading
-from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.calibration_factors import known_view
-from sms_jobs.kinds.products import CALIBRATION_FACTOR, MEASURED, SURFACE
-from sms_jobs.kinds.surface_ports import position_covariance, textured_by
+from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.calibration.point_factor import KnownView, point_factor, sigma_of
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.specimen_frame import (
@@ -32,11 +28,9 @@ from sms_jobs.metrology.geometry.specimen_frame import (
 )
 from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
 from sms_jobs.metrology.targets.marks import mark_at
-from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.specimen_frame import FrameDeviation, FramePoint, SpecimenFrame, Vector
-from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
     from sms_jobs.app.specimen_frames import Choice, Place
@@ -51,41 +45,6 @@ def through_world_points(choice: Choice) -> SpecimenFrame:
     given = [one for one in (choice.origin, choice.x, choice.plane) if one is not None]
     placement = frame_through(*(np.array(one) for one in given))
     return SpecimenFrame("points", placement, tuple(FramePoint(_three(np.array(one))) for one in given))
-
-
-def on_surface(services: Services, campaign: Campaign, choice: Choice) -> SpecimenFrame:
-    """Find a frame by pixels of a view's reference image, or by the plane of a region.
-
-    Raises
-    ------
-    NotFound
-        The surface of the view at the reference state has not been computed.
-    InvalidInput
-        The campaign has no such view, or the points tell no frame.
-    """
-    view = choice.view or next(iter(campaign.shape_views), "")
-    if view not in campaign.shape_views:
-        known = ", ".join(campaign.shape_views) or "no view"
-        raise InvalidInput(
-            f"a frame is found on a measured shape, which campaign {campaign.name} has by {known}, not by "
-            f"{view or 'any other'}; choose a view that measures shape"
-        )
-    about = Subject(campaign.name, campaign.reference.label, view)
-    found = reading.newest_file(services, str(about), SURFACE.name).file
-    with services.archive.open(found) as dataset:
-        surface = dataset.read(SURFACE.stored_as, SURFACE.record)
-        stated = CALIBRATION_FACTOR.stored_as in dataset.names
-        factor = dataset.read(CALIBRATION_FACTOR.stored_as, CALIBRATION_FACTOR.record) if stated else None
-    known_by = None if factor is None else known_view(factor)
-    image = _texture(services, about) if choice.markers else None
-    return Finder(surface, known_by, image, choice).frame(found.content_hash)
-
-
-def _texture(services: Services, about: Subject) -> NDArray[np.generic]:
-    """Return the image of the reference state that marks are looked for in."""
-    recorded = reading.newest_file(services, str(textured_by(about)), MEASURED.name).file
-    with services.archive.open(recorded) as dataset:
-        return dataset.read(MEASURED.stored_as, MEASURED.record).texture
 
 
 @dataclass(frozen=True)

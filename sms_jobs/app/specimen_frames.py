@@ -12,8 +12,12 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns as campaign_rows
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.people import Right
+from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from sms_jobs.records.campaign import Campaign
     from sms_jobs.records.specimen_frame import SpecimenFrame
 
@@ -107,7 +111,7 @@ def find(services: Services, name: str, choice: Choice) -> FrameOf:
     if _in_world(choice):
         frame = frame_finding.through_world_points(choice)
     else:
-        frame = frame_finding.on_surface(services, before, choice)
+        frame = _on_surface(services, before, choice)
     _amend(services, before, replace(before, frame=frame))
     return show(services, name)
 
@@ -158,3 +162,39 @@ def _in_world(choice: Choice) -> bool:
     if sizes == {3} and (choice.region or choice.markers or choice.view):
         raise InvalidInput("--fit, --markers and --view are for pixels; give the points as column,row")
     return sizes == {3}
+
+
+def _on_surface(services: Services, campaign: Campaign, choice: Choice) -> SpecimenFrame:
+    """Find a frame by pixels of a view's reference image, or by the plane of a region."""
+    from sms_jobs.app import reading
+    from sms_jobs.app.frame_finding import Finder
+    from sms_jobs.kinds.calibration_factors import known_view
+    from sms_jobs.kinds.products import CALIBRATION_FACTOR, SURFACE
+
+    view = choice.view or next(iter(campaign.shape_views), "")
+    if view not in campaign.shape_views:
+        known = ", ".join(campaign.shape_views) or "no view"
+        raise InvalidInput(
+            f"a frame is found on a measured shape, which campaign {campaign.name} has by {known}, not by "
+            f"{view or 'any other'}; choose a view that measures shape"
+        )
+    about = Subject(campaign.name, campaign.reference.label, view)
+    found = reading.newest_file(services, str(about), SURFACE.name).file
+    with services.archive.open(found) as dataset:
+        surface = dataset.read(SURFACE.stored_as, SURFACE.record)
+        stated = CALIBRATION_FACTOR.stored_as in dataset.names
+        factor = dataset.read(CALIBRATION_FACTOR.stored_as, CALIBRATION_FACTOR.record) if stated else None
+    known_by = None if factor is None else known_view(factor)
+    image = _texture(services, about) if choice.markers else None
+    return Finder(surface, known_by, image, choice).frame(found.content_hash)
+
+
+def _texture(services: Services, about: Subject) -> NDArray[np.generic]:
+    """Return the image of the reference state that marks are looked for in."""
+    from sms_jobs.app import reading
+    from sms_jobs.kinds.products import MEASURED
+    from sms_jobs.kinds.surface_ports import textured_by
+
+    recorded = reading.newest_file(services, str(textured_by(about)), MEASURED.name).file
+    with services.archive.open(recorded) as dataset:
+        return dataset.read(MEASURED.stored_as, MEASURED.record).texture

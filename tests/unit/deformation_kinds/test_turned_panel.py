@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,11 @@ from sms_jobs.app.specimen_axes import in_specimen_frame
 from sms_jobs.app.specimen_frames import Choice, Place
 from sms_jobs.bench.shelf import Shelf, reconstructed
 from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds.calibration_factors import known_view
 from sms_jobs.kinds.deformation import correlate, gauges, merge, strain
+from sms_jobs.metrology.calibration.point_factor import point_factor
 from sms_jobs.metrology.geometry.camera import project
+from sms_jobs.metrology.geometry.specimen_frame import frame_through
 from sms_jobs.metrology.geometry.transforms import compose, rotation_vector, transform
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.specimen_frame import SpecimenFrame
@@ -216,3 +220,49 @@ def test_what_has_no_frame_is_refused(shelf: Shelf) -> None:
         in_specimen_frame(own.records["strain", DEFORMED]["strain"], framed)
     with pytest.raises(InvalidInput, match="has nothing that lies in a frame"):
         in_specimen_frame(shelf.records["correlate", DEFORMED]["regions"], framed)
+
+
+def test_what_the_calibration_adds_is_how_its_errors_turn_the_frame(
+    known_plate: Any, rng: np.random.Generator
+) -> None:
+    measured = known_plate.results["reconstruct", known_plate.subject("S00", VIEW)]
+    known = known_view(measured["factor"])
+    choice = Choice(origin=(45.0, 62.0), x=(90.0, 60.0), plane=(60.0, 90.0))
+    found = Finder(measured["surface"], known, None, choice).frame("0" * 64)
+    assert found.calibration is not None
+    places = np.array([point.position_mm for point in found.points])
+    columns, axes = point_factor(known, places), found.placement.matrix()
+    off = []
+    for drawn in rng.normal(size=(1000, columns.shape[2])):
+        origin, x, plane = places + columns @ drawn
+        there = frame_through(origin, x, plane, axes[:, 2])
+        shift = axes.T @ (np.array(there.translation) - found.placement.translation)
+        off.append([*rotation_vector(axes.T @ there.matrix()), *shift])
+    stated = [*found.calibration.turn_rad, *found.calibration.origin_mm]
+    # A standard deviation of 1000 draws is known to 2.2 %; four of those.
+    np.testing.assert_allclose(np.std(off, axis=0) / stated, 1.0, atol=0.09)
+    fitted = replace(choice, plane=None, region="rectangle 30 30 100 100")
+    plane = Finder(measured["surface"], known, None, fitted).frame("0" * 64).calibration
+    assert plane is not None
+    # Both know the x axis by the same two points.
+    assert plane.turn_rad[2] == pytest.approx(found.calibration.turn_rad[2], rel=0.05)
+
+
+def test_marks_are_known_better_than_a_person_points(shelf: Shelf) -> None:
+    surface = at_rest(shelf)
+    centres = ((44.3, 61.8), (88.6, 58.2), (60.1, 90.4))
+    row, column = np.mgrid[: surface.reason.shape[0] * 4, : surface.reason.shape[1] * 4]
+    fine = np.full(row.shape, 200.0)
+    for x, y in centres:
+        fine[np.hypot((column + 0.5) / 4 - 0.5 - x, (row + 0.5) / 4 - 0.5 - y) < 6.0] = 30.0
+    image = fine.reshape(row.shape[0] // 4, 4, row.shape[1] // 4, 4).mean(axis=(1, 3)).astype(np.uint8)
+    pointed = [(x + 2.0, y - 1.5) for x, y in centres]
+    choice = Choice(origin=pointed[0], x=pointed[1], plane=pointed[2], markers=True)
+    found = Finder(surface, None, image, choice).frame("0" * 64)
+    # A dot without noise is fitted to what eight bits round off, far below a tenth of a pixel.
+    np.testing.assert_allclose([point.pixel for point in found.points], centres, atol=0.05)
+    assert found.markers
+    rough = Finder(surface, None, None, replace(choice, markers=False)).frame("0" * 64)
+    assert found.deviation is not None
+    assert rough.deviation is not None
+    assert found.deviation.turn_rad[2] < 0.2 * rough.deviation.turn_rad[2]
