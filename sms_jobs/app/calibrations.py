@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from sms_jobs.jobs.registration import Registered
     from sms_jobs.metrology.calibration.comparison import CalibrationComparison
     from sms_jobs.records.calibration import CalibrationQuality
-    from sms_jobs.records.sensors import Calibration
+    from sms_jobs.records.sensors import Calibration, Sensor
     from sms_jobs.records.supplements import Supplement
 
 STYLES: tuple[str, ...] = get_args(Style)
@@ -40,11 +40,12 @@ _ENDINGS: dict[str, tuple[str, ...]] = {
 }
 
 
-def distortion() -> tuple[str, ...]:
-    """Return the names of a lens's coefficients, in the order of `Intrinsics.distortion`."""
-    from sms_jobs.metrology.geometry.lens import COEFFICIENTS
+def distortion(sensors: Sequence[Sensor]) -> tuple[str, ...]:
+    """Return the names of the coefficients that the lens of any of some sensors has."""
+    from sms_jobs.metrology.geometry.lens import COEFFICIENTS, foreign
 
-    return COEFFICIENTS
+    none_has = set.intersection(*(set(foreign(s.intrinsics.model)) for s in sensors))
+    return tuple(name for name in COEFFICIENTS if name not in none_has)
 
 
 @use_case(Right.READ)

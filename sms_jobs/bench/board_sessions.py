@@ -20,12 +20,12 @@ from sms_jobs.kinds.calibration import calibrate_boards
 from sms_jobs.kinds.calibration.sessions import OBSERVED_BOARDS, session_plan
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.lens import Intrinsics
+from sms_jobs.metrology.geometry.lens import Intrinsics, Model
 from sms_jobs.records.artefacts import Chessboard
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
 from sms_jobs.records.observations import BoardObservation
-from sms_jobs.records.sensors import Calibration, Rig, Sensor, SensorFormat
+from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor, SensorFormat
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 from sms_jobs.virtual_rig.optics import image_point, packed_sensor
@@ -40,6 +40,16 @@ BOARD = Chessboard(13, 9, 12.0)
 
 SIZE_PX = (1600, 1200)
 _FEWEST_SEEN = 20
+_ASIDE = 5.0  # focal lengths over the width of an image: boards are shown up to its corners
+_WIDER = 0.3
+"""Focal length of lenses that are not plain, of that of those that are: 70 to 150 degrees across."""
+_WIDE_VOLUME = Box((12.0, -12.0, -60.0), (132.0, 108.0, 60.0))
+"""What wide lenses are to measure: the box about all boards reaches far beyond their images."""
+_BENT: dict[Model, dict[str, float]] = {
+    "plain": {},
+    "rational": {"k1": 0.9, "k2": 0.1, "k3": 0.003, "k4": 1.2, "k5": 0.28, "k6": 0.015},
+    "fisheye": {"k1": 0.03, "k2": -0.01, "k3": 0.004, "k4": -0.001, "p1": 0.0, "p2": 0.0, "fisheye": 1.0},
+}
 
 
 def bow(height_mm: float) -> Bend:
@@ -66,6 +76,8 @@ class BoardDesign:
         The board's true shape.
     board
         As it is told; each of its points is printed off by its `point_sigma_mm`, in all poses alike.
+    lens
+        Of the cameras; all but plain ones see a wide angle, all over which boards are shown.
     """
 
     cameras: int = 2
@@ -73,6 +85,7 @@ class BoardDesign:
     sigma_px: float = 0.03
     bend: Bend = flat
     board: Chessboard = BOARD
+    lens: Model = "plain"
 
 
 @dataclass(frozen=True)
@@ -102,11 +115,12 @@ def board_session(design: BoardDesign, seed: int) -> BoardSession:
     """Return a session whose rig, poses and noise are drawn from a seed."""
     random = np.random.default_rng(seed)
     rig, distance = _rig(design, random)
+    aside = 1.0 if design.lens == "plain" else _ASIDE * SIZE_PX[0] / rig.sensors[0].intrinsics.fx
     labels = [f"B{k + 1:02d}" for k in range(design.poses)]
     place, told, true = _points(design, random)
     observations = {}
     for number, label in enumerate(labels):
-        pose = _pose(number, distance, random)
+        pose = _pose(number, distance, random, aside)
         for sensor in rig.sensors:
             world = true @ pose.matrix().T + pose.translation
             packed = packed_sensor(sensor)
@@ -118,7 +132,9 @@ def board_session(design: BoardDesign, seed: int) -> BoardSession:
             subject = Subject(NAME, label, sensor.name)
             observations[subject] = _observation(sensor.name, place[seen], told[seen], noisy, design.sigma_px)
     session = CalibrationSession(
-        {"board": design.board}, tuple(SensorFormat(s.name, s.columns, s.rows) for s in rig.sensors)
+        {"board": design.board},
+        tuple(SensorFormat(s.name, s.columns, s.rows) for s in rig.sensors),
+        volume=None if design.lens == "plain" else _WIDE_VOLUME,
     )
     states = tuple(LoadState(label, artefact="board") for label in labels)
     views = tuple(s.name for s in rig.sensors)
@@ -143,7 +159,7 @@ def _points(design: BoardDesign, random: np.random.Generator) -> tuple[NDArray[n
 def _rig(design: BoardDesign, random: np.random.Generator) -> tuple[Rig, float]:
     """Return cameras side by side that look at where boards are shown, and their distance from there."""
     columns, rows = SIZE_PX
-    focal = random.uniform(1.1, 2.2) * columns
+    focal = random.uniform(1.1, 2.2) * columns * (1.0 if design.lens == "plain" else _WIDER)
     distance = focal * 144.0 / (random.uniform(0.45, 0.6) * columns)
     angle = np.radians(random.uniform(10.0, 25.0))
     sensors = []
@@ -161,12 +177,13 @@ def _rig(design: BoardDesign, random: np.random.Generator) -> tuple[Rig, float]:
             *(random.uniform(-0.15, 0.05), random.uniform(-0.1, 0.2)),
             *(3e-4 * random.standard_normal(2)),
         )
-        sensors.append(Sensor(f"C{k + 1}", Role.CAMERA, columns, rows, inner, pose))
+        bent = replace(inner, **_BENT[design.lens])
+        sensors.append(Sensor(f"C{k + 1}", Role.CAMERA, columns, rows, bent, pose))
     return Rig("rig", tuple(sensors)), distance
 
 
-def _pose(number: int, distance: float, random: np.random.Generator) -> Pose:
-    """Return where a board is held: the first facing the rig, the others tilted, turned and moved."""
+def _pose(number: int, distance: float, random: np.random.Generator, aside: float) -> Pose:
+    """Return where a board is held: the first facing the rig, the others tilted, turned and moved aside."""
     middle = np.array([72.0, 48.0, 0.0])
     if number == 0:
         return Pose.from_arrays(np.eye(3), np.zeros(3))
@@ -174,7 +191,11 @@ def _pose(number: int, distance: float, random: np.random.Generator) -> Pose:
     tilt = np.radians(random.uniform(20.0, 42.0))
     turn = Rotation.from_rotvec([tilt * np.cos(way), tilt * np.sin(way), 0.0])
     turn = turn * Rotation.from_rotvec([0.0, 0.0, np.radians(random.uniform(-100.0, 100.0))])
-    shift = random.uniform(-1.0, 1.0, 3) * [0.2 * distance / 2, 0.15 * distance / 2, 0.12 * distance]
+    shift = random.uniform(-1.0, 1.0, 3) * [
+        0.2 * aside * distance / 2,
+        0.15 * aside * distance / 2,
+        0.12 * distance,
+    ]
     matrix = turn.as_matrix()
     return Pose.from_arrays(matrix, middle + shift - matrix @ middle)
 

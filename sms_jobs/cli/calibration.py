@@ -100,15 +100,16 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
             "file": known.path,
         }
     )
+    names = calibrations.distortion(calibration.rig.sensors)
     output.print_table(
-        ["sensor", "px", "fx, fy [px]", "cx, cy [px]", ", ".join(calibrations.distortion()), "pin-hole [mm]"],
+        ["sensor", "px", "fx, fy [px]", "cx, cy [px]", ", ".join(names), "pin-hole [mm]"],
         [
             (
                 s.name,
                 f"{s.columns} x {s.rows}",
                 f"{s.intrinsics.fx:.2f}, {s.intrinsics.fy:.2f}",
                 f"{s.intrinsics.cx:.2f}, {s.intrinsics.cy:.2f}",
-                ", ".join(f"{k:g}" for k in s.intrinsics.distortion()),
+                ", ".join(f"{getattr(s.intrinsics, name):g}" for name in names),
                 ", ".join(f"{x:.2f}" for x in s.pose.centre()),
             )
             for s in calibration.rig.sensors

@@ -10,7 +10,7 @@ import numpy as np
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
+from sms_jobs.metrology.geometry.lens import LENS, Intrinsics, foreign
 from sms_jobs.records.numbers import checked_number
 from sms_jobs.records.texts import checked_text
 from sms_jobs.records.times import checked_time
@@ -25,6 +25,19 @@ def _check_size(name: str, columns: int, rows: int) -> None:
     checked_text(name, "the name of a sensor", _NAME_LETTERS)
     for side, what in ((columns, "columns"), (rows, "rows")):
         checked_number(side, f"the number of {what} of sensor {name}", 1, LARGEST_SIDE_PX)
+
+
+def _check_model(name: str, intrinsics: Intrinsics) -> None:
+    if intrinsics.fisheye not in (0.0, 1.0):
+        raise InvalidInput(
+            f"fisheye of sensor {name} is {intrinsics.fisheye:g}: say 1 for a fisheye, 0 for any other lens"
+        )
+    for key in foreign(intrinsics.model):
+        value = getattr(intrinsics, key)
+        if value:
+            raise InvalidInput(
+                f"sensor {name} is a {intrinsics.model}, which has no {key}, but {key} is {value:g}: say 0"
+            )
 
 
 @dataclass(frozen=True)
@@ -72,6 +85,7 @@ class Sensor:
         for key, known in LENS.items():
             what = f"{key} of sensor {self.name}" + (", in px" if known.unit == "px" else "")
             checked_number(getattr(self.intrinsics, key), what, known.low, known.high)
+        _check_model(self.name, self.intrinsics)
         for value in self.pose.translation:
             checked_number(value, f"a translation of sensor {self.name}, in mm", -FARTHEST_MM, FARTHEST_MM)
 

@@ -42,6 +42,35 @@ def test_projection_is_that_of_opencv(points: Floats) -> None:
     np.testing.assert_allclose(project(LENS, POSE, points), expected[:, 0], rtol=0.0, atol=1e-9)
 
 
+WIDE_POINTS = np.array([-1500.0, -900.0, 200.0]), np.array([1500.0, 900.0, 900.0])
+
+
+def test_a_rational_lens_is_that_of_opencv(rng: np.random.Generator) -> None:
+    lens = Intrinsics(720.0, 722.0, 810.0, 590.0, 0.9, 0.1, 2e-4, -3e-4, 0.003, k4=1.2, k5=0.28, k6=0.015)
+    points = rng.uniform(*WIDE_POINTS, (200, 3))
+    coefficients = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, lens.k4, lens.k5, lens.k6])
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), lens.matrix(), coefficients)
+    upright = Pose.from_arrays(np.eye(3), np.zeros(3))
+    # One formula twice; numbers up to 7.5^6 and pixels up to 1e4, known to 1e-12.
+    np.testing.assert_allclose(project(lens, upright, points), expected[:, 0], rtol=1e-12, atol=1e-9)
+
+
+def test_a_fisheye_is_that_of_opencv(rng: np.random.Generator) -> None:
+    lens = Intrinsics(650.0, 648.0, 805.0, 596.0, 0.03, -0.01, k3=0.004, skew=1e-3, k4=-0.001, fisheye=1.0)
+    points = rng.uniform(*WIDE_POINTS, (200, 3))
+    expected, _ = cv2.fisheye.projectPoints(
+        points[None],
+        np.zeros(3),
+        np.zeros(3),
+        replace(lens, skew=0.0).matrix(),
+        np.array([lens.k1, lens.k2, lens.k3, lens.k4]),
+        alpha=lens.skew,
+    )
+    upright = Pose.from_arrays(np.eye(3), np.zeros(3))
+    # One formula twice, pixels up to 2e3.
+    np.testing.assert_allclose(project(lens, upright, points), expected[0], rtol=0.0, atol=1e-9)
+
+
 def test_the_skew_moves_along_the_row_by_the_distance_from_the_principal_point(points: Floats) -> None:
     skewed = replace(LENS, skew=2e-3)
     straight = project(LENS, POSE, points)

@@ -21,7 +21,8 @@ from sms_jobs.formats.interchange.text_files import read_text
 from sms_jobs.formats.interchange.thesis_calibration import thesis_text
 from sms_jobs.metrology.geometry.camera import Camera, Pose
 from sms_jobs.metrology.geometry.common_view import common_field
-from sms_jobs.metrology.geometry.lens import distortion_jacobian, undistort
+from sms_jobs.metrology.geometry.lens import undistort
+from sms_jobs.metrology.geometry.lens_field import fold_px
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
 from sms_jobs.records.subject import checked_name
 from sms_jobs.records.supplements import Supplement
@@ -141,14 +142,21 @@ def _folds(sensors: tuple[Sensor, ...], sources: str) -> list[str]:
     remarks = []
     for sensor in sensors:
         blind = _blind_part(sensor)
+        folded = fold_px(sensor.intrinsics, sensor.columns, sensor.rows)
+        where = "" if folded is None else f" {folded[0]:.0f} px from its principal point"
         if blind > _MOST_BLIND:
             raise ConfigurationError(
-                f"the distortion of {sensor.name} in {sources} folds over: {blind:.0%} of its image has no "
-                f"ray, allowed is {_MOST_BLIND:.0%}; its coefficients may be those of another camera model"
+                f"the distortion of {sensor.name} in {sources} folds over{where}: {blind:.0%} of its image "
+                f"has no ray, allowed is {_MOST_BLIND:.0%}; its coefficients may be those of another camera "
+                "model"
             )
-        if blind > 0.0:
+        if blind > 0.0 and sensor.intrinsics.fisheye and folded is None:
             remarks.append(
-                f"{sensor.name}: {blind:.0%} of the image has no ray; its distortion folds over there"
+                f"{sensor.name}: {blind:.0%} of the image has no ray within 90 degrees of its axis"
+            )
+        elif blind > 0.0:
+            remarks.append(
+                f"{sensor.name}: {blind:.0%} of the image has no ray; its distortion folds over there{where}"
             )
     return remarks
 
@@ -256,7 +264,6 @@ def _blind_part(sensor: Sensor) -> float:
     with np.errstate(all="ignore"):
         distorted = np.stack([(x - inner.cx) / inner.fx, (y - inner.cy) / inner.fy], axis=-1)
         ideal = undistort(inner, distorted)
-        # Beyond a fold there are solutions too, which lie on the other side or turn the image over.
+        # Beyond a fold there are solutions too, which lie on the other side.
         upright = np.sum(ideal * distorted, axis=-1) >= 0.0
-        kept = np.linalg.det(distortion_jacobian(inner, ideal)) > 0.0
-    return float(np.mean(~(np.isfinite(ideal).all(axis=-1) & upright & kept)))
+    return float(np.mean(~(np.isfinite(ideal).all(axis=-1) & upright)))

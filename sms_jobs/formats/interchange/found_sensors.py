@@ -12,7 +12,7 @@ import numpy as np
 
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.lens import COEFFICIENTS, LENS, Floats, Intrinsics
+from sms_jobs.metrology.geometry.lens import COEFFICIENTS, LENS, Floats, Intrinsics, Model
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 from sms_jobs.records.sensors import Box
 from sms_jobs.records.views import Role
@@ -28,7 +28,12 @@ _OPENCV = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4
 _COUNTS = (4, 5, 8, 12, 14)
 """How many of them OpenCV writes."""
 
-CAMERA_MODEL = f"the pin-hole with {', '.join(COEFFICIENTS)}"
+_FISHEYE = ("k1", "k2", "k3", "k4")
+"""The coefficients of OpenCV's fisheye, in its order."""
+
+_WRITTEN: dict[Model, tuple[str, ...]] = {"plain": _OPENCV[:5], "rational": _OPENCV[:8], "fisheye": _FISHEYE}
+
+CAMERA_MODEL = f"the pin-hole with {', '.join(_OPENCV[:8])} and a skew, or OpenCV's fisheye"
 _MATRIX_SIDE = 100_000
 _NUMBER = re.compile(r"[-+]?(?:\d{1,40}(?:\.\d{0,40})?|\.\d{1,40})(?:[eE][-+]?\d{1,4})?")
 
@@ -132,13 +137,15 @@ def image_size(columns: Any, rows: Any, where: str) -> tuple[int, int]:
     return int(columns), int(rows)
 
 
-def intrinsics_from(matrix: Floats, coefficients: Floats, where: str) -> Intrinsics:
+def intrinsics_from(matrix: Floats, coefficients: Floats, where: str, *, fisheye: bool = False) -> Intrinsics:
     """Return the inner parameters of a camera matrix and distortion coefficients in OpenCV's order.
+
+    `fisheye` says that they are those of its fisheye.
 
     Raises
     ------
     ConfigurationError
-        They are not those of the model of this program: `COEFFICIENTS` alone, and a small skew.
+        They are not those of the models of this program: `COEFFICIENTS` alone, and a small skew.
     """
     if matrix.shape != (3, 3):
         raise ConfigurationError(f"the camera matrix of {where} is {_shape(matrix)}, not 3 x 3")
@@ -156,6 +163,15 @@ def intrinsics_from(matrix: Floats, coefficients: Floats, where: str) -> Intrins
             f"the skew of {where} is {matrix[0, 1]:g} px, {abs(skew):.2g} of fx, allowed is {most:g} of fx; "
             "it should be the number in the first row and second column of K"
         )
+    fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    if fisheye:
+        if coefficients.size != len(_FISHEYE):
+            raise ConfigurationError(
+                f"{where} has {coefficients.size} distortion coefficients; OpenCV's fisheye has four, "
+                f"{', '.join(_FISHEYE)}"
+            )
+        bent = dict(zip(_FISHEYE, map(float, coefficients.ravel()), strict=True))
+        return Intrinsics(fx, fy, cx, cy, **bent, skew=skew, fisheye=1.0)
     if coefficients.size not in _COUNTS:
         raise ConfigurationError(
             f"{where} has {coefficients.size} distortion coefficients; OpenCV writes 4, 5, 8, 12 or 14"
@@ -168,15 +184,12 @@ def intrinsics_from(matrix: Floats, coefficients: Floats, where: str) -> Intrins
                 f"here is {CAMERA_MODEL}: calibrate again without other terms"
             )
     bent = {name: value for name, value in found.items() if name in COEFFICIENTS}
-    fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
     return Intrinsics(fx, fy, cx, cy, **bent, skew=skew)
 
 
 def opencv_coefficients(intrinsics: Intrinsics) -> Floats:
     """Return the distortion coefficients of intrinsics as OpenCV writes them."""
-    last = max(_OPENCV.index(name) for name in COEFFICIENTS if name in _OPENCV)
-    count = next(n for n in _COUNTS if n > last)
-    return np.array([getattr(intrinsics, name, 0.0) for name in _OPENCV[:count]])
+    return np.array([getattr(intrinsics, name) for name in _WRITTEN[intrinsics.model]])
 
 
 def cardan_rotation(alpha_deg: float, beta_deg: float, gamma_deg: float) -> Floats:

@@ -2,8 +2,8 @@
 
 The own layout has a table for every sensor with the names that OpenCV's own programs use - image_width,
 image_height, camera_matrix, distortion_coefficients - and R and T, which bring the world, in mm, into the
-sensor: x = R X + T. Of other programs, those layouts are read that `_LAYOUTS` names; there the world is the
-frame of the first sensor.
+sensor: x = R X + T; a fisheye has fisheye_model: 1 besides, as OpenCV's sample writes it. Of other programs,
+those layouts are read that `_LAYOUTS` names; there the world is the frame of the first sensor.
 """
 
 from __future__ import annotations
@@ -119,7 +119,17 @@ _LAYOUTS = (
         )
     ),
 )
-_MODELS = {"plumb_bob", "rational_polynomial", "radtan", "brown", "opencv", "pinhole", "perspective"}
+_FISHEYES = {"equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "opencv_fisheye"}
+_MODEL_KEYS = ("distortion_model", "camera_model")
+_MODELS = _FISHEYES | {
+    "plumb_bob",
+    "rational_polynomial",
+    "radtan",
+    "brown",
+    "opencv",
+    "pinhole",
+    "perspective",
+}
 
 
 def find_opencv_calibration(table: Table, source: str) -> FoundCalibration:
@@ -171,7 +181,7 @@ def _own_sensor(table: Table, name: str, source: str) -> FoundSensor:
         raise ConfigurationError(f"{where} should be a table, not {found!r}")
     values = [_needed(found, key, where) for key in ("camera_matrix", "distortion_coefficients", "R", "T")]
     matrix, coefficients, rotation, translation = (numbers(v, where) for v in values)
-    intrinsics = intrinsics_from(matrix, coefficients, where)
+    intrinsics = intrinsics_from(matrix, coefficients, where, fisheye=found.get("fisheye_model", 0) != 0)
     if "skew" in found:
         # The matrix has it in px, which is rounded.
         skew = float(numbers(found["skew"], f"skew of {where}").ravel()[0])
@@ -190,7 +200,7 @@ def _own_sensor(table: Table, name: str, source: str) -> FoundSensor:
 
 
 def _foreign(table: Table, source: str) -> FoundCalibration:
-    _refuse_other_models(table, source)
+    fisheye = _is_fisheye(table, source)
     layout = next((one for one in _LAYOUTS if _fits(one, table)), None)
     if layout is None:
         known = "; ".join(
@@ -205,15 +215,17 @@ def _foreign(table: Table, source: str) -> FoundCalibration:
     poses = [AT_ORIGIN] if len(layout.sensors) == 2 else []
     poses.append(_second_pose(layout, table, source, used))
     sensors = tuple(
-        _foreign_sensor(names, pose, table, source, used)
+        _foreign_sensor(names, pose, table, source, used, fisheye)
         for names, pose in zip(layout.sensors, poses, strict=True)
     )
-    unused = [name for name in table if name not in used]
+    unused = [name for name in table if name not in {*used, *_MODEL_KEYS, "fisheye_model"}]
     remarks = (f"not taken over from {source}: {', '.join(unused)}",) if unused else ()
     return FoundCalibration(sensors, in_millimetres=False, remarks=remarks)
 
 
-def _foreign_sensor(names: _Names, pose: Pose, table: Table, source: str, used: set[str]) -> FoundSensor:
+def _foreign_sensor(
+    names: _Names, pose: Pose, table: Table, source: str, used: set[str], fisheye: bool
+) -> FoundSensor:
     of_matrix = f"{names.matrix} in {source}"
     matrix = numbers(table[names.matrix], of_matrix)
     coefficients = numbers(table[names.distortion], f"{names.distortion} in {source}")
@@ -229,7 +241,8 @@ def _foreign_sensor(names: _Names, pose: Pose, table: Table, source: str, used: 
         size = image_size(sides[0], sides[1], where)
         used |= set(keys)
         break
-    return FoundSensor(names.role, intrinsics_from(matrix, coefficients, of_matrix), pose, size=size)
+    intrinsics = intrinsics_from(matrix, coefficients, of_matrix, fisheye=fisheye)
+    return FoundSensor(names.role, intrinsics, pose, size=size)
 
 
 def _second_pose(layout: _Layout, table: Table, source: str, used: set[str]) -> Pose:
@@ -256,19 +269,19 @@ def _fits(layout: _Layout, table: Table) -> bool:
     return all(names.matrix in table and names.distortion in table for names in layout.sensors)
 
 
-def _refuse_other_models(table: Table, source: str) -> None:
-    """Refuse cameras whose coefficients mean something else."""
-    for key in ("distortion_model", "camera_model"):
-        model = table.get(key)
-        if isinstance(model, str) and model.lower() not in _MODELS:
+def _is_fisheye(table: Table, source: str) -> bool:
+    """Say whether a file is of fisheyes; refuse cameras whose coefficients mean something else yet."""
+    models = [table[key] for key in _MODEL_KEYS if isinstance(table.get(key), str)]
+    for model in models:
+        if model.lower() not in _MODELS:
             raise ConfigurationError(
-                f"{key} of {source} is '{model}', but the camera model here is {CAMERA_MODEL}"
+                f"{source} says the model '{model}', but the camera model here is {CAMERA_MODEL}"
             )
-    if table.get("fisheye_model", 0) != 0 or any(key == "xi" or key.startswith("xi_") for key in table):
+    if any(key == "xi" or key.startswith("xi_") for key in table):
         raise ConfigurationError(
-            f"{source} describes a fisheye or omnidirectional camera, but the camera model here is "
-            f"{CAMERA_MODEL}"
+            f"{source} describes an omnidirectional camera, but the camera model here is {CAMERA_MODEL}"
         )
+    return table.get("fisheye_model", 0) != 0 or any(model.lower() in _FISHEYES for model in models)
 
 
 def _needed(table: Table, key: str, where: str) -> Any:
@@ -310,6 +323,8 @@ def opencv_text(calibration: Calibration, dialect: Dialect) -> str:
         storage.write("image_height", sensor.rows)
         storage.write("camera_matrix", sensor.intrinsics.matrix())
         storage.write("distortion_coefficients", opencv_coefficients(sensor.intrinsics)[None])
+        if sensor.intrinsics.fisheye:
+            storage.write("fisheye_model", 1)
         storage.write("skew", sensor.intrinsics.skew)
         storage.write("R", sensor.pose.matrix())
         storage.write("T", np.array(sensor.pose.translation)[:, None])

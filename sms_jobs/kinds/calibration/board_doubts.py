@@ -16,13 +16,16 @@ Floats = NDArray[np.float64]
 _MOST_WHITENED = 3.0
 """Rms of residuals over their stated deviation: more is no noise, and parameters are worse than stated."""
 
+_MOST_RADIAL = 0.1
+"""Share of squared residuals that one radial term more may take: with it, they are 5 % less."""
+
 _ALIKE = 0.5
 """Of the difference that noise makes between two pictures of a board that stood still."""
 
 
 def board_doubts(problem: BundleProblem, found: Adjustment) -> tuple[str, ...]:
     """Return what a person has to look at of the boards."""
-    return (*_repeated(problem, found), *_misfit(found))
+    return (*_repeated(problem, found), *_misfit(found), *_bent(found))
 
 
 def _misfit(found: Adjustment) -> list[str]:
@@ -33,6 +36,17 @@ def _misfit(found: Adjustment) -> list[str]:
         "lens, the board or which image belongs to which pose is not as told; look at the maps of residuals"
         for one in found.rms
         if one.of == "sensor" and one.type.startswith("board") and one.whitened > _MOST_WHITENED
+    ]
+
+
+def _bent(found: Adjustment) -> list[str]:
+    """Name plain lenses whose residuals are those of another one."""
+    return [
+        f"the residuals of boards in {name} grow outwards as those of another lens do: one radial term more "
+        f"would take {share:.0%} of their squares (limit {_MOST_RADIAL:.0%}); free k3 (fixed=none), or "
+        "calibrate with lens=rational, or lens=fisheye for more than about 90 degrees across"
+        for name, share in found.missing_radial.items()
+        if share > _MOST_RADIAL
     ]
 
 

@@ -20,8 +20,11 @@ from sms_jobs.formats.report.page import page_writer
 from sms_jobs.kinds import defaults_of_kinds
 from sms_jobs.kinds.calibration.board_doubts import board_doubts
 from sms_jobs.kinds.calibration.held_parameters import (
+    as_models,
     at_values,
     checked,
+    checked_lenses,
+    lenses_of,
     names_of,
     parted,
     told,
@@ -70,7 +73,8 @@ from sms_jobs.metrology.calibration.bundle_adjustment import adjust
 from sms_jobs.metrology.calibration.bundle_cross_validation import cross_validate
 from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
 from sms_jobs.metrology.calibration.initialisation import initialise
-from sms_jobs.metrology.geometry.lens import KEPT, LENS
+from sms_jobs.metrology.geometry.lens import LENS
+from sms_jobs.metrology.geometry.lens_field import fold_px
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Calibration
@@ -83,10 +87,16 @@ LAST = Port("last", CALIBRATION, (CALIBRATED, UNCERTAINTY, QUALITY))
 class CalibrateParameters(Parameters):
     """What is adjusted, and what is reported of it."""
 
-    fixed: tuple[str, ...] = Field(
-        KEPT,
+    lens: tuple[str, ...] = Field(
+        (),
+        description="models of the lenses: plain, rational (eight coefficients) or fisheye for all, or "
+        "C1=fisheye for one; by default that of the calibration that it starts from, plain without one",
+    )
+    fixed: tuple[str, ...] | None = Field(
+        None,
         description=f"parameters of every sensor that are held: any of {', '.join(LENS)}; one without a "
-        "value keeps its first, which the page says; k2=0 holds it there, and none holds nothing",
+        "value keeps its first, which the page says; k2=0 holds it there, and none holds nothing; by default "
+        "k3 of a plain lens",
     )
     huber: float = Field(
         3.0, gt=0.0, description="residual, in standard deviations, from which on it pulls no harder"
@@ -102,15 +112,20 @@ class CalibrateParameters(Parameters):
     )
     figure_width_px: int = Field(640, ge=400, le=4000, description="width of the page's pictures")
 
-    @field_validator("fixed", mode="before")
+    @field_validator("fixed", "lens", mode="before")
     @classmethod
     def _parted(cls, value: Any) -> Any:
-        return parted(value)
+        return None if value is None else parted(value)
 
     @field_validator("fixed")
     @classmethod
-    def _known(cls, entries: tuple[str, ...]) -> tuple[str, ...]:
-        return checked(entries)
+    def _known(cls, entries: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        return None if entries is None else checked(entries)
+
+    @field_validator("lens")
+    @classmethod
+    def _models(cls, entries: tuple[str, ...]) -> tuple[str, ...]:
+        return checked_lenses(entries)
 
     def options(self, threads: int) -> BundleOptions:
         """Return them as the adjustment takes them."""
@@ -169,6 +184,7 @@ def _from_nothing(plan: SessionPlan, boards: Boards, parameters: CalibrateParame
         board_in_world=rigid_pose(plan.session.board_in_world),
         world_pose=world,
         held=values_of(parameters.fixed),
+        models=lenses_of(parameters.lens, {s.name: "plain" for s in plan.session.sensors}),
     )
     rig = start_of_rig(plan, {name: (s.intrinsics, s.pose) for name, s in found.sensors.items()})
     usable = frozenset((v.view.sensor, v.view.pose) for v in found.views)
@@ -190,17 +206,21 @@ def adjusted(
     doubts: tuple[str, ...] = (),
 ) -> Iterator[Output]:
     """Adjust a session and yield the calibration with all that is known of it, and the page about it."""
+    models = lenses_of(parameters.lens, {s.name: s.intrinsics.model for s in start.rig.sensors})
+    as_models(start.rig, models)
     start = at_values(start, values_of(parameters.fixed))
-    problem = problem_of(plan, start, boards, bars, names_of(parameters.fixed))
+    fixed = {name: names_of(parameters.fixed, model) for name, model in models.items()}
+    problem = problem_of(plan, start, boards, bars, fixed)
     options = parameters.options(inputs.threads)
     found = adjust(problem, options)
     progress(0.6, "measuring poses that take no part")
     held_out = cross_validate(problem, options, parameters.folds, found)
     calibration = calibration_of(plan, start, found, problem, origin)
+    _check_unfolded(calibration)
     uncertainty = uncertainty_of(found)
     doubts = (*doubts, *board_doubts(problem, found), *doubts_of(start, boards, bars))
     quality = quality_of(plan, start, calibration, found, held_out, problem, boards, bars, doubts)
-    quality = replace(quality, found={**quality.found, **told(calibration.rig, parameters.fixed)})
+    quality = replace(quality, found={**quality.found, **told(calibration.rig, parameters.fixed, models)})
     progress(0.9, "writing the page")
     products: dict[Product[Any], Any] = {CALIBRATED: calibration, UNCERTAINTY: uncertainty, QUALITY: quality}
     yield DatasetOutput(inputs.subject, products, _statistics(calibration, quality))
@@ -215,6 +235,19 @@ def adjusted(
     )
     yield DocumentOutput(inputs.subject, f"{plan.name}-calibration.html", "text/html", page_writer(page))
     progress(1.0, f"adjusted {quality.residuals} residuals in {quality.iterations} iterations")
+
+
+def _check_unfolded(calibration: Calibration) -> None:
+    """Refuse a lens that does not tell all rays of its image apart."""
+    for sensor in calibration.rig.sensors:
+        folded = fold_px(sensor.intrinsics, sensor.columns, sensor.rows)
+        if folded is not None:
+            at, reach = folded
+            raise CalibrationFailed(
+                f"the lens of {sensor.name} that fits the boards folds over {at:.0f} px from its principal "
+                f"point, and its image reaches to {reach:.0f} px: show boards out to the corners, hold what "
+                "they do not tell (fixed=k2,k3), or take another lens (lens=rational or fisheye)"
+            )
 
 
 def _statistics(calibration: Calibration, quality: CalibrationQuality) -> dict[str, float]:
@@ -236,7 +269,7 @@ def _statistics(calibration: Calibration, quality: CalibrationQuality) -> dict[s
 KIND = Kind(
     name=CALIBRATE_BOARDS,
     summary="calibrate a rig from poses of a board",
-    version=6,
+    version=7,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     inputs=(OBSERVED_BOARDS, LAST),

@@ -1,4 +1,4 @@
-"""Parameters of lenses that an adjustment holds: `k2`, `k2=0`, or none at all."""
+"""The lenses of an adjustment: of which models they are, and which parameters are held, `k2` or `k2=0`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from dataclasses import replace
 from math import isfinite
 from typing import Any
 
+from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.kinds.calibration.session_adjustment import Start
-from sms_jobs.metrology.geometry.lens import HELD, KEPT, LENS
+from sms_jobs.metrology.geometry.lens import HELD, LENS, MODELS, Model, foreign, kept
 from sms_jobs.records.sensors import Rig
 
 NONE = "none"
@@ -37,6 +38,8 @@ def checked(entries: Sequence[str]) -> tuple[str, ...]:
             )
         if not equals:
             continue
+        if name == "fisheye":
+            raise ValueError(f"'{entry}' is said by the lens: give lens=fisheye, or lens=plain")
         try:
             value = float(text)
         except ValueError:
@@ -51,15 +54,16 @@ def checked(entries: Sequence[str]) -> tuple[str, ...]:
     return tuple(entries)
 
 
-def values_of(entries: Sequence[str]) -> dict[str, float]:
+def values_of(entries: Sequence[str] | None) -> dict[str, float]:
     """Return the values that entries give, by name; those without one are left out."""
-    pairs = (entry.partition("=") for entry in entries)
+    pairs = (entry.partition("=") for entry in entries or ())
     return {name: float(text) for name, equals, text in pairs if equals}
 
 
-def names_of(entries: Sequence[str]) -> tuple[str, ...]:
-    """Return what is held, with what sessions always hold."""
-    return tuple(dict.fromkeys([*(entry.partition("=")[0] for entry in entries), *HELD]))
+def names_of(entries: Sequence[str] | None, model: Model) -> tuple[str, ...]:
+    """Return what is held of a lens: what is said, else the model's own, and what no session finds of it."""
+    said = kept(model) if entries is None else (entry.partition("=")[0] for entry in entries)
+    return tuple(dict.fromkeys([*said, *HELD, *foreign(model)]))
 
 
 def at_values(start: Start, values: Mapping[str, float]) -> Start:
@@ -70,12 +74,55 @@ def at_values(start: Start, values: Mapping[str, float]) -> Start:
     return replace(start, rig=Rig(start.rig.name, sensors))
 
 
-def told(rig: Rig, entries: Sequence[str]) -> dict[str, float]:
+def told(rig: Rig, entries: Sequence[str] | None, models: Mapping[str, Model]) -> dict[str, float]:
     """Return what the lenses of a rig were held at by name, but for what is at its usual 0."""
     found = {}
     for sensor in rig.sensors:
-        for name in names_of(entries):
+        model = models[sensor.name]
+        for name in names_of(entries, model):
             value = getattr(sensor.intrinsics, name)
-            if not (name in KEPT and value == 0.0):
+            if not (name in kept(model) and value == 0.0):
                 found[f"{name} of {sensor.name}, held [{LENS[name].unit}]"] = float(value)
     return found
+
+
+def as_models(rig: Rig, models: Mapping[str, Model]) -> None:
+    """Refuse lenses of a start that another model would have to take over.
+
+    Raises `CalibrationFailed`: a fisheye and a lens of another model share no parameter's meaning.
+    """
+    for sensor in rig.sensors:
+        asked, has = models[sensor.name], sensor.intrinsics.model
+        if asked != has and (asked, has) != ("rational", "plain"):
+            raise CalibrationFailed(
+                f"the lens of {sensor.name} is asked for as {asked}, but the calibration that this one "
+                f"starts from has a {has} one: calibrate from boards alone with lens={asked} first"
+            )
+
+
+def lenses_of(entries: Sequence[str], usual: Mapping[str, Model]) -> dict[str, Model]:
+    """Return the model of each sensor's lens: as entries say, C1=fisheye or rational for all, else as usual.
+
+    Raises `InvalidInput` for a sensor that the session does not have.
+    """
+    found = dict(usual)
+    for entry in sorted(entries, key=lambda one: "=" in one):
+        name, equals, model = entry.rpartition("=")
+        if equals and name not in usual:
+            raise InvalidInput(f"lens={entry} names {name}, but the sensors are {', '.join(usual)}")
+        for sensor in [name] if equals else usual:
+            found[sensor] = next(one for one in MODELS if one == model)
+    return found
+
+
+def checked_lenses(entries: Sequence[str]) -> tuple[str, ...]:
+    """Return entries that each name a lens model, one a sensor at most; raise `ValueError` for any other."""
+    for entry in entries:
+        if entry.rpartition("=")[2] not in MODELS:
+            raise ValueError(
+                f"there is no lens '{entry}': say {', '.join(MODELS)}, or C1=fisheye for one sensor alone"
+            )
+    names = [entry.rpartition("=")[0] for entry in entries]
+    if len(set(names)) < len(names):
+        raise ValueError(f"{', '.join(entries)} says a lens twice: name it once")
+    return tuple(entries)

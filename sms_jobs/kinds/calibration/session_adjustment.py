@@ -26,12 +26,10 @@ from sms_jobs.metrology.calibration.bundle_problem import (
     SensorPrior,
 )
 from sms_jobs.metrology.calibration.bundle_result import Adjustment
-from sms_jobs.metrology.calibration.homography import fit_homography
 from sms_jobs.metrology.calibration.pair_points import box_grid
-from sms_jobs.metrology.calibration.planar_intrinsics import pose_from_homography
-from sms_jobs.metrology.calibration.sensor_start import usable_views
+from sms_jobs.metrology.calibration.sensor_start import seen_pose, usable_views
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, Pose, project
-from sms_jobs.metrology.geometry.lens import Intrinsics, undistort
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.records.artefacts import BallBar, bow_sigma_mm
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
@@ -152,15 +150,13 @@ def start_from_last(
     """
     sensors = {s.name: s for s in last.rig.sensors}
     poses: dict[str, Pose] = {}
-    usable, refused = usable_views([v for v in board_views(boards) if v.sensor in sensors])
+    bent = [s.name for s in last.rig.sensors if s.intrinsics.model != "plain"]
+    usable, refused = usable_views([v for v in board_views(boards) if v.sensor in sensors], bent)
     for view, _ in sorted(usable, key=lambda seen: -len(seen[0].point)):
         if view.pose in poses:
             continue
         sensor = sensors[view.sensor]
-        inner = sensor.intrinsics
-        flat = undistort(inner, (view.pixel - [inner.cx, inner.cy]) / [inner.fx, inner.fy])
-        homography = fit_homography(view.point[:, :2], flat).matrix
-        seen = pose_from_homography(homography, Intrinsics(1.0, 1.0, 0.0, 0.0))
+        seen = seen_pose(sensor.intrinsics, view.point, view.pixel)
         turn = sensor.pose.matrix().T
         poses[view.pose] = Pose.from_arrays(
             turn @ seen.matrix(), turn @ (np.array(seen.translation) - np.array(sensor.pose.translation))
@@ -194,7 +190,7 @@ def _lens_information(rig: Rig, uncertainty: CalibrationUncertainty) -> Floats:
 
 
 def problem_of(
-    plan: SessionPlan, start: Start, boards: Boards, bars: Bars, fixed: tuple[str, ...]
+    plan: SessionPlan, start: Start, boards: Boards, bars: Bars, fixed: Mapping[str, tuple[str, ...]]
 ) -> BundleProblem:
     """Return the adjustment of everything that was observed.
 
@@ -205,10 +201,10 @@ def problem_of(
     boards, bars
         Observations by pose; poses that nobody saw are left out.
     fixed
-        Parameters that no sensor is given freely.
+        Parameters that a sensor is not given freely, by its name.
     """
     sensors = tuple(
-        BundleSensor(s.name, s.intrinsics, s.pose, _fixed(start, s, fixed)) for s in start.rig.sensors
+        BundleSensor(s.name, s.intrinsics, s.pose, _fixed(start, s, fixed[s.name])) for s in start.rig.sensors
     )
     number = {s.name: k for k, s in enumerate(start.rig.sensors)}
     board_names = tuple(dict.fromkeys(o.artefact for seen in boards.values() for o in seen))

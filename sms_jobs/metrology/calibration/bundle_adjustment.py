@@ -30,6 +30,7 @@ from sms_jobs.metrology.calibration.bundle_checks import (
     prior_warnings,
     weakest_in_words,
 )
+from sms_jobs.metrology.calibration.bundle_lens_signature import missing_radial
 from sms_jobs.metrology.calibration.bundle_linear import inverse, solve
 from sms_jobs.metrology.calibration.bundle_normal import (
     Live,
@@ -202,11 +203,16 @@ def _restrict(problem: BundleProblem, packed: Packed, options: BundleOptions, fi
 
 def _summed(fit: _Fit, options: BundleOptions) -> tuple[Floats, Floats]:
     """Return normal matrix, the inverse of the covariance, and gradient of the free parameters."""
+    return fit.freedom.fold(*_whole(fit, options))
+
+
+def _whole(fit: _Fit, options: BundleOptions) -> tuple[Floats, Floats]:
+    """Return normal matrix and gradient of all parameters."""
     correction = Consistency.of(options.huber).correction
     normal = correction * type_scale(fit.normal.by_type, fit.scale) + fit.normal.prior
     # The gradient keeps its weights: it must vanish where the cost is least.
     gradient = type_scale(fit.normal.gradient, fit.scale) + fit.normal.prior_gradient
-    return fit.freedom.fold(normal, gradient)
+    return normal, gradient
 
 
 def _cost(packed: Packed, options: BundleOptions, fit: _Fit, normal: Normal) -> float:
@@ -309,6 +315,15 @@ def _result(problem: BundleProblem, packed: Packed, options: BundleOptions, fit:
         point_rms_mm=points.rms_mm,
         shape_sigma_mm=determined.shape_mm,
         scale_sigma=determined.scale,
+        missing_radial=missing_radial(
+            problem,
+            packed,
+            fit.live,
+            fit.freedom,
+            _whole(fit, options),
+            fit.normal.observed,
+            fit.scale,
+        ),
     )
 
 

@@ -131,6 +131,8 @@ class Adjustment:
         See `PointsFound`.
     shape_sigma_mm, scale_sigma
         See `Determined`.
+    missing_radial
+        See `bundle_lens_signature.missing_radial`.
     """
 
     sensors: tuple[AdjustedSensor, ...]
@@ -155,6 +157,7 @@ class Adjustment:
     point_rms_mm: float
     shape_sigma_mm: float
     scale_sigma: float
+    missing_radial: dict[str, float]
 
     def sensor(self, name: str) -> int:
         """Return the place of the sensor of that name; raise `ValueError` where there is none."""

@@ -20,7 +20,7 @@ from sms_jobs.metrology.calibration.sensor_start import (
 )
 from sms_jobs.metrology.calibration.shared_poses import drop_unshared
 from sms_jobs.metrology.geometry.camera import Pose, project, projection_jacobian
-from sms_jobs.metrology.geometry.lens import Intrinsics
+from sms_jobs.metrology.geometry.lens import Intrinsics, Model
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_matrix, transform
 
 Floats = NDArray[np.float64]
@@ -104,6 +104,7 @@ def initialise(
     board_in_world: Pose | None = None,
     world_pose: str | None = None,
     held: Mapping[str, float] | None = None,
+    models: Mapping[str, Model] | None = None,
 ) -> InitialCalibration:
     """Find first values of every sensor from what they saw of a board, in one pose or many.
 
@@ -119,6 +120,8 @@ def initialise(
         Name of the first board's pose; by default that of the first view.
     held
         Parameters of every lens that are not estimated, and their values.
+    models
+        Of the lenses that are not plain, by the name of the sensor.
 
     Raises
     ------
@@ -136,13 +139,14 @@ def initialise(
     moved in turn until their images fit, which is good enough for a bundle adjustment to start from.
     """
     world = _checked(views, sizes, world_pose)
-    usable, refused = usable_views(views)
+    lenses = models or {}
+    usable, refused = usable_views(views, [name for name, model in lenses.items() if model != "plain"])
     starts: dict[str, SensorStart] = {}
     failed: dict[str, CalibrationFailed] = {}
     for name, size in sizes.items():
         own = [u for u in usable if u[0].sensor == name]
         try:
-            starts[name] = start_sensor(name, own, size, held or {})
+            starts[name] = start_sensor(name, own, size, held or {}, lenses.get(name, "plain"))
         except CalibrationFailed as error:
             failed[name] = error
     if not starts:
@@ -151,6 +155,8 @@ def initialise(
     refused += drop_unshared(starts, [view for view, _ in usable], world)
     poses, boards = _chain(starts, world, board_in_world or _IDENTITY)
     for name, first in failed.items():
+        if lenses.get(name, "plain") != "plain":
+            raise first
         own = [u for u in usable if u[0].sensor == name]
         try:
             starts[name], poses[name] = start_from_space(name, own, boards, held or {})

@@ -81,6 +81,8 @@ def common_field(cameras: Sequence[Camera]) -> tuple[Floats, Floats] | None:
     if not np.all(along > 0.0):
         return None
     reach = float(np.nanmax([_half_width(*pair) for pair in zip(cameras, axes, along, strict=True)]))
+    if not reach > 0.0:  # every corner of every image lies 90 degrees off or more
+        return None
     steps = np.linspace(-reach, reach, _GRID)
     points = middle + np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     near = np.linalg.norm(points - middle, axis=1) <= reach

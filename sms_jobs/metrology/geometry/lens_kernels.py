@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import kernel
@@ -13,30 +14,65 @@ Floats = NDArray[np.float64]
 _NEWTON_STEPS = 12
 _NEWTON_TOLERANCE = 1e-12  # in units of the focal length: a nanometre at a kilometre
 
+# Functions that the others call, by their own names there.
+for _called in (lens.is_plain, lens.plainly_distorted, lens.plainly_by_point):
+    register_jitable(_called)
+
 distorted = kernel(lens.distorted)
 by_point = kernel(lens.by_point)
 by_parameters = kernel(lens.by_parameters)
+begun = kernel(lens.begun)
+_is_plain = kernel(lens.is_plain)
+_plainly_distorted = kernel(lens.plainly_distorted)
+_plainly_by_point = kernel(lens.plainly_by_point)
+
+
+@kernel
+def _finished(lens: Floats, slopes: tuple[float, float, float, float], result: Floats) -> bool:
+    """Fill in the derivatives of a point from those of its distortion; say whether it is within the fold."""
+    a, b, c, d = slopes
+    determinant = a * d - b * c
+    result[2], result[3] = d / (determinant * lens[0]), -b / (determinant * lens[1])
+    result[4], result[5] = -c / (determinant * lens[0]), a / (determinant * lens[1])
+    return determinant > 0.0  # beyond a fold the picture is turned over
+
+
+@kernel
+def _bent_undistorted(lens: Floats, u: float, v: float, result: Floats) -> bool:
+    """Do what `undistorted` does for a lens that is not plain."""
+    x, y = begun(lens, u, v)
+    for _ in range(_NEWTON_STEPS):
+        bent_x, bent_y = distorted(lens, x, y)
+        off_x, off_y = bent_x - u, bent_y - v
+        a, b, c, d = by_point(lens, x, y)
+        if abs(off_x) + abs(off_y) < _NEWTON_TOLERANCE:
+            result[0], result[1] = x, y
+            return _finished(lens, (a, b, c, d), result)
+        determinant = a * d - b * c
+        x -= (d * off_x - b * off_y) / determinant
+        y -= (a * off_y - c * off_x) / determinant
+    return False
 
 
 @kernel
 def undistorted(lens: Floats, pixel: Floats, result: Floats) -> bool:
     """Turn a pixel into result = (x, y, dx/du, dx/dv, dy/du, dy/dv), normalised; say whether it converged.
 
-    `lens` is a `vector` of intrinsics. Newton on the distortion, whose Jacobian then gives the derivatives.
+    `lens` is a `vector` of intrinsics. Newton on the distortion, whose Jacobian then gives the derivatives. A
+    plain lens has a loop of its own, short enough to be compiled into what calls it.
     """
-    fx, fy = lens[0], lens[1]
-    target_x, target_y = (pixel[0] - lens[2]) / fx, (pixel[1] - lens[3]) / fy
+    target_x, target_y = (pixel[0] - lens[2]) / lens[0], (pixel[1] - lens[3]) / lens[1]
+    if not _is_plain(lens):
+        return _bent_undistorted(lens, target_x, target_y, result)
     x, y = target_x, target_y
     for _ in range(_NEWTON_STEPS):
-        bent_x, bent_y = distorted(lens, x, y)
+        bent_x, bent_y = _plainly_distorted(lens, x, y)
         off_x, off_y = bent_x - target_x, bent_y - target_y
-        a, b, c, d = by_point(lens, x, y)
-        determinant = a * d - b * c
+        a, b, c, d = _plainly_by_point(lens, x, y)
         if abs(off_x) + abs(off_y) < _NEWTON_TOLERANCE:
             result[0], result[1] = x, y
-            result[2], result[3] = d / (determinant * fx), -b / (determinant * fy)
-            result[4], result[5] = -c / (determinant * fx), a / (determinant * fy)
-            return True
+            return _finished(lens, (a, b, c, d), result)
+        determinant = a * d - b * c
         x -= (d * off_x - b * off_y) / determinant
         y -= (a * off_y - c * off_x) / determinant
     return False

@@ -38,7 +38,7 @@ def show(page: Page, number: int) -> HTMLResponse:
             one for one in calibrations.list_calibrations(page.services, overview.rig) if one.id == number
         ),
         drift=_drift(page.services, overview.rig),
-        distortion=calibrations.distortion(),
+        distortion=calibrations.distortion(overview.sensors),
         styles=calibrations.STYLES,
     )
 

@@ -80,6 +80,7 @@ def example(hint: Any, rng: np.random.Generator, meta: Any = None) -> Any:
         if hint is Intrinsics:
             values["fx"], values["fy"] = LENS["fx"].low, LENS["fx"].high
             values["skew"] = LENS["skew"].low
+            values["fisheye"] = 0.0  # a fisheye has none of some others
         if hint is SpecimenFrame:
             values["placement"] = AT_ORIGIN
         made = hint(**values)

@@ -66,7 +66,8 @@ def slopes(function: Callable[[Floats], Floats], at: Floats, steps: Floats) -> F
 
 
 CORNER = np.array([[0.3, 0.2]])
-STEPS = np.concatenate([[1e-4] * 3, [0.1] * 3, 1.0 / np.abs(pixel_jacobian(CAMERA, CORNER)).max(axis=(0, 1))])
+SLOPES = np.abs(pixel_jacobian(CAMERA, CORNER)).max(axis=(0, 1))
+STEPS = np.concatenate([[1e-4] * 3, [0.1] * 3, 1.0 / np.where(SLOPES > 0.0, SLOPES, 1e6)])
 """Steps that move an image by up to a pixel: rounding of 1e-13 px, and a step to the fourth, are nothing."""
 
 

@@ -257,7 +257,7 @@ REFUSALS = {
         dice(PAIR[0], dice_camera(1, "K1R1_K2R2_K3R3", "")),
         "is 'K1R1_K2R2_K3R3', but the camera",
     ),
-    "rational": (dice(PAIR[0], dice_camera(1, "OPENCV_DIS", "", K4=0.1)), "6 of CAMERA 1 of"),
+    "prism": (dice(PAIR[0], dice_camera(1, "OPENCV_DIS", "", S1=0.1)), "9 of CAMERA 1 of"),
     "tilted": (dice(PAIR[0], dice_camera(1, "OPENCV_DIS", "", T1=0.1)), "tau_x, is 0.1"),
     "one camera": (dice(PAIR[0]), "a camera system has two cameras or more"),
     "no rotation": (
