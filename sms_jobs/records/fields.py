@@ -198,6 +198,12 @@ class ImageMatches:
         POINTS,
         default=None,
     )
+    subset_radius: NDArray[np.int32] | None = array(
+        "px", "radius of the subset that was taken, where that was chosen", POINTS, default=None
+    )
+    shape_order: NDArray[np.int32] | None = array(
+        "1", "order of its deformation, where that was chosen", POINTS, default=None
+    )
 
 
 @dataclass(frozen=True)

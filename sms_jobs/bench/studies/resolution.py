@@ -83,9 +83,9 @@ class Judged:
     valid: float
 
 
-def judge(images: Star, radius: int, order: int) -> Judged:
-    """Correlate a still pair and the star with the other parameters as they are by default."""
-    parameters = CorrelateParameters(subset_radius_px=radius, shape_order=order)
+def judge(images: Star, parameters: CorrelateParameters) -> Judged:
+    """Correlate a still pair and the star."""
+    radius = parameters.subset_radius_px
     still, moved = (
         correlated(images.reference, image, star.NOISE, parameters, _THREADS).records["correlate", DEFORMED]
         for image in (images.still, images.deformed)
@@ -157,7 +157,8 @@ def run(say: Callable[[str], None]) -> Outcome:
         images = star.star(seed)
         for radius, order in CHOICES:
             say(f"matching with subsets of {2 * radius + 1} px, order {order}")
-            found[radius, order].append(judge(images, radius, order))
+            parameters = CorrelateParameters(subset_radius_px=radius, shape_order=order)
+            found[radius, order].append(judge(images, parameters))
     rows = [_row(radius, order, some) for (radius, order), some in found.items()]
     apart = max(
         abs(curves[0].resolution / curves[1].resolution - 1.0)

@@ -25,9 +25,9 @@ from sms_jobs.kinds.deformation.correlate_parameters import (
 from sms_jobs.kinds.deformation.dense_fields import (
     field_in_plane,
     field_in_space,
-    image_displacement,
-    resolution_in_image,
+    spread,
 )
+from sms_jobs.kinds.deformation.finer import take_subsets
 from sms_jobs.kinds.deformation.textured_state import (
     CALIBRATION_OF_SHAPE,
     TexturedState,
@@ -47,7 +47,7 @@ from sms_jobs.kinds.kind import (
     deformed_views,
     tested_states,
 )
-from sms_jobs.kinds.point_matches import match_statistics, matches_record, summary
+from sms_jobs.kinds.point_matches import match_statistics, summary
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MATCHES, REGIONS, Product
 from sms_jobs.kinds.resolution import resolution_statistics
 from sms_jobs.kinds.surface_ports import state_ports
@@ -111,7 +111,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         grid, steps = _match(inputs, images, before, last, after, parameters)
     progress(0.6, summary(grid.matches.ending, apart))
     reference, threads = inputs.context, inputs.threads
-    image = image_displacement(grid, images, before, parameters, threads)
+    image = spread(grid, images, before, parameters, threads)
     radius = parameters.subset_radius_px
     cracks = crack_lines(images, image.value, image.variance, image.verified, before.told, radius)
     cut = cut_out(before.told, image.verified.unlike | cracks, parameters.minimum_region_area_px)
@@ -123,9 +123,10 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         images = replace(images, labels=before.matched)
         known = _far_from(grid, out, parameters.subset_radius_px)
         grid, steps = _match(inputs, images, before, last, after, parameters, known)
-        image = image_displacement(grid, images, before, parameters, threads).without(out)
-    matches = matches_record(grid, before.regions.labels, steps)
-    resolution = resolution_in_image(grid, images, before, parameters)
+        image = spread(grid, images, before, parameters, threads).without(out)
+    taken = take_subsets(image, grid, images, before, parameters, threads)
+    image, matches = taken.image, taken.record(before.regions.labels, steps)
+    resolution = taken.resolution(images, before, parameters)
     if before.surface.has_depth:
         field = field_in_space(image, before, after, reference, parameters, resolution, threads)
     else:

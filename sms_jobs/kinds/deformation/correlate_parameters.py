@@ -42,6 +42,12 @@ class CorrelateParameters(Parameters):
         description="how a subset may deform: 0 shift, 1 affine, 2 quadratic, which follows curved fields "
         "and is noisier",
     )
+    subsets: Literal["fixed", "adaptive"] = Field(
+        "fixed",
+        description="adaptive matches again, with the second order and then with smaller subsets, where the "
+        "images ask for more than the noise that this adds, and takes at each pixel what has the smaller "
+        "error; where nothing bends it changes nothing",
+    )
     interpolation: Interpolant = Field(
         "quintic",
         description="B-spline between the pixels: the quintic has several times less bias than the cubic, "
@@ -128,6 +134,15 @@ class CorrelateParameters(Parameters):
     minimum_region_area_px: int = Field(
         200, ge=1, description="smaller pieces of continuous surface are left out"
     )
+
+    @model_validator(mode="after")
+    def _subsets_can_be_chosen(self) -> Self:
+        if self.subsets == "adaptive" and (self.method != "gauss-newton" or self.reference != "first"):
+            raise ValueError(
+                "subsets = adaptive goes with method = gauss-newton and reference = first, not with "
+                f"{self.method} and {self.reference}; leave out one or the other"
+            )
+        return self
 
     @model_validator(mode="after")
     def _spacings_fit(self) -> Self:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +56,7 @@ class ImageDisplacement:
         return replace(self, verified=replace(self.verified, agrees=self.verified.agrees & ~out))
 
 
-def image_displacement(
+def spread(
     grid: GridMatches,
     images: PreparedImages,
     before: TexturedState,
@@ -81,7 +81,7 @@ def field_in_space(
     after: TexturedState,
     reference: str,
     parameters: CorrelateParameters,
-    resolution_px: float | None,
+    resolution: NDArray[np.float64] | None,
     threads: int,
 ) -> DisplacementField:
     """Look the displacement of every pixel up in the measured shapes of both states."""
@@ -117,8 +117,7 @@ def field_in_space(
         averaging,
         radius,
         found.bias.astype(np.float32),
-        resolution_px=resolution_px,
-        resolution=_on_surface(resolution_px, before, reason, radius),
+        **_told_resolution(resolution, before, reason, radius),
     )
 
 
@@ -147,14 +146,18 @@ def resolution_in_image(
     return None if found is None or of_shape is None else max(found, of_shape)
 
 
-def _on_surface(
-    resolution_px: float | None, before: TexturedState, reason: NDArray[np.uint32], radius: int
-) -> NDArray[np.float32] | None:
-    """Return the spatial resolution on the surface where there is a value, (rows, columns) in its unit."""
-    if resolution_px is None:
-        return None
-    extent = extent_of_pixels(before.surface, before.told, radius)
-    return np.where(reason == Reason.VALID, resolution_px * extent, np.nan).astype(np.float32)
+def _told_resolution(
+    resolution: NDArray[np.float64] | None, before: TexturedState, reason: NDArray[np.uint32], radius: int
+) -> dict[str, Any]:
+    """Return what a record says of a resolution, (rows, columns) in px: its median, and on the surface."""
+    valid = reason == Reason.VALID
+    if resolution is None or not np.isfinite(resolution[valid]).any():
+        return {}
+    on_surface = resolution * extent_of_pixels(before.surface, before.told, radius)
+    return {
+        "resolution_px": float(np.nanmedian(resolution[valid])),
+        "resolution": np.where(valid, on_surface, np.nan).astype(np.float32),
+    }
 
 
 def _shape(state: TexturedState) -> StateShape:
@@ -173,7 +176,7 @@ def field_in_plane(
     before: TexturedState,
     reference: str,
     parameters: CorrelateParameters,
-    resolution_px: float | None,
+    resolution: NDArray[np.float64] | None,
 ) -> DisplacementField:
     """Return the displacement in the plane of the image, which the specimen does not leave."""
     surface, value, bias = before.surface, image.value, image.verified.bias
@@ -198,8 +201,7 @@ def field_in_plane(
         0.0,
         parameters.subset_radius_px,
         biased.astype(np.float32),
-        resolution_px=resolution_px,
-        resolution=_on_surface(resolution_px, before, reason, parameters.subset_radius_px),
+        **_told_resolution(resolution, before, reason, parameters.subset_radius_px),
     )
 
 

@@ -57,7 +57,7 @@ def test_no_resolution_is_told_where_the_star_does_not_show_it() -> None:
 
 @pytest.mark.long  # 15 s
 def test_subsets_are_as_theory_says() -> None:
-    found = resolution.judge(star.star(7), 8, 1)
+    found = resolution.judge(star.star(7), CorrelateParameters(subset_radius_px=8))
     # Stars of other seeds gave 66 to 72 px: the texture within a subset is not alike everywhere.
     assert found.match.resolution == pytest.approx(star.expected_resolution(17, 1), rel=0.08)
     # No estimator without bias is below the bound; 3,400 subsets tell the noise to 1.2 %.
