@@ -66,3 +66,12 @@ def zarr(services: Acting, key: Number, path: Annotated[str, Path(max_length=100
     """Return metadata or a chunk of the arrays as Zarr."""
     found = zarr_view.zarr_entry(services, str(key), path)
     return Response(found, media_type="application/json" if path.endswith(".json") else _BYTES)
+
+
+@ROUTES.offer(
+    "GET", "/data/{key:int}/zarr-gzip/{path:path}", zarr_view.zarr_entry, media=("application/json", _BYTES)
+)
+def packed_zarr(services: Acting, key: Number, path: Annotated[str, Path(max_length=1000)]) -> Any:
+    """Return metadata or a chunk of the arrays as Zarr, chunks packed by gzip."""
+    found = zarr_view.zarr_entry(services, str(key), path, packed=True)
+    return Response(found, media_type="application/json" if path.endswith(".json") else _BYTES)
