@@ -10,7 +10,7 @@ from sms_jobs.app.progress import Step, Tell, nobody
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import sealing, upkeep
-from sms_jobs.jobs import left_frames, reindexing, retention, verification
+from sms_jobs.jobs import archive_state, left_frames, reindexing, retention, verification
 from sms_jobs.jobs import repair as repairing
 from sms_jobs.jobs.left_frames import LeftFrames
 from sms_jobs.jobs.reindexing import Reindexed
@@ -19,8 +19,10 @@ from sms_jobs.jobs.retention import Removable
 from sms_jobs.jobs.verification import Checked, Finding
 from sms_jobs.kinds import kind_named
 from sms_jobs.records.people import Right
+from sms_jobs.records.shown.archive_state import ArchiveState
 
 _ENTERED = ("indexed", "incomplete")
+_ENTERED_AT_ONCE = 100
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,8 @@ def verify(
     """Read every file of the archive, or of a campaign, and compare it with the catalogue.
 
     Unless only files of a campaign are looked at, those that the catalogue does not know are findings too,
-    and what is not as it was written in the chain that says who did what.
+    and what is not as it was written in the chain that says who did what. Of each file it is noted when it
+    was compared and what was found; a quick look notes what is wrong alone.
 
     Parameters
     ----------
@@ -62,17 +65,39 @@ def verify(
     """
     with services.catalogue.reading() as session:
         extent = verification.extent(session, after, campaign)
-    findings = []
-    for done in _checked(services, tell, extent.size_bytes, after, campaign, quick):
-        passed(done.file_id)
-        if done.finding is not None:
-            findings.append(done.finding)
+    findings, fresh = [], list[Checked]()
+    try:
+        for done in _checked(services, tell, extent.size_bytes, after, campaign, quick):
+            passed(done.file_id)
+            fresh.append(done)
+            if done.finding is not None:
+                findings.append(done.finding)
+            if len(fresh) >= _ENTERED_AT_ONCE:
+                _enter(services, fresh, quick)
+    finally:
+        # What was compared stays known where somebody breaks off.
+        _enter(services, fresh, quick)
     if campaign is None:
         findings += verification.check_unknown(services.catalogue, services.archive)
         if services.catalogue.may_write:
             sealing.seal(services.catalogue, datetime.now(UTC))
         findings += verification.check_audit(services.catalogue)
     return Verified(extent.files, extent.size_bytes, tuple(findings))
+
+
+def _enter(services: Services, fresh: list[Checked], quick: bool) -> None:
+    """Enter what was found of some files, where that can be written, and forget them here."""
+    if fresh and services.catalogue.may_write:
+        with services.catalogue.writing() as session:
+            archive_state.enter(session, fresh, datetime.now(UTC), quick=quick)
+    fresh.clear()
+
+
+@use_case(Right.READ)
+def state(services: Services) -> ArchiveState:
+    """Return when files were compared with what was sealed, by campaign, which are due and which damaged."""
+    with services.catalogue.reading() as session:
+        return archive_state.state(session, datetime.now(UTC))
 
 
 def _checked(

@@ -26,8 +26,14 @@ from sqlalchemy.exc import (
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
 
-# Every table is known by them.
-from sms_jobs.catalogue import audit, planned_tables, readable, run_tables, schedule_tables  # noqa: F401
+from sms_jobs.catalogue import (  # noqa: F401 - every table is known by it
+    audit,
+    check_tables,
+    planned_tables,
+    readable,
+    run_tables,
+    schedule_tables,
+)
 from sms_jobs.catalogue.audit import Deed
 from sms_jobs.errors import (
     CatalogueBusy,

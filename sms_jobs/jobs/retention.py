@@ -14,6 +14,7 @@ from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session, aliased
 
 from sms_jobs.archive import Archive
+from sms_jobs.catalogue.check_tables import FileCheckRow
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
     CalibrationRow,
@@ -201,7 +202,7 @@ def forget(session: Session, files: Collection[int]) -> None:
     for start in range(0, len(numbers), _AT_ONCE):
         some = numbers[start : start + _AT_ONCE]
         session.execute(delete(ProvenanceRow).where(ProvenanceRow.input_id.in_(some)))
-        for table in (StatisticRow, ReadingRow, ResultRow, PinRow, CalibrationUseRow):
+        for table in (StatisticRow, ReadingRow, ResultRow, PinRow, CalibrationUseRow, FileCheckRow):
             session.execute(delete(table).where(table.file_id.in_(some)))
         session.execute(delete(FileRow).where(FileRow.id.in_(some)))
 

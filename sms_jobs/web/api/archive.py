@@ -9,6 +9,7 @@ from fastapi import Request
 from pydantic import Field
 
 from sms_jobs.app import archive
+from sms_jobs.records.shown.archive_state import ArchiveState
 from sms_jobs.web.asked import Asked, Text
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.long_work import MEDIA, followed
@@ -36,6 +37,12 @@ class Retention(Asked):
 
     days: Annotated[float, Field(ge=0, le=1e5, description="Only what is older.")]
     kinds: Annotated[list[Text], Field(max_length=100, description="Only results of these.")] = []
+
+
+@ROUTES.offer("GET", "/archive/state", archive.state, answers=ArchiveState)
+def state(services: Acting) -> Any:
+    """Return what was verified when, what is due, and what is damaged."""
+    return answer(archive.state(services))
 
 
 @ROUTES.offer("POST", "/archive/verify", archive.verify, media=(MEDIA,))

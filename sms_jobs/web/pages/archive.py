@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import Query
 from fastapi.responses import HTMLResponse
 
-from sms_jobs.app import campaigns, files, finding
+from sms_jobs.app import archive, campaigns, files, finding
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.shown.files import Page as Found
 from sms_jobs.web.console import Entry, Page, Pages
@@ -47,6 +47,12 @@ def find(
         campaigns=campaigns.names(services),
         kept=finding.queries(services),
     )
+
+
+@PAGES.show("/archive/state", archive.state)
+def state(page: Page) -> HTMLResponse:
+    """Show what was verified when, what is due, and what is damaged."""
+    return page.render("archive_state.html", state=archive.state(page.services))
 
 
 @PAGES.show("/archive/{key}", files.describe)
