@@ -2,7 +2,7 @@
 
     python render_fringes.py
 
-Reads `case.json` (sensors with OpenCV's parameters, fringes, gloss, bounces, the lens) and `sheets.npz`
+Reads `case.json` (sensors with OpenCV's parameters, fringes, the lens) and `sheets.npz`
 (meshes of the specimen at each state, with their paint); writes `STATE.npz` with the light of each pixel
 under a white projector, `white`, and under each pattern's cosine and sine, `cosine` and `sine`, and what even
 light would show, `even`, and at the first state `hits.npz` with what the rays through the pixels' centres
@@ -141,14 +141,11 @@ class Projector:
         }
 
 
-def material(paint, coat):
-    """Return diffuse paint, or paint under a glossy coat."""
+def material(paint):
+    """Return diffuse paint, on both sides."""
     image = mi.TensorXf(paint.astype(np.float32)[:, :, None])
     colour = {"type": "bitmap", "data": image, "raw": True, "filter_type": "bilinear", "wrap_mode": "clamp"}
-    inner = {"type": "diffuse", "reflectance": colour}
-    if coat is not None:
-        inner = {"type": "roughplastic", "diffuse_reflectance": colour, "alpha": coat["roughness"]}
-    return {"type": "twosided", "bsdf": inner}
+    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": colour}}
 
 
 def sheet(name, place, kept, bsdf):
@@ -235,9 +232,7 @@ def main():
     told = np.load("sheets.npz")
     camera = Camera(case["camera"], case["lens"])
     projector = Projector(case["projector"], case["distance_mm"])
-    integrator = mi.load_dict({"type": "path", "max_depth": 1 + case["bounces"], "rr_depth": 100})
-    if case["bounces"] == 1:
-        integrator = mi.load_dict({"type": "direct", "emitter_samples": 1, "bsdf_samples": 0})
+    integrator = mi.load_dict({"type": "direct", "emitter_samples": 1, "bsdf_samples": 0})
     patterns = [(a, t) for a in case["orientations_rad"] for t in case["densities"]]
     for state in case["states"]:
         shapes = [
@@ -245,7 +240,7 @@ def main():
                 f"sheet{k}",
                 told[f"{state}_{k}"],
                 told[f"kept_{k}"],
-                material(told[f"paint_{k}"], case["coat"]),
+                material(told[f"paint_{k}"]),
             )
             for k in range(case["sheets"])
         ]

@@ -37,22 +37,16 @@ _TEXELS = 4
 
 @dataclass(frozen=True)
 class Effects:
-    """What light does besides going straight from the projector to paint and on to a pin-hole.
+    """What light does besides going from paint to a pin-hole, and how many rays follow it.
 
     Attributes
     ----------
-    bounces
-        How often light may be scattered on its way from the projector to the camera.
-    roughness
-        Of a clear coat over the paint, Beckmann's; None for paint alone.
     lens_mm
         Diameter of the camera's lens and the distance at which it is in focus; None for a pin-hole.
     rays
         Along a side of half a pixel.
     """
 
-    bounces: int = 1
-    roughness: float | None = None
     lens_mm: tuple[float, float] | None = None
     rays: int = 3
 
@@ -112,8 +106,6 @@ def fringes_of_mitsuba(
         "sheets": len(sheets),
         "rays": effects.rays,
         "blur_px": scene.camera.blur_px,
-        "bounces": effects.bounces,
-        "coat": None if effects.roughness is None else {"roughness": effects.roughness},
         "lens": None
         if effects.lens_mm is None
         else dict(zip(("aperture_mm", "focus_mm"), effects.lens_mm, strict=True)),

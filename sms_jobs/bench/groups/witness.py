@@ -13,6 +13,7 @@ from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.groups.strain import warm_up
 from sms_jobs.bench.peers import PEERS, peers_folder
 from sms_jobs.bench.shelf import Shelf, reconstructed
+from sms_jobs.bench.witness_effects import EFFECTS, STATE, halved_hat
 from sms_jobs.bench.witness_fringes import Witnessed, fringes_of_mitsuba
 from sms_jobs.bench.witness_scenes import MeshTruth
 from sms_jobs.bench.witness_speckles import cylinder_in_tension, speckles_of_riley
@@ -20,14 +21,16 @@ from sms_jobs.errors import SmsError
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
-from sms_jobs.kinds.surface_ports import maker_of
+from sms_jobs.kinds.surface_ports import maker_of, position_covariance
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.fields import Surface
 from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import Made, tension_panel, top_hat_bending
 from sms_jobs.virtual_rig.truth import Truth
 
 _UNITS = {"shape": ("um", 1e3), "displacement": ("um", 1e3), "strain": ("microstrain", 1e6)}
 _TARGET = 1.2
+_WRONG = 6.0
 
 
 @dataclass(frozen=True)
@@ -42,11 +45,14 @@ class Errors:
         How many pixels have a displacement.
     beside
         How many pixels with a position, a displacement or a strain see no specimen.
+    wrong
+        Part of the positions that are off by more than `_WRONG` of their stated deviations.
     """
 
     rms: Mapping[str, float]
     valid: int
     beside: int
+    wrong: float
 
     def over(self, other: Errors) -> dict[str, float]:
         """Return these errors, and how many pixels are valid, over others."""
@@ -73,7 +79,14 @@ def measured(shelf: Shelf, last: Subject, truth: MeshTruth, gauge_length_mm: flo
         beside += int(np.count_nonzero(~seen))
         squared = np.square(error[:, seen])
         rms[name] = sqrt(squared.mean() if name == "strain" else squared.sum(axis=0).mean())
-    return Errors(rms, int(np.count_nonzero(moved.reason == 0)), beside)
+    return Errors(rms, int(np.count_nonzero(moved.reason == 0)), beside, _wrong(surface, truth))
+
+
+def _wrong(surface: Surface, truth: MeshTruth) -> float:
+    valid = surface.reason == 0
+    variance = position_covariance(surface)[[0, 3, 5]][:, valid].sum(axis=0, dtype=np.float64)
+    squared = np.square((surface.position - truth.position)[:, valid]).sum(axis=0)
+    return float(np.mean(squared > _WRONG**2 * variance))
 
 
 def on_our_images(made: Made, state: str, gauge_length_mm: float, run: Run) -> Errors:
@@ -168,6 +181,38 @@ def measure(run: Run) -> Iterator[Found]:
         "rms error on images that another program has rendered over that on our virtual rig's, the worst of "
         "all scenes: the same rig, specimen, print, response and noise, but for the noise's numbers; default "
         "parameters; no value where a scene was left out",
+    )
+    yield from _effects(run)
+
+
+def _effects(run: Run) -> Iterator[Found]:
+    """Yield by how much errors grow by what light does besides going straight to paint and a pin-hole."""
+    peers = peers_folder()
+    if peers is None or run.quick:
+        return
+    made = halved_hat()
+    found: dict[str, Errors] = {}
+    for effect in EFFECTS:
+        run.say(f"witness: {effect.name}")
+        folder = run.folder / effect.name
+        folder.mkdir()
+        try:
+            images = fringes_of_mitsuba(peers, folder, made[1], STATE, effect.effects)
+        except SmsError as error:
+            yield Condition(f"effect_{effect.name}", f"left out: {error}")
+            continue
+        found[effect.name] = on_theirs(made, STATE, 20.0, run, images)
+        yield Figure(f"effect_{effect.name}_wrong", found[effect.name].wrong, "1")
+    direct = found.pop("direct", None)
+    if direct is not None:
+        for name, errors in found.items():
+            for quantity, ratio in errors.over(direct).items():
+                yield Figure(f"effect_{name}_{quantity}_over_direct", ratio, "1")
+    each = "; ".join(f"{effect.name}: {effect.told}" for effect in EFFECTS)
+    yield Condition(
+        "effect",
+        f"the demo's top hat with cameras of 256 px, rendered by Mitsuba, view C1P1: {each}. Wrong is the "
+        f"part of the valid positions that are off by more than {_WRONG:g} stated deviations",
     )
 
 

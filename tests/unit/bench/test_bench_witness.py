@@ -12,8 +12,10 @@ import pytest
 from sms_jobs.bench.figures import Condition, Figure, Run
 from sms_jobs.bench.groups import witness
 from sms_jobs.bench.peers import PEERS
+from sms_jobs.bench.witness_effects import halved_hat
 from sms_jobs.bench.witness_fringes import record
 from sms_jobs.bench.witness_scenes import mesh_truth, sheets_of, told_sensor
+from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, Cylinder, Simulation
 from sms_jobs.records.views import view_of
@@ -147,6 +149,14 @@ def test_a_sensor_is_told_as_opencv_has_it() -> None:
     assert told["distortion"][2] == camera.intrinsics.p1
     centre = -np.array(told["rotation"]).T @ np.array(told["translation"])
     np.testing.assert_allclose(centre, camera.pose.centre(), atol=1e-9)
+
+
+def test_pixels_twice_as_large_see_the_same() -> None:
+    whole, half = (made[0].rig.sensor("C1") for made in (top_hat_bending("hat", "small"), halved_hat()))
+    point = np.array([[10.0, -20.0, 30.0]])
+    seen, coarse = (project(one.intrinsics, one.pose, point)[0] for one in (whole, half))
+    # The edge of the image lies half a pixel before the first one's centre, of either size.
+    np.testing.assert_allclose((seen + 0.5) / 2.0, coarse + 0.5, atol=1e-9)
 
 
 def test_without_other_programs_there_are_no_figures_but_reasons(
