@@ -23,7 +23,7 @@ from sms_jobs.errors import ServerUnreachable, SmsError
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.campaign import LoadState
-from sms_jobs.records.gauge_limits import Look
+from sms_jobs.records.gauge_limits import GaugeLimit, Look
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.recording import Recording
 from sms_jobs.records.scene import Rigid, Speckle, UniaxialStrain
@@ -35,6 +35,8 @@ CAMPAIGN = "looked"
 SIDE = 1024
 GAUGES = ("g1 x=0 y=0 length=60", "g2 x=20 y=-10 length=40 angle=90")
 _VIEW = "C1P1"
+_LIMIT = GaugeLimit("g1", "extension_mm", True, 100.0)
+"""Never reached: with it the next state is rendered after the look, and takes no processor from it."""
 _PATIENCE_S = 300.0
 _RIG = f"""
 name = "bench"
@@ -68,7 +70,7 @@ def looked(home: Path, states: int, say: Callable[[str], None]) -> Looked:
     with bootstrap.services(home) as services, (home / "up.log").open("wb") as log:
         register_campaign(services.catalogue, services.archive, campaign, calibration, datetime.now(UTC))
         services.stations.add(home / "rig.toml", replace=False)
-        planned_recordings.plan(services, CAMPAIGN, InTime(), look=Look(True))
+        planned_recordings.plan(services, CAMPAIGN, InTime(), look=Look(True, (_LIMIT,)))
         command = [sys.executable, "-m", "sms_jobs.cli.main", "up", "--home", str(home)]
         service = subprocess.Popen(
             command, env=os.environ, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT

@@ -67,7 +67,7 @@ def _looked(run: Run) -> Iterator[Found]:
     read = sum(len(one.gauges) for one in done.looks)
     yield Condition(
         "quick_look",
-        f"the slowest of {states} states of a plan with --next --look, after the reference: one camera of "
+        f"the slowest of {states} states of a plan with --next --stop-if, after the reference: one camera of "
         f"{LOOKED_SIDE} x {LOOKED_SIDE} px with one projector, both simulated, "
         f"{FringeSequence().frames} frames and white, {len(GAUGES)} gauges, of whose {states * len(GAUGES)} "
         f"values {read} came; from the time of the last frame, the white one, until the job of the quick "
