@@ -25,6 +25,7 @@ from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.rehearsals import DryRun
 from sms_jobs.records.shown.state_progress import StateProgress
+from sms_jobs.records.units import in_unit_of_name
 
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign, LoadState
@@ -161,12 +162,16 @@ def next_state(services: Services, campaign: str) -> NextState | None:
 def wait_for_hold(
     services: Services, rig: str, channel: str, target: float, tolerance: float, seconds: float
 ) -> None:
-    """Return when a channel has been near a value for some time; the instruments are let go before that."""
+    """Return when a channel has been near a value for some time; the instruments are let go before that.
+
+    Value and tolerance are in the unit of the channel's name.
+    """
     from sms_jobs.instruments.connection import channel_reader
 
-    detector = HoldDetector(Hold(target, tolerance, seconds))
-    with channel_reader(services.stations.rig(rig), channel) as read:
-        while not detector.held(time.monotonic(), read()):
+    detector, described = HoldDetector(Hold(target, tolerance, seconds)), services.stations.rig(rig)
+    with channel_reader(described, channel) as read:
+        unit = next(one.unit for one in described.serial.channels if one.name == channel)
+        while not detector.held(time.monotonic(), in_unit_of_name(channel, read(), unit)):
             time.sleep(_LOOK_EVERY_S)
 
 
