@@ -22,6 +22,7 @@ _UNCERTAINTY = ("sigma", "covariance", "sigma_calibration", "reason")
 
 
 _NO_CALIBRATION = "not known: no calibration, or one that states no covariance; not zero"
+_NOT_ALONG_SPECIMEN = "not known along the specimen's axes, only along those of the world; not zero"
 
 
 def dataset_of(stored: StoredRecord) -> xarray.Dataset:
@@ -89,7 +90,8 @@ def _scalars(record: Any) -> dict[str, Any]:
         if value is not None
     }
     if "sigma_calibration" in arrays and record.sigma_calibration is None:
-        said["sigma_calibration"] = _NO_CALIBRATION
+        along_specimen = getattr(record, "axes", "XYZ") == "xyz"
+        said["sigma_calibration"] = _NOT_ALONG_SPECIMEN if along_specimen else _NO_CALIBRATION
     return said
 
 
