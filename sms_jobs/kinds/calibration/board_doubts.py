@@ -19,6 +19,9 @@ _MOST_WHITENED = 3.0
 _MOST_RADIAL = 0.1
 """Share of squared residuals that one radial term more may take: with it, they are 5 % less."""
 
+_LEAST_RADIAL_PX = 0.01
+"""What that term is worth at least, rms, to be spoken of: simulated images tell a thousandth of it."""
+
 _ALIKE = 0.5
 """Of the difference that noise makes between two pictures of a board that stood still."""
 
@@ -41,12 +44,14 @@ def _misfit(found: Adjustment) -> list[str]:
 
 def _bent(found: Adjustment) -> list[str]:
     """Name plain lenses whose residuals are those of another one."""
+    rms = {one.name: one.rms for one in found.rms if one.of == "sensor" and one.type.startswith("board")}
     return [
         f"the residuals of boards in {name} grow outwards as those of another lens do: one radial term more "
-        f"would take {share:.0%} of their squares (limit {_MOST_RADIAL:.0%}); free k3 (fixed=none), or "
-        "calibrate with lens=rational, or lens=fisheye for more than about 90 degrees across"
+        f"would take {share:.0%} of their squares (limit {_MOST_RADIAL:.0%}), {share**0.5 * rms[name]:.2g} "
+        "px rms; free k3 (fixed=none), or calibrate with lens=rational, or lens=fisheye for more than about "
+        "90 degrees across"
         for name, share in found.missing_radial.items()
-        if share > _MOST_RADIAL
+        if share > _MOST_RADIAL and share**0.5 * rms[name] > _LEAST_RADIAL_PX
     ]
 
 

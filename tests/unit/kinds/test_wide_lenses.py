@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -47,6 +49,21 @@ def test_a_plain_lens_does_not_pass_for_a_wide_one(session: tuple[Model, BoardSe
 def test_the_hint_does_not_speak_of_a_lens_that_is_plain() -> None:
     made = board_session(BoardDesign(poses=12), 3)
     assert calibrated(made).quality.warnings == ()
+
+
+def test_a_radial_term_that_a_plain_lens_lacks_is_told() -> None:
+    made = board_session(BoardDesign(poses=12), 3)
+    bent = {}
+    for subject, seen in made.observations.items():
+        lens = made.rig.sensor(seen.camera).intrinsics
+        off = seen.camera_px - [lens.cx, lens.cy]
+        # k3 = 5: 3 px where r is 0.3, of which k1 and k2 take most.
+        r6 = (np.sum(off**2, axis=1, keepdims=True) / lens.fx**2) ** 3
+        bent[subject] = replace(seen, camera_px=seen.camera_px + 5.0 * r6 * off)
+    other = made.changed(bent)
+    assert any("grow outwards as those of another lens do" in w for w in calibrated(other).quality.warnings)
+    # With k3 free nothing is left of it.
+    assert calibrated(other, fixed="none").quality.warnings == ()
 
 
 @pytest.mark.parametrize(
