@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.deformation.correlation import CONVERGED, PreparedImages
-from sms_jobs.metrology.deformation.matching import GridMatches
 from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
 from sms_jobs.metrology.deformation.spatial_resolution import (
     left_by_averaging,
@@ -20,26 +18,16 @@ from sms_jobs.records.fields import DisplacementField, StrainField, Surface
 
 
 def resolution_of_matches(
-    grid: GridMatches,
-    images: PreparedImages,
-    radius: int,
-    order: ShapeOrder,
-    spacing: int,
-    averaging_radius: float = 0.0,
-) -> float | None:
-    """Return the spatial resolution in px of what is spread from matches, or None where that is not known.
+    radius: int, order: ShapeOrder, numbers: int, spacing: int, averaging_radius: float = 0.0
+) -> float:
+    """Return the spatial resolution in px of what is spread from matches.
 
-    `radius` and `order` are those of the subsets, `spacing` that of the points, and `averaging_radius` that
-    within which what was spread is averaged afterwards, 0 for none; lengths in px.
+    `radius` and `order` are those of the subsets, `numbers` those of a warp, `spacing` that of the points,
+    `averaging_radius` that of the mean afterwards, 0 for none; lengths in px.
     """
-    matched = grid.matches.ending == CONVERGED
-    if not matched.any():
-        return None
     periods = periods_about(radius)
-    found = response_of_subsets(images, grid.x[matched], grid.y[matched], radius, order, periods)
-    left = left_by_blending(found, radius, grid.matches.warp.shape[1], spacing)
-    resolution = resolution_of(periods, left * left_by_averaging(averaging_radius, periods))
-    return resolution if np.isfinite(resolution) else None
+    left = left_by_blending(response_of_subsets(radius, order, periods), radius, numbers, spacing)
+    return resolution_of(periods, left * left_by_averaging(averaging_radius, periods))
 
 
 def extent_of_pixels(surface: Surface, labels: NDArray[np.int32], radius_px: int) -> NDArray[np.float64]:

@@ -197,12 +197,12 @@ def _remarks(seeds: Sequence[int], apart: float) -> dict[str, str]:
         f"noise {star.NOISE:g} grey levels, both images; seeds {', '.join(map(str, seeds))}; correlate with "
         "its defaults but for radius and order",
         "noise": "rms of v of a still pair, of what is valid: of the matched points, and of every pixel",
-        "resolution": f"period at which {KEPT:.0%} of the amplitude is left, the amplitude by least "
-        "squares over each column's rows; the stars' figures differ by at most "
+        "resolution": f"period at which {KEPT:.0%} of the amplitude is left, the amplitude by least squares "
+        "over the rows within one and a half periods of the middle; the stars' figures differ by at most "
         f"{apart:.1%}",
         "bound": "Cramer-Rao bound of a shift, sqrt(2) noise / sqrt(sum Iy^2), rms over subsets, times what "
         "the order adds at the centre where the texture is alike everywhere",
-        "stated resolution": "what the record of the displacement says, from the texture's own slopes",
+        "stated resolution": "what the record of the displacement says",
         "theory": "least squares of the shape function over the subset at its centre (Savitzky-Golay)",
         "MEI": "noise times spatial resolution, as in the DIC Challenge 2.0 (Reu et al. 2022); the less the "
         "better; its published curves are not at hand as numbers, so theory is what it is compared with",

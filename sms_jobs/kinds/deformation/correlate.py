@@ -126,7 +126,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         image = spread(grid, images, before, parameters, threads).without(out)
     taken = take_subsets(image, grid, images, before, parameters, threads)
     image, matches = taken.image, taken.record(before.regions.labels, steps)
-    resolution = taken.resolution(images, before, parameters)
+    resolution = taken.resolution(before, parameters)
     if before.surface.has_depth:
         field = field_in_space(image, before, after, reference, parameters, resolution, threads)
     else:
@@ -283,7 +283,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both surfaces",
-    version=14,
+    version=15,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(CALIBRATION_OF_SHAPE, *_REFERENCE.all, *_DEFORMED.all, *_BEFORE.all, _MATCHED_BEFORE),

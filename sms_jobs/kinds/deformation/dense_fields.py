@@ -81,7 +81,7 @@ def field_in_space(
     after: TexturedState,
     reference: str,
     parameters: CorrelateParameters,
-    resolution: NDArray[np.float64] | None,
+    resolution: NDArray[np.float64],
     threads: int,
 ) -> DisplacementField:
     """Look the displacement of every pixel up in the measured shapes of both states."""
@@ -121,10 +121,8 @@ def field_in_space(
     )
 
 
-def resolution_in_image(
-    grid: GridMatches, images: PreparedImages, before: TexturedState, parameters: CorrelateParameters
-) -> float | None:
-    """Return the spatial resolution of displacement in px; None where it is not known.
+def resolution_in_image(grid: GridMatches, before: TexturedState, parameters: CorrelateParameters) -> float:
+    """Return the spatial resolution of displacement in px.
 
     Where shape comes from matches between cameras it is that of the coarser of the two.
     """
@@ -133,29 +131,25 @@ def resolution_in_image(
     # A peak of the cross-correlation is a shift.
     order = 0 if parameters.method == "fourier-newton" else parameters.shape_order
     found = resolution_of_matches(
-        grid,
-        images,
         parameters.subset_radius_px,
         cast(ShapeOrder, order),
+        grid.matches.warp.shape[1],
         parameters.spacing_px,
         parameters.averaging_radius_px if averaged else 0.0,
     )
-    if not surface.subset_radius_px:
-        return found
-    of_shape = surface.resolution_px
-    return None if found is None or of_shape is None else max(found, of_shape)
+    return max(found, surface.resolution_px or 0.0)
 
 
 def _told_resolution(
-    resolution: NDArray[np.float64] | None, before: TexturedState, reason: NDArray[np.uint32], radius: int
+    resolution: NDArray[np.float64], before: TexturedState, reason: NDArray[np.uint32], radius: int
 ) -> dict[str, Any]:
     """Return what a record says of a resolution, (rows, columns) in px: its median, and on the surface."""
     valid = reason == Reason.VALID
-    if resolution is None or not np.isfinite(resolution[valid]).any():
+    if not valid.any():
         return {}
     on_surface = resolution * extent_of_pixels(before.surface, before.told, radius)
     return {
-        "resolution_px": float(np.nanmedian(resolution[valid])),
+        "resolution_px": float(np.median(resolution[valid])),
         "resolution": np.where(valid, on_surface, np.nan).astype(np.float32),
     }
 
@@ -176,7 +170,7 @@ def field_in_plane(
     before: TexturedState,
     reference: str,
     parameters: CorrelateParameters,
-    resolution: NDArray[np.float64] | None,
+    resolution: NDArray[np.float64],
 ) -> DisplacementField:
     """Return the displacement in the plane of the image, which the specimen does not leave."""
     surface, value, bias = before.surface, image.value, image.verified.bias

@@ -74,17 +74,10 @@ class Taken:
         )
         return replace(record, subset_radius=radius[number], shape_order=order[number])
 
-    def resolution(
-        self, images: PreparedImages, before: TexturedState, parameters: CorrelateParameters
-    ) -> NDArray[np.float64] | None:
-        """Return the spatial resolution in px of each pixel (rows, columns); None where it is not known."""
-        each = [
-            resolution_in_image(one.grid, images, before, _with(parameters, one.subsets))
-            for one in self.tried
-        ]
-        if each[0] is None:
-            return None
-        return np.array([np.nan if one is None else one for one in each])[self.step]
+    def resolution(self, before: TexturedState, parameters: CorrelateParameters) -> NDArray[np.float64]:
+        """Return the spatial resolution in px of each pixel, (rows, columns)."""
+        each = [resolution_in_image(one.grid, before, _with(parameters, one.subsets)) for one in self.tried]
+        return np.array(each)[self.step]
 
 
 def take_subsets(

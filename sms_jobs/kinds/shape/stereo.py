@@ -186,7 +186,12 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
         inputs.view, [one.camera for one in seen], found, parameters.maximum_epipolar_px, inputs.threads
     )
     field = _points(reference, partners, spread, inputs.threads)
-    resolution = _resolution(reference, labels, found, parameters)
+    resolution = resolution_of_matches(
+        parameters.subset_radius_px,
+        cast(ShapeOrder, parameters.shape_order),
+        found[0].matches.warp.shape[1],
+        parameters.spacing_px,
+    )
     surface = _surface(inputs, calibration, field, labels, found, parameters, epipolar, resolution)
     surface = _held_against_the_images(surface, spread)
     kept = {
@@ -344,23 +349,6 @@ def _held_against_the_images(surface: Surface, spread: list[_Spread]) -> Surface
     return replace(surface, reason=np.where(unseen, np.uint32(Reason.IMAGES_DISAGREE), surface.reason))
 
 
-def _resolution(
-    reference: TexturedCamera,
-    labels: NDArray[np.int32],
-    found: list[GridMatches],
-    parameters: StereoParameters,
-) -> float | None:
-    """Return the spatial resolution in px, the coarsest of all partners; None if one is not known."""
-    images = prepare_images(reference.texture, reference.texture, labels)
-    order = cast(ShapeOrder, parameters.shape_order)
-    each = [
-        resolution_of_matches(one, images, parameters.subset_radius_px, order, parameters.spacing_px)
-        for one in found
-    ]
-    known = [one for one in each if one is not None]
-    return max(known) if len(known) == len(each) else None
-
-
 def _well_inside(places: Floats, shape: tuple[int, ...], margin_px: int) -> Floats:
     """Return places (2, rows, columns) in a partner's image, NaN beyond a margin from its border.
 
@@ -394,7 +382,7 @@ def _surface(
     found: list[GridMatches],
     parameters: StereoParameters,
     epipolar_px: float,
-    resolution_px: float | None,
+    resolution_px: float,
 ) -> Surface:
     """Return the points as a surface, NaN where there is a reason."""
     shape = labels.shape

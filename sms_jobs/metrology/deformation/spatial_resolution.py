@@ -1,8 +1,7 @@
 """Spatial resolution: the period of a wave of displacement or strain of which 90 % of the amplitude is left.
 
 What subsets, blending, averaging and gauge leave of a wave follows from what each does to one, which is
-linear where a wave is small beside a speckle. Only subsets depend on the texture: they see a displacement
-where there are slopes, and that by least squares.
+linear where a wave is small beside a speckle; what it leaves of a wave along the image's axes is told.
 """
 
 from __future__ import annotations
@@ -14,25 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from sms_jobs.metrology.deformation.correlation import PreparedImages
 from sms_jobs.metrology.deformation.displacement import blending_reach
 from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
 
 Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]
-Ints: TypeAlias = NDArray[np.int64]
 
 KEPT = 0.9
 """Part of the amplitude that is left at the period that is called the spatial resolution."""
 
-_SUBSETS = 100  # of the texture that are asked: the mean over them is known to about a hundredth
 _SHORTEST, _LONGEST, _PERIODS = 0.7, 12.0, 64  # periods that are looked at, in sides of a subset
 _FALLS_WITH = 4  # power of the period with which what blended subsets take of a wave falls
 
 
 @dataclass(frozen=True)
 class Response:
-    """What subsets find of a wave of amplitude 1 about their centre, as means over a texture.
+    """What subsets find of a wave of amplitude 1 about their centre.
 
     Attributes
     ----------
@@ -54,73 +50,21 @@ def periods_about(radius: int) -> Floats:
     return np.geomspace(_SHORTEST, _LONGEST, _PERIODS) * (2 * radius + 1)
 
 
-def response_of_subsets(
-    images: PreparedImages, x: Ints, y: Ints, radius: int, order: ShapeOrder, periods: Floats
-) -> Response:
-    """Return what subsets about some points of the reference image find of waves along rows and columns.
-
-    Parameters
-    ----------
-    images
-        Of which the reference, its slopes and its regions count.
-    x, y
-        (n,), points that were matched, in px; a hundred of them are asked, evenly.
-    radius, order
-        Of the subsets.
-    periods
-        (k,), in px.
+def response_of_subsets(radius: int, order: ShapeOrder, periods: Floats) -> Response:
+    """Return what subsets of a radius in px and an order find of waves along rows or columns, (k,) in px.
 
     Notes
     -----
-    A Gauss-Newton fit finds p = (sum J J^T)^-1 sum J (J_u . w) of a small displacement w, with the slopes J
-    of the reference along its unknowns, less their parts along a constant and the subset itself (Schreier &
-    Sutton 2002, with the texture's own slopes in place of equal ones). Where slopes are alike everywhere that
-    is Savitzky and Golay's filter; subsets of few speckles find less of short waves.
+    Where slopes are alike everywhere a match is the least-squares fit of its shape function over the square
+    (Schreier & Sutton 2002), and along a wave that of a polynomial: Savitzky & Golay's filter.
     """
-    chosen = np.unique(np.linspace(0, len(x) - 1, min(_SUBSETS, len(x))).round().astype(np.int64))
-    found = np.zeros((3, len(periods)))
-    for k in chosen:
-        found += _response_at(images, int(x[k]), int(y[k]), radius, order, periods) / len(chosen)
-    return Response(periods, *found)
-
-
-_TERMS = {0: ((0, 0),), 1: ((0, 0), (1, 0), (0, 1)), 2: ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))}
-"""By order, the powers of x and y in u and in v."""
-
-
-def _response_at(
-    images: PreparedImages, x: int, y: int, radius: int, order: ShapeOrder, periods: Floats
-) -> Floats:
-    """Return value, slope and bend (3, periods): means over u and v, each along rows and columns."""
-    rows, columns = images.labels.shape
-    box = np.s_[max(y - radius, 0) : y + radius + 1, max(x - radius, 0) : x + radius + 1]
-    dy = np.arange(rows, dtype=np.float64)[box[0]] - y
-    dx = np.arange(columns, dtype=np.float64)[box[1]] - x
-    own = (images.labels[box] == images.labels[y, x]).astype(np.float64)
-    f = images.reference[box] - np.average(images.reference[box], weights=own)
-    terms = _TERMS[order]
-    powers = np.stack([dx**i * dy[:, None] ** j for i, j in terms])
-    slopes = np.stack([images.gradient_x[box], images.gradient_y[box]]) * own
-    j = (slopes[:, None] * powers).reshape(2 * len(terms), *own.shape)
-    light = np.stack([own / np.sqrt(own.sum()), own * f / np.sqrt(np.sum(own * f * f))])
-    part = np.einsum("tyx,lyx->tl", j, light)
-    free = j - np.einsum("tl,lyx->tyx", part, light)
-    solve = np.linalg.pinv(np.einsum("tyx,syx->ts", free, j), hermitian=True)
-    found = np.zeros((3, len(periods)))
-    wave = 2.0 * np.pi / periods
-    for axis, (place, along) in enumerate(((dx, 1), (dy, 0))):
-        cosine, sine = np.cos(np.outer(place, wave)), np.sin(np.outer(place, wave))
-        for component in range(2):
-            # Sums across the wave first: only along it does it change.
-            across = np.einsum("tyx,yx->ty" if along == 0 else "tyx,yx->tx", free, slopes[component])
-            first = component * len(terms)
-            fitted = solve[first : first + len(terms)] @ across
-            found[0] += 0.25 * fitted[0] @ cosine
-            if order > 0:
-                found[1] += 0.25 * fitted[1 + axis] @ sine
-            if order > 1:
-                found[2] += 0.5 * fitted[3 + 2 * axis] @ cosine  # of x^2, half its second derivative
-    return found
+    place = np.arange(-radius, radius + 1.0)
+    basis = np.stack([np.ones_like(place), place, 0.5 * place**2], axis=1)[:, : order + 1]
+    angle = 2.0 * np.pi * place[:, None] / periods
+    fit = np.linalg.pinv(basis)
+    even, odd = fit @ np.cos(angle), fit @ np.sin(angle)
+    none = np.zeros_like(periods)
+    return Response(periods, even[0], odd[1] if order > 0 else none, even[2] if order > 1 else none)
 
 
 def left_by_blending(found: Response, radius: int, numbers: int, spacing: int) -> Floats:
