@@ -55,7 +55,7 @@ COLUMNS = 640
 WAYS = ("each state", "own reference", "left reference")
 _RADIUS, _SPACING, _RANGE_PX, _SMOOTHING_PX, _MARGIN_PX = 12, 5, 60, 0.6, 5
 _GRID = GridSettings(_SPACING, maximum_sigma=0.1)
-_OFF_SIGMAS = 3.0  # of a match, by which images may ask for another place: as in `stereo`
+_OFF_SIGMAS = 3.0  # of a match, by which images may ask for another place
 _STILL = (0.0, 0.0, 0.0)
 _MICRO = 1e3
 

@@ -92,8 +92,8 @@ Mask: TypeAlias = NDArray[np.bool_]
 
 _GAP_SIGMAS = 6.0
 """Largest gap of the rays, in units of what noise and calibration explain; noise alone never reaches it."""
-_OFF_SIGMAS = 3.0
-"""Deviations of a match by which the images may ask for another place before it is none."""
+_OFF_SIGMAS, _OFF_PX = 3.0, 0.05
+"""Deviations of a match, and px, by which images may ask for another place; by more than both it is none."""
 _MOST_SATURATED = 0.5
 """Part of an image that may be saturated: a bright background may, a specimen and its surroundings not."""
 
@@ -325,8 +325,10 @@ def _spread(
     place = _well_inside(
         np.moveaxis(pixel_grid(*labels.shape), -1, 0) + shift, labels.shape, parameters.edge_margin_px
     )
-    off = (verified.bias > _OFF_SIGMAS**2 * variance).any(axis=0)
-    disagree = (off | ~verified.agrees) & np.isfinite(place[0])
+    allowed = np.maximum(_OFF_SIGMAS**2 * variance, _OFF_PX**2)
+    off = (verified.bias > allowed).any(axis=0)
+    # Windows overlap: what one of them finds is found about it too, and single pixels are chance.
+    disagree = ndimage.binary_opening(off | ~verified.agrees, np.ones((3, 3))) & np.isfinite(place[0])
     place[:, disagree] = np.nan
     return _Spread(place, variance, disagree)
 
@@ -441,7 +443,7 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=9,
+    version=10,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),
