@@ -234,11 +234,17 @@ def _moved(
     seen = [k for k, one in enumerate(places) if one is not None]
     labels = rest.spread(*recorded[0].texture.shape)
     # A place at the rim may lie off all regions.
-    x, y = (np.array([(places[k] or (0, 0))[axis] for k in seen], np.int64) for axis in (0, 1))
+    exact = np.array([places[k] for k in seen], np.float64).reshape(-1, 2)
+    x, y = np.rint(exact).astype(np.int64).T
     inside = (x >= 0) & (y >= 0) & (x < labels.shape[1]) & (y < labels.shape[0])
     inside[inside] = labels[y[inside], x[inside]] > 0
     reason[np.array(seen, np.int64)[~inside]] = np.uint32(Reason.TOO_FEW_NEIGHBOURS)
-    seen, x, y = [k for k, ok in zip(seen, inside, strict=True) if ok], x[inside], y[inside]
+    seen, x, y, exact = (
+        [k for k, ok in zip(seen, inside, strict=True) if ok],
+        x[inside],
+        y[inside],
+        exact[inside],
+    )
     if not seen:
         return found, reason
     (first, noise), (second, later) = (white_texture(one, _SMOOTHING_PX, labels > 0) for one in recorded)
@@ -255,8 +261,10 @@ def _moved(
             why = Reason.AMBIGUOUS_TEXTURE if again[i] else Reason.LEFT_IMAGE if left else Reason.NO_MATCH
             reason[k] = np.uint32(why)
             continue
-        start = fitted_point(rest, x[i], y[i], radius)
-        end = fitted_point(now, x[i] + matches.warp[i, 0], y[i] + matches.warp[i, 3], radius)
+        # The subset about the nearest pixel tells how the place beside its middle has moved, too.
+        u, v = matches.warp[i].reshape(2, 3) @ [1.0, *(exact[i] - (x[i], y[i]))]
+        start = fitted_point(rest, exact[i, 0], exact[i, 1], radius)
+        end = fitted_point(now, exact[i, 0] + u, exact[i, 1] + v, radius)
         if start is None or end is None:
             missing = Reason.TOO_FEW_NEIGHBOURS if start is None else Reason.NO_SHAPE_AT_END
             reason[k] = np.uint32(missing)

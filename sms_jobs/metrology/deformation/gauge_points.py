@@ -118,8 +118,8 @@ def fitted_point(surface: SparseSurface, x: float, y: float, radius: float) -> F
     return FittedPoint(found[0], inverse[0, 0] * own, found[1:3].T / (reach * surface.step))
 
 
-def place_of(surface: SparseSurface, x_mm: float, y_mm: float, radius: float) -> tuple[int, int] | None:
-    """Return the pixel (x, y) of the image that sees a place of a surface, seen along its z axis.
+def place_of(surface: SparseSurface, x_mm: float, y_mm: float, radius: float) -> tuple[float, float] | None:
+    """Return where in the image, x and y in px, a place of a surface lies, seen along the surface's z axis.
 
     None where nothing is measured there. `radius` as of `fitted_point`.
     """
@@ -134,7 +134,7 @@ def place_of(surface: SparseSurface, x_mm: float, y_mm: float, radius: float) ->
         return None  # seen from its edge
     dx, dy = np.linalg.solve(slope, [x_mm, y_mm] - fitted.position[:2])
     # The nearest pixel of the grid is no farther away than one step, where the place is on the surface.
-    return (round(x + dx), round(y + dy)) if np.hypot(dx, dy) <= surface.step else None
+    return (x + float(dx), y + float(dy)) if np.hypot(dx, dy) <= surface.step else None
 
 
 @dataclass(frozen=True)
