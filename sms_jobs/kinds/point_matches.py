@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from sms_jobs.metrology.deformation import correlation
 from sms_jobs.metrology.deformation.displacement import ImagePoints
@@ -95,3 +96,17 @@ def match_statistics(matches: ImageMatches) -> dict[str, float]:
             "median_match_sigma_px": float(np.median(np.hypot(matches.sigma_u, matches.sigma_v)[matched])),
         }
     return statistics
+
+
+def between_matches(found: GridMatches, shape: tuple[int, ...], spacing_px: int) -> NDArray[np.bool_]:
+    """Return the pixels that lie between matched points, and nearest to one of them, (rows, columns).
+
+    Beyond the outermost points, and where a point has failed, nobody has looked.
+    """
+    matched = found.matches.ending == correlation.CONVERGED
+    points = np.zeros(shape, dtype=bool)
+    points[found.y[matched], found.x[matched]] = True
+    nearest = ndimage.maximum_filter(points, spacing_px | 1)
+    size = 2 * spacing_px + 1
+    between = ndimage.minimum_filter(ndimage.maximum_filter(points, size), size, mode="constant")
+    return np.asarray(nearest & between)

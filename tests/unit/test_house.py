@@ -20,8 +20,8 @@ SOURCES = sorted(
 )
 TESTS = sorted(path for path in (ROOT / "tests").rglob("*.py") if "__pycache__" not in path.parts)
 
-LINES_IN_A_FILE = 480  # about 400, and a fifth more before anybody is stopped
-LINES_IN_A_FUNCTION = 80  # a tall screen, without the docstring
+LINES_IN_A_FILE = 450  # about 400, and an eighth more before anybody is stopped
+LINES_IN_A_FUNCTION = 70  # a tall screen, without the docstring
 
 
 def relative(path: Path) -> str:
@@ -41,9 +41,9 @@ def packages(lock: str) -> dict[str, set[str]]:
 @pytest.mark.parametrize("path", SOURCES, ids=relative)
 def test_a_module_fits_in_the_head(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= LINES_IN_A_FILE
     if "versions" in path.parts:
         return  # a migration lists tables, one after the other
+    assert len(text.splitlines()) <= LINES_IN_A_FILE
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             first = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]

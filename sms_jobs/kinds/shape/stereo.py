@@ -37,7 +37,13 @@ from sms_jobs.kinds.kind import (
     Scope,
     camera_tuples,
 )
-from sms_jobs.kinds.point_matches import match_statistics, matches_record, summary, trusted_points
+from sms_jobs.kinds.point_matches import (
+    between_matches,
+    match_statistics,
+    matches_record,
+    summary,
+    trusted_points,
+)
 from sms_jobs.kinds.products import (
     CALIBRATED,
     CALIBRATION_FACTOR,
@@ -318,7 +324,7 @@ def _spread(
     labels, radius = images.labels, parameters.subset_radius_px
     plane = in_space(pixels_as_plane(labels.shape))
     shift, variance = blend_matches(trusted_points(found, labels), plane, labels, radius, threads)
-    shift[:, ~_between_matches(found, labels.shape, parameters.spacing_px)] = np.nan
+    shift[:, ~between_matches(found, labels.shape, parameters.spacing_px)] = np.nan
     verified = verify_displacement(
         images, shift, radius, parameters.shape_order, parameters.smoothing_px, threads
     )
@@ -360,20 +366,6 @@ def _well_inside(places: Floats, shape: tuple[int, ...], margin_px: int) -> Floa
     low, high = float(margin_px), np.array([columns, rows])[:, None, None] - 1.0 - margin_px
     inside = ((places >= low) & (places <= high)).all(axis=0)
     return np.asarray(np.where(inside, places, np.nan))
-
-
-def _between_matches(found: GridMatches, shape: tuple[int, ...], spacing_px: int) -> Mask:
-    """Return the pixels that lie between matched points, and nearest to one of them, (rows, columns).
-
-    Beyond the outermost points, and where a point has failed, nobody has looked.
-    """
-    matched = found.matches.ending == CONVERGED
-    points = np.zeros(shape, dtype=bool)
-    points[found.y[matched], found.x[matched]] = True
-    nearest = ndimage.maximum_filter(points, spacing_px | 1)
-    size = 2 * spacing_px + 1
-    between = ndimage.minimum_filter(ndimage.maximum_filter(points, size), size, mode="constant")
-    return np.asarray(nearest & between)
 
 
 def _surface(
@@ -443,7 +435,7 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=10,
+    version=11,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),

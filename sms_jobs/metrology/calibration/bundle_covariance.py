@@ -6,12 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.calibration.bundle_parameters import sensor_arrays
-from sms_jobs.metrology.calibration.bundle_residuals import (
-    along_change,
-    pin_hole,
-    ray,
-    to_sensor,
-)
+from sms_jobs.metrology.calibration.bundle_rays import along_change, pin_hole, ray, to_sensor
 from sms_jobs.metrology.calibration.bundle_result import Adjustment
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project

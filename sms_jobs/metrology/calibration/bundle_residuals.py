@@ -10,10 +10,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.calibration.bundle_rays import (
+    along_change,
+    cross,
+    dot,
+    gap_change,
+    pin_hole,
+    ray,
+    to_sensor,
+)
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR
 from sms_jobs.metrology.geometry.lens import PER_LENS, PIN_HOLE
-from sms_jobs.metrology.geometry.lens_kernels import by_parameters, by_point, distorted, undistorted
+from sms_jobs.metrology.geometry.lens_kernels import by_parameters, by_point, distorted
 
 Floats = NDArray[np.float64]
 
@@ -25,121 +34,6 @@ PER_BOARD = 4
 
 BOARD_SIZE = PER_SENSOR + PER_POSE + PER_BOARD
 """Parameters of a board block: the sensor's, those of the board's pose, those of the board."""
-
-
-@kernel
-def _cross(a: Floats, b: Floats, result: Floats) -> None:
-    result[0] = a[1] * b[2] - a[2] * b[1]
-    result[1] = a[2] * b[0] - a[0] * b[2]
-    result[2] = a[0] * b[1] - a[1] * b[0]
-
-
-@kernel
-def _dot(a: Floats, b: Floats) -> float:
-    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-
-
-@kernel
-def pin_hole(rotation: Floats, translation: Floats, result: Floats) -> None:
-    """Fill result (3,) with -R^T T, in mm."""
-    for i in range(3):
-        result[i] = -_dot(rotation[:, i], translation)
-
-
-@kernel
-def ray(rotation: Floats, lens: Floats, pixel: Floats, inner: Floats, turn: Floats, v: Floats) -> bool:
-    """Follow a pixel's ray: its direction and how it changes with the lens; say whether the lens has one.
-
-    Fills `inner` (6,) as `undistorted` does; `turn` (2, parameters of the lens) with the derivatives of the
-    normalised point, by the implicit function theorem on the distortion; and v (3,) with the direction in
-    the world, R^T (x, y, 1).
-    """
-    if not undistorted(lens, pixel, inner):
-        return False
-    x, y = inner[0], inner[1]
-    u, w = (pixel[0] - lens[2]) / lens[0], (pixel[1] - lens[3]) / lens[1]
-    by_parameters(lens, x, y, turn[:, PIN_HOLE:])
-    a, b, c, d = inner[2] * lens[0], inner[3] * lens[1], inner[4] * lens[0], inner[5] * lens[1]
-    for k in range(PIN_HOLE, PER_LENS):
-        off_x, off_y = turn[0, k], turn[1, k]
-        turn[0, k], turn[1, k] = -(a * off_x + b * off_y), -(c * off_x + d * off_y)
-    for i in range(2):
-        du, dv = inner[2 + 2 * i], inner[3 + 2 * i]
-        turn[i, 0], turn[i, 1], turn[i, 2], turn[i, 3] = -u * du, -w * dv, -du, -dv
-    for i in range(3):
-        v[i] = rotation[0, i] * x + rotation[1, i] * y + rotation[2, i]
-    return True
-
-
-@kernel
-def to_sensor(
-    rotation: Floats, translation: Floats, inner: Floats, turn: Floats, by: Floats, row: Floats
-) -> None:
-    """Turn the derivatives of a residual by a ray into those by the sensor's parameters.
-
-    `by` (2, 3) holds the derivatives by the pin-hole and by the direction, in the world. With
-    R <- exp([r]x) R the pin-hole -R^T T moves by R^T (r x T - dT), and the direction R^T d by R^T (d x r).
-    """
-    cx, cy, cz, vx, vy, vz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(3):
-        cx += rotation[0, j] * by[0, j]
-        cy += rotation[1, j] * by[0, j]
-        cz += rotation[2, j] * by[0, j]
-        vx += rotation[0, j] * by[1, j]
-        vy += rotation[1, j] * by[1, j]
-        vz += rotation[2, j] * by[1, j]
-    x, y = inner[0], inner[1]
-    row[0] = translation[1] * cz - translation[2] * cy + vy - vz * y
-    row[1] = translation[2] * cx - translation[0] * cz + vz * x - vx
-    row[2] = translation[0] * cy - translation[1] * cx + vx * y - vy * x
-    row[3], row[4], row[5] = -cx, -cy, -cz
-    for k in range(PER_LENS):
-        row[PER_POSE + k] = vx * turn[0, k] + vy * turn[1, k]
-
-
-@kernel
-def gap_change(u: Floats, v: Floats, base: Floats, by: Floats) -> float:
-    """Return the signed gap of two rays, and fill `by` (3, 3) with its derivatives by base, u and v.
-
-    The gap is epsilon_1 = b n / |n| with n = u x v and b from the first pin-hole to the second (thesis
-    Eq. (1.26)); with q = (b - gap n / |n|) / |n| it changes by q dn + n db / |n|.
-    """
-    n, q = np.empty(3), np.empty(3)
-    _cross(u, v, n)
-    length = np.sqrt(_dot(n, n))
-    gap = _dot(base, n) / length
-    for i in range(3):
-        by[0, i] = n[i] / length
-        q[i] = (base[i] - gap * by[0, i]) / length
-    _cross(v, q, by[1])
-    _cross(q, u, by[2])
-    return float(gap)
-
-
-@kernel
-def along_change(u: Floats, v: Floats, base: Floats, by: Floats) -> float:
-    """Return s of the first ray's point s u that is nearest the second, and its derivatives as `gap_change`.
-
-    s = (b x v) n / n^2 with n = u x v; NaN where the rays approach behind one of the pin-holes.
-    """
-    n, m, h, k = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    _cross(u, v, n)
-    square = _dot(n, n)
-    _cross(base, v, m)
-    s = _dot(m, n) / square
-    _cross(base, u, k)
-    if not (s > 0.0 and _dot(k, n) > 0.0):
-        return np.nan
-    for i in range(3):
-        h[i] = (m[i] - 2.0 * s * n[i]) / square
-    _cross(v, n, by[0])
-    _cross(v, h, by[1])
-    _cross(n, base, by[2])
-    _cross(h, u, k)
-    for i in range(3):
-        by[0, i] /= square
-        by[2, i] = by[2, i] / square + k[i]
-    return s
 
 
 @kernel
@@ -197,11 +91,11 @@ def meet_sphere(c: Floats, u: Floats, radius: float, flattest: float, by: Floats
     is 0 for those.
     """
     across = np.empty(3)
-    uu = _dot(u, u)
-    middle, length = _dot(u, c) / uu, np.sqrt(uu)
+    uu = dot(u, u)
+    middle, length = dot(u, c) / uu, np.sqrt(uu)
     for i in range(3):
         across[i] = c[i] - middle * u[i]
-    square = 1.0 - _dot(across, across) / (radius * radius)
+    square = 1.0 - dot(across, across) / (radius * radius)
     cosine = np.sqrt(square) if square > 0.0 else 0.0
     root = cosine if cosine > flattest else 0.5 * (flattest + square / flattest)
     turn = 1.0 / (max(cosine, flattest) * radius * length)
@@ -250,7 +144,7 @@ def sphere_rows(
         return np.nan
     for k in range(2):
         g = slope[k]
-        facing = _dot(g, u)
+        facing = dot(g, u)
         for i in range(3):
             by[0, i] = g[i] - facing * by_along[0, i]
             by[1, i] = s * g[i] + facing * by_along[1, i]
@@ -352,7 +246,7 @@ def project_rows(
         pixel[i] = f * bent[i] + lens[2 + i]
         row[3], row[4] = f * to_x / inside[2], f * to_y / inside[2]
         row[5] = -(row[3] * x + row[4] * y)
-        _cross(turned, row[3:6], row[0:3])
+        cross(turned, row[3:6], row[0:3])
         row[6], row[7], row[8], row[9] = 0.0, 0.0, 0.0, 0.0
         row[6 + i], row[8 + i] = bent[i], 1.0
         for k in range(PER_POSE + PIN_HOLE, PER_SENSOR):
@@ -380,7 +274,7 @@ def board_rows(
     derivatives of the pixel by all of them, `slope` (2, 3) those by the point in the world.
     """
     place, arm, world = np.empty(3), np.empty(3), np.empty(3)
-    height = _dot(board[:, 5], point[3:6])
+    height = dot(board[:, 5], point[3:6])
     for i in range(3):
         place[i] = board[i, 0] * point[0] + board[i, 1] * point[1] + board[i, 2] * point[2]
         arm[i] = board[0, 4] * place[i] + height * board[i, 2]
@@ -389,11 +283,11 @@ def board_rows(
         return False
     for i in range(2):
         g = slope[i]
-        _cross(arm, g, rows[i, PER_SENSOR : PER_SENSOR + 3])
+        cross(arm, g, rows[i, PER_SENSOR : PER_SENSOR + 3])
         for k in range(3):
             rows[i, PER_SENSOR + 3 + k] = g[k]
-        rows[i, BOARD_SIZE - PER_BOARD] = _dot(g, place)
-        out = _dot(g, board[:, 2])
+        rows[i, BOARD_SIZE - PER_BOARD] = dot(g, place)
+        out = dot(g, board[:, 2])
         for k in range(3):
             rows[i, BOARD_SIZE - PER_BOARD + 1 + k] = out * point[3 + k]
     return True
@@ -437,9 +331,9 @@ def board_block(
             first = whitening[i, 0] * off_x
             cost += _robust(first, whitening[i, 1] * off_x + whitening[i, 2] * off_y, both, huber)[0]
         own, noise = point_sigma * point_sigma, observed[i, 8] * observed[i, 8]
-        xx = noise + own * _dot(slope[0], slope[0])
-        xy = own * _dot(slope[0], slope[1])
-        yy = noise + own * _dot(slope[1], slope[1])
+        xx = noise + own * dot(slope[0], slope[0])
+        xy = own * dot(slope[0], slope[1])
+        yy = noise + own * dot(slope[1], slope[1])
         a, c = 1.0 / np.sqrt(xx), 1.0 / np.sqrt(yy - xy * xy / xx)
         b = -xy / xx * c
         whitening[i, 0], whitening[i, 1], whitening[i, 2] = a, b, c

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sms_jobs.metrology.calibration.bundle_covariance import point_jacobian
+from sms_jobs.metrology.calibration.bundle_rays import along_change, gap_change
 from sms_jobs.metrology.calibration.bundle_residuals import (
     BOARD_SIZE,
     SPHERE_SIZE,
-    along_change,
     board_rows,
-    gap_change,
     meet_sphere,
     ray_distances,
     sphere_rows,
