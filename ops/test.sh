@@ -64,10 +64,10 @@ say "== servers: $SMS_TEST_POSTGRESQL_URL and $SMS_TEST_REDIS_URL"
 export CI="${CI:-true}"
 if [ $# = 0 ]; then
     step "kernels" wait $ranging $others
-    # A process more than cores, since tests of the service wait a good part of their time. A file's tests stay
+    # Two processes more than cores, since tests of the service wait a good part of their time. A file's tests stay
     # in one, since they share what is costly to make. In the order of the folders, so that those of the whole
     # service, which take longest, are not left for the end.
-    set -- -n "$(($(getconf _NPROCESSORS_ONLN) + 1))" --dist loadfile --no-loadscope-reorder --durations=25
+    set -- -n "$(($(getconf _NPROCESSORS_ONLN) + 2))" --dist loadfile --no-loadscope-reorder --durations=25
 fi
 step "pytest" .venv/bin/python -m pytest "$@"
 case "$failed" in *pytest*) keep_folders ;; esac
