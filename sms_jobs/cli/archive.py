@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from dataclasses import asdict
 from datetime import timedelta
 from typing import Annotated
 
@@ -71,6 +72,42 @@ def verify(
             empty=f"{done.files} files, {size(done.size_bytes)}: all as they were sealed",
         )
     if done.findings:
+        raise typer.Exit(_FINDINGS)
+
+
+@app.command()
+def state(home: Home = None, as_json: Json = False) -> None:
+    """Say when the files of each campaign were last compared with what was sealed, and how many are due.
+
+    A file is due where it was never compared, or not for 90 days; 'sms archive verify' does so. The exit code
+    is 6 where files were not as they were sealed when they were last looked at.
+
+    Example: sms archive state
+    """
+    with bootstrap.services(home) as services:
+        found = archive.state(services)
+    if as_json:
+        output.print_json(asdict(found))
+    else:
+        output.print_table(
+            ["campaign", "files", "size", "due", "damaged", "longest ago", "last"],
+            [
+                (one.campaign, one.files, size(one.size_bytes), one.due, one.damaged, one.oldest, one.newest)
+                for one in found.campaigns
+            ],
+            empty="there is no file yet",
+        )
+        if found.damaged:
+            output.print_table(
+                ["file", "problem", "path", "what", "looked at"],
+                [(one.file, one.problem, one.path, one.detail, one.checked_at) for one in found.damaged],
+                empty="",
+            )
+        output.say(
+            f"{found.due} of {found.files} files are due after {found.due_days:g} days, "
+            f"{size(found.due_bytes)}; 'sms archive verify' compares them"
+        )
+    if found.damaged:
         raise typer.Exit(_FINDINGS)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.command import inside
 from support.deployments import Deployment
 from support.homes import make_home, stored
 from support.over_http import app_of, served
@@ -97,6 +98,25 @@ def test_what_was_compared_before_somebody_broke_off_stays_known(services: Servi
         archive.verify(services, passed=passed)
     with services.catalogue.reading() as session:
         assert session.query(FileCheckRow).count() == 2
+
+
+def test_the_command_tells_what_is_due_and_what_is_damaged(
+    services: Services, deployment: Deployment
+) -> None:
+    def said() -> tuple[int, str, str]:
+        words = ("archive", "state", "--home", str(deployment.home))
+        done = inside(*words, environment={**deployment.environment, "COLUMNS": "200"})
+        return done.returncode, done.stdout, done.stderr
+
+    code, table, rest = said()
+    count = archive.state(services).files
+    assert (code, f"{count} of {count} files are due" in rest) == (0, True)
+    assert "plate" in table
+    flip(last_file(deployment))
+    archive.verify(services)
+    code, table, rest = said()
+    assert (code, f"0 of {count} files are due" in rest) == (6, True)
+    assert table.count("corrupt") == 1
 
 
 def test_it_is_told_over_http_and_on_a_page(services: Services, deployment: Deployment) -> None:

@@ -36,11 +36,19 @@ def cloud(rng: np.random.Generator) -> Surface:
         np.ones((6, 60, 80), np.float32),
         rng.random((60, 80), np.float32),
         sigma_calibration=np.ones((3, 60, 80), np.float32),
+        texture_part=rng.random((60, 80), np.float32),
     )
 
 
 def test_every_field_of_a_record_can_be_drawn(cloud: Surface) -> None:
-    assert plottable(Surface) == ("position", "reason", "covariance", "ray_gap", "sigma_calibration")
+    assert plottable(Surface) == (
+        "position",
+        "reason",
+        "covariance",
+        "ray_gap",
+        "sigma_calibration",
+        "texture_part",
+    )
     for field in plottable(Surface):
         assert pixels(plot_record(cloud, field)).shape[1] == 900
 
