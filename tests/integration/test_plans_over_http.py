@@ -111,6 +111,12 @@ def test_a_plan_that_says_too_much_or_too_little_is_refused(
     assert planned(web) == {}
 
 
+def test_quick_looks_are_told(web: httpx2.Client) -> None:
+    assert web.get("recordings/looks", params={"campaign": "plate"}).json() == []  # nobody has asked for one
+    assert web.get("recordings/looks", params={"campaign": "nothing"}).status_code == 404
+    assert web.get("recordings/looks").status_code == 422
+
+
 def test_what_a_stream_takes_is_told_and_a_stream_is_begun_and_listed(web: httpx2.Client) -> None:
     stream = {"campaign": "seen", "rate_hz": 10.0, "for_s": 3.0}
     told = asked(web, "streams/rehearsal", **stream)

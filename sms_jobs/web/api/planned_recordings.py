@@ -8,10 +8,11 @@ from typing import Annotated, Any
 from fastapi import Query
 from pydantic import Field
 
-from sms_jobs.app import planned_recordings
+from sms_jobs.app import planned_recordings, quick_looks
 from sms_jobs.app.planned_recordings import AtCycles, AtLoad, InTime, When
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
+from sms_jobs.records.shown.quick_looks import QuickLookView
 from sms_jobs.records.units import typed
 from sms_jobs.web.asked import Asked, Text, Texts
 from sms_jobs.web.identity import Acting
@@ -93,6 +94,12 @@ def show(
 ) -> Any:
     """Return plans."""
     return answer(planned_recordings.show(services, campaign))
+
+
+@ROUTES.offer("GET", "/recordings/looks", quick_looks.show, answers=list[QuickLookView])
+def looks(services: Acting, campaign: Annotated[Text, Query(description="Of this one.")]) -> Any:
+    """Return the newest quick look at each tuple of a campaign."""
+    return answer(quick_looks.show(services, campaign))
 
 
 @ROUTES.offer(
