@@ -167,7 +167,6 @@ def _construction(
 
 
 def _deviation(sigma: Floats) -> FrameDeviation:
-
     return FrameDeviation(_three(sigma[:3]), _three(sigma[3:]))
 
 
