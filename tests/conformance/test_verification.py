@@ -6,21 +6,23 @@ import shutil
 from pathlib import Path
 
 import pytest
-from support.command import answer, inside, service
+from support.archives import Clock, run_jobs
+from support.command import answer, inside
 from support.deployments import Deployment
 from support.homes import make_home
 
+from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import NotFound
 from sms_jobs.jobs import verification
+from sms_jobs.jobs.planning import Request
 
 
 @pytest.fixture
-def recorded(deployment: Deployment) -> Deployment:
+def recorded(deployment: Deployment, catalogue: Catalogue, archive: Archive, clock: Clock) -> Deployment:
     """A home in which the small plate has been recorded."""
     make_home(deployment.home, deployment.environment)
-    with service(deployment.home, deployment.environment):
-        run(deployment, "job", "submit", "simulate", "-c", "plate", "--wait")
+    run_jobs(catalogue, archive, clock, [Request("simulate")])
     return deployment
 
 

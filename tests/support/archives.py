@@ -39,6 +39,7 @@ from sms_jobs.jobs.runner import Runner
 from sms_jobs.jobs.stations import Stations
 from sms_jobs.jobs.submission import submit
 from sms_jobs.virtual_rig.campaigns import small_plate
+from support.remembered import Remembering
 
 PLAN = "# the plan, letter by letter: \u00e4 \u2013 \U0001f527\r\n"
 
@@ -72,9 +73,12 @@ def run_jobs(
 
 
 def runner(catalogue: Catalogue, archive: Archive, clock: Clock) -> Runner:
-    """Return what runs jobs in this process, those of the home's rigs too, as worker `w1`."""
+    """Return what runs jobs in this process, those of the home's rigs too, as worker `w1`.
+
+    What a job of the same inputs has made before, for whatever test, is not computed again.
+    """
     home = archive.store.root.parent
-    return Runner(
+    return Remembering(
         catalogue,
         archive,
         ["cpu", "io", "acquisition", *Stations(home / "rigs", home / "spool").queues()],
