@@ -30,6 +30,17 @@ def kernel(function: F) -> F:
     return cast(F, cached(numba.njit(**_OPTIONS)(function)))
 
 
+def uncounted_kernel(function: F) -> F:
+    """Compile `function` as `kernel` does, without counting who holds which array.
+
+    It may neither make an array, which Numba refuses, nor call a kernel that returns one, which nobody would
+    ever free (`tests/unit/test_uncounted_kernels.py` looks). Every row that is taken of an array is counted
+    in and out by atomic instructions otherwise: that takes longer than what a short function does with it.
+    """
+    options = _OPTIONS | {"_nrt": False}
+    return cast(F, cached(numba.njit(**options)(function)))
+
+
 def summing_kernel(function: F) -> F:
     """Compile `function` as `kernel` does, with leave to reorder sums and to fuse multiply with add.
 

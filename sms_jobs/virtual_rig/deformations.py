@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sms_jobs.metrology.calibration.pan_tilt import stage_rotation
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.scene import (
     Bow,
@@ -99,7 +99,7 @@ def _affine(matrix: Floats, shift: Floats) -> Floats:
     return np.concatenate([[AFFINE], matrix.ravel(), shift, np.linalg.inv(matrix).ravel()])
 
 
-@kernel
+@uncounted_kernel
 def deflection_line(s: float) -> tuple[float, float]:
     """Return f(s) = 1 - 12 s^2 + 16 |s|^3 and its slope; both are 0 beyond |s| = 1/2."""
     r = abs(s)
@@ -108,7 +108,7 @@ def deflection_line(s: float) -> tuple[float, float]:
     return 1.0 + r * r * (16.0 * r - 12.0), s * (48.0 * r - 24.0)
 
 
-@kernel
+@uncounted_kernel
 def _lift(m: Floats, x: float, y: float) -> tuple[float, float, float]:
     """Return how far a disbond lifts the stringer at (x, y), and the slopes of that along x and y."""
     f, df = deflection_line(x / m[2])
@@ -116,7 +116,7 @@ def _lift(m: Floats, x: float, y: float) -> tuple[float, float, float]:
     return m[1] * f * tilted, m[1] * df / m[2] * tilted, m[1] * f * m[3]
 
 
-@kernel
+@uncounted_kernel
 def _height(m: Floats, x: float, y: float) -> tuple[float, float, float]:
     """Return how far a bow moves (x, y) out, and the slopes of that along x and y."""
     u, v = (x - m[4]) / m[6], (y - m[5]) / m[7]
@@ -124,7 +124,7 @@ def _height(m: Floats, x: float, y: float) -> tuple[float, float, float]:
     return m[1] * u * u + m[2] * v * v + m[3] * u * v, along / m[6], across / m[7]
 
 
-@kernel
+@uncounted_kernel
 def _over_stringer(
     m: Floats, x: float, y: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
@@ -149,7 +149,7 @@ def _over_stringer(
     )
 
 
-@kernel
+@uncounted_kernel
 def _share(z: float, level: float) -> tuple[float, float]:
     """Return which part of a disbond's lift is that of material at height z, and its slope along z."""
     if z <= 0.0:
@@ -157,7 +157,7 @@ def _share(z: float, level: float) -> tuple[float, float]:
     return (1.0, 0.0) if z >= level else (z / level, 1.0 / level)
 
 
-@kernel
+@uncounted_kernel
 def carried(
     chain: Floats, x: float, y: float, z: float, nx: float, ny: float, nz: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -209,7 +209,7 @@ def carried(
     return x, y, z, nx, ny, nz
 
 
-@kernel
+@uncounted_kernel
 def followed_back(
     chain: Floats, x: float, y: float, z: float, vx: float, vy: float, vz: float
 ) -> tuple[float, float, float, float, float, float, bool]:
@@ -273,7 +273,7 @@ def followed_back(
     return x, y, z, vx, vy, vz, material
 
 
-@kernel
+@uncounted_kernel
 def _carry_all(chain: Floats, points: Floats, out: Floats) -> None:
     for i in range(points.shape[0]):
         out[i, 0], out[i, 1], out[i, 2], _, _, _ = carried(
@@ -281,7 +281,7 @@ def _carry_all(chain: Floats, points: Floats, out: Floats) -> None:
         )
 
 
-@kernel
+@uncounted_kernel
 def _slopes_over_stringer(m: Floats, points: Floats, out: Floats) -> None:
     for i in range(points.shape[0]):
         _, _, _, xx, xy, yx, yy, zx, zy = _over_stringer(m, points[i, 0], points[i, 1])

@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
 from sms_jobs.records.scene import Surface
 from sms_jobs.virtual_rig.artefacts import axes_of
@@ -52,7 +52,7 @@ def packed_ink(surface: Surface) -> Floats:
     return ink
 
 
-@kernel
+@uncounted_kernel
 def printed_reflectance(ink: Floats, a: float, b: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Return the diffuse reflectance of an artefact, averaged over a footprint about (a, b).
 
@@ -78,7 +78,7 @@ def printed_reflectance(ink: Floats, a: float, b: float, ax: float, ay: float, b
     return float(ink[1] + (ink[2] - ink[1]) * share)
 
 
-@kernel
+@uncounted_kernel
 def disc_share(a: float, b: float, ax: float, ay: float, bx: float, by: float, radius: float) -> float:
     """Return the share of a footprint about (a, b) that a disc about (0, 0) covers.
 
@@ -106,7 +106,7 @@ def disc_share(a: float, b: float, ax: float, ay: float, bx: float, by: float, r
     return total / _DOT_LINES
 
 
-@kernel
+@uncounted_kernel
 def _squares(ink: Floats, x: float, y: float, xu: float, xv: float, yu: float, yv: float) -> float:
     """Return the share of a footprint that dark squares cover; all in pitches, x right and y down.
 
@@ -128,7 +128,7 @@ def _squares(ink: Floats, x: float, y: float, xu: float, xv: float, yu: float, y
     return total
 
 
-@kernel
+@uncounted_kernel
 def edge_share(x: float, xu: float, xv: float) -> float:
     """Return the share of the unit square |u|, |v| <= 1/2 where x + xu u + xv v < 0."""
     p, q = max(abs(xu), abs(xv)), min(abs(xu), abs(xv))
@@ -141,7 +141,7 @@ def edge_share(x: float, xu: float, xv: float) -> float:
     return corner if x > 0.0 else 1.0 - corner
 
 
-@kernel
+@uncounted_kernel
 def _quarter_share(x: float, y: float, xu: float, xv: float, yu: float, yv: float) -> float:
     """Return the share of the unit square where x + xu u + xv v < 0 and y + yu u + yv v < 0."""
     inside = 0

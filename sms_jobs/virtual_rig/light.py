@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, uncounted_kernel
 from sms_jobs.records.scene import PlateAndMirror, Simulation
 from sms_jobs.records.sensors import Sensor
 from sms_jobs.records.views import Role
@@ -56,12 +56,15 @@ class Light:
         perfectly diffuse white surface that faces it where the specimen stands.
     ambient
         (n rows, n columns): diffuse reflectance, by which ambient light is multiplied.
+    windows
+        (m, 4): first and end row, first and end column, in pixels, of parts beyond which there is no light.
     """
 
     x: Floats
     y: Floats
     strength: Singles
     ambient: Singles
+    windows: NDArray[np.int64]
 
 
 class Prints(NamedTuple):
@@ -102,18 +105,22 @@ def trace(simulation: Simulation, threads: int = 1) -> Light:
     camera, source = packed_sensor(sensor_named(simulation, simulation.camera)), source_of(simulation)
     specimen = specimen_in(scene, simulation.deformation)
     prints = Prints(packed_speckle(scene.speckle), packed_ink(scene.surface))
-    windows = SUBSAMPLES * image_windows(scene, simulation.deformation, simulation.camera)
+    windows = image_windows(scene, simulation.deformation, simulation.camera)
     rows, columns = SUBSAMPLES * int(camera[20]), SUBSAMPLES * int(camera[19])
     returns = 2 if isinstance(scene.surface, PlateAndMirror) and simulation.projector is not None else 1
     shape = (returns, rows, columns)
     light = Light(
-        np.zeros(shape), np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape[1:], np.float32)
+        np.zeros(shape),
+        np.zeros(shape),
+        np.zeros(shape, np.float32),
+        np.zeros(shape[1:], np.float32),
+        windows,
     )
     # The distance at which a facing white surface has the strength 1.
     distance = float(np.linalg.norm(source_centre(source) - np.array(scene.placement.translation)))
 
     def work(start: int, stop: int) -> None:
-        for top, bottom, left, right in windows:
+        for top, bottom, left, right in SUBSAMPLES * windows:
             _trace_window(
                 camera,
                 source,
@@ -131,7 +138,7 @@ def trace(simulation: Simulation, threads: int = 1) -> Light:
     return light
 
 
-@kernel
+@uncounted_kernel
 def _trace_window(
     camera: Floats,
     source: Floats,
@@ -193,7 +200,7 @@ def _trace_window(
                 x[1, i, j], y[1, i, j], strength[1, i, j] = xp, yp, white * lit
 
 
-@kernel
+@uncounted_kernel
 def footprint_sides(
     camera: Floats,
     specimen: Specimen,
@@ -234,7 +241,7 @@ def footprint_sides(
     return sides
 
 
-@kernel
+@uncounted_kernel
 def direct_light(
     projector: Floats,
     specimen: Specimen,
@@ -262,7 +269,7 @@ def direct_light(
     return px, py, cosine * distance * distance / (length * length)
 
 
-@kernel
+@uncounted_kernel
 def lamp_light(
     lamp: Floats,
     distance: float,
@@ -279,7 +286,7 @@ def lamp_light(
     return float(max(cosine, 0.0) * distance * distance / (length * length))
 
 
-@kernel
+@uncounted_kernel
 def mirrored_light(
     projector: Floats,
     specimen: Specimen,

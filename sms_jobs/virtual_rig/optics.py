@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.records.sensors import Sensor
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -38,7 +38,7 @@ def packed_sensor(sensor: Sensor) -> Floats:
     ).astype(np.float64)
 
 
-@kernel
+@uncounted_kernel
 def _fisheye_height(sensor: Floats, angle: float) -> tuple[float, float]:
     """Return the height of a ray's image over the axis, in focal lengths, and its derivative by the angle."""
     square, power, height, growth = angle * angle, 1.0, angle, 1.0
@@ -50,7 +50,7 @@ def _fisheye_height(sensor: Floats, angle: float) -> tuple[float, float]:
     return height, growth
 
 
-@kernel
+@uncounted_kernel
 def _fisheye_point(sensor: Floats, wx: float, wy: float) -> tuple[float, float]:
     """Return the normalised point of a distorted one; NaN where no ray within 90 degrees has it."""
     height = sqrt(wx * wx + wy * wy)
@@ -72,7 +72,7 @@ def _fisheye_point(sensor: Floats, wx: float, wy: float) -> tuple[float, float]:
     return r * wx / height, r * wy / height
 
 
-@kernel
+@uncounted_kernel
 def pixel_ray(
     sensor: Floats, px: float, py: float, x: float, y: float
 ) -> tuple[float, float, float, float, float]:
@@ -116,7 +116,7 @@ def pixel_ray(
     )
 
 
-@kernel
+@uncounted_kernel
 def image_point(sensor: Floats, x: float, y: float, z: float) -> tuple[float, float]:
     """Return the pixel coordinates of a point of the world; NaN behind the sensor. See `camera.project`."""
     depth = sensor[10] * x + sensor[11] * y + sensor[12] * z + sensor[15]
@@ -137,7 +137,7 @@ def image_point(sensor: Floats, x: float, y: float, z: float) -> tuple[float, fl
     return sensor[0] * (wx + sensor[26] * wy) + sensor[2], sensor[1] * wy + sensor[3]
 
 
-@kernel
+@uncounted_kernel
 def in_image(sensor: Floats, x: float, y: float) -> bool:
     """Tell whether pixel coordinates lie on the sensor, whose edge pixels reach half a pixel out."""
     return bool(-0.5 <= x <= sensor[19] - 0.5 and -0.5 <= y <= sensor[20] - 0.5)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.records.scene import Deformation, PanTilt, PlateAndMirror, Rigid, Scene
 from sms_jobs.virtual_rig.deformations import (
     bending_slack,
@@ -70,7 +70,7 @@ def specimen_in(scene: Scene, deformation: tuple[Deformation, ...]) -> Specimen:
     return Specimen(patches, cutouts, chain, middle, bending_slack(deformation))
 
 
-@kernel
+@uncounted_kernel
 def first_hit(
     specimen: Specimen, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, beyond: float
 ) -> tuple[float, int, float, float, float]:
@@ -107,7 +107,7 @@ def first_hit(
     return best, best_patch, best_x, best_y, best_z
 
 
-@kernel
+@uncounted_kernel
 def refined_hit(
     patch: Floats,
     chain: Floats,
@@ -140,7 +140,7 @@ def refined_hit(
     return s, mx, my, mz, False
 
 
-@kernel
+@uncounted_kernel
 def unit_to(
     ox: float, oy: float, oz: float, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
@@ -150,7 +150,7 @@ def unit_to(
     return dx / length, dy / length, dz / length, length
 
 
-@kernel
+@uncounted_kernel
 def unobstructed(specimen: Specimen, ox: float, oy: float, oz: float, x: float, y: float, z: float) -> bool:
     """Tell whether a point on the specimen is in free sight of a point off it."""
     dx, dy, dz, length = unit_to(ox, oy, oz, x, y, z)
@@ -158,7 +158,7 @@ def unobstructed(specimen: Specimen, ox: float, oy: float, oz: float, x: float, 
     return s >= length - TOUCHING_MM
 
 
-@kernel
+@uncounted_kernel
 def surface_normal(
     specimen: Specimen, patch: int, mx: float, my: float, mz: float
 ) -> tuple[float, float, float]:

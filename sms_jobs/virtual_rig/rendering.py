@@ -8,7 +8,7 @@ Poisson's law only where a pixel holds a few tens of electrons or fewer.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from math import ceil, pi, sqrt
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel, uncounted_kernel
 from sms_jobs.metrology.phase.patterns import direction, fringe_harmonics, span_px
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, Simulation
@@ -28,6 +28,8 @@ from sms_jobs.virtual_rig.gloss import dimmed, shining
 from sms_jobs.virtual_rig.light import SUBSAMPLES, Floats, Light, Singles, sensor_named
 
 Image: TypeAlias = NDArray[np.uint16]
+Window: TypeAlias = tuple[int, int, int, int]
+"""First and end row, first and end column."""
 
 _NOISE_ROWS = 64
 
@@ -116,7 +118,7 @@ class SimulatedImage:
         self._ambient = simulation.scene.camera.ambient
         self._spread = _pixel_weights(simulation.scene.camera.blur_px)
         self._seed = _noise_seed(simulation)
-        self._steady = self._whole(self._steady_rows)
+        self._steady = self._imaged(self._steady_light, 2, 0, self.shape[1])
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -131,7 +133,7 @@ class SimulatedImage:
 
     def texture(self, exposure: float = 1.0) -> Image:
         """Return the white frame, (rows, columns), of an exposure in units of the camera's own."""
-        return self._recorded(np.float32(exposure) * self._white(), self._count, 0)
+        return self._recorded(self._steady, (exposure, exposure), self._count, 0)
 
     def frame(self, index: int) -> Image:
         """Return one frame, (rows, columns); raise `IndexError` for a frame that there is not."""
@@ -140,51 +142,57 @@ class SimulatedImage:
 
     def rows(self, start: int, stop: int) -> Image:
         """Return a slab of every frame, (frames, stop - start, columns)."""
-        return self._recorded(self._white()[start:stop], self._count, start)[None]
+        return self._recorded(self._steady[:, start:stop], (1.0, 1.0), self._count, start)[None]
 
     def expected(self, index: int) -> Singles:
         """Return the grey levels of a frame before noise and rounding, (rows, columns)."""
         _ = range(self._count)[index]
-        return self._white()
-
-    def _white(self) -> Singles:
-        """Return the grey levels of the white frame before noise and rounding, (rows, columns)."""
         return np.asarray(self._steady[0] + self._steady[1])
 
-    def _whole(self, rows_of: Callable[[int, int], Singles]) -> Singles:
-        """Return the images that `rows_of(start, stop)` gives, made in row blocks."""
-        rows = self.shape[1]
-        blocks: dict[int, Singles] = {}
+    def _steady_light(self, samples: Window) -> Singles:
+        """Return the light of full projector brightness and ambient light in a window of sub-samples."""
+        top, bottom, left, right = samples
+        white = self._light.strength[:, top:bottom, left:right].sum(axis=0)
+        return np.stack([white, np.float32(self._ambient) * self._light.ambient[top:bottom, left:right]])
 
-        def work(start: int, stop: int) -> None:
-            blocks[start] = rows_of(start, stop)
+    def _imaged(self, light_in: Callable[[Window], Singles], count: int, start: int, stop: int) -> Singles:
+        """Return rows of images in grey levels, 0 where nothing is lit.
 
-        in_row_blocks(work, rows, self._threads)
-        return np.asarray(np.concatenate([blocks[start] for start in sorted(blocks)], axis=1))
-
-    def _steady_rows(self, start: int, stop: int) -> Singles:
-        """Return rows of the images of full projector brightness and of ambient light."""
-        first, last = self._subsample_rows(start, stop)
-        white = self._light.strength[:, first:last].sum(axis=0)
-        ambient = np.float32(self._ambient) * self._light.ambient[first:last]
-        return self._imaged(np.stack([white, ambient]), start, stop)
-
-    def _subsample_rows(self, start: int, stop: int) -> tuple[int, int]:
-        """Return the rows of sub-samples that rows of pixels draw on."""
+        `light_in` gives all of them in a window of sub-samples; they are blurred and averaged over pixels.
+        """
+        _, rows, columns = self.shape
         reach = (len(self._spread) - SUBSAMPLES) // 2
-        return max(start * SUBSAMPLES - reach, 0), min(stop * SUBSAMPLES + reach, self._light.x.shape[1])
+        margin = -(-reach // SUBSAMPLES)
+        out = np.zeros((count, stop - start, columns), np.float32)
 
-    def _imaged(self, images: Singles, start: int, stop: int) -> Singles:
-        """Blur sub-sampled images, average them over pixels and bring them to grey levels."""
-        first, _ = self._subsample_rows(start, stop)
-        out = np.empty((len(images), stop - start, images.shape[2] // SUBSAMPLES), np.float32)
-        _average_over_pixels(images, self._spread, self._white_level, start * SUBSAMPLES - first, out)
+        def work(first: int, last: int) -> None:
+            for top, bottom, left, right in self._light.windows.tolist():
+                top, bottom = max(top - margin, start + first), min(bottom + margin, start + last)
+                left, right = max(left - margin, 0), min(right + margin, columns)
+                if top >= bottom or left >= right:
+                    continue
+                samples = (
+                    max(top * SUBSAMPLES - reach, 0),
+                    min(bottom * SUBSAMPLES + reach, rows * SUBSAMPLES),
+                    max(left * SUBSAMPLES - reach, 0),
+                    min(right * SUBSAMPLES + reach, columns * SUBSAMPLES),
+                )
+                before = (top * SUBSAMPLES - samples[0], left * SUBSAMPLES - samples[2])
+                window = (top - start, bottom - start, left, right)
+                images = light_in(samples)
+                _average_over_pixels(images, self._spread, self._white_level, before, window, out)
+
+        in_row_blocks(work, stop - start, self._threads)
         return out
 
-    def _recorded(self, levels: Singles, index: int, start: int) -> Image:
-        """Return what the camera makes of rows `start` and on of frame `index`."""
-        rows, columns = levels.shape
+    def _recorded(self, images: Singles, weights: Sequence[float] | Floats, index: int, start: int) -> Image:
+        """Return what the camera makes of a weighted sum of images, which are rows `start` and on of a frame.
+
+        The noise is that of frame `index`.
+        """
+        _, rows, columns = images.shape
         out = np.empty((rows, columns), np.uint16)
+        images, shares = np.ascontiguousarray(images), np.array(weights, dtype=np.float64)
 
         def work(first: int, last: int) -> None:
             for block in range((start + first) // _NOISE_ROWS, -(-(start + last) // _NOISE_ROWS)):
@@ -195,7 +203,7 @@ class SimulatedImage:
                 low, high = max(top, first), min(top + _NOISE_ROWS, last)
                 noise = self._noise
                 drawn, here = normal[low - top : high - top], out[low:high]
-                _expose(levels[low:high], drawn, noise.read_noise**2, noise.gain, noise.full_scale, here)
+                _expose(images, shares, low, drawn, noise.read_noise**2, noise.gain, noise.full_scale, here)
 
         in_row_blocks(work, rows, self._threads)
         return out
@@ -211,52 +219,53 @@ class SimulatedFrames(SimulatedImage):
         self._projector: Sensor = sensor_named(simulation, simulation.projector or "")
         self._response = simulation.scene.projector
         self._lock = Lock()
-        self._fringes: tuple[tuple[float, int], Singles] | None = None
+        self._shown: tuple[tuple[float, int], Singles] | None = None
 
     def frame(self, index: int) -> Image:
         """Return one frame, (rows, columns); raise `IndexError` for a frame that there is not."""
         index = range(self._sequence.frames)[index]
-        return self._recorded(self.expected(index), index, 0)
+        return self._recorded(*self._parts(index), index, 0)
 
     def rows(self, start: int, stop: int) -> Image:
         """Return a slab of every frame, (frames, stop - start, columns)."""
         count, _, columns = self.shape
         slab = np.empty((count, stop - start, columns), np.uint16)
         for (orientation, density), frames in groupby(enumerate(self._patterns), key=lambda f: f[1][:2]):
-            fringes = self._fringe_rows(orientation, density, start, stop)
+            images = self._pattern_images(orientation, density, start, stop)
             for index, (_, _, step) in frames:
-                levels = self._levels(self._steady[:, start:stop], fringes, step)
                 for number, exposure in enumerate(self._sequence.exposures):
                     place = number * len(self._patterns) + index
-                    slab[place] = self._recorded(np.float32(exposure) * levels, place, start)
+                    weights = self._weights(len(images), step, exposure)
+                    slab[place] = self._recorded(images, weights, place, start)
         return slab
 
     def expected(self, index: int) -> Singles:
         """Return the grey levels of a frame before noise and rounding, (rows, columns)."""
+        images, weights = self._parts(index)
+        return np.tensordot(weights.astype(np.float32), images, 1)
+
+    def _parts(self, index: int) -> tuple[Singles, Floats]:
+        """Return the images that a frame is a weighted sum of, and their weights."""
         number, pattern = divmod(index, len(self._patterns))
         orientation, density, step = self._patterns[pattern]
         shown = (orientation, density)
         with self._lock:
-            if self._fringes is None or self._fringes[0] != shown:
-                fringes = self._whole(lambda start, stop: self._fringe_rows(*shown, start, stop))
-                self._fringes = (shown, fringes)
-            fringes = self._fringes[1]
-        return np.float32(self._sequence.exposures[number]) * self._levels(self._steady, fringes, step)
+            if self._shown is None or self._shown[0] != shown:
+                self._shown = (shown, self._pattern_images(orientation, density, 0, self.shape[1]))
+            images = self._shown[1]
+        return images, self._weights(len(images), step, self._sequence.exposures[number])
 
-    def _levels(self, steady: Singles, fringes: Singles, step: int) -> Singles:
-        """Return grey levels from the steady light and the cosine and sine images of each harmonic.
+    def _weights(self, count: int, step: int, exposure: float) -> Floats:
+        """Return the weights of `_pattern_images` in a frame, (count,)."""
+        angles = 2.0 * pi * step / self._sequence.steps * np.arange(1, (count + 1) // 2)
+        fringes = np.stack([np.cos(angles), -np.sin(angles)], axis=-1)
+        return exposure * np.concatenate([[1.0], fringes.ravel()])
 
-        Image 0 of `fringes` is the mean brightness of the patterns; then c_n cos(n w t) and c_n sin(n w t).
+    def _pattern_images(self, orientation: float, density: int, start: int, stop: int) -> Singles:
+        """Return rows of the images of which every step of one density is a weighted sum.
+
+        Image 0 is the mean of the steps; then come c_n cos(n w t) and c_n sin(n w t) for n = 1, 2, ..
         """
-        levels: Singles = steady[1] + fringes[0]
-        for n in range(1, (len(fringes) + 1) // 2):
-            angle = 2.0 * pi * n * step / self._sequence.steps
-            levels += np.float32(np.cos(angle)) * fringes[2 * n - 1]
-            levels -= np.float32(np.sin(angle)) * fringes[2 * n]
-        return levels
-
-    def _fringe_rows(self, orientation: float, density: int, start: int, stop: int) -> Singles:
-        """Return rows of the images that every step of one density is made of, see `_levels`."""
         columns, rows = self._projector.columns, self._projector.rows
         span = span_px(columns, rows, orientation)
         harmonics = fringe_harmonics(
@@ -267,15 +276,19 @@ class SimulatedFrames(SimulatedImage):
             defocus_px=self._response.defocus_px,
         )
         a, b = direction(orientation)
-        # The phase is a x + b y + c in projector pixels.
-        scale = 2.0 * pi * density / span
-        phase = np.array([a, b, a * (0.5 - columns / 2.0) + b * (0.5 - rows / 2.0)]) * scale
-        first, last = self._subsample_rows(start, stop)
-        light = self._light
-        images = np.empty((2 * len(harmonics) - 1, last - first, light.x.shape[2]), np.float32)
-        x, y = light.x[:, first:last], light.y[:, first:last]
-        _fringe_light(x, y, light.strength[:, first:last], phase, harmonics, images)
-        return self._imaged(images, start, stop)
+        # The phase, in turns, is a x + b y + c in projector pixels.
+        turns = np.array([a, b, a * (0.5 - columns / 2.0) + b * (0.5 - rows / 2.0)]) * density / span
+
+        def fringes(samples: Window) -> Singles:
+            top, bottom, left, right = samples
+            images = np.zeros((2 * len(harmonics) - 2, bottom - top, right - left), np.float32)
+            light = self._light
+            _add_fringes(light.x, light.y, light.strength, samples, turns, harmonics, images)
+            return images
+
+        white, ambient = self._steady[:, start:stop]
+        mean = np.float32(harmonics[0]) * white + ambient
+        return np.concatenate([mean[None], self._imaged(fringes, 2 * len(harmonics) - 2, start, stop)])
 
 
 def _noise_seed(simulation: Simulation) -> int:
@@ -294,40 +307,70 @@ def _pixel_weights(blur_px: float) -> Floats:
     return np.asarray(weights / weights.sum())
 
 
-@kernel
-def _fringe_light(
-    x: Floats, y: Floats, strength: Singles, phase: Floats, harmonics: Floats, out: Singles
+@inlined
+def _cosine_and_sine(turns: float) -> tuple[float, float]:
+    """Return cosine and sine of an angle in turns, without branches, so that a loop works on several at once.
+
+    Taylor's series about the nearest quarter of a turn, of which 3e-18 is left out at the most.
+    """
+    quarters = np.floor(4.0 * turns + 0.5)
+    angle = 2.0 * pi * (turns - 0.25 * quarters)
+    squared = angle * angle
+    cosine = sine = 1.0
+    for k in range(9, 0, -1):
+        cosine = 1.0 - squared * (1.0 / (2 * k * (2 * k - 1))) * cosine
+        sine = 1.0 - squared * (1.0 / (2 * k * (2 * k + 1))) * sine
+    sine *= angle
+    quarters -= 4.0 * np.floor(0.25 * quarters)
+    odd = quarters == 1.0 or quarters == 3.0
+    x, y = (sine, cosine) if odd else (cosine, sine)
+    return (-x if 0.5 < quarters < 2.5 else x), (-y if quarters > 1.5 else y)
+
+
+@uncounted_kernel
+def _add_fringes(
+    x: Floats,
+    y: Floats,
+    strength: Singles,
+    samples: Window,
+    turns: Floats,
+    harmonics: Floats,
+    out: Singles,
 ) -> None:
-    """Fill `out` with strength x c_0, then c_n cos(n phase) and c_n sin(n phase), summed over returns."""
-    out[:] = 0.0
+    """Add strength x c_n cos(n phase) and c_n sin(n phase) to the images of a window of sub-samples."""
+    top, bottom, left, right = samples
     for r in range(x.shape[0]):
-        for i in range(x.shape[1]):
-            for j in range(x.shape[2]):
-                light = strength[r, i, j]
-                if light == 0.0:
-                    continue
-                angle = phase[0] * x[r, i, j] + phase[1] * y[r, i, j] + phase[2]
-                out[0, i, j] += light * harmonics[0]
-                for n in range(1, harmonics.shape[0]):
-                    out[2 * n - 1, i, j] += light * harmonics[n] * np.cos(n * angle)
-                    out[2 * n, i, j] += light * harmonics[n] * np.sin(n * angle)
+        for i in range(top, bottom):
+            for n in range(1, harmonics.shape[0]):
+                for j in range(left, right):
+                    light = strength[r, i, j] * harmonics[n]
+                    phase = n * (turns[0] * x[r, i, j] + turns[1] * y[r, i, j] + turns[2])
+                    cosine, sine = _cosine_and_sine(phase)
+                    out[2 * n - 2, i - top, j - left] += light * cosine
+                    out[2 * n - 1, i - top, j - left] += light * sine
 
 
 @kernel
-def _average_over_pixels(images: Singles, weights: Floats, scale: float, first: int, out: Singles) -> None:
-    """Blur and thin out images; the sub-sample row `first` is the first of the first pixel.
+def _average_over_pixels(
+    images: Singles, weights: Floats, scale: float, before: tuple[int, int], window: Window, out: Singles
+) -> None:
+    """Blur and thin out images of sub-samples into a window of pixels; `before` it lie rows and columns.
 
-    Beyond the image's edge the light goes on as it came, turned about the last sub-sample: repeating that
-    would bend fringes which in life go on.
+    Beyond the edge of the images the light goes on as it came, turned about the last sub-sample: repeating
+    that would bend fringes which in life go on.
     """
     reach = (weights.shape[0] - SUBSAMPLES) // 2
     height, width = images.shape[1], images.shape[2]
+    top, bottom, left, right = window
     line = np.empty(width)
+    # The sub-samples that pixels of the line are made of, every SUBSAMPLES-th in a row of its own.
+    sorted_line = np.empty((SUBSAMPLES, right - left + weights.shape[0] // SUBSAMPLES))
+    total = np.empty(right - left)
     for c in range(images.shape[0]):
-        for i in range(out.shape[1]):
+        for i in range(top, bottom):
             line[:] = 0.0
             for k in range(weights.shape[0]):
-                row = first + i * SUBSAMPLES + k - reach
+                row = before[0] + (i - top) * SUBSAMPLES + k - reach
                 last = min(max(row, 0), height - 1)
                 weight = weights[k] * scale
                 for j in range(width):
@@ -335,24 +378,39 @@ def _average_over_pixels(images: Singles, weights: Floats, scale: float, first: 
                 if row != last:
                     for j in range(width):
                         line[j] += weight * (images[c, last, j] - images[c, 2 * last - row, j])
-            for j in range(out.shape[2]):
-                total = 0.0
-                for k in range(weights.shape[0]):
-                    column = j * SUBSAMPLES + k - reach
+            for q in range(sorted_line.shape[1]):
+                for p in range(SUBSAMPLES):
+                    column = before[1] + q * SUBSAMPLES + p - reach
                     last = min(max(column, 0), width - 1)
-                    total += weights[k] * line[last]
+                    sorted_line[p, q] = line[last]
                     if column != last:
-                        total += weights[k] * (line[last] - line[2 * last - column])
-                out[c, i, j] = total
+                        sorted_line[p, q] += line[last] - line[2 * last - column]
+            total[:] = 0.0
+            for k in range(weights.shape[0]):
+                for j in range(right - left):
+                    total[j] += weights[k] * sorted_line[k % SUBSAMPLES, j + k // SUBSAMPLES]
+            out[c, i, left:right] = total
 
 
 @kernel
 def _expose(
-    levels: Singles, normal: Singles, read_variance: float, gain: float, full_scale: int, out: Image
+    images: Singles,
+    weights: Floats,
+    first: int,
+    normal: Singles,
+    read_variance: float,
+    gain: float,
+    full_scale: int,
+    out: Image,
 ) -> None:
-    """Add noise to grey levels, round them and cut them off at 0 and full scale."""
-    for i in range(levels.shape[0]):
-        for j in range(levels.shape[1]):
-            level = max(levels[i, j], 0.0)  # beyond a dark edge of the image less than none may be seen
+    """Add noise to a weighted sum of images, of rows `first` and on; round it, cut it off at full scale."""
+    levels = np.empty(out.shape[1])
+    for i in range(out.shape[0]):
+        levels[:] = 0.0
+        for k in range(weights.shape[0]):
+            for j in range(out.shape[1]):
+                levels[j] += weights[k] * images[k, first + i, j]
+        for j in range(out.shape[1]):
+            level = max(levels[j], 0.0)  # beyond a dark edge of the image less than none may be seen
             level += np.sqrt(read_variance + gain * level) * normal[i, j]
-            out[i, j] = int(min(max(level + 0.5, 0.0), float(full_scale)))
+            out[i, j] = np.int32(min(max(level + 0.5, 0.0), float(full_scale)))

@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.records.scene import Speckle
 from sms_jobs.virtual_rig.ink import edge_share
 
@@ -34,7 +34,7 @@ def packed_speckle(speckle: Speckle | None) -> Floats:
     return np.array([CELL_DIAMETERS * speckle.diameter_mm, speckle.dark, speckle.bright, seed])
 
 
-@kernel
+@uncounted_kernel
 def scrambled(value: np.uint64) -> np.uint64:
     """Return 64 well-mixed bits of a number (the finaliser of Steele et al. 2014, SplitMix64)."""
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -42,7 +42,7 @@ def scrambled(value: np.uint64) -> np.uint64:
     return value ^ (value >> np.uint64(31))
 
 
-@kernel
+@uncounted_kernel
 def speckle_of_cell(pattern: Floats, i: int, j: int) -> tuple[float, float, float]:
     """Return centre (a, b) and radius of the speckle in cell (i, j), in mm."""
     bits = scrambled(np.uint64(int(pattern[3])) + np.uint64(0x9E3779B97F4A7C15) * np.uint64(i))
@@ -55,7 +55,7 @@ def speckle_of_cell(pattern: Floats, i: int, j: int) -> tuple[float, float, floa
     return (i + u) * pattern[0], (j + v) * pattern[0], radius
 
 
-@kernel
+@uncounted_kernel
 def reflectance(pattern: Floats, a: float, b: float, footprint: float) -> float:
     """Return the diffuse reflectance at (a, b), averaged over about `footprint` mm.
 
@@ -86,7 +86,7 @@ def reflectance(pattern: Floats, a: float, b: float, footprint: float) -> float:
     return float(pattern[1] + (pattern[2] - pattern[1]) * open_ground)
 
 
-@kernel
+@uncounted_kernel
 def _fill_image(pattern: Floats, pitch: float, out: Floats) -> None:
     """Fill an image with the reflectance of squares of `pitch` mm."""
     for r in range(out.shape[0]):

@@ -17,7 +17,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.scene import (
     Cylinder,
@@ -313,7 +313,7 @@ def _plate_and_mirror(surface: PlateAndMirror) -> tuple[Patch, ...]:
     )
 
 
-@kernel
+@uncounted_kernel
 def step_to_patch(
     patch: Floats, mx: float, my: float, mz: float, vx: float, vy: float, vz: float
 ) -> tuple[float, bool]:
@@ -339,7 +339,7 @@ def step_to_patch(
     return (-b - sqrt(under)) / a, True
 
 
-@kernel
+@uncounted_kernel
 def patch_coordinates(patch: Floats, mx: float, my: float, mz: float) -> tuple[float, float]:
     """Return the material coordinates (a, b) of a material point on the patch, in mm."""
     x, y, z = mx - patch[1], my - patch[2], mz - patch[3]
@@ -354,7 +354,7 @@ def patch_coordinates(patch: Floats, mx: float, my: float, mz: float) -> tuple[f
     return a * stretch, b * stretch
 
 
-@kernel
+@uncounted_kernel
 def patch_normal(patch: Floats, mx: float, my: float, mz: float) -> tuple[float, float, float]:
     """Return the outward unit normal at rest at a material point on the patch."""
     if patch[0] == PLANE:
@@ -366,7 +366,7 @@ def patch_normal(patch: Floats, mx: float, my: float, mz: float) -> tuple[float,
     return x / patch[13], y / patch[13], z / patch[13]
 
 
-@kernel
+@uncounted_kernel
 def near_patch(patch: Floats, a: float, b: float, slack: float) -> bool:
     """Tell whether (a, b) lies within the patch's limits, widened by `slack` in mm."""
     return bool(
@@ -376,7 +376,7 @@ def near_patch(patch: Floats, a: float, b: float, slack: float) -> bool:
     )
 
 
-@kernel
+@uncounted_kernel
 def on_patch(patch: Floats, cutouts: Floats, a: float, b: float) -> bool:
     """Tell whether the patch has material at (a, b)."""
     if not near_patch(patch, a, b, 0.0):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, uncounted_kernel
 from sms_jobs.records.scene import Simulation, Vector
 from sms_jobs.virtual_rig.deformations import carried_points, gradients
 from sms_jobs.virtual_rig.light import direct_light, sensor_named
@@ -204,7 +204,7 @@ def _stay(state: Simulation, sights: Floats, specimen: Specimen, ends: Floats, n
     return out
 
 
-@kernel
+@uncounted_kernel
 def _before_all(
     sights: Floats, specimen: Specimen, x: float, y: float, z: float, nx: float, ny: float, nz: float
 ) -> bool:
@@ -216,7 +216,7 @@ def _before_all(
     return True
 
 
-@kernel
+@uncounted_kernel
 def _see_rows(
     camera: Floats,
     sights: Floats,
@@ -248,7 +248,7 @@ def _see_rows(
             lit[i, j] = _before_all(sights, specimen, x, y, z, nx, ny, nz)
 
 
-@kernel
+@uncounted_kernel
 def _still_seen(
     camera: Floats,
     sights: Floats,

@@ -8,6 +8,7 @@ from math import pi
 import numpy as np
 import pytest
 
+from sms_jobs.kinds.recording.simulate import scene_at
 from sms_jobs.metrology.geometry.camera import Pose, pixel_grid, project, ray_directions
 from sms_jobs.metrology.phase.patterns import phase_gradient
 from sms_jobs.records.measurement import FringeSequence
@@ -25,7 +26,8 @@ from sms_jobs.records.scene import (
 from sms_jobs.records.sensors import Rig, Sensor
 from sms_jobs.virtual_rig.campaigns import CAMERA_LENS, PROJECTOR_LENS, Lens, aimed
 from sms_jobs.virtual_rig.light import SUBSAMPLES, trace
-from sms_jobs.virtual_rig.rendering import render
+from sms_jobs.virtual_rig.rendering import SimulatedFrames, _cosine_and_sine, render
+from sms_jobs.virtual_rig.sessions import small_session
 from sms_jobs.virtual_rig.speckle import packed_speckle, reflectance, speckle_of_cell
 from sms_jobs.virtual_rig.truth import exact_shape
 
@@ -315,6 +317,33 @@ def test_a_frame_is_the_same_in_any_order_on_any_threads_and_in_rows() -> None:
         one.frames.frame(16)
     for start, stop in [(0, SIZE), (3, 17), (60, 70), (64, 80)]:
         np.testing.assert_array_equal(one.frames.rows(start, stop), forward[:, start:stop])
+
+
+def test_what_lies_beyond_the_windows_of_a_bar_is_as_if_it_had_been_looked_at() -> None:
+    campaign = small_session("bar")
+    state = campaign.states[-1]
+    assert campaign.scene is not None
+    scene = scene_at(campaign.scene, campaign, state)
+    sim = Simulation(scene, "C1", "P1", state.deformation, state.label)
+    light = trace(sim)
+    _, rows, columns = light.strength.shape
+    whole = replace(light, windows=np.array([[0, rows // SUBSAMPLES, 0, columns // SUBSAMPLES]]))
+    assert len(light.windows) == 2
+    windowed, everywhere = (SimulatedFrames(sim, SEQUENCE, seen, 1) for seen in (light, whole))
+    for index in (0, 5):
+        np.testing.assert_array_equal(windowed.expected(index), everywhere.expected(index))
+        np.testing.assert_array_equal(windowed.frame(index), everywhere.frame(index))
+    np.testing.assert_array_equal(windowed.rows(90, 130), everywhere.rows(90, 130))
+    assert 0.01 < np.mean(windowed.expected(0) > 1.0) < 0.5
+
+
+def test_cosine_and_sine_are_right_to_rounding() -> None:
+    for turns in [*np.linspace(-40.0, 40.0, 2003).tolist(), *(np.arange(-16, 17) / 8.0).tolist()]:
+        cosine, sine = _cosine_and_sine.py_func(turns)  # type: ignore[attr-defined]
+        # Whole turns are taken off without rounding; what is left is rounded once, and so are its functions.
+        angle = 2.0 * pi * (turns - round(turns))
+        assert cosine == pytest.approx(np.cos(angle), abs=2.0**-50)
+        assert sine == pytest.approx(np.sin(angle), abs=2.0**-50)
 
 
 def test_shadow_gets_ambient_light_only() -> None:

@@ -295,7 +295,7 @@ def whole_rig(campaign: Campaign, subject: Subject) -> tuple[str, ...]:
 KIND = Kind(
     name="acquire",
     summary="record every view of a state with the instruments of the rig",
-    version=3,
+    version=4,
     scope=Scope.STATE,
     parameters=AcquireParameters,
     inputs=(),

@@ -179,7 +179,7 @@ def _statistics(measurement: Measurement) -> dict[str, float]:
 KIND = Kind(
     name="simulate",
     summary="render every view of a state on the virtual rig",
-    version=3,
+    version=4,
     scope=Scope.STATE,
     parameters=SimulateParameters,
     inputs=(),

@@ -286,7 +286,7 @@ def _frames(kept: KeptStream, camera: str, places: range) -> FramesBetween | Non
 KIND = Kind(
     name="stream",
     summary="record cameras without a projector at a rate; their frames become states",
-    version=1,
+    version=2,
     scope=Scope.CAMPAIGN,
     parameters=StreamParameters,
     inputs=(),
