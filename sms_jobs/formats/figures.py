@@ -110,6 +110,10 @@ def new_figure(width: float, height: float) -> Figure:
 def as_png(figure: Figure) -> bytes:
     """Return a figure as PNG."""
     buffer = io.BytesIO()
+    if (layout := figure.get_layout_engine()) is not None:
+        # To save a figure that is laid out as it is drawn draws it twice.
+        layout.execute(figure)
+        figure.set_layout_engine("none")
     # Without the version of the program: the same picture has the same bytes.
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()

@@ -7,7 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, kernel, uncounted_kernel
 
 Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]
@@ -17,7 +17,7 @@ OUTLIER = 5.0
 """Standard deviations beyond which a pixel is no part of the surface around it."""
 
 
-@kernel
+@uncounted_kernel
 def _gather_disc(
     r: int, c: int, labels: Labels, weight: Floats, radius: float, place: Ints, w: Floats
 ) -> int:
@@ -36,28 +36,28 @@ def _gather_disc(
     return n
 
 
-@kernel
+@uncounted_kernel
 def _fit_shares(r: int, c: int, n: int, place: Ints, w: Floats, shares: Floats) -> bool:
     """Fill each pixel's shares (n, 3) in the value and slopes at (c, r) of a plane fitted with weights w."""
-    m = np.zeros(6)
+    m0 = m1 = m2 = m3 = m4 = m5 = 0.0
     for k in range(n):
         dx = place[k, 1] - c
         dy = place[k, 0] - r
-        m[0] += w[k]
-        m[1] += w[k] * dx
-        m[2] += w[k] * dy
-        m[3] += w[k] * dx * dx
-        m[4] += w[k] * dx * dy
-        m[5] += w[k] * dy * dy
+        m0 += w[k]
+        m1 += w[k] * dx
+        m2 += w[k] * dy
+        m3 += w[k] * dx * dx
+        m4 += w[k] * dx * dy
+        m5 += w[k] * dy * dy
     # The inverse of the normal matrix, by cofactors.
-    c00 = m[3] * m[5] - m[4] * m[4]
-    c01 = m[2] * m[4] - m[1] * m[5]
-    c02 = m[1] * m[4] - m[2] * m[3]
-    c11 = m[0] * m[5] - m[2] * m[2]
-    c12 = m[1] * m[2] - m[0] * m[4]
-    c22 = m[0] * m[3] - m[1] * m[1]
-    determinant = m[0] * c00 + m[1] * c01 + m[2] * c02
-    if not determinant > 1e-6 * m[0] * (m[3] + m[5]) ** 2:
+    c00 = m3 * m5 - m4 * m4
+    c01 = m2 * m4 - m1 * m5
+    c02 = m1 * m4 - m2 * m3
+    c11 = m0 * m5 - m2 * m2
+    c12 = m1 * m2 - m0 * m4
+    c22 = m0 * m3 - m1 * m1
+    determinant = m0 * c00 + m1 * c01 + m2 * c02
+    if not determinant > 1e-6 * m0 * (m3 + m5) ** 2:
         return False
     for k in range(n):
         dx = place[k, 1] - c
@@ -69,22 +69,34 @@ def _fit_shares(r: int, c: int, n: int, place: Ints, w: Floats, shares: Floats) 
     return True
 
 
-@kernel
+@uncounted_kernel
 def _drop_outliers(
-    r: int, c: int, n: int, place: Ints, w: Floats, shares: Floats, raw: Floats, weight: Floats
+    r: int,
+    c: int,
+    n: int,
+    place: Ints,
+    w: Floats,
+    shares: Floats,
+    raw: Floats,
+    weight: Floats,
+    plane: Floats,
 ) -> None:
-    """Set the weight of pixels to 0 that lie too far from the plane."""
-    plane = np.zeros((3, 3))
+    """Set the weight of pixels to 0 that lie too far from the plane; fill its `plane` (3, 3)."""
+    for a in range(3):
+        for b in range(3):
+            plane[a, b] = 0.0
     for k in range(n):
+        row, column = place[k, 0], place[k, 1]
         for a in range(3):
             for b in range(3):
-                plane[a, b] += shares[k, b] * raw[a, place[k, 0], place[k, 1]]
+                plane[a, b] += shares[k, b] * raw[a, row, column]
     for k in range(n):
+        row, column = place[k, 0], place[k, 1]
         square = 0.0
         for a in range(3):
-            fit = plane[a, 0] + plane[a, 1] * (place[k, 1] - c) + plane[a, 2] * (place[k, 0] - r)
-            square += (raw[a, place[k, 0], place[k, 1]] - fit) ** 2
-        if square * weight[place[k, 0], place[k, 1]] > OUTLIER**2:
+            fit = plane[a, 0] + plane[a, 1] * (column - c) + plane[a, 2] * (row - r)
+            square += (raw[a, row, column] - fit) ** 2
+        if square * weight[row, column] > OUTLIER**2:
             w[k] = 0.0
 
 
@@ -104,11 +116,11 @@ def _average_rows(
     size = (4 * int(np.ceil(radius)) + 1) ** 2
     place = np.empty((size, 2), dtype=np.int64)
     w = np.empty(size)
-    shares = np.empty((size, 3))
+    shares, plane = np.empty((size, 3)), np.empty((3, 3))
     for r in range(start, stop):
         for c in range(labels.shape[1]):
-            value[:, r, c] = np.nan
-            spread[:, r, c] = np.nan
+            for a in range(6):
+                value[a % 3, r, c] = spread[a, r, c] = np.nan
             if labels[r, c] == 0:
                 continue
             n = _gather_disc(r, c, labels, weight, radius, place, w)
@@ -117,17 +129,18 @@ def _average_rows(
                 n = _gather_disc(r, c, labels, weight, 2.0 * radius, place, w)
             if not _fit_shares(r, c, n, place, w, shares):
                 continue
-            _drop_outliers(r, c, n, place, w, shares, raw, weight)
+            _drop_outliers(r, c, n, place, w, shares, raw, weight, plane)
             if not _fit_shares(r, c, n, place, w, shares):
                 continue
-            value[:, r, c] = 0.0
-            spread[:, r, c] = 0.0
+            for a in range(6):
+                value[a % 3, r, c] = spread[a, r, c] = 0.0
             for k in range(n):
                 if w[k] > 0.0:
+                    row, column, share = place[k, 0], place[k, 1], shares[k, 0]
                     for a in range(3):
-                        value[a, r, c] += shares[k, 0] * raw[a, place[k, 0], place[k, 1]]
+                        value[a, r, c] += share * raw[a, row, column]
                     for a in range(6):
-                        spread[a, r, c] += shares[k, 0] ** 2 * covariance[a, place[k, 0], place[k, 1]]
+                        spread[a, r, c] += share**2 * covariance[a, row, column]
 
 
 def average_in_region(

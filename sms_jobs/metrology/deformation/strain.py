@@ -158,23 +158,21 @@ def _gather(
     mixed[:] = 0.0
     along[:] = 0.0
     total = 0.0
-    x = np.empty(3)
-    own = normal[:, row // side, column // side].copy()
-    folded = least_cosine > -1.0 and own[0] * own[0] + own[1] * own[1] + own[2] * own[2] > 0.0
+    own_x = normal[0, row // side, column // side]
+    own_y = normal[1, row // side, column // side]
+    own_z = normal[2, row // side, column // side]
+    folded = least_cosine > -1.0 and own_x * own_x + own_y * own_y + own_z * own_z > 0.0
     for j in range(max(row // side - reach, 0), min(row // side + reach + 1, labels.shape[0])):
         for i in range(max(column // side - reach, 0), min(column // side + reach + 1, labels.shape[1])):
             if labels[j, i] != label:
                 continue
-            for k in range(3):
-                x[k] = xyz[k, j, i] - centre[k]
+            x = (xyz[0, j, i] - centre[0], xyz[1, j, i] - centre[1], xyz[2, j, i] - centre[2])
             if x[0] * x[0] + x[1] * x[1] + x[2] * x[2] > radius * radius:
                 continue
             if folded:
-                square = cosine = 0.0
-                for k in range(3):
-                    square += normal[k, j, i] * normal[k, j, i]
-                    cosine += normal[k, j, i] * own[k]
-                if square > 0.0 and cosine < least_cosine:
+                n_x, n_y, n_z = normal[0, j, i], normal[1, j, i], normal[2, j, i]
+                square = n_x * n_x + n_y * n_y + n_z * n_z
+                if square > 0.0 and n_x * own_x + n_y * own_y + n_z * own_z < least_cosine:
                     continue
             w = weight[j, i]
             total += w

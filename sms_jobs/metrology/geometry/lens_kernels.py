@@ -62,6 +62,8 @@ def undistorted(lens: Floats, pixel: Floats, result: Floats) -> bool:
     plain lens has a loop of its own, short enough to be compiled into what calls it.
     """
     target_x, target_y = (pixel[0] - lens[2]) / lens[0], (pixel[1] - lens[3]) / lens[1]
+    if not np.isfinite(target_x + target_y):
+        return False  # Newton's method would try all its steps to find that out
     if not _is_plain(lens):
         return _bent_undistorted(lens, target_x, target_y, result)
     x, y = target_x, target_y
