@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from sms_jobs.archive.provenance import provenance_from_json, provenance_to_json
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, search
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, NotFound, OtherFormat
+from sms_jobs.jobs.turned_results import is_turned_file
 from sms_jobs.kinds import all_kinds
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import FileView
@@ -75,26 +77,32 @@ def newest_file(services: Services, subject: str, what: str) -> Newest:
     InvalidInput
         It is no subject.
     NotFound
-        There is no such campaign or result.
+        There is no such campaign or result, or none along the specimen's frame that the campaign has now.
     """
     about = Subject.parse(subject)
     with services.catalogue.reading() as session:
         campaigns.campaign_id(session, about.campaign)
-        number, name = _newest(session, {what}, about), None
-        if number is None:
-            number, name = _newest(session, _with_record(what), about), what
-        if number is None:
+        files, name = _newest_first(session, {what}, about), None
+        if not files:
+            files, name = _newest_first(session, _with_record(what), about), what
+        if not files:
             raise NotFound(
                 f"there is no {what} of {subject} in the archive; 'sms data find -c {about.campaign}' shows "
                 "what there is"
             )
+        number = next((one for one in files if not is_turned_file(session, one)), None)
+        if number is None:
+            raise NotFound(
+                f"each {what} of {subject} is of another frame of the specimen than its campaign has now: "
+                f"submit the pipeline again, or read the newest by its number, {files[0]}"
+            )
         return Newest(search.file_view(session, str(number)), name)
 
 
-def _newest(session: Session, sources: Iterable[str], about: Subject) -> int | None:
-    """Return the number of the newest file that one of some kinds made about a subject."""
-    found = (campaigns.newest_file(session, source, about, DATASET_MEDIA_TYPE) for source in sources)
-    return max((number for number in found if number is not None), default=None)
+def _newest_first(session: Session, sources: Iterable[str], about: Subject) -> list[int]:
+    """Return the numbers of the files that one of some kinds made about a subject, the newest first."""
+    found = (campaigns.files_newest_first(session, one, about, DATASET_MEDIA_TYPE) for one in sources)
+    return sorted(chain.from_iterable(found), reverse=True)
 
 
 def _with_record(name: str) -> set[str]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from datetime import datetime
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter
-from sqlalchemy import func, insert, select
+from sqlalchemy import Select, func, insert, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import (
@@ -220,8 +220,17 @@ def state_ids(session: Session, campaign_id: int, labels: Collection[str] | None
 
 def newest_file(session: Session, source: str, subject: Subject, media_type: str) -> int | None:
     """Return the newest file of a type that is a measurement or result of a kind about a subject."""
+    return session.scalar(_files(source, subject, media_type).with_only_columns(func.max(FileRow.id)))
+
+
+def files_newest_first(session: Session, source: str, subject: Subject, media_type: str) -> Iterator[int]:
+    """Yield all files of which `newest_file` returns the first."""
+    yield from session.scalars(_files(source, subject, media_type).order_by(FileRow.id.desc()))
+
+
+def _files(source: str, subject: Subject, media_type: str) -> Select[Any]:
     query = (
-        select(func.max(FileRow.id))
+        select(FileRow.id)
         .join(CampaignRow, CampaignRow.id == FileRow.campaign_id)
         .where(
             FileRow.source == source,
@@ -235,8 +244,7 @@ def newest_file(session: Session, source: str, subject: Subject, media_type: str
         query = query.join(LoadStateRow, LoadStateRow.id == FileRow.state_id).where(
             LoadStateRow.label == subject.state
         )
-    query = query.where(FileRow.view.is_(None) if subject.view is None else FileRow.view == subject.view)
-    return session.scalar(query)
+    return query.where(FileRow.view.is_(None) if subject.view is None else FileRow.view == subject.view)
 
 
 def rig_row(session: Session, name: str) -> RigRow:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from sqlalchemy import select
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
-from sms_jobs.catalogue.models import ProvenanceRow
+from sms_jobs.catalogue.models import DependencyRow, FileRow, ProvenanceRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.catalogue.search import views_with
 from sms_jobs.records.shown.files import Ancestor, Family, FileView
@@ -34,6 +34,30 @@ def descent(session: Session, file: FileView) -> Family:
 
 _Edge = tuple[int, str, int]
 """A file, the role of its neighbour, and that."""
+
+
+def kin(session: Session, files: Iterable[int], *, down: bool) -> set[int]:
+    """Return what was computed from some files, and from that, and so on; not `down`, what they were."""
+    known, other = _ends(down)
+    found: set[int] = set()
+    front = set(files)
+    while front:
+        met: set[int] = set()
+        for some in parts(sorted(front)):
+            met.update(session.scalars(select(other).where(known.in_(some))))
+        front = met - found
+        found |= front
+    return found
+
+
+def input_hashes(session: Session, job_id: str) -> dict[str, str]:
+    """Return the content hash of each input of a job, by role."""
+    rows = session.execute(
+        select(DependencyRow.role, FileRow.content_hash)
+        .join(FileRow, FileRow.id == DependencyRow.file_id)
+        .where(DependencyRow.job_id == job_id)
+    )
+    return dict(rows.all())
 
 
 def _family(session: Session, root: int, *, down: bool) -> Family:

@@ -11,12 +11,11 @@ from typing import Any
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue import campaigns, job_counts
+from sms_jobs.catalogue import campaigns, family, job_counts
 from sms_jobs.catalogue.models import (
     CampaignRow,
     DependencyRow,
     EventRow,
-    FileRow,
     JobCountRow,
     JobRow,
     QueueRow,
@@ -251,7 +250,7 @@ def _changes(session: Session, earlier: JobRow, job: JobRow) -> list[str]:
         if then != now:
             was, is_now = ("not given" if value is None else value for value in (then, now))
             changes.append(f"parameter {name} was {was}, now {is_now}")
-    then_hashes, now_hashes = _input_hashes(session, earlier.id), _input_hashes(session, job.id)
+    then_hashes, now_hashes = family.input_hashes(session, earlier.id), family.input_hashes(session, job.id)
     changes += [
         f"the content of its input '{role}' is another"
         for role in sorted(then_hashes.keys() | now_hashes.keys())
@@ -260,15 +259,6 @@ def _changes(session: Session, earlier: JobRow, job: JobRow) -> list[str]:
     return changes or [
         "what the campaign's definition says of it is another, or its files were gone or damaged"
     ]
-
-
-def _input_hashes(session: Session, job_id: str) -> dict[str, str]:
-    rows = session.execute(
-        select(DependencyRow.role, FileRow.content_hash)
-        .join(FileRow, FileRow.id == DependencyRow.file_id)
-        .where(DependencyRow.job_id == job_id)
-    )
-    return dict(rows.all())
 
 
 def _staleness(session: Session, job: JobRow, now: datetime) -> list[str]:
@@ -292,7 +282,7 @@ def _staleness(session: Session, job: JobRow, now: datetime) -> list[str]:
             say.append("its calibration is not in use any more, and there is no other")
         elif holds.file_id != used.file_id:
             say.append("it is stale: another calibration of the rig is valid for this state now")
-    if is_turned(session, job, _input_hashes(session, job.id)):
+    if is_turned(session, job):
         say.append("it is stale: the specimen's frame of the campaign is another now")
     return say
 

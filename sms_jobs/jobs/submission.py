@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
 
 from sqlalchemy import Table, insert, select
@@ -203,6 +204,13 @@ def draft(
     coming = _coming(session, row.id)
     valid = ValidCalibrations(session, row.id, now)
 
+    @cache
+    def turned() -> set[int]:
+        # What makes keys reads archives, which nobody who submits other kinds should wait for.
+        from sms_jobs.jobs.turned_results import turned_files
+
+        return turned_files(session, row)
+
     def find(need: Need) -> Existing | None:
         if need.source == CALIBRATION:
             used = calibration_choice.holding(session, valid, campaign.rig, need.subject)
@@ -211,6 +219,11 @@ def draft(
             return Existing(job_id=job_id)
         else:
             file_id = campaigns.newest_file(session, need.source, need.subject, DATASET_MEDIA_TYPE)
+            if file_id is not None and _lies_along_frame(need.source) and file_id in turned():
+                # One of the frame that holds goes before a newer one; where there is none, what is made of it
+                # is stale, and told to be.
+                all_of = campaigns.files_newest_first(session, need.source, need.subject, DATASET_MEDIA_TYPE)
+                file_id = next((one for one in all_of if one not in turned()), file_id)
         return None if file_id is None else Existing(file_id=file_id)
 
     found = plan_possible(campaign, requests, find)
@@ -227,6 +240,11 @@ def draft(
         tuple(_rows(row.id, campaign, jobs, ids, now, priority, use_cache, by)),
         found.refused,
     )
+
+
+def _lies_along_frame(source: str) -> bool:
+    kind = all_kinds().get(source)
+    return kind is not None and kind.along_frame
 
 
 def _job_id(key: str, job: PlannedJob) -> str:

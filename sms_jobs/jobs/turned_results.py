@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from sqlalchemy import Row, Select, func, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import CampaignRow, DependencyRow, FileRow, JobRow, ProvenanceRow
+from sms_jobs.catalogue import campaigns, family
+from sms_jobs.catalogue.models import CampaignRow, DependencyRow, FileRow, JobRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.jobs.indexing import CAMPAIGN
 from sms_jobs.jobs.reuse import reuse_key
@@ -24,8 +24,7 @@ def turned_files(session: Session, campaign: CampaignRow) -> set[int]:
     A result is one of them where its reuse key is not what the present definition makes of its parameters and
     inputs. A campaign whose definition was never amended has none, and is not looked at.
     """
-    defined = select(func.count()).where(FileRow.campaign_id == campaign.id, FileRow.source == CAMPAIGN)
-    if (session.scalar(defined) or 0) < 2:
+    if not _was_amended(session, campaign.id):
         return set()
     chosen = _along_the_frame().where(JobRow.campaign_id == campaign.id)
     known = campaigns.definition(campaign)
@@ -42,16 +41,35 @@ def turned_files(session: Session, campaign: CampaignRow) -> set[int]:
         for some in parts(other)
         for number in session.scalars(select(FileRow.id).where(FileRow.job_id.in_(some)))
     }
-    return files | _made_from(session, files)
+    return files | family.kin(session, files, down=True)
 
 
-def is_turned(session: Session, job: JobRow, hashes: Mapping[str, str]) -> bool:
-    """Say whether a job took another frame than its campaign has; `hashes` are of its inputs by role."""
+def is_turned(session: Session, job: JobRow) -> bool:
+    """Say whether a job took another frame than its campaign has."""
     row = session.execute(_along_the_frame().where(JobRow.id == job.id)).one_or_none()
     if row is None or not _is_current(row):
         return False
     known = campaigns.definition(session.get_one(CampaignRow, job.campaign_id))
-    return bool(_key(known, row, hashes) != row.reuse_key)
+    return bool(_key(known, row, family.input_hashes(session, job.id)) != row.reuse_key)
+
+
+def is_turned_file(session: Session, number: int) -> bool:
+    """Say of one file what `turned_files` says of all of a campaign, in time that does not grow with it."""
+    campaign = session.get_one(FileRow, number).campaign_id
+    if campaign is None or not _was_amended(session, campaign):
+        return False
+    makers = select(JobRow).join(FileRow, FileRow.job_id == JobRow.id)
+    along = JobRow.id.in_(_along_the_frame().with_only_columns(JobRow.id))
+    return any(
+        is_turned(session, job)
+        for some in parts(sorted(family.kin(session, {number}, down=False) | {number}))
+        for job in session.scalars(makers.where(FileRow.id.in_(some), along))
+    )
+
+
+def _was_amended(session: Session, campaign: int) -> bool:
+    defined = select(func.count()).where(FileRow.campaign_id == campaign, FileRow.source == CAMPAIGN)
+    return (session.scalar(defined) or 0) > 1
 
 
 def _along_the_frame() -> Select[Any]:
@@ -69,18 +87,3 @@ def _is_current(job: Row[Any]) -> bool:
 def _key(campaign: Campaign, job: Row[Any], hashes: Mapping[str, str]) -> str:
     kind, subject = all_kinds()[job.kind], Subject.parse(job.subject)
     return reuse_key(kind, subject, job.parameters, kind.context(campaign, subject), hashes)
-
-
-def _made_from(session: Session, files: Iterable[int]) -> set[int]:
-    """Return what was computed from some files, and from that, and so on."""
-    found: set[int] = set()
-    front = set(files)
-    while front:
-        outputs: set[int] = set()
-        for some in parts(sorted(front)):
-            outputs.update(
-                session.scalars(select(ProvenanceRow.output_id).where(ProvenanceRow.input_id.in_(some)))
-            )
-        front = outputs - found
-        found |= front
-    return found

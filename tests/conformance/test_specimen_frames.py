@@ -12,9 +12,12 @@ from support.archives import Clock, emptied, registered, run_jobs, work_again
 from support.command import inside
 from support.deployments import Deployment
 
+from sms_jobs import bootstrap
+from sms_jobs.app import reading
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.errors import NotFound
 from sms_jobs.jobs import campaign_matrix, reindexing
 from sms_jobs.jobs.planning import Request
 from sms_jobs.records.campaign import Campaign
@@ -91,6 +94,41 @@ def test_a_frame_makes_stale_what_lies_along_it_and_nothing_else(
         row = campaigns.campaign_row(session, "plate")
         cells = campaign_matrix.matrix(session, row, datetime.now(UTC))
     assert [cell.file for cell in cells if cell.kind == "strain"] == [strains]
+
+
+@pytest.mark.usefixtures("measured")
+def test_what_is_read_and_built_on_is_of_the_frame_that_the_campaign_has(
+    deployment: Deployment,
+    catalogue: Catalogue,
+    archive: Archive,
+    clock: Clock,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name, value in deployment.environment.items():
+        monkeypatch.setenv(name, value)
+
+    def newest() -> list[int]:
+        with bootstrap.services(deployment.home) as services:
+            subjects = {"strain": str(STRAINED), "merge": "plate/S01", "displacement": str(STRAINED)}
+            return [reading.newest_file(services, one, what).file.id for what, one in subjects.items()]
+
+    first = newest()
+    frame(deployment, *POINTS)
+    with (
+        bootstrap.services(deployment.home) as services,
+        pytest.raises(NotFound, match=f"of another frame.* by its number, {first[0]}"),
+    ):
+        reading.newest_file(services, str(STRAINED), "strain")
+    run_jobs(catalogue, archive, clock, [Request("strain"), Request("merge")])
+    second = newest()
+    assert (second[0] > first[0], second[1] > first[1], second[2]) == (True, True, first[2])
+
+    frame(deployment, "--drop")
+    assert newest() == first
+    # Merged alone, it takes the strain that lies along the world's axes again, and so is there already.
+    run_jobs(catalogue, archive, clock, [Request("merge")])
+    assert newest() == first
+    assert conditions(catalogue)["merge"] == "computed"
 
 
 @pytest.mark.usefixtures("measured")
