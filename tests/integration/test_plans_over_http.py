@@ -18,6 +18,7 @@ from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.instruments.spool import SpoolHeader, SpoolWriter
 from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.stereo_campaigns import stereo_campaign, stereo_rig
 
 PAIR = """
@@ -42,6 +43,9 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     home = tmp_path_factory.mktemp("plans") / "home"
     make_home(home, {})
     with bootstrap.services(home) as services:
+        calibration, campaign = small_plate("gauged")
+        campaign = replace(campaign, processing={"gauges": {"gauge": "g1 x=0 y=0 length=60"}})
+        register_campaign(services.catalogue, services.archive, campaign, calibration, datetime.now(UTC))
         calibration, campaign = stereo_campaign("seen", rig=stereo_rig(64, 64))
         campaign = replace(campaign, rig="pair", states=(replace(campaign.states[0], label="t0001"),))
         calibration = replace(calibration, rig=replace(calibration.rig, name="pair"))
@@ -109,6 +113,32 @@ def test_a_plan_that_says_too_much_or_too_little_is_refused(
     assert refused.status_code in (404, 422), refused.text
     assert words in refused.json()["error"]
     assert planned(web) == {}
+
+
+def test_a_plan_asks_for_looks_and_limits(web: httpx2.Client) -> None:
+    limit = "g1.extension_mm > 500um"
+    made = asked(web, "recordings/planned", 201, campaign="gauged", states=["S01"], stop_if=[limit])
+    assert [one["stop_if"] for one in made] == [["g1.extension_mm > 0.5 mm"]]
+    asked(web, "recordings/planned", 201, campaign="plate", look=True)
+    asked(web, "recordings/planned/drop", campaign="plate")
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "words"),
+    [
+        ({"campaign": "gauged", "stop_if": ["g1.extension_mm > 5"]}, 422, "has no unit"),
+        ({"campaign": "gauged", "stop_if": ["g1 > 5mm"]}, 422, "stop_if is 'g1 > 5mm', which is no limit"),
+        ({"campaign": "gauged", "stop_if": ["g2.x_mm < 0mm"]}, 404, "gauged has no gauge 'g2'"),
+        ({"campaign": "seen", "look": True}, 422, "no view of a camera and a projector"),
+    ],
+)
+def test_a_look_that_cannot_be_is_refused(
+    web: httpx2.Client, body: dict[str, Any], status: int, words: str
+) -> None:
+    before = web.get("recordings/planned", params={"campaign": body["campaign"]}).json()
+    refused = web.post("recordings/planned", json=body)
+    assert (refused.status_code, words in refused.json()["error"]) == (status, True), refused.text
+    assert web.get("recordings/planned", params={"campaign": body["campaign"]}).json() == before
 
 
 def test_quick_looks_are_told(web: httpx2.Client) -> None:

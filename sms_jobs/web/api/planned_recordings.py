@@ -11,6 +11,7 @@ from pydantic import Field
 from sms_jobs.app import planned_recordings, quick_looks
 from sms_jobs.app.planned_recordings import AtCycles, AtLoad, InTime, When
 from sms_jobs.errors import InvalidInput
+from sms_jobs.records.gauge_limits import Look, gauge_limit
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
 from sms_jobs.records.shown.quick_looks import QuickLookView
 from sms_jobs.records.units import typed
@@ -49,6 +50,20 @@ class NewPlan(Asked):
     ] = 5.0
     ask: Annotated[bool, Field(description="Ask an operator about a doubtful set.")] = False
     process: Annotated[bool, Field(description="Process each state once it is recorded.")] = False
+    look: Annotated[bool, Field(description="Take a quick look at each state once it is recorded.")] = False
+    stop_if: Annotated[
+        Texts,
+        Field(
+            description="Hold the plan where a quick look finds this, as g1.extension_mm > 0.5mm; `look` is "
+            "not needed then."
+        ),
+    ] = []
+
+    @property
+    def looked_at(self) -> Look:
+        """Whether there are quick looks, and which limits hold the plan; `InvalidInput` for what is none."""
+        limits = tuple(gauge_limit(text, "stop_if") for text in self.stop_if)
+        return Look(self.look or bool(limits), limits)
 
     @property
     def when(self) -> When:
@@ -108,7 +123,13 @@ def looks(services: Acting, campaign: Annotated[Text, Query(description="Of this
 def plan(services: Acting, body: NewPlan) -> Any:
     """Plan recordings."""
     found = planned_recordings.plan(
-        services, body.campaign, body.when, body.states, ask=body.ask, process=body.process
+        services,
+        body.campaign,
+        body.when,
+        body.states,
+        ask=body.ask,
+        process=body.process,
+        look=body.looked_at,
     )
     return answer(found, 201)
 
