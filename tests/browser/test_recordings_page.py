@@ -46,7 +46,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
         register_campaign(
             services.catalogue,
             services.archive,
-            replace(campaign, rig="bench"),
+            replace(campaign, rig="bench", processing={"gauges": {"gauge": "g1 x=0 y=0 length=60"}}),
             replace(calibration, rig=replace(calibration.rig, name="bench")),
             datetime.now(UTC),
         )
@@ -74,6 +74,8 @@ def test_what_is_recorded_is_seen_and_a_plan_is_held_back_and_goes_on(page: Brow
         page.wait_for("document.querySelector('#plan-load .problem').textContent.includes('has no unit')")
         page.complaints.clear()  # the browser notes the refusal
         page.run("document.querySelector('#plan-next').open = true")
+        # 60 mm are stretched by 0.5 %.
+        page.write("#limits-next", "g1.extension_mm > 0.2mm")
         page.click("#plan-next button.main")
         page.wait_for(f"{PLAN_OF}.includes('plate/S00 is next')")
         assert "no worker serves" in page.run(PLAN_OF)
@@ -92,7 +94,11 @@ def test_what_is_recorded_is_seen_and_a_plan_is_held_back_and_goes_on(page: Brow
             assert "C1P" in page.run("document.querySelector('#progress .frame figcaption').textContent")
             page.wait_for(f"{PLAN_OF}.includes('plate/S01 is next: it is held back')", seconds=60)
             page.click("#go-plate")
-            page.wait_for("document.querySelectorAll('#planned .state.good').length === 2", seconds=180)
+            page.wait_for("document.querySelectorAll('#planned .state.good').length >= 2", seconds=180)
+            page.wait_for(f"{PLAN_OF}.includes('is held after S01: g1.extension_mm is 0.')", seconds=180)
+            looked = page.run("document.querySelector('#looks').textContent")
+            assert "plate/S01/C1P1" in looked
+            assert "g1 longer by 0." in looked
         assert page.run("window.here")
         assert page.complaints == []
     with bootstrap.services(home) as services:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi.responses import HTMLResponse
 
-from sms_jobs.app import campaigns, jobs, last_frames, planned_recordings, recordings, rigs
+from sms_jobs.app import campaigns, jobs, last_frames, planned_recordings, quick_looks, recordings, rigs
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import NotFound
 from sms_jobs.records.job import JobState
@@ -27,10 +27,13 @@ def list_(page: Page, campaign: str = "") -> HTMLResponse:
     connected = rigs.list_rigs(services)
     plan = recordings.plan(services, campaign, missing=True) if campaign else None
     done = _last_recorded(services, campaign) if campaign else None
+    planned = planned_recordings.show(services, campaign or None)
+    looked_at = [campaign] if campaign else dict.fromkeys(one.campaign for one in planned)
     return page.render(
         "recordings.html",
         recordings=[(one, _frame(services, one.job_id)) for one in found],
-        planned=planned_recordings.show(services, campaign or None),
+        planned=planned,
+        looks=[look for name in looked_at for look in quick_looks.show(services, name)],
         changed=_CHANGED,
         rigs=connected,
         devices=rigs.held_devices(services),

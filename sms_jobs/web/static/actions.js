@@ -16,6 +16,7 @@ export function bodyOf(form, submitter) {
     else if (field.type === "checkbox") { if (field.checked) (body[field.name] ??= []).push(field.value); else body[field.name] ??= []; }
     else if (field.type === "radio") { if (field.checked) place(field.name, text); }
     else if (type === "list") place(field.name, text.split(/[\s,]+/).filter(Boolean));
+    else if (type === "lines") place(field.name, text.split("\n").map((one) => one.trim()).filter(Boolean));
     else if (text === "" && "optional" in field.dataset) continue;
     else if (type === "number") place(field.name, text === "" ? null : Number(text));
     else if (type === "values") place(field.name, text.split(",").map((one) => valueOf(one.trim())).filter((one) => one !== ""));
