@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from sms_jobs.app.jobs import Submitted, Work
 from sms_jobs.app.reading import StoredRecord
 from sms_jobs.app.specimen_axes import in_specimen_frame
+from sms_jobs.app.specimen_frames import Choice, FrameOf, Place
 from sms_jobs.app.waiting import Waited
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.lab.datasets import MISSING, dataset_of
@@ -210,6 +211,48 @@ class Lab:
         """Return a record along the axes of the specimen of its campaign."""
         campaign = self._source.definition(stored.file.subject.partition("/")[0])
         return replace(stored, record=in_specimen_frame(stored.record, campaign))
+
+    def frame(self, campaign: str) -> FrameOf:
+        """Return the specimen's frame of a campaign; raises `NotFound` where there is none of that name."""
+        return self._source.frame(campaign)
+
+    def find_frame(
+        self,
+        campaign: str,
+        x: Place,
+        *,
+        origin: Place | None = None,
+        plane: Place | None = None,
+        fit: str = "",
+        view: str | None = None,
+        markers: bool = False,
+    ) -> FrameOf:
+        """Find the specimen's own frame, as `sms campaign frame` does, and keep it from now on.
+
+        Parameters
+        ----------
+        x, origin, plane
+            A point of the x axis, the origin and one of the xy plane: (column, row) in px of the reference
+            image, or (X, Y, Z) of the world in mm. Without an origin it is the middle of the region.
+        fit
+            In place of a third point: a region whose plane is the xy plane, as "rectangle 100 100 900 700".
+        view
+            Whose image it is; the first that measures shape if it is None.
+        markers
+            Whether the pixels lie in round marks, whose middles are taken.
+
+        Raises
+        ------
+        NotFound
+            There is no such campaign, or the reference surface of the view has not been computed.
+        InvalidInput
+            The points or the region tell no frame, or it is a calibration session.
+        """
+        return self._source.find_frame(campaign, Choice(x, origin, plane, fit, view, markers))
+
+    def drop_frame(self, campaign: str) -> FrameOf:
+        """Take the specimen's frame away again; raises `NotFound` where the campaign has none."""
+        return self._source.drop_frame(campaign)
 
     def submit(
         self,

@@ -60,8 +60,15 @@ class Connection:
 
     def post(self, path: str, body: Mapping[str, Any]) -> Any:
         """Ask for a change, once; raises `CommitInDoubt` where nobody knows whether it was made."""
+        return self._change("POST", path, json=body)
+
+    def delete(self, path: str) -> Any:
+        """Ask for something to be taken away, once; raises as `post` does."""
+        return self._change("DELETE", path)
+
+    def _change(self, method: str, path: str, **given: Any) -> Any:
         try:
-            return _require_success(self._client.post(f"{_API}{path}", json=body)).json()
+            return _require_success(self._client.request(method, f"{_API}{path}", **given)).json()
         except (httpx2.ConnectError, httpx2.ConnectTimeout) as error:
             raise self._unreachable(error) from error
         except httpx2.HTTPError as error:

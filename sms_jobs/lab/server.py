@@ -6,6 +6,7 @@ import io
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from datetime import datetime
 from typing import Any
 from urllib.parse import quote
@@ -17,6 +18,7 @@ from pydantic import TypeAdapter
 from sms_jobs.app import reading
 from sms_jobs.app.jobs import Explanation, Refusal, Submitted, Work
 from sms_jobs.app.reading import RecordParts, StoredRecord
+from sms_jobs.app.specimen_frames import Choice, FrameOf
 from sms_jobs.app.waiting import Waited, timed_out
 from sms_jobs.lab.connection import Connection
 from sms_jobs.records.campaign import Campaign
@@ -24,6 +26,7 @@ from sms_jobs.records.shown.estimates import Estimate
 from sms_jobs.records.shown.files import FileView, Found, Page
 from sms_jobs.records.shown.runs import RunComparison
 from sms_jobs.records.shown.states import FoundState, StatePage
+from sms_jobs.records.specimen_frame import SpecimenFrame
 
 _PAGE = 1000
 _WAIT_S = 25.0
@@ -36,6 +39,7 @@ _FILE = TypeAdapter(FileView)
 _PARTS = TypeAdapter(RecordParts)
 _ESTIMATE = TypeAdapter(Estimate)
 _COMPARISON = TypeAdapter(RunComparison)
+_FRAME = TypeAdapter(SpecimenFrame)
 
 
 class Server:
@@ -110,6 +114,20 @@ class Server:
         told = self._connection.get(f"/campaigns/{quote(campaign, safe='')}")
         return _CAMPAIGN.validate_python(told["campaign"])
 
+    def frame(self, campaign: str) -> FrameOf:
+        """Return the specimen frame of a campaign."""
+        return _frame(self._connection.get(_of_frame(campaign)))
+
+    def find_frame(self, campaign: str, choice: Choice) -> FrameOf:
+        """Find the specimen frame of a campaign."""
+        body = asdict(choice)
+        body["fit"] = body.pop("region")
+        return _frame(self._connection.post(_of_frame(campaign), body))
+
+    def drop_frame(self, campaign: str) -> FrameOf:
+        """Take the specimen frame of a campaign away."""
+        return _frame(self._connection.delete(_of_frame(campaign)))
+
     def submit(self, work: Work, dry_run: bool) -> Submitted:
         """Submit jobs."""
         body = {
@@ -164,6 +182,15 @@ class Server:
             looked: dict[str, Any] = self._connection.get("/jobs/wait", {"job": ids, "seconds": left})
             if looked["ended"] or (deadline is not None and time.monotonic() >= deadline):
                 return looked
+
+
+def _of_frame(campaign: str) -> str:
+    return f"/campaigns/{quote(campaign, safe='')}/frame"
+
+
+def _frame(told: dict[str, Any]) -> FrameOf:
+    frame = None if told["frame"] is None else _FRAME.validate_python(told["frame"])
+    return FrameOf(told["campaign"], frame, told["of_scene"], told["stale"])
 
 
 def _page(told: dict[str, Any]) -> Page:

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Protocol
 
 from sms_jobs import bootstrap
-from sms_jobs.app import campaigns, finding, jobs, reading, run_comparison, waiting
+from sms_jobs.app import campaigns, finding, jobs, reading, run_comparison, specimen_frames, waiting
 from sms_jobs.app.finding_states import find_states
 from sms_jobs.app.jobs import Explanation, Submitted, Work
 from sms_jobs.app.reading import StoredRecord
+from sms_jobs.app.specimen_frames import Choice, FrameOf
 from sms_jobs.app.waiting import Waited
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.shown.files import Page
@@ -41,6 +42,15 @@ class Source(Protocol):
 
     def definition(self, campaign: str) -> Campaign:
         """Return a campaign as it is defined."""
+
+    def frame(self, campaign: str) -> FrameOf:
+        """Return the specimen frame of a campaign."""
+
+    def find_frame(self, campaign: str, choice: Choice) -> FrameOf:
+        """Find the specimen frame of a campaign."""
+
+    def drop_frame(self, campaign: str) -> FrameOf:
+        """Take the specimen frame of a campaign away."""
 
     def submit(self, work: Work, dry_run: bool) -> Submitted:
         """Submit jobs."""
@@ -101,6 +111,18 @@ class Home:
     def definition(self, campaign: str) -> Campaign:
         """Return a campaign as it is defined."""
         return campaigns.definition(self._services, campaign)
+
+    def frame(self, campaign: str) -> FrameOf:
+        """Return the specimen frame of a campaign."""
+        return specimen_frames.show(self._services, campaign)
+
+    def find_frame(self, campaign: str, choice: Choice) -> FrameOf:
+        """Find the specimen frame of a campaign."""
+        return specimen_frames.find(self._services, campaign, choice)
+
+    def drop_frame(self, campaign: str) -> FrameOf:
+        """Take the specimen frame of a campaign away."""
+        return specimen_frames.drop(self._services, campaign)
 
     def submit(self, work: Work, dry_run: bool) -> Submitted:
         """Submit jobs."""

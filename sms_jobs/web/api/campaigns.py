@@ -8,9 +8,10 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from sms_jobs.app import campaigns, experiments, recordings
+from sms_jobs.app import campaign_matrix, campaigns, experiments, recordings
 from sms_jobs.app.campaigns import Campaigns
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.shown.cells import Cell
 from sms_jobs.records.shown.state_progress import StateProgress
 from sms_jobs.web.asked import Asked, Limit, LongText, Name, Text
 from sms_jobs.web.identity import Acting
@@ -44,6 +45,13 @@ class NewCampaign(Asked):
     """A campaign, or a calibration session, that is to be made."""
 
     plan: Annotated[LongText, Field(description="Text of the plan, as of `sms campaign create`.")]
+
+
+class NewState(Asked):
+    """A state more, behind those that a campaign has."""
+
+    label: Text
+    load_n: Annotated[float | None, Field(ge=-1e12, le=1e12, description="As it is planned, in N.")] = None
 
 
 class NewExperiment(Asked):
@@ -84,6 +92,18 @@ def show(services: Acting, name: Name) -> Any:
 def progress(services: Acting, name: Name) -> Any:
     """Return what is known of each state."""
     return answer(recordings.progress(services, name))
+
+
+@ROUTES.offer("GET", "/campaigns/{name}/matrix", campaign_matrix.matrix, answers=list[Cell])
+def matrix(services: Acting, name: Name) -> Any:
+    """Return what there is of each state, view and kind."""
+    return answer(campaign_matrix.matrix(services, name))
+
+
+@ROUTES.offer("POST", "/campaigns/{name}/states", campaigns.add_state, answers=CampaignFacts, status=201)
+def add_state(services: Acting, name: Name, body: NewState) -> Any:
+    """Give a campaign one more state."""
+    return answer(_facts(campaigns.add_state(services, name, body.label, body.load_n)), 201)
 
 
 @ROUTES.offer("GET", "/experiments", experiments.list_experiments, answers=dict[str, str | int])

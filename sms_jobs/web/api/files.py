@@ -11,10 +11,10 @@ from urllib.parse import quote
 from zipfile import ZipFile
 
 from fastapi import Header, Query
-from fastapi.responses import Response, StreamingResponse
+from fastapi.responses import JSONResponse, Response, StreamingResponse
 from pydantic import Field
 
-from sms_jobs.app import exporting, files, sealed_files
+from sms_jobs.app import exporting, files, packing, sealed_files
 from sms_jobs.app.exporting import Chosen, ExportOptions, Format
 from sms_jobs.app.files import Description, Tree
 from sms_jobs.app.sealed_files import SealedFile
@@ -43,6 +43,14 @@ class Reason(Asked):
 def pins(services: Acting) -> Any:
     """Return the files that are pinned."""
     return answer(files.pins(services))
+
+
+@ROUTES.offer("GET", "/data/provenance", packing.provenance, media=("application/json",))
+def provenance(
+    services: Acting, of: Annotated[Text, Query(description="Number of a file, or name of a campaign.")]
+) -> Any:
+    """Return where files come from, as a W3C PROV document."""
+    return JSONResponse(packing.provenance(services, of).document)
 
 
 @ROUTES.offer("GET", "/data/{key:int}", files.describe, answers=Description)
