@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, valid_calibrations
+from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs import inquiry
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.inquiry import CampaignView
@@ -84,6 +85,70 @@ def add_state(services: Services, name: str, label: str, load_n: float | None = 
     after = with_state(before, LoadState(label, load_n))
     amend_campaign(services.catalogue, services.archive, before, after, datetime.now(UTC))
     return after
+
+
+@use_case(Right.RECORD)
+def add_view(services: Services, name: str, view: str) -> Campaign:
+    """Let a campaign be measured by one more view from now on, while its test goes on, and return it.
+
+    It does not see states that are recorded already and of which it has no frames. Unless it sees all that
+    are recorded it measures shape, and no displacement: nobody knows how the specimen looked to it at rest.
+    Of a view that came late and of which frames were brought in since, these count from now on.
+
+    Raises
+    ------
+    NotFound
+        There is no such campaign, or no rig is connected that could tell of a camera alone.
+    Conflict
+        It has that view, and no further frames of it; something of it is being recorded, or it is changed
+        by somebody else just now.
+    InvalidInput
+        It is a calibration session, or this is no view; or the rig, its calibration or the scene of the
+        virtual rig has no such sensor.
+    """
+    # Which load the kinds; nothing else here needs them.
+    from sms_jobs.jobs.importing import amend_campaign, with_view
+    from sms_jobs.jobs.recordings import recorded_views, refuse_while_recording
+
+    with services.catalogue.reading() as session:
+        row = campaigns.campaign_row(session, name)
+        before = campaigns.definition(row)
+        used = valid_calibrations.used_for_campaign(session, row.id)
+        refuse_while_recording(session, name)
+        recorded = recorded_views(session, name)
+    after = with_view(before, view, recorded)
+    _require_sensors(services, before, view, used[-1] if used else None)
+    amend_campaign(services.catalogue, services.archive, before, after, datetime.now(UTC))
+    return after
+
+
+def _require_sensors(
+    services: Services, campaign: Campaign, view: str, used: valid_calibrations.UsedCalibration | None
+) -> None:
+    """Raise `InvalidInput` where a sensor of a view is none of the rig, of its scene or its calibration."""
+    from sms_jobs.records.views import view_of
+
+    seen = view_of(view)
+    known: dict[str, tuple[str, ...]] = {}
+    if campaign.scene is not None:
+        known["the scene of the virtual rig"] = tuple(s.name for s in campaign.scene.rig.sensors)
+    # Of a camera alone nobody else can tell.
+    if campaign.rig in services.stations.names() or not (known or seen.measures_shape):
+        known[f"rig {campaign.rig}"] = services.stations.rig(campaign.rig).sensors
+    if seen.measures_shape:
+        if used is None:
+            raise InvalidInput(
+                f"{view} measures shape by a calibration, and none of rig {campaign.rig} is in use: certify "
+                "or import one first; see 'sms calibration list'"
+            )
+        known[f"calibration {used.number}, which is in use for rig {campaign.rig},"] = tuple(used.sensors)
+    for what, sensors in known.items():
+        lacking = [sensor for sensor in seen.sensors if sensor not in sensors]
+        if lacking:
+            raise InvalidInput(
+                f"{what} has no {' and no '.join(lacking)}, and so no view {view}; it has "
+                f"{', '.join(sensors)}"
+            )
 
 
 @dataclass(frozen=True)

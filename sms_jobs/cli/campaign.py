@@ -100,6 +100,36 @@ def add_state(
         )
 
 
+@app.command("add-view")
+def add_view(
+    campaign: Annotated[
+        str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
+    ],
+    view: Annotated[str, typer.Argument(help="A camera with a projector or with others, or alone: C2P1.")],
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Let a campaign be measured by a camera or a projector more, while its test goes on.
+
+    It sees the states that are still to be recorded, and those of which there are frames of it. Unless these
+    are all, it measures shape and no displacement, since nobody knows what it would have seen at rest.
+
+    Example: sms campaign add-view wing-fatigue C2P1
+    """
+    with bootstrap.services(home) as services:
+        found = campaigns.add_view(services, campaign, view)
+    unseen = found.unseen(view)
+    if as_json:
+        output.print_json({"campaign": campaign, "views": list(found.views), "unseen": list(unseen)})
+        return
+    output.say(f"campaign {campaign} is measured by {', '.join(found.views)}")
+    if unseen:
+        output.say(
+            f"{view} has no frames of {', '.join(unseen)}: it measures shape from now on, and no "
+            "displacement; bring these frames in and say this again where there are any"
+        )
+
+
 @app.command("list")
 def list_(
     limit: Annotated[int, typer.Option(help="At most so many, the newest.", min=1, max=100_000)] = 50,

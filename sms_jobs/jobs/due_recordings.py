@@ -295,6 +295,7 @@ def _look(session: Session, one: Due) -> Request:
     there = (
         newest_file(session, MEASUREMENT, Subject(one.campaign, rest, view), DATASET_MEDIA_TYPE)
         for view in campaign.fringe_views
+        if view not in campaign.late_views
     )
     alone = one.label != rest and None in there
     return Request(LOOK.name, {"alone": alone}, (one.label,), priority=_FIRST)

@@ -6,7 +6,7 @@ the file, so that a second import finds what is there and changes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -29,6 +29,7 @@ from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.products import BOARD
 from sms_jobs.records.campaign import Campaign, CampaignDefinition, LoadState
 from sms_jobs.records.subject import Subject
+from sms_jobs.records.views import view_of
 
 if TYPE_CHECKING:
     from sms_jobs.records.measurement import Measurement
@@ -218,6 +219,39 @@ def with_state(campaign: Campaign, state: LoadState) -> Campaign:
     return replace(campaign, states=(*campaign.states, state))
 
 
+def with_view(campaign: Campaign, view: str, recorded: Mapping[str, Set[str]]) -> Campaign:
+    """Return a campaign that is measured by one more view from now on, or by one of its own more often.
+
+    Parameters
+    ----------
+    recorded
+        What there are frames of, at each state that was recorded.
+
+    Raises
+    ------
+    Conflict
+        It has that view already, and no frames of a state that it had none of.
+    InvalidInput
+        It is a calibration session, or this is no view.
+    """
+    if campaign.session is not None:
+        raise InvalidInput(f"{campaign.name} is a calibration session, whose views are those of its plan")
+    needed = {str(one) for one in view_of(view).recordings}
+    states = []
+    for state in campaign.states:
+        lacks = state.label in recorded and not needed <= recorded[state.label]
+        unseen = (*(one for one in state.unseen_by if one != view), *([view] if lacks else []))
+        states.append(replace(state, unseen_by=unseen))
+    views = campaign.views if view in campaign.views else (*campaign.views, view)
+    after = replace(campaign, states=tuple(states), views=views)
+    if after == campaign or (view in campaign.views and view not in campaign.late_views):
+        raise Conflict(
+            f"campaign {campaign.name} is measured by {', '.join(campaign.views)}, and nothing more of "
+            f"{view} is there; choose another view, or bring its frames in first"
+        )
+    return after
+
+
 def measured_at(session: Session, campaign: Campaign) -> dict[str, datetime]:
     """Return when the states of a campaign were held: as they say, or when they were first recorded."""
     query = (
@@ -276,18 +310,18 @@ def _read(state: LoadState, reading: Reading, changes: list[str], replace_others
 def amend_campaign(
     catalogue: Catalogue, archive: Archive, before: Campaign, after: Campaign, now: datetime
 ) -> None:
-    """Give a campaign further states, readings or another frame: sealed first, then in the catalogue.
+    """Give a campaign further states, views or readings, or another frame: sealed, then in the catalogue.
 
     Raises
     ------
     InvalidInput
-        Something else would change: name, rig, views, fringes, or the order of the states.
+        Something else would change: name, rig, fringes, or the order of the states or views.
     Conflict
         The campaign is not `before` any more; nothing is changed.
     """
     if not continues(before, after):
         raise InvalidInput(
-            f"campaign {before.name} can be given states, readings and a frame, nothing else of it changes"
+            f"campaign {before.name} can be given states, views, readings and a frame, nothing else changes"
         )
     with catalogue.reading() as session:
         row = campaigns.campaign_row(session, before.name)
@@ -308,6 +342,8 @@ def amend_campaign(
 
 
 def continues(before: Campaign, after: Campaign) -> bool:
-    """Say whether a campaign is another one with further states, other readings of them, or another frame."""
-    same = replace(after, states=before.states, frame=before.frame) == before
-    return same and [s.label for s in after.states[: len(before.states)]] == [s.label for s in before.states]
+    """Say whether a campaign is another with further states or views, other readings, or another frame."""
+    same = replace(after, states=before.states, views=before.views, frame=before.frame) == before
+    labels = [state.label for state in after.states[: len(before.states)]]
+    further = after.views[: len(before.views)] == before.views
+    return same and further and labels == [state.label for state in before.states]

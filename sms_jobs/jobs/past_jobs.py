@@ -144,7 +144,7 @@ def _is_complete(session: Session, campaign: Campaign, subject: Subject, provena
     if provenance.subject == subject:
         return True
     query = select(func.count(FileRow.view.distinct())).where(FileRow.job_id == provenance.job_id)
-    return session.scalar(query) == len(campaign.recordings)
+    return session.scalar(query) == len(campaign.recordings_at(subject.state or ""))
 
 
 def _parameters(kind: Kind[Any], given: Mapping[str, Any]) -> Parameters | None:

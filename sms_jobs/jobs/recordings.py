@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow, StatisticRow
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.instruments.kept_sets import forget, kept
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.inquiry import find_job
@@ -21,7 +21,7 @@ from sms_jobs.jobs.planning import PIPELINE, Request
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND, stage_angles
 from sms_jobs.kinds.recording.stream import KIND as STREAM
-from sms_jobs.records.job import SHORT_ID, JobState
+from sms_jobs.records.job import ACTIVE, SHORT_ID, JobState
 from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 RECORDING = (KIND.name, STREAM.name)
 """The kinds that record with instruments."""
+_WAITING = frozenset({JobState.LOST, JobState.NEEDS_OPERATOR})
 OPEN = (JobState.QUEUED, JobState.RUNNING, JobState.LOST, JobState.NEEDS_OPERATOR, JobState.FAILED)
 
 
@@ -188,16 +189,8 @@ def unrecorded(session: Session, name: str) -> tuple[LoadState, ...]:
     may have been imported without the other.
     """
     campaign = definition(campaign_row(session, name))
-    there = session.execute(
-        select(LoadStateRow.label, FileRow.view)
-        .join(CampaignRow, CampaignRow.id == LoadStateRow.campaign_id)
-        .join(FileRow, FileRow.state_id == LoadStateRow.id)
-        .where(CampaignRow.name == name, FileRow.source == MEASUREMENT)
-    )
-    views: defaultdict[str, set[str]] = defaultdict(set)
-    for label, view in there:
-        views[label].add(view or "")
-    recorded = {label for label, found in views.items() if _is_recorded(campaign, found)}
+    views = recorded_views(session, name)
+    recorded = {label for label, found in views.items() if _is_recorded(campaign, label, found)}
     coming = {
         Subject.parse(subject).state
         for subject in session.scalars(
@@ -209,10 +202,40 @@ def unrecorded(session: Session, name: str) -> tuple[LoadState, ...]:
     return tuple(s for s in campaign.states if s.label not in recorded | coming)
 
 
-def _is_recorded(campaign: Campaign, views: Set[str]) -> bool:
+def recorded_views(session: Session, name: str) -> dict[str, set[str]]:
+    """Return what there are frames of, by label of the states of a campaign that have any."""
+    there = session.execute(
+        select(LoadStateRow.label, FileRow.view)
+        .join(CampaignRow, CampaignRow.id == LoadStateRow.campaign_id)
+        .join(FileRow, FileRow.state_id == LoadStateRow.id)
+        .where(CampaignRow.name == name, FileRow.source == MEASUREMENT)
+    )
+    views: defaultdict[str, set[str]] = defaultdict(set)
+    for label, view in there:
+        views[label].add(view or "")
+    return views
+
+
+def refuse_while_recording(session: Session, name: str) -> None:
+    """Raise `Conflict` where a recording of a campaign is about to begin, runs, or waits for an operator."""
+    found = session.scalar(
+        select(JobRow.id)
+        .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
+        .where(CampaignRow.name == name, JobRow.kind.in_(RECORDING), JobRow.state.in_(ACTIVE | _WAITING))
+        .limit(1)
+    )
+    if found is not None:
+        raise Conflict(
+            f"job {found[:SHORT_ID]} records {name}, or waits for an operator: let it end or stop it first; "
+            "'sms acquire list' shows it"
+        )
+
+
+def _is_recorded(campaign: Campaign, label: str, views: Set[str]) -> bool:
     """Say whether measurements of some views are what a state has to have."""
     fringes = set(campaign.fringe_views)
-    return (not fringes or bool(fringes & views)) and set(campaign.recordings) - fringes <= views
+    wanted = set(campaign.recordings_at(label))
+    return (not fringes & wanted or bool(fringes & views)) and wanted - fringes <= views
 
 
 def state_value(state: LoadState, channel: str) -> float:

@@ -394,7 +394,7 @@ def deformed_views(campaign: Campaign) -> tuple[Subject, ...]:
 def planes(campaign: Campaign) -> tuple[Subject, ...]:
     """Return the tuples of cameras without a projector at the reference state, whose image is a plane."""
     states = tested_states(campaign)[:1]
-    alone = [view for view in campaign.views if view not in campaign.shape_views]
+    alone = [view for view in campaign.views if view not in {*campaign.shape_views, *campaign.late_views}]
     return tuple(Subject(campaign.name, state.label, view) for state in states for view in alone)
 
 
@@ -405,11 +405,17 @@ def planes_alone(campaign: Campaign) -> tuple[Subject, ...]:
 
 
 def _tuples(campaign: Campaign, views: tuple[str, ...]) -> tuple[Subject, ...]:
-    return tuple(Subject(campaign.name, s.label, p) for s in tested_states(campaign) for p in views)
+    found = ((s, view) for s in tested_states(campaign) for view in views if view not in s.unseen_by)
+    return tuple(Subject(campaign.name, state.label, view) for state, view in found)
 
 
 def _deformed(campaign: Campaign, subjects: tuple[Subject, ...]) -> tuple[Subject, ...]:
-    return tuple(t for t in subjects if t.state != campaign.reference.label)
+    return tuple(t for t in subjects if is_deformed(campaign, t))
+
+
+def is_deformed(campaign: Campaign, subject: Subject) -> bool:
+    """Say whether a tuple is compared with the reference state, and by a view that has seen that."""
+    return subject.state != campaign.reference.label and subject.view not in campaign.late_views
 
 
 def deformed_states(campaign: Campaign) -> tuple[Subject, ...]:

@@ -212,6 +212,22 @@ class Lab:
         campaign = self._source.definition(stored.file.subject.partition("/")[0])
         return replace(stored, record=in_specimen_frame(stored.record, campaign))
 
+    def add_view(self, campaign: str, view: str) -> tuple[str, ...]:
+        """Let a campaign be measured by one more view from now on, as `sms campaign add-view` does.
+
+        Returns the states that were recorded without it: where there are any, it measures shape alone.
+
+        Raises
+        ------
+        NotFound
+            There is no such campaign, or no rig is connected that could tell of a camera alone.
+        Conflict
+            It has that view, and no further frames of it, or something of it is being recorded.
+        InvalidInput
+            It is a calibration session, or rig or calibration have no such sensor.
+        """
+        return self._source.add_view(campaign, view)
+
     def frame(self, campaign: str) -> FrameOf:
         """Return the specimen's frame of a campaign; raises `NotFound` where there is none of that name."""
         return self._source.frame(campaign)

@@ -114,6 +114,11 @@ class Server:
         told = self._connection.get(f"/campaigns/{quote(campaign, safe='')}")
         return _CAMPAIGN.validate_python(told["campaign"])
 
+    def add_view(self, campaign: str, view: str) -> tuple[str, ...]:
+        """Let a campaign be measured by one more view; return the states that it has not seen."""
+        where = f"/campaigns/{quote(campaign, safe='')}/views"
+        return tuple(self._connection.post(where, {"view": view})["unseen"])
+
     def frame(self, campaign: str) -> FrameOf:
         """Return the specimen frame of a campaign."""
         return _frame(self._connection.get(_of_frame(campaign)))

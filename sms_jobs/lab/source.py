@@ -43,6 +43,9 @@ class Source(Protocol):
     def definition(self, campaign: str) -> Campaign:
         """Return a campaign as it is defined."""
 
+    def add_view(self, campaign: str, view: str) -> tuple[str, ...]:
+        """Let a campaign be measured by one more view; return the states that it has not seen."""
+
     def frame(self, campaign: str) -> FrameOf:
         """Return the specimen frame of a campaign."""
 
@@ -111,6 +114,10 @@ class Home:
     def definition(self, campaign: str) -> Campaign:
         """Return a campaign as it is defined."""
         return campaigns.definition(self._services, campaign)
+
+    def add_view(self, campaign: str, view: str) -> tuple[str, ...]:
+        """Let a campaign be measured by one more view; return the states that it has not seen."""
+        return campaigns.add_view(self._services, campaign, view).unseen(view)
 
     def frame(self, campaign: str) -> FrameOf:
         """Return the specimen frame of a campaign."""

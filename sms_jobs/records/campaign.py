@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Literal, TypeAlias
@@ -42,6 +43,8 @@ class LoadState:
         In a calibration session: the name of the artefact that stands there in place of a specimen.
     measured_load_n, measured_displacement_mm
         As they were read, where readings were entered or recorded.
+    unseen_by
+        Views of the campaign that were added once it was recorded, and have no frames of it.
     """
 
     label: str
@@ -53,6 +56,7 @@ class LoadState:
     artefact: str | None = None
     measured_load_n: float | None = None
     measured_displacement_mm: float | None = None
+    unseen_by: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         checked_name(self.label, "state")
@@ -196,8 +200,22 @@ class Campaign:
 
     @property
     def recordings(self) -> tuple[str, ...]:
-        """What is recorded at every state: the views of fringes, and the cameras of the others, once each."""
-        return tuple(dict.fromkeys(str(one) for view in self.views for one in view_of(view).recordings))
+        """What is recorded at a state: the views of fringes, and the cameras of the others, once each."""
+        return _recordings(self.views)
+
+    def recordings_at(self, label: str) -> tuple[str, ...]:
+        """Return what is recorded at a state: `recordings`, without those that came too late for it."""
+        unseen = self.state(label).unseen_by
+        return _recordings([view for view in self.views if view not in unseen])
+
+    def unseen(self, view: str) -> tuple[str, ...]:
+        """Return the labels of the states that were recorded before a view was added, and without it."""
+        return tuple(state.label for state in self.states if view in state.unseen_by)
+
+    @property
+    def late_views(self) -> frozenset[str]:
+        """The views that were added once a state was recorded: they measure shape, and no displacement."""
+        return frozenset(view for state in self.states for view in state.unseen_by)
 
     @property
     def shape_views(self) -> tuple[str, ...]:
@@ -223,7 +241,8 @@ class Campaign:
     @property
     def measured_views(self) -> tuple[str, ...]:
         """The views that displacement and strain are measured by: best by each camera."""
-        return tuple(v for v in self.views if v in self.shape_views or v in self.cameras_alone)
+        alone, late = self.cameras_alone, self.late_views
+        return tuple(v for v in self.views if (v in self.shape_views or v in alone) and v not in late)
 
     def views_by_camera(self) -> dict[str, tuple[str, ...]]:
         """Return the measured views of each camera, in order."""
@@ -240,6 +259,10 @@ class Campaign:
                 return state
         known = ", ".join(s.label for s in self.states)
         raise InvalidInput(f"campaign {self.name} has no state {label}; it has {known}")
+
+
+def _recordings(views: Iterable[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(str(one) for view in views for one in view_of(view).recordings))
 
 
 @dataclass(frozen=True)

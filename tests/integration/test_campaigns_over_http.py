@@ -13,7 +13,7 @@ from support.over_http import app_of, served
 
 import sms_jobs
 from sms_jobs import bootstrap
-from sms_jobs.errors import NotFound
+from sms_jobs.errors import InvalidInput, NotFound
 
 POINTS = {"origin": (0.0, 0.0, 0.0), "x": (9.0, 1.0, 0.0), "plane": (0.0, 5.0, 0.0)}
 
@@ -78,6 +78,24 @@ def test_a_frame_is_found_shown_and_taken_away(web: httpx2.Client, home: Path, w
             lab.drop_frame("plate")
         with pytest.raises(NotFound, match="no campaign 'none'"):
             lab.frame("none")
+
+
+@pytest.mark.parametrize(("where", "view"), [("home", "C1"), ("server", "C1P9")])
+def test_a_view_is_added_or_refused_with_its_reason(
+    web: httpx2.Client, home: Path, where: str, view: str
+) -> None:
+    site = str(web.base_url).removesuffix("/api/v1/")
+    before = web.get("campaigns/plate").json()["campaign"]["views"]
+    with sms_jobs.open(home) if where == "home" else sms_jobs.connect(site) as lab:
+        if view == "C1":
+            assert lab.add_view("plate", view) == ()
+            assert web.get("campaigns/plate").json()["campaign"]["views"] == [*before, view]
+        else:
+            with pytest.raises(InvalidInput, match="has no P9, and so no view C1P9"):
+                lab.add_view("plate", view)
+            assert web.get("campaigns/plate").json()["campaign"]["views"] == before
+    refused = web.post("campaigns/plate/views", json={"view": "C1P2"})
+    assert (refused.status_code, "nothing more of C1P2" in refused.json()["error"]) == (409, True)
 
 
 def test_provenance_is_a_document(web: httpx2.Client) -> None:

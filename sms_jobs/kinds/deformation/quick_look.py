@@ -31,6 +31,7 @@ from sms_jobs.kinds.kind import (
     Progress,
     Scope,
     fringe_tuples,
+    is_deformed,
 )
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, QUICK_LOOK, RECORDED, SURFACE, UNCERTAINTY, Product
 from sms_jobs.kinds.shape.sparse_surface import sparse_surface, with_regions
@@ -121,7 +122,7 @@ def _needs(campaign: Campaign, subject: Subject, parameters: QuickLookParameters
     yield _FRAMES.of(subject)
     yield _CALIBRATION.of(subject)
     at_rest = replace(subject, state=campaign.reference.label)
-    if subject != at_rest and not parameters.alone:
+    if is_deformed(campaign, subject) and not parameters.alone:
         yield _REFERENCE.of(at_rest)
         yield _REFERENCE_FRAMES.of(at_rest)
 

@@ -161,7 +161,7 @@ def order(campaign: Campaign, subject: Subject) -> Order:
     shown = None if campaign.session is None else campaign.session.artefacts.get(state.artefact or "")
     fills = _SPHERES_FILL if isinstance(shown, BallBar) else 1.0
     return Order(
-        campaign.recordings,
+        campaign.recordings_at(state.label),
         campaign.sequence,
         stage_angles(state),
         setting_at(campaign, state),

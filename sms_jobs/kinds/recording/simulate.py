@@ -97,7 +97,7 @@ def recipe(campaign: Campaign, subject: Subject) -> Recipe:
         scene_at(campaign.scene, campaign, state),
         state.label,
         deformation_at(campaign, state),
-        campaign.recordings,
+        campaign.recordings_at(state.label),
         campaign.sequence,
         state.time or UNTIMED,
     )

@@ -22,6 +22,7 @@ from sms_jobs.kinds.kind import (
     Port,
     Progress,
     Scope,
+    is_deformed,
     tuples,
 )
 from sms_jobs.kinds.products import ASSESSMENT, DISPLACEMENT, MEASURED, STRAIN, SURFACE
@@ -61,7 +62,7 @@ def needs(campaign: Campaign, subject: Subject, parameters: AssessParameters) ->
     """Return the results that are compared, and the measurements that say what was simulated."""
     yield _FRAMES.of(textured_by(subject))
     yield _SHAPE.of(campaign, subject)
-    if subject.state != campaign.reference.label:
+    if is_deformed(campaign, subject):
         yield _REFERENCE.of(textured_by(replace(subject, state=campaign.reference.label)))
         yield _MOVED.of(subject)
         yield _STRAINED.of(subject)

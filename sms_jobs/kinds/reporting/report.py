@@ -93,7 +93,7 @@ def _needs(campaign: Campaign, parameters: PageParameters) -> Iterable[Need]:
     if campaign.shape_views:
         yield CALIBRATION_SHOWN.of(Subject(campaign.name))
     for state in tested_states(campaign):
-        for view in campaign.recordings:
+        for view in campaign.recordings_at(state.label):
             yield RECORDINGS.of(Subject(campaign.name, state.label, view))
     for chapter in present(campaign):
         yield from chapter.needs(campaign)

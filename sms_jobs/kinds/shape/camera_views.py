@@ -59,8 +59,9 @@ SHAPES = surface_port("shape", several=True)
 
 def cloud_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:
     """Return the points of every view at a state."""
-    for view in campaign.shape_views:
-        yield SHAPES.of(campaign, replace(subject, view=view))
+    for views in cameras(campaign, subject).values():
+        for view in views:
+            yield SHAPES.of(campaign, replace(subject, view=view))
 
 
 def camera_views(inputs: Inputs) -> Iterator[CameraView]:

@@ -54,6 +54,21 @@ class NewState(Asked):
     load_n: Annotated[float | None, Field(ge=-1e12, le=1e12, description="As it is planned, in N.")] = None
 
 
+class NewView(Asked):
+    """A view more, from now on."""
+
+    view: Annotated[Text, Field(description="As C2P1, C1C2 or C3.")]
+
+
+@dataclass(frozen=True)
+class AddedView:
+    """The views of a campaign, and the states that the new one has not seen."""
+
+    campaign: str
+    views: tuple[str, ...]
+    unseen: tuple[str, ...]
+
+
 class NewExperiment(Asked):
     """An experiment on the virtual rig that is to be made."""
 
@@ -104,6 +119,13 @@ def matrix(services: Acting, name: Name) -> Any:
 def add_state(services: Acting, name: Name, body: NewState) -> Any:
     """Give a campaign one more state."""
     return answer(_facts(campaigns.add_state(services, name, body.label, body.load_n)), 201)
+
+
+@ROUTES.offer("POST", "/campaigns/{name}/views", campaigns.add_view, answers=AddedView, status=201)
+def add_view(services: Acting, name: Name, body: NewView) -> Any:
+    """Let a campaign be measured by one more view."""
+    made = campaigns.add_view(services, name, body.view)
+    return answer(AddedView(made.name, tuple(made.views), made.unseen(body.view)), 201)
 
 
 @ROUTES.offer("GET", "/experiments", experiments.list_experiments, answers=dict[str, str | int])
