@@ -7,7 +7,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 
 from sms_jobs.instruments.cameras.scanner import ScannerCamera
-from sms_jobs.instruments.recorder import FRAME_TIMEOUT_S, ConnectedRig
+from sms_jobs.instruments.recorder import ConnectedRig
+from sms_jobs.instruments.recording_sets import FRAME_TIMEOUT_S
 
 DARK, NOW = "dark", "now"
 

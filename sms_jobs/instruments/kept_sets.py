@@ -6,11 +6,12 @@ have one set: it counts as whole when the facts of all of them are there, and na
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -116,6 +117,27 @@ def forget(spool: Path, view: str) -> None:
     _marker(spool, view).unlink()
 
 
+def keep_dimming(spool: Path, projector: str, dimming: NDArray[np.float32]) -> str:
+    """Keep where a projector is dimmed beside the frames, and return the name of the file."""
+    name = f"dimming.{projector}.{hashlib.sha256(dimming.tobytes()).hexdigest()[:16]}.npy"
+    beside = spool / f"{name}.new"
+    with beside.open("wb") as file:
+        np.save(file, dimming)
+    beside.replace(spool / name)
+    return name
+
+
+def _as_shown(
+    spool: Path, file: Spooled, sequence: FringeSequence
+) -> tuple[FringeSequence, NDArray[np.float32] | None]:
+    """Return the sequence with the exposures that it was recorded with, and where its light was dimmed."""
+    about = file.header.about
+    if "exposures" not in about:
+        return FringeSequence(), None  # of a camera alone
+    dimmed = None if about["dimming"] is None else np.load(spool / about["dimming"])
+    return replace(sequence, exposures=tuple(about["exposures"])), dimmed
+
+
 def recorded(spool: Path, view: str, sequence: FringeSequence) -> tuple[Measurement, Recording]:
     """Return a finished set; its frames are read from the spool as they are asked for.
 
@@ -125,16 +147,18 @@ def recorded(spool: Path, view: str, sequence: FringeSequence) -> tuple[Measurem
     file = Spooled(known.path)
     about, frames = file.header.about, file.header.frames
     projected = bool(view_of(view).projectors)
+    shown, dimming = _as_shown(spool, file, sequence)
     numbers, times = file.numbers_and_times(file.complete)
     measurement = Measurement(
         file.header.recorded_at,
-        sequence if projected else FringeSequence(),
+        shown,
         about["full_scale"],
         about["gain"],
         about["read_noise"],
         file.frame(frames - 1).astype(np.uint16),
         SpooledFrames(file, frames - 1 if projected else frames),
         None if about["simulation"] is None else SIMULATION.validate_python(about["simulation"]),
+        dimming,
     )
     return measurement, Recording(
         about["rig"],
@@ -155,13 +179,14 @@ def interrupted(spool: Path, view: str, sequence: FringeSequence) -> list[Interr
     projected, found = bool(view_of(view).projectors), []
     for path in _files(spool, view):
         file = Spooled(path)
-        count = min(file.complete, sequence.frames if projected else file.header.frames)
+        shown, _ = _as_shown(spool, file, sequence)
+        count = min(file.complete, shown.frames if projected else file.header.frames)
         if path.suffix == _INTERRUPTED and count:
             numbers, times = file.numbers_and_times(count)
             found.append(
                 InterruptedRecording(
                     file.header.recorded_at,
-                    sequence if projected else FringeSequence(),
+                    shown,
                     file.header.about["full_scale"],
                     numbers,
                     times,

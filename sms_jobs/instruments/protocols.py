@@ -129,8 +129,11 @@ class Camera(Protocol):
 class Projector(Protocol):
     """A projector that shows one pattern after the other."""
 
-    def load(self, sequence: FringeSequence) -> None:
-        """Make ready for the patterns of a sequence."""
+    def load(self, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None) -> None:
+        """Make ready for the patterns of a sequence, each of which `dimming`, (rows, columns), multiplies.
+
+        White is dimmed, too. Raises `InvalidInput` where it cannot be dimmed.
+        """
         ...
 
     def show(self, number: int) -> None:

@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sms_jobs.errors import InstrumentError
 from sms_jobs.instruments.clock import Clock, SimulatedClock
@@ -23,6 +24,7 @@ from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.kept_sets import frames_of
 from sms_jobs.instruments.protocols import Camera, CameraFacts, Fired, Frame
 from sms_jobs.instruments.recorder import ConnectedRig, record_state
+from sms_jobs.instruments.recording_sets import Adaptation
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.instruments import Instruments, SerialChannel, Stage, TriggerController, VideoSplitter
 from sms_jobs.records.measurement import FringeSequence
@@ -43,6 +45,7 @@ def rehearse(
     sequence: FringeSequence,
     poses: Sequence[StagePose | None],
     texture_exposure: float = 1.0,
+    adaptation: Adaptation | None = None,
 ) -> tuple[StateRehearsal, ...]:
     """Return what recording a state at each of some poses takes, in order.
 
@@ -55,6 +58,8 @@ def rehearse(
         All of whose sensors the rig has.
     poses
         Of the stage; None where nothing moves.
+    texture_exposure, adaptation
+        See `record_state`; what is adapted at the rig is not known here, and counted as it is returned.
 
     Raises
     ------
@@ -62,7 +67,7 @@ def rehearse(
         When the rig does not have a sensor of a view.
     """
     silent = _simulated(rig)
-    recording_s = _sets(rig, silent, views, sequence, texture_exposure)
+    recording_s = _sets(rig, silent, views, sequence, texture_exposure, adaptation)
     frames = sum(frames_of(view, sequence) for view in views)
     sizes = {c.name: c.rows * c.columns for c in rig.cameras}
     sets: Counter[str] = Counter()
@@ -82,6 +87,7 @@ def _sets(
     views: Sequence[str],
     sequence: FringeSequence,
     texture_exposure: float,
+    adaptation: Adaptation | None,
 ) -> float:
     """Return how long all sets of a state take."""
     clock = SimulatedClock()
@@ -95,7 +101,14 @@ def _sets(
         begun = clock.monotonic()
         spool = Path(folder) / "spool"
         record_state(
-            timed, views, sequence, spool, Limits(lit_fraction=0.0, recordings=1), _nobody, texture_exposure
+            timed,
+            views,
+            sequence,
+            spool,
+            Limits(lit_fraction=0.0, recordings=1),
+            _nobody,
+            texture_exposure,
+            adaptation,
         )
         return clock.monotonic() - begun
 
@@ -203,7 +216,7 @@ class _TimedProjector:
     clock: Clock
     settle_s: float
 
-    def load(self, sequence: FringeSequence) -> None:
+    def load(self, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None) -> None:
         pass
 
     def show(self, number: int) -> None:

@@ -33,7 +33,8 @@ from sms_jobs.instruments.kept_streams import (
     readings_path,
 )
 from sms_jobs.instruments.protocols import Camera, CameraFacts, Fired, Frame, apart_s
-from sms_jobs.instruments.recorder import FRAME_TIMEOUT_S, ConnectedRig, quietly, require_size
+from sms_jobs.instruments.recorder import ConnectedRig, quietly
+from sms_jobs.instruments.recording_sets import FRAME_TIMEOUT_S, require_size
 from sms_jobs.instruments.spool import SpoolHeader, SpoolWriter
 from sms_jobs.records.events import Event
 from sms_jobs.records.streams import StreamSize

@@ -17,10 +17,12 @@ from sms_jobs.catalogue.campaigns import definition
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, RigRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.kept_sets import frames_of
+from sms_jobs.instruments.recording_sets import Adaptation, Patterns
 from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL, rehearse
 from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import ANGLES, KIND, AcquireParameters, stage_angles
+from sms_jobs.kinds.recording.adaptation import QUICK
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.shown.rehearsals import DryRun, StateRehearsal
 from sms_jobs.records.views import view_of
@@ -56,7 +58,15 @@ def dry_run(
     rehearsed: dict[str, StateRehearsal] = {}
     if not missing:
         poses = [_pose(s) for s in states]
-        found = rehearse(rig, campaign.recordings, campaign.sequence, poses, parameters.texture_exposure)
+        as_planned = Adaptation(QUICK, lambda projector, quick: Patterns(campaign.sequence))
+        found = rehearse(
+            rig,
+            campaign.recordings,
+            campaign.sequence,
+            poses,
+            parameters.texture_exposure,
+            None if parameters.adaptive == "none" else as_planned,
+        )
         rehearsed = {s.label: r for s, r in zip(states, found, strict=True)}
         missing += [f"{label}: {r.problem}" for label, r in rehearsed.items() if r.problem]
     # A set that is recorded again lies beside the one that it replaces.
@@ -69,7 +79,7 @@ def dry_run(
         _free(spool),
         archive.room().free_bytes,
         tuple(missing),
-        _remarks(rig, campaign, states),
+        (*_remarks(rig, campaign, states), *_adapted(parameters)),
         _mixed(rig, campaign, _UNPACKED) or 1.0,
     )
     needed = ("spool", spool_bytes, done.spool_room), ("archive", done.archived_bytes, done.archive_room)
@@ -110,6 +120,11 @@ def _missing_channels(rig: RigFile, parameters: AcquireParameters) -> Iterator[s
         parameters.limits().require_channels(rig.name, [c.name for c in rig.serial.channels])
     except InvalidInput as error:
         yield str(error)
+
+
+def _adapted(parameters: AcquireParameters) -> Iterator[str]:
+    if parameters.adaptive == "exposures":
+        yield "the exposures are chosen at the rig, and those of the plan are counted: up to 8 may come of it"
 
 
 def _remarks(rig: RigFile, campaign: Campaign, states: Sequence[LoadState]) -> tuple[str, ...]:

@@ -53,7 +53,7 @@ class ReplayingCamera:
 class InstantProjector:
     """Shows every pattern at once."""
 
-    def load(self, sequence: FringeSequence) -> None:
+    def load(self, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None) -> None:
         """Do nothing."""
 
     def show(self, number: int) -> None:

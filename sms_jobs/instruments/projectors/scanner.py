@@ -6,6 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.optical_drivers import DriverContext, ProjectorDriver
 from sms_jobs.instruments.scanners.client import link_to, links
 from sms_jobs.instruments.scanners.link import DEFORMATION, SEQUENCE, Address, ScannerLink
@@ -54,8 +58,13 @@ class ScannerProjector:
         description = self.link.facts["described"].get(self.name, "nothing is known of it")
         return f"scanner at {self.settings.server}: {description}"
 
-    def load(self, sequence: FringeSequence) -> None:
-        """Make ready for the patterns of a sequence."""
+    def load(self, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None) -> None:
+        """Make ready for the patterns of a sequence; raise `InvalidInput` where its light is to be dimmed."""
+        if dimming is not None:
+            raise InvalidInput(
+                f"projector {self.name} belongs to the scanner at {self.settings.server}, to which no "
+                "dimming is sent: record with adaptive=exposures"
+            )
         self._sequence = sequence
         self.link.ask("load", projector=self.name, sequence=self._sequence_message)
         if self.room is not None:

@@ -191,6 +191,7 @@ class WindowProjector:
     clock: Clock
     about: str
     _sequence: FringeSequence = field(default_factory=FringeSequence)
+    _dimming: NDArray[np.float32] | None = None
     _pictures: dict[int, Levels] = field(default_factory=dict)
 
     def describe(self) -> str:
@@ -198,10 +199,10 @@ class WindowProjector:
         columns, rows = self.screen.size
         return f"display {self.screen.number}, {columns} x {rows} pixels, {self.about}"
 
-    def load(self, sequence: FringeSequence) -> None:
+    def load(self, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None) -> None:
         """Make ready for the patterns of a sequence; its pictures are made once."""
-        if sequence != self._sequence:
-            self._sequence, self._pictures = sequence, {}
+        if sequence != self._sequence or dimming is not None or self._dimming is not None:
+            self._sequence, self._dimming, self._pictures = sequence, dimming, {}
         for number in range(min(sequence.frames_per_exposure, _KEPT)):
             if number not in self._pictures:
                 self._pictures[number] = self._picture(number)
@@ -212,19 +213,20 @@ class WindowProjector:
         self._show(self._picture(number) if picture is None else picture)
 
     def white(self) -> None:
-        """Show full brightness."""
-        self._show(self._uniform(_WHITE))
+        """Show full brightness, dimmed as the patterns are."""
+        white = np.ones((self.settings.rows, self.settings.columns))
+        self._show(grey_levels(self._dimmed(white), self.settings.gamma))
 
     def dark(self) -> None:
         """Show nothing."""
-        self._show(self._uniform(0))
+        self._show(np.zeros((self.settings.rows, self.settings.columns), np.uint8))
 
     def _show(self, levels: Levels) -> None:
         self.screen.show(levels)
         self.clock.sleep(self.settings.settle_ms / 1e3)
 
-    def _uniform(self, level: int) -> Levels:
-        return np.full((self.settings.rows, self.settings.columns), level, np.uint8)
+    def _dimmed(self, brightness: NDArray[np.float64]) -> NDArray[np.float64]:
+        return brightness if self._dimming is None else brightness * self._dimming
 
     def _picture(self, number: int) -> Levels:
         orientation, density, step = list(self._sequence.patterns())[number]
@@ -232,7 +234,7 @@ class WindowProjector:
         across, down = direction(orientation)
         # Of fringes along an axis one line is computed, and seen as all of them.
         line = (columns if across else 1, rows if down else 1)
-        brightness = fringe_pattern(*line, orientation, density, step, steps)
+        brightness = self._dimmed(fringe_pattern(*line, orientation, density, step, steps))
         levels: Levels = np.broadcast_to(grey_levels(brightness, self.settings.gamma), (rows, columns))
         return levels
 

@@ -68,12 +68,18 @@ class VirtualRoom:
     clock: Clock
     stage_angles: Callable[[], tuple[float, float]] | None = None
     threads: int = 1
-    _lit: tuple[str, FringeSequence, int] | None = None
+    _lit: tuple[str, FringeSequence, int, NDArray[np.float32] | None] | None = None
     _seen: dict[tuple[object, ...], Rendering] = field(default_factory=dict)
 
-    def light(self, projector: str, sequence: FringeSequence, number: int) -> None:
+    def light(
+        self,
+        projector: str,
+        sequence: FringeSequence,
+        number: int,
+        dimming: NDArray[np.float32] | None = None,
+    ) -> None:
         """Have a projector show a pattern, or white; or have the lamp shine."""
-        self._lit = projector, sequence, number
+        self._lit = projector, sequence, number, dimming
 
     def darken(self, projector: str) -> None:
         """Have a projector, or the lamp, show nothing."""
@@ -99,14 +105,14 @@ class VirtualRoom:
         self,
         camera: str,
         exposure: float,
-        lit: tuple[str, FringeSequence, int] | None,
+        lit: tuple[str, FringeSequence, int, NDArray[np.float32] | None] | None,
         deformation: tuple[Deformation, ...],
     ) -> NDArray[Any]:
         if lit is None:
             rows, columns = self._size(camera)
             return np.zeros((rows, columns), np.uint16)
-        projector, sequence, number = lit
-        rendering = self._rendering(camera, projector, sequence, deformation)
+        projector, sequence, number, dimming = lit
+        rendering = self._rendering(camera, projector, sequence, dimming, deformation)
         if number == WHITE:
             return rendering.frames.texture(exposure)
         place = sequence.exposures.index(exposure) * sequence.frames_per_exposure + number
@@ -117,15 +123,20 @@ class VirtualRoom:
         return sensor.rows, sensor.columns
 
     def _rendering(
-        self, camera: str, projector: str, sequence: FringeSequence, deformation: tuple[Deformation, ...]
+        self,
+        camera: str,
+        projector: str,
+        sequence: FringeSequence,
+        dimming: NDArray[np.float32] | None,
+        deformation: tuple[Deformation, ...],
     ) -> Rendering:
         """Return the frames of a view; what was seen from one place is kept while nothing moves."""
-        key = (camera, projector, sequence, deformation)
+        key = (camera, projector, sequence, None if dimming is None else dimming.tobytes(), deformation)
         if key not in self._seen:
             # Those of another projector or pose will not be asked for again.
             self._seen = {k: v for k, v in self._seen.items() if k[1:] == key[1:]}
             simulation = self._simulation(camera + projector, deformation)
-            self._seen[key] = render(simulation, sequence, threads=self.threads)
+            self._seen[key] = render(simulation, sequence, threads=self.threads, dimming=dimming)
         return self._seen[key]
 
     def present_deformation(self) -> tuple[Deformation, ...]:
@@ -144,23 +155,25 @@ class SimulatedProjector:
     room: VirtualRoom
     settle_s: float = 0.0
     _sequence: FringeSequence = field(default_factory=FringeSequence)
+    _dimming: NDArray[np.float32] | None = None
 
     def describe(self) -> str:
         """Return what it is."""
         return "simulated: lights the scene of the virtual rig"
 
-    def load(self, sequence: FringeSequence) -> None:
+    def load(self, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None) -> None:
         """Make ready for the patterns of a sequence."""
-        self._sequence = sequence
+        self._sequence, self._dimming = sequence, dimming
 
     def show(self, number: int) -> None:
         """Show a pattern; it is on when this returns."""
-        self.room.light(self.name, self._sequence, range(self._sequence.frames_per_exposure)[number])
+        pattern = range(self._sequence.frames_per_exposure)[number]
+        self.room.light(self.name, self._sequence, pattern, self._dimming)
         self.room.clock.sleep(self.settle_s)
 
     def white(self) -> None:
         """Show full brightness."""
-        self.room.light(self.name, self._sequence, WHITE)
+        self.room.light(self.name, self._sequence, WHITE, self._dimming)
         self.room.clock.sleep(self.settle_s)
 
     def dark(self) -> None:

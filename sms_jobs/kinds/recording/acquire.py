@@ -7,7 +7,7 @@ waits for an operator; resumed, it records what is missing and nothing else.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -19,6 +19,7 @@ from sms_jobs.instruments.devices.device import POLLS_EVERY_S
 from sms_jobs.instruments.judging import APART_S, Limits
 from sms_jobs.instruments.kept_sets import interrupted, kept, recorded
 from sms_jobs.instruments.recorder import ConnectedRig, record_state
+from sms_jobs.instruments.recording_sets import Adaptation, Patterns
 from sms_jobs.instruments.simulated.optics import Setting
 from sms_jobs.kinds.kind import (
     MEASUREMENT,
@@ -36,11 +37,18 @@ from sms_jobs.kinds.kind import (
     rig_queue,
 )
 from sms_jobs.kinds.products import INTERRUPTED, MEASURED, RECORDED
+from sms_jobs.kinds.recording.adaptation import (
+    QUICK,
+    Adaptive,
+    Pixels,
+    adaptation_statistics,
+    adapted,
+)
 from sms_jobs.kinds.recording.simulate import deformation_at, scene_at
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.campaign import Campaign, LoadState
-from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.recording import Recording
 from sms_jobs.records.subject import Subject
 
@@ -75,6 +83,17 @@ class AcquireParameters(Parameters):
         description="exposure of the white frame, and of images without a projector, in units of the "
         "camera's own",
     )
+    adaptive: Adaptive = Field(
+        "none",
+        description="what a quick pre-exposure of each projector's views decides: nothing, the set of "
+        "exposures that keeps every pixel of its cameras in range instead of that of the sequence, or where "
+        "the projector is dimmed so that one exposure does",
+    )
+    longest_exposure: float = Field(
+        1.0,
+        gt=0.0,
+        description="exposure that an adaptive set does not exceed, in units of the camera's own",
+    )
     apart_ms: float = Field(
         1e3 * APART_S,
         ge=0.0,
@@ -99,6 +118,20 @@ class AcquireParameters(Parameters):
         if len(_drift_limits(channels)) < len(channels):
             raise ValueError(f"names a channel twice: {', '.join(channels)}")
         return channels
+
+    def adaptation(
+        self, sequence: FringeSequence, projectors: Sequence[Pixels], threads: int
+    ) -> Adaptation | None:
+        """Return how patterns follow from a pre-exposure; None where they are as planned."""
+        if self.adaptive == "none":
+            return None
+        named = {one.name: one for one in projectors}
+
+        def patterns(projector: str, quick: Sequence[Measurement]) -> Patterns:
+            shown = named[projector]
+            return adapted(self.adaptive, self.longest_exposure, sequence, shown, quick, threads)
+
+        return Adaptation(QUICK, patterns)
 
     def limits(self) -> Limits:
         """Return what a set must keep."""
@@ -190,6 +223,8 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
     ------
     InvalidInput
         When the rig's file lacks what is to be recorded with.
+    MeasurementFailed
+        When nothing is lit in a pre-exposure.
     InstrumentError
         When an instrument gives up, or a set is doubtful and an operator is to be asked.
     """
@@ -210,6 +245,7 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
             limits,
             lambda f, words: progress(0.8 * f, words),
             parameters.texture_exposure,
+            parameters.adaptation(sequence, station.rig.projectors, inputs.threads),
         )
     # What an operator saw and let stand is not doubted again.
     new = [view for view in task.views if view not in finished_before]
@@ -227,7 +263,8 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
         yield DatasetOutput(
             Subject(inputs.subject.campaign, inputs.subject.state, view),
             {MEASURED: measurement, RECORDED: recording, **broken},
-            statistics_of(recording),
+            statistics_of(recording)
+            | (adaptation_statistics(measurement) if parameters.adaptive != "none" else {}),
         )
     progress(1.0, "; ".join(doubts) or f"recorded {len(task.views)} views")
 

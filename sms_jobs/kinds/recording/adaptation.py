@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import ceil
+from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
+from sms_jobs.instruments.recording_sets import Patterns
 from sms_jobs.kinds.shape.streaming import exposed_slabs
 from sms_jobs.metrology.geometry.projector_pixels import projector_pixels
 from sms_jobs.metrology.phase.exposure import exposure_set, projector_dimming
 from sms_jobs.metrology.phase.temporal_unwrapping import unwrap
 from sms_jobs.records.measurement import FringeSequence, Measurement
-from sms_jobs.records.sensors import Sensor
 
 QUICK = FringeSequence((16, 15), 3, exposures=(1.0 / 64.0, 1.0 / 8.0, 1.0))
 """36 frames: phases good to a fraction of a projector pixel, of highlights up to 64 times too bright."""
@@ -24,6 +26,25 @@ _REACH_PX = 4  # projector pixels over which dimming is made smooth, at least
 _OVERLAP = 1.5  # and how far past the next camera pixel's light
 
 Floats = NDArray[np.float64]
+
+
+Adaptive: TypeAlias = Literal["none", "exposures", "projector"]
+
+
+class Pixels(Protocol):
+    """A projector as far as it counts here: its name and size in pixels."""
+
+    @property
+    def name(self) -> str:
+        """Such as P1."""
+
+    @property
+    def columns(self) -> int:
+        """Of its image."""
+
+    @property
+    def rows(self) -> int:
+        """Of its image."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +67,7 @@ class Outlook:
     brightness: Floats
     projector_xy: Floats
     full_scale: int
-    projector: Sensor
+    projector: Pixels
 
     def exposures(self, longest: float) -> tuple[float, ...]:
         """Return the fewest exposures that serve every lit pixel, up to the longest; see `exposure_set`."""
@@ -70,7 +91,7 @@ class Outlook:
         return max(_REACH_PX, ceil(_OVERLAP * float(np.nanmedian(apart))))
 
 
-def outlook(measurement: Measurement, projector: Sensor, threads: int) -> Outlook:
+def outlook(measurement: Measurement, projector: Pixels, threads: int) -> Outlook:
     """Return what a recording of `QUICK` shows.
 
     White is as bright as the fringes' mean and modulation together. Raises `MeasurementFailed` where nothing
@@ -112,3 +133,44 @@ def outlook(measurement: Measurement, projector: Sensor, threads: int) -> Outloo
             "lens cap and the projector, or record with adaptive=none"
         )
     return Outlook(brightness, xy, measurement.full_scale, projector)
+
+
+def adapted(
+    adaptive: Adaptive,
+    longest: float,
+    sequence: FringeSequence,
+    projector: Pixels,
+    quick: Sequence[Measurement],
+    threads: int,
+) -> Patterns:
+    """Return what a projector is to show so that all pixels of all cameras that look on are in range.
+
+    Parameters
+    ----------
+    adaptive
+        What is adapted: the exposures of the sequence, or where the projector is dimmed.
+    longest
+        Exposure that an adapted set does not exceed, in units of the camera's own.
+    sequence
+        As it is planned.
+    quick
+        What each camera has recorded of `QUICK`.
+    """
+    seen = [outlook(one, projector, threads) for one in quick]
+    if adaptive == "exposures":
+        # One set of exposures serves the pixels of all cameras, each in its own grey levels.
+        full_scale = seen[0].full_scale
+        bright = [(one.brightness * (full_scale / one.full_scale)).ravel() for one in seen]
+        chosen = exposure_set(np.concatenate(bright), full_scale, longest=longest)
+        return Patterns(replace(sequence, exposures=chosen))
+    dimmed = [one.dimming(max(sequence.exposures)) for one in seen]
+    return Patterns(sequence, np.minimum.reduce(dimmed))
+
+
+def adaptation_statistics(measurement: Measurement) -> dict[str, float]:
+    """Return how the exposure of a measurement was adapted, as people search by."""
+    exposures = measurement.sequence.exposures
+    found = {"exposures": float(len(exposures)), "shortest_exposure": min(exposures)}
+    if measurement.dimming is not None:
+        found["dimmed_fraction"] = float(np.mean(measurement.dimming < 1.0))
+    return found

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime
-from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -26,7 +25,7 @@ from sms_jobs.kinds.kind import (
     no_needs,
 )
 from sms_jobs.kinds.products import MEASURED
-from sms_jobs.kinds.recording.adaptation import QUICK, outlook
+from sms_jobs.kinds.recording.adaptation import QUICK, Adaptive, adaptation_statistics, outlook
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.measurement import FringeSequence, Measurement
@@ -40,7 +39,7 @@ from sms_jobs.virtual_rig.artefacts import bowed
 class SimulateParameters(Parameters):
     """What is recorded follows from the campaign; how it is exposed may follow from what stands there."""
 
-    adaptive: Literal["none", "exposures", "projector"] = Field(
+    adaptive: Adaptive = Field(
         "none",
         description="what a quick pre-exposure of every view decides: nothing, the set of exposures that "
         "keeps every pixel in the camera's range instead of that of the sequence, or where the projector is "
@@ -164,16 +163,12 @@ def _recorded(
 
 def _statistics(measurement: Measurement) -> dict[str, float]:
     """Return what the white frame, the brightest, says of the exposure, and how that was adapted."""
-    texture, exposures = measurement.texture, measurement.sequence.exposures
-    statistics = {
+    texture = measurement.texture
+    return {
         "saturated_fraction": float(np.mean(texture >= measurement.full_scale)),
         "mean_level_count": float(np.mean(texture)),
-        "exposures": float(len(exposures)),
-        "shortest_exposure": min(exposures),
+        **adaptation_statistics(measurement),
     }
-    if measurement.dimming is not None:
-        statistics["dimmed_fraction"] = float(np.mean(measurement.dimming < 1.0))
-    return statistics
 
 
 KIND = Kind(

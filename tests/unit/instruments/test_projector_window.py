@@ -77,6 +77,27 @@ def test_white_dark_and_the_first_picture(context: DriverContext, hidden: Displa
     assert (hidden.grab() == 0).all()
 
 
+def test_a_dimmed_projector_shows_so_much_less_of_every_pattern_and_of_white(
+    projector: WindowProjector, hidden: Display
+) -> None:
+    dimming = np.linspace(0.2, 1.0, ROWS * COLUMNS, dtype=np.float32).reshape(ROWS, COLUMNS)
+    shown = []
+    for factor in (None, dimming):
+        projector.load(SEQUENCE, factor)
+        pictures = []
+        for number in range(SEQUENCE.frames):
+            projector.show(number)
+            pictures.append(hidden.grab()[..., 0].astype(float))
+        projector.white()
+        shown.append([*pictures, hidden.grab()[..., 0].astype(float)])
+    for plain, dimmed in zip(*shown, strict=True):
+        # Both are rounded to whole levels.
+        assert np.abs(dimmed - dimming * plain).max() <= 1.0
+    projector.load(SEQUENCE)
+    projector.white()
+    assert (hidden.grab() == 255).all()
+
+
 def test_a_picture_is_on_when_it_has_settled(context: DriverContext) -> None:
     projector = connect(replace(SETTINGS, settle_ms=250.0), context)
     begun = context.clock.monotonic()

@@ -19,7 +19,8 @@ from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.kept_sets import forget, interrupted, is_finished, kept, recorded
 from sms_jobs.instruments.protocols import Camera, CameraFacts, Fired, SoftwareTrigger
-from sms_jobs.instruments.recorder import FRAME_TIMEOUT_S, ConnectedRig, record_state
+from sms_jobs.instruments.recorder import ConnectedRig, record_state
+from sms_jobs.instruments.recording_sets import FRAME_TIMEOUT_S
 from sms_jobs.instruments.rehearsal import rehearse
 from sms_jobs.instruments.simulated.lamp import RoomLamp
 from sms_jobs.instruments.simulated.optics import Setting, SimulatedCamera, SimulatedProjector, VirtualRoom

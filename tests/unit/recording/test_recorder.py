@@ -13,7 +13,8 @@ from sms_jobs.errors import Cancelled, InstrumentError, InvalidInput, LinkLost, 
 from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.kept_sets import interrupted, is_finished, recorded
 from sms_jobs.instruments.protocols import CameraFacts
-from sms_jobs.instruments.recorder import FRAME_TIMEOUT_S, ConnectedRig, record_state
+from sms_jobs.instruments.recorder import ConnectedRig, record_state
+from sms_jobs.instruments.recording_sets import FRAME_TIMEOUT_S
 from sms_jobs.instruments.simulated.optics import SimulatedCamera, VirtualRoom
 from sms_jobs.instruments.simulated.rig import SimulatedRig
 from sms_jobs.records.measurement import FringeSequence

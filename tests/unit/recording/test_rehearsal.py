@@ -14,9 +14,11 @@ from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.devices.device import POLLS_EVERY_S
 from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.recorder import record_state
+from sms_jobs.instruments.recording_sets import Adaptation, Patterns
 from sms_jobs.instruments.rehearsal import rehearse
 from sms_jobs.instruments.simulated.optics import Setting
 from sms_jobs.jobs.stations import known_sensors
+from sms_jobs.kinds.recording.adaptation import QUICK
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import RigFile
@@ -113,6 +115,15 @@ def test_a_recording_takes_as_long_as_was_said(tmp_path: Path) -> None:
         assert said.set_bytes == said.raw_bytes // 2
     # Nothing is shorter than the projectors' delays, and there was more than that.
     assert took > 25 * (0.04 + 0.06) + 2 * 0.5
+
+
+def test_a_pre_exposure_is_counted() -> None:
+    as_planned = Adaptation(QUICK, lambda projector, quick: Patterns(SEQUENCE))
+    plain = rehearse(rig("simulated"), VIEWS, SEQUENCE, (None,))
+    adaptive = rehearse(rig("simulated"), VIEWS, SEQUENCE, (None,), adaptation=as_planned)
+    assert adaptive[0].frames == plain[0].frames
+    # Each projector shows 36 patterns more, of 40 and 60 ms; triggers and exposures come to it.
+    assert adaptive[0].recording_s - plain[0].recording_s > 36 * (0.04 + 0.06)
 
 
 def test_a_stage_on_a_wire_looks_for_home_once() -> None:
