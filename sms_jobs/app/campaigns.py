@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, valid_calibrations
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs import inquiry
 from sms_jobs.jobs.chosen import Chosen
 from sms_jobs.jobs.inquiry import CampaignView
 from sms_jobs.records.people import Right
 
 if TYPE_CHECKING:
+    from sqlalchemy.orm import Session
+
     from sms_jobs.records.campaign import Campaign
 
 
@@ -114,11 +116,16 @@ def add_view(services: Services, name: str, view: str) -> Campaign:
         row = campaigns.campaign_row(session, name)
         before = campaigns.definition(row)
         used = valid_calibrations.used_for_campaign(session, row.id)
-        refuse_while_recording(session, name)
         recorded = recorded_views(session, name)
     after = with_view(before, view, recorded)
     _require_sensors(services, before, view, used[-1] if used else None)
-    amend_campaign(services.catalogue, services.archive, before, after, datetime.now(UTC))
+
+    def allow(session: Session) -> None:
+        refuse_while_recording(session, name)
+        if recorded_views(session, name) != recorded:
+            raise Conflict(f"a state of {name} was recorded just now; add the view again")
+
+    amend_campaign(services.catalogue, services.archive, before, after, datetime.now(UTC), allow)
     return after
 
 

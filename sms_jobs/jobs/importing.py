@@ -6,7 +6,7 @@ the file, so that a second import finds what is there and changes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -308,9 +308,19 @@ def _read(state: LoadState, reading: Reading, changes: list[str], replace_others
 
 
 def amend_campaign(
-    catalogue: Catalogue, archive: Archive, before: Campaign, after: Campaign, now: datetime
+    catalogue: Catalogue,
+    archive: Archive,
+    before: Campaign,
+    after: Campaign,
+    now: datetime,
+    allow: Callable[[Session], None] = lambda session: None,
 ) -> None:
     """Give a campaign further states, views or readings, or another frame: sealed, then in the catalogue.
+
+    Parameters
+    ----------
+    allow
+        Called in the transaction that changes it; raises where it must not be changed just now.
 
     Raises
     ------
@@ -336,6 +346,7 @@ def amend_campaign(
     def check(session: Session) -> None:
         present = campaigns.definition(campaigns.campaign_row(session, before.name))
         _require_same(present, before, f"campaign {before.name}")
+        allow(session)
 
     definition = CampaignDefinition(after, row.plan)
     Repository(catalogue, archive).put({CAMPAIGN: definition}, defined(before.name, now), check)

@@ -13,6 +13,8 @@ from support.archives import Clock, emptied, registered, run_jobs, work_again
 from support.command import inside
 from support.deployments import Deployment
 
+from sms_jobs import bootstrap
+from sms_jobs.app import campaigns as app_campaigns
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
@@ -120,6 +122,31 @@ def test_what_cannot_be_seen_is_refused_and_changes_nothing(
         submit(session, "plate", [Request("acquire", {}, ("S00",))], clock())
     refused = said(deployment, "campaign", "add-view", "plate", "C1P2", code=4)
     assert "or waits for an operator" in refused.stderr
+    assert defined(catalogue) == before
+
+
+def test_a_recording_that_begins_meanwhile_keeps_the_view_out(
+    deployment: Deployment,
+    catalogue: Catalogue,
+    archive: Archive,
+    clock: Clock,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    registered(catalogue, archive, clock)
+    before = defined(catalogue)
+
+    def begin(*_: object) -> None:
+        with catalogue.writing() as session:
+            submit(session, "plate", [Request("acquire", {}, ("S00",))], clock())
+
+    for name, value in deployment.environment.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(app_campaigns, "_require_sensors", begin)
+    with (
+        bootstrap.services(deployment.home) as services,
+        pytest.raises(Conflict, match="records plate, or waits"),
+    ):
+        app_campaigns.add_view(services, "plate", "C1P2")
     assert defined(catalogue) == before
 
 
