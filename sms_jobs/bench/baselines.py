@@ -15,7 +15,7 @@ _MARGIN_PX = 8  # round a subset, of what is given to OpenCV of the other image
 
 
 def unwrapped_by_numpy(
-    frames: NDArray[np.uint16], densities: tuple[int, ...], steps: int
+    frames: NDArray[np.uint16], densities: tuple[float, ...], steps: int
 ) -> tuple[Floats, Floats, Floats]:
     """Return phase gradient, modulation and residual of phase of every pixel, each (rows, columns).
 

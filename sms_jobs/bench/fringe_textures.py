@@ -97,7 +97,7 @@ def record(random: np.random.Generator, plate: TexturedPlate, sequence: FringeSe
     strength = random.uniform(0.6, 0.85) * _texture(plate, fine[..., :2], random)
     mean = _pixels(strength, plate.blur_px)
     frames = np.empty((sequence.frames, camera.rows, camera.columns), np.uint16)
-    shown: tuple[tuple[float, int], Floats, Floats] | None = None
+    shown: tuple[tuple[float, float], Floats, Floats] | None = None
     for index, (orientation, density, step) in enumerate(sequence.patterns()):
         if shown is None or shown[0] != (orientation, density):
             phase = density * phase_gradient(xy, projector.columns, projector.rows, orientation)

@@ -68,7 +68,7 @@ class SyntheticFrames:
         self._scene, self._sequence, self._threads = scene, sequence, threads
         self._patterns = list(sequence.patterns())
         self._normal = np.random.default_rng(2).standard_normal(_NORMALS, np.float32)
-        self._made: tuple[tuple[float, int], NDArray[np.uint16]] | None = None
+        self._made: tuple[tuple[float, float], NDArray[np.uint16]] | None = None
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -93,12 +93,12 @@ class SyntheticFrames:
         """Return a slab of every frame, (frames, stop - start, columns)."""
         return np.stack([self.frame(i)[start:stop] for i in range(len(self._patterns))])
 
-    def _steps(self, orientation: float, density: int) -> NDArray[np.uint16]:
+    def _steps(self, orientation: float, density: float) -> NDArray[np.uint16]:
         number = self._sequence.orientations_rad.index(orientation)
         omega = self._scene.omega[number]
         steps = np.exp(2j * pi * np.arange(self._sequence.steps) / self._sequence.steps)
         out = np.empty((len(steps), *self.shape[1:]), np.uint16)
-        draw = np.random.default_rng((number, density))
+        draw = np.random.default_rng((number, int(density)))
         places = draw.integers(_NORMALS, size=(len(steps), out.shape[1]))
 
         def work(start: int, stop: int) -> None:

@@ -51,7 +51,7 @@ class _Signals:
 
 def peel_returns(
     frames: NDArray[Any],
-    densities: tuple[int, ...],
+    densities: tuple[float, ...],
     steps: int,
     camera: GreyLevels,
     *,

@@ -220,7 +220,7 @@ def record(scene: EdgeScene, sequence: FringeSequence) -> Seen:
     mean = _pixels(shown, scene.blur_px)
     full_scale = 2**scene.bits - 1
     frames = np.empty((sequence.frames, _ROWS, _COLUMNS), np.uint16)
-    found: tuple[tuple[float, int], Floats, Floats] | None = None
+    found: tuple[tuple[float, float], Floats, Floats] | None = None
     for index, (orientation, density, step) in enumerate(sequence.patterns()):
         if found is None or found[0] != (orientation, density):
             phase = density * phase_gradient(xy, projector.columns, projector.rows, orientation)

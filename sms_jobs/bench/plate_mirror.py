@@ -164,7 +164,7 @@ def record(size: Size, fringes: int, threads: int) -> Plate:
     return Plate(calibration, measurement, once, twice, np.abs(shape.material[0]))
 
 
-def only(plate: Plate, densities: tuple[int, ...]) -> Plate:
+def only(plate: Plate, densities: tuple[float, ...]) -> Plate:
     """Return a plate of which only some of the densities were recorded, in another order perhaps."""
     old = list(plate.measurement.sequence.patterns())
     new = replace(plate.measurement.sequence, densities=densities)

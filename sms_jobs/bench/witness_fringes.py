@@ -180,7 +180,7 @@ def exposed(light: Floats, camera: CameraResponse, rng: np.random.Generator) -> 
     return np.clip(np.rint(level), 0.0, noise.full_scale).astype(np.uint16)
 
 
-def _brightness(scene: Scene, orientation: float, density: int) -> tuple[float, float]:
+def _brightness(scene: Scene, orientation: float, density: float) -> tuple[float, float]:
     """Return mean and amplitude of a pattern as the projector throws it, which is linear and out of focus."""
     projector = next(sensor for sensor in scene.rig.sensors if sensor.role is Role.PROJECTOR)
     mean, swing = fringe_harmonics(

@@ -27,7 +27,7 @@ class ResponseDiagnosis:
     camera: str
     projector: str
     orientations_rad: tuple[float, ...]
-    densities: tuple[int, ...]
+    densities: tuple[int | float, ...]
     steps: int
     visibility: float
     x: Double = array("px", "column", POINTS)

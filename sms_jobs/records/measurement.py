@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
-from math import inf, pi
+from math import inf, lcm, pi
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -26,30 +26,37 @@ class FringeSequence:
     Attributes
     ----------
     densities
-        Number of fringes across the projector, in the order of projection; thesis default
+        Number of fringes across the projector, in the order of projection, whole or not; thesis default
         (32, 31, 30, 28, 24, 16). The density 0 is a uniform field, see `steps_of`.
     steps
-        Phase steps a density, at least 3.
+        Phase steps a density, at least 3: step k adds 2 pi k / steps.
     orientations_rad
         Direction in which the phase grows, from the projector's x axis towards its y axis: 0 gives
         vertical fringes, pi/2 horizontal ones.
     exposures
         Exposure times in units of the camera's own, in the order of recording: several for a surface whose
         brightness spans more than the camera's range.
+    shown
+        Which of the steps are shown of each density, where some have fewer than three: all densities then
+        share one mean and one modulation, as in micro and embedded phase shifting. Empty for all of them.
     """
 
-    densities: tuple[int, ...] = (32, 31, 30, 28, 24, 16)
+    densities: tuple[int | float, ...] = (32, 31, 30, 28, 24, 16)
     steps: int = 4
     orientations_rad: tuple[float, ...] = (0.0, pi / 2)
     exposures: tuple[float, ...] = (1.0,)
+    shown: tuple[tuple[int, ...], ...] = ()
 
     def __post_init__(self) -> None:
         if self.steps < 3:
             raise InvalidInput(f"a fringe sequence needs at least 3 phase steps, not {self.steps}")
-        if not self.densities or min(self.densities) < 0 or max(self.densities) == 0:
+        below = [t for t in self.densities if not (t == 0 or 1 <= t < inf)]
+        if not self.densities or below or max(self.densities) == 0:
             raise InvalidInput(
                 f"fringe densities must be at least 1, or 0 beside others, not {self.densities}"
             )
+        if self.shown:
+            self._check_shown()
         if self.densities.count(0) > 1:
             raise InvalidInput("the fringe density 0 is shown once at most: it is the same field every time")
         if not self.orientations_rad:
@@ -62,6 +69,85 @@ class FringeSequence:
         if len(set(self.exposures)) < len(self.exposures):
             raise InvalidInput(f"a fringe sequence has each exposure once, not {self.exposures}: omit one")
 
+    @classmethod
+    def with_counts(
+        cls,
+        densities: tuple[int | float, ...],
+        counts: int | tuple[int, ...],
+        orientations_rad: tuple[float, ...],
+        exposures: tuple[float, ...] = (1.0,),
+    ) -> FringeSequence:
+        """Return a sequence from one number of steps, or from one for each density.
+
+        Three steps or more are equal parts of a turn, two are 0 and a quarter, one is 0. Raises
+        `InvalidInput` for a list of another length, and as the sequence itself does.
+        """
+        if isinstance(counts, int):
+            return cls(densities, counts, orientations_rad, exposures)
+        if len(counts) != len(densities) or min(counts) < 1:
+            raise InvalidInput(
+                f"steps should be one number, or one for each of the {len(densities)} densities and at "
+                f"least 1, not {list(counts)}"
+            )
+        if len(set(counts)) == 1 and counts[0] > 2:
+            return cls(densities, counts[0], orientations_rad, exposures)
+        steps = lcm(*(4 if n == 2 else n for n in counts))
+        parts = [range(0, steps // 2, steps // 4) if n == 2 else range(0, steps, steps // n) for n in counts]
+        return cls(densities, max(steps, 3), orientations_rad, exposures, tuple(map(tuple, parts)))
+
+    def _check_shown(self) -> None:
+        """Raise `InvalidInput` where the steps that are shown cannot tell mean, modulation and phase."""
+        if len(self.shown) != len(self.densities) or not all(
+            steps and len(set(steps)) == len(steps) and set(steps) <= set(range(self.steps))
+            for steps in self.shown
+        ):
+            raise InvalidInput(
+                f"of each of the {len(self.densities)} densities some of the steps 0 .. {self.steps - 1} "
+                f"have to be shown, each once, not {self.shown}"
+            )
+        if 0 in self.densities or len(set(self.densities)) < len(self.densities):
+            raise InvalidInput(
+                "densities that share their modulation are all different and above 0, not "
+                f"{', '.join(map(str, self.densities))}"
+            )
+        if not any(self._evenly(steps) for steps in self.shown) or sum(map(len, self.shown)) < 4:
+            raise InvalidInput(
+                "one density at least needs three phase steps or more, and the others one or more, as in "
+                f"steps = [3, 1, 1]; not {', '.join(str(len(steps)) for steps in self.shown)}"
+            )
+
+    def _evenly(self, steps: tuple[int, ...]) -> bool:
+        """Say whether steps are three or more equal parts of a turn."""
+        parts = sorted((k - steps[0]) * len(steps) % (self.steps * len(steps)) for k in steps)
+        return len(steps) > 2 and parts == [self.steps * i for i in range(len(steps))]
+
+    @property
+    def joint(self) -> bool:
+        """Whether the frames of all densities tell one mean and one modulation together."""
+        return bool(self.shown)
+
+    @property
+    def anchor(self) -> int:
+        """Place of the density with the most equal steps, which by itself tells mean and modulation."""
+        evenly = [len(steps) if self._evenly(steps) else 0 for steps in self.shown]
+        return evenly.index(max(evenly)) if self.shown else next(i for i, t in enumerate(self.densities) if t)
+
+    @property
+    def anchor_steps(self) -> int:
+        """How many steps that density has."""
+        return len(self.steps_of(self.densities[self.anchor]))
+
+    @property
+    def counts(self) -> int | tuple[int, ...]:
+        """How many steps there are, of each density where they differ."""
+        return tuple(len(steps) for steps in self.shown) or self.steps
+
+    @property
+    def in_words(self) -> str:
+        """Densities and steps: 16, 1 x 4 steps, or 70.5, 66, 64 x 3, 1, 1 steps."""
+        counts = ", ".join(str(len(steps)) for steps in self.shown) or str(self.steps)
+        return f"{', '.join(f'{t:g}' for t in self.densities)} x {counts} steps"
+
     @property
     def frames(self) -> int:
         """Number of fringe frames of the whole sequence, all exposures together."""
@@ -72,13 +158,15 @@ class FringeSequence:
         """Number of fringe frames of one exposure: of the patterns that are shown."""
         return len(self.orientations_rad) * sum(len(self.steps_of(t)) for t in self.densities)
 
-    def steps_of(self, density: int) -> tuple[int, ...]:
+    def steps_of(self, density: float) -> tuple[int, ...]:
         """Return the phase steps that are shown of a density, in order.
 
         Of a uniform field the brightest and the darkest alone, 0 and steps // 2: the others add nothing to
         its amplitude. The sequence 0 .. s-1 of Fourier domain ranging thus has 4 s - 2 frames for an
         orientation (thesis section 7.2.2).
         """
+        if self.shown:
+            return self.shown[self.densities.index(density)]
         return tuple(range(self.steps)) if density else (0, self.steps // 2)
 
     def frames_of(self, orientation: int, uniform: bool = True) -> NDArray[np.intp] | slice:
@@ -95,7 +183,20 @@ class FringeSequence:
         shown = [t > 0 for t in self.densities for _ in self.steps_of(t)]
         return start + np.flatnonzero(shown)
 
-    def patterns(self) -> Iterator[tuple[float, int, int]]:
+    def frames_of_anchor(self, orientation: int) -> slice:
+        """Return where the frames of the density are that tells mean and modulation, as `frames_of` does."""
+        count = self.frames_per_exposure // len(self.orientations_rad)
+        before = sum(len(self.steps_of(t)) for t in self.densities[: self.anchor])
+        start = orientation * count + before
+        return slice(start, start + self.anchor_steps)
+
+    def whole_turns_of(self, orientation: int) -> NDArray[np.intp] | slice:
+        """Return where the frames are whose fringes cancel in the mean over steps, as `frames_of` does."""
+        if self.joint:
+            return self.frames_of_anchor(orientation)
+        return self.frames_of(orientation, uniform=False)
+
+    def patterns(self) -> Iterator[tuple[float, float, int]]:
         """Yield (orientation in rad, density, step 0 .. steps-1) of each frame of an exposure in order."""
         for orientation in self.orientations_rad:
             for density in self.densities:

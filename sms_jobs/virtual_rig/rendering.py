@@ -219,7 +219,7 @@ class SimulatedFrames(SimulatedImage):
         self._projector: Sensor = sensor_named(simulation, simulation.projector or "")
         self._response = simulation.scene.projector
         self._lock = Lock()
-        self._shown: tuple[tuple[float, int], Singles] | None = None
+        self._shown: tuple[tuple[float, float], Singles] | None = None
 
     def frame(self, index: int) -> Image:
         """Return one frame, (rows, columns); raise `IndexError` for a frame that there is not."""
@@ -261,7 +261,7 @@ class SimulatedFrames(SimulatedImage):
         fringes = np.stack([np.cos(angles), -np.sin(angles)], axis=-1)
         return exposure * np.concatenate([[1.0], fringes.ravel()])
 
-    def _pattern_images(self, orientation: float, density: int, start: int, stop: int) -> Singles:
+    def _pattern_images(self, orientation: float, density: float, start: int, stop: int) -> Singles:
         """Return rows of the images of which every step of one density is a weighted sum.
 
         Image 0 is the mean of the steps; then come c_n cos(n w t) and c_n sin(n w t) for n = 1, 2, ..

@@ -120,7 +120,7 @@ def _range_row(plan: Plan, ghosts: Ghosts, row: Row, maps: Maps, index: int) -> 
 
 def range_returns(
     frames: NDArray[Any],
-    densities: tuple[int, ...],
+    densities: tuple[float, ...],
     steps: int,
     camera: GreyLevels,
     *,

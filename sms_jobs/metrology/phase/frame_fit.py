@@ -53,7 +53,7 @@ class SampledFrames:
     """
 
     levels: NDArray[Any]
-    densities: tuple[int, ...]
+    densities: tuple[float, ...]
     steps: int
     grey_levels: GreyLevels
     accepted_rad: float

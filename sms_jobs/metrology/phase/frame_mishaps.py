@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
+from math import ceil
 from typing import Any, Literal
 
 import numpy as np
@@ -56,9 +57,9 @@ class Mishap:
 
     what: What
     frames: tuple[int, ...] = ()
-    told: int = 0
+    told: float = 0
     found: float = 0.0
-    densities: tuple[int, ...] = ()
+    densities: tuple[float, ...] = ()
 
 
 def find_mishap(told: tuple[SampledFrames, ...], fits: Fits) -> Mishap | None:
@@ -140,13 +141,13 @@ def _explanations(
 
 
 def _other_words(
-    told: tuple[int, ...], misfit: NDArray[np.float32] | None
-) -> Iterator[tuple[Mishap, tuple[int, ...]]]:
+    told: tuple[float, ...], misfit: NDArray[np.float32] | None
+) -> Iterator[tuple[Mishap, tuple[float, ...]]]:
     """Yield densities that may have been shown instead: one is another, or all are another named list.
 
     With the `misfit` of (orientations, densities, steps) those that fit worst alone are changed, by little.
     """
-    largest = 2 * max(told) + 2
+    largest = 2 * ceil(max(told)) + 2
     doubted = list(range(len(told)))
     if misfit is not None:
         doubted = sorted(doubted, key=lambda i: -misfit[:, i].sum())[:_FEW_DENSITIES]
@@ -155,7 +156,9 @@ def _other_words(
         for other in range(1, largest):
             if other not in told and (misfit is None or abs(other - t) <= _NEAR):
                 yield Mishap("count", told=t, found=other), (*told[:i], other, *told[i + 1 :])
-    named = {tuple(t for t in make(s) if t) for make in SEQUENCES.values() for s in range(2, largest)}
+    named: set[tuple[float, ...]] = {
+        tuple(t for t in make(s) if t) for make in SEQUENCES.values() for s in range(2, largest)
+    }
     each = {one for densities in named | {told} for one in (densities, densities[::-1])}
     for densities in sorted(each - {told}):
         # Others of one number beside those told are tried already.

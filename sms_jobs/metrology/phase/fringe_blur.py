@@ -28,7 +28,7 @@ _FEWEST = 30  # pixels: their median is good to a fifth of what one knows
 
 def blur_variance(
     frames: NDArray[Any],
-    densities: tuple[int, ...],
+    densities: tuple[float, ...],
     steps: int,
     camera: GreyLevels,
     *,
@@ -80,7 +80,7 @@ def blur_variance(
 
 def transfer_of_sample(
     frames: NDArray[Any],
-    densities: tuple[int, ...],
+    densities: tuple[float, ...],
     steps: int,
     camera: GreyLevels,
     *,

@@ -57,7 +57,7 @@ def phase_gradient(pixels: Floats, columns: int, rows: int, orientation_rad: flo
     return np.asarray((a * x + b * y) * (2.0 * pi / span_px(columns, rows, orientation_rad)))
 
 
-def fringe_intensity(omega: Floats, density: int, step: int, steps: int, visibility: float = 1.0) -> Floats:
+def fringe_intensity(omega: Floats, density: float, step: int, steps: int, visibility: float = 1.0) -> Floats:
     """Return the brightness of a fringe pattern, 0 .. 1 of the projector's full brightness.
 
     Parameters
@@ -79,7 +79,7 @@ def fringe_intensity(omega: Floats, density: int, step: int, steps: int, visibil
 
 
 def fringe_pattern(
-    columns: int, rows: int, orientation_rad: float, density: int, step: int, steps: int
+    columns: int, rows: int, orientation_rad: float, density: float, step: int, steps: int
 ) -> Floats:
     """Return a whole pattern as the projector shows it, (rows, columns), brightness 0 .. 1."""
     omega = phase_gradient(pixel_grid(rows, columns), columns, rows, orientation_rad)
@@ -87,7 +87,7 @@ def fringe_pattern(
 
 
 def fringe_harmonics(
-    density: int, span: float, *, visibility: float = 1.0, gamma: float = 1.0, defocus_px: float = 0.0
+    density: float, span: float, *, visibility: float = 1.0, gamma: float = 1.0, defocus_px: float = 0.0
 ) -> Floats:
     """Return the Fourier cosine coefficients c_n of a pattern as an imperfect projector shows it.
 

@@ -34,7 +34,7 @@ class PhaseJump:
     change_rad: float
 
 
-def find_jump(fit: FrameFit, densities: tuple[int, ...]) -> PhaseJump | None:
+def find_jump(fit: FrameFit, densities: tuple[float, ...]) -> PhaseJump | None:
     """Find a jump, or a steady drift, that explains phases which do not belong to one gradient.
 
     Returns

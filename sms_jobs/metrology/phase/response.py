@@ -69,7 +69,7 @@ class Response:
         return np.asarray(self.harmonics * np.exp(-self.damping * np.square(n * density)))
 
 
-def _fundamental(frames: Floats, densities: Sequence[int], steps: int) -> Complexes:
+def _fundamental(frames: Floats, densities: Sequence[float], steps: int) -> Complexes:
     """Return B exp(i phi) of every density, (densities, pixels)."""
     weights = stepping_weights(steps)
     grouped = frames.reshape(len(densities), steps, -1)
@@ -120,7 +120,7 @@ def distortion(response: Response, phase: Floats, density: float, steps: int) ->
     return np.asarray(z / amplitudes[0])
 
 
-def gradient_ripple(response: Response, omega: Floats, densities: Sequence[int], steps: int) -> Floats:
+def gradient_ripple(response: Response, omega: Floats, densities: Sequence[float], steps: int) -> Floats:
     """Return by how much temporal unwrapping overestimates the phase gradient, in rad.
 
     Parameters
@@ -145,7 +145,7 @@ def gradient_ripple(response: Response, omega: Floats, densities: Sequence[int],
     return np.asarray(top / bottom)
 
 
-def corrected_gradient(response: Response, omega: Floats, densities: Sequence[int], steps: int) -> Floats:
+def corrected_gradient(response: Response, omega: Floats, densities: Sequence[float], steps: int) -> Floats:
     """Return the phase gradient without its ripple, (...) in rad, from that which unwrapping found.
 
     omega_true + ripple(omega_true) = omega, by fixed-point iteration: the ripple's slope is below 1.
@@ -158,7 +158,7 @@ def corrected_gradient(response: Response, omega: Floats, densities: Sequence[in
 
 
 def _undistorted(
-    z: Complexes, omega: Floats, densities: Sequence[int], steps: int, response: Response
+    z: Complexes, omega: Floats, densities: Sequence[float], steps: int, response: Response
 ) -> Complexes:
     """Return B exp(i phi) of every density without what the harmonics add to it."""
     return np.stack(
@@ -166,7 +166,7 @@ def _undistorted(
     )
 
 
-def _refit(z: Complexes, omega: Floats, densities: Sequence[int]) -> Floats:
+def _refit(z: Complexes, omega: Floats, densities: Sequence[float]) -> Floats:
     """Return the phase gradient from the phases, whose fringe orders the last one tells."""
     top, bottom = np.zeros(omega.shape), np.zeros(omega.shape)
     for i, t in enumerate(densities):
@@ -178,7 +178,7 @@ def _refit(z: Complexes, omega: Floats, densities: Sequence[int]) -> Floats:
 
 
 def _waveform(
-    levels: Floats, omega: Floats, densities: Sequence[int], steps: int, damping: float
+    levels: Floats, omega: Floats, densities: Sequence[float], steps: int, damping: float
 ) -> tuple[Floats, Floats]:
     """Fit the harmonics of normalised grey levels (frames, pixels); return them and their covariance."""
     normal, right, square = np.zeros((HARMONICS + 1, HARMONICS + 1)), np.zeros(HARMONICS + 1), 0.0
@@ -201,7 +201,7 @@ def _waveform(
 
 
 def phase_residual(
-    frames: NDArray[Any], densities: Sequence[int], steps: int, omega: Floats, response: Response
+    frames: NDArray[Any], densities: Sequence[float], steps: int, omega: Floats, response: Response
 ) -> Floats:
     """Return the phase error of one phase, (pixels,) in rad, once the harmonics are taken out.
 
@@ -240,7 +240,7 @@ def _gamma(second: float, sigma: float, visibility: float) -> tuple[float, float
 
 
 def diagnose_response(
-    frames: NDArray[Any], densities: Sequence[int], steps: int, omega: Floats, visibility: float = 1.0
+    frames: NDArray[Any], densities: Sequence[float], steps: int, omega: Floats, visibility: float = 1.0
 ) -> Response:
     """Find the projector's response in the frames of one orientation.
 

@@ -58,7 +58,7 @@ class RippleTable:
         return np.asarray(np.interp(omega, self.measured, self.residual))
 
 
-def ripple_table(response: Response, densities: Sequence[int], steps: int) -> RippleTable:
+def ripple_table(response: Response, densities: Sequence[float], steps: int) -> RippleTable:
     """Tabulate the ripple that a response makes in the phase gradient of one return.
 
     Parameters

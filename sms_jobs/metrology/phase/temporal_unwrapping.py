@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.phase.frequency_search import find_orders
 from sms_jobs.metrology.phase.phase_stepping import (
     add_frame,
     mark_saturated,
     phase_and_power,
     stepping_weights,
 )
-from sms_jobs.metrology.phase.unwrapping_plan import unwrapping_plan
+from sms_jobs.metrology.phase.unwrapping_plan import can_climb, unwrapping_plan
 
 Floats = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -260,7 +261,7 @@ def _furthest_correction(expected: float) -> float:
 
 def unwrap(
     frames: NDArray[Any],
-    densities: tuple[int, ...],
+    densities: tuple[float, ...],
     steps: int,
     *,
     full_scale: int,
@@ -277,7 +278,8 @@ def unwrap(
     frames
         (densities * steps, rows, columns), uint8 or uint16, densities slower than steps.
     densities
-        Fringes across the projector, any list that leaves omega unambiguous (see `unwrapping_plan`).
+        Fringes across the projector, any list that leaves omega unambiguous: see `unwrapping_plan`, and
+        `frequency_search` for those that differ from each other by no single fringe.
     steps
         Phase steps a density, at least 3.
     full_scale
@@ -311,16 +313,19 @@ def unwrap(
     Raises `InvalidInput` for fewer than three steps, for an ambiguous list, for a wrong number of frames or
     offsets, and for a code that is coarser than the fringes.
     """
-    plan = unwrapping_plan(densities, coarse is not None)
-    weights = _turned_weights(steps, offsets or (0.0,) * len(densities))
-    furthest = inf if coarse is None else _furthest_correction(coarse.half_width * min(densities))
     if len(frames) != len(densities) * steps:
         raise InvalidInput(
             f"{len(densities)} fringe densities of {steps} steps make {len(densities) * steps} frames, "
             f"not {len(frames)}: check the fringe sequence"
         )
+    weights = _turned_weights(steps, offsets or (0.0,) * len(densities))
     if len(weights) != len(densities):
         raise InvalidInput(f"{len(densities)} fringe densities have as many offsets, not {len(weights)}")
+    if coarse is None and len(densities) > 1 and not can_climb(densities):
+        found = find_orders(frames, densities, weights, gain=gain, read_noise=read_noise, threads=threads)
+        coarse = CoarseGradient(found, 0.0)
+    plan = unwrapping_plan(densities, coarse is not None)
+    furthest = inf if coarse is None else _furthest_correction(coarse.half_width * min(densities))
     rows, columns = frames.shape[1:]
     predicted = np.empty((0, columns)) if coarse is None else np.nan_to_num(coarse.omega)
     omega = np.empty((rows, columns))

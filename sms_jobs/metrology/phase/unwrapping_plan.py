@@ -20,6 +20,7 @@ from sms_jobs.errors import InvalidInput
 Floats = NDArray[np.float64]
 
 _LARGEST_FACTOR = 8  # of the combinations that are tried where no two densities differ by one fringe
+_ROUNDING = 1e-9  # of densities that are no whole numbers
 _ALL_PAIRS_UP_TO = 32  # densities; a longer list is dense, and its neighbours' differences suffice
 
 
@@ -45,7 +46,7 @@ class Plan:
         Largest standard deviation of a rung's prediction error, in units of that of a single phase.
     """
 
-    densities: tuple[int, ...]
+    densities: tuple[float, ...]
     first: NDArray[np.int64]
     second: NDArray[np.int64]
     factors: Floats
@@ -56,7 +57,7 @@ class Plan:
 
 
 @lru_cache(maxsize=64)
-def unwrapping_plan(densities: tuple[int, ...], known_coarsely: bool = False) -> Plan:
+def unwrapping_plan(densities: tuple[float, ...], known_coarsely: bool = False) -> Plan:
     """Plan how to unwrap a list of densities so that the least certain step is as certain as can be.
 
     The prediction of rung s from rung r has the error c_s - (d_s / d_r) c_r in units of the phase noise,
@@ -69,7 +70,7 @@ def unwrapping_plan(densities: tuple[int, ...], known_coarsely: bool = False) ->
     t = np.array(densities, dtype=np.float64)
     rungs = _candidates(densities)
     d = rungs @ t
-    start = np.array([t.argmin()]) if known_coarsely else np.flatnonzero(d == 1.0)
+    start = np.array([t.argmin()]) if known_coarsely else np.flatnonzero(_start(d))
     if not start.size:
         raise InvalidInput(_why_ambiguous(densities))
     noise = np.sum(rungs * rungs, axis=1)
@@ -92,7 +93,17 @@ def unwrapping_plan(densities: tuple[int, ...], known_coarsely: bool = False) ->
     return _as_plan(densities, rungs, d, below, float(np.sqrt(worst[top].max())))
 
 
-def _candidates(densities: tuple[int, ...]) -> Floats:
+def can_climb(densities: tuple[float, ...]) -> bool:
+    """Say whether a density, or a combination of two, goes across the projector once at most."""
+    return bool(np.any(_start(_candidates(densities) @ np.array(densities, np.float64))))
+
+
+def _start(rungs: Floats) -> NDArray[np.bool_]:
+    """Return which rungs need no prediction: their phase is omega times at most 1."""
+    return np.asarray((rungs > 0.0) & (rungs <= 1.0 + _ROUNDING))
+
+
+def _candidates(densities: tuple[float, ...]) -> Floats:
     """Return the rungs to choose from, (rungs, densities): the densities first, then combinations of two."""
     n = len(densities)
     unit = np.eye(n)
@@ -100,7 +111,7 @@ def _candidates(densities: tuple[int, ...]) -> Floats:
     pairs = combinations(order, 2) if n <= _ALL_PAIRS_UP_TO else pairwise(order)
     rungs = [unit[i] for i in range(n)]
     rungs += [unit[high] - unit[low] for low, high in pairs if densities[high] > densities[low]]
-    if any(np.dot(rung, densities) == 1.0 for rung in rungs):
+    if _start(np.array(rungs) @ np.array(densities, np.float64)).any():
         return np.array(rungs)
     factors = range(1, _LARGEST_FACTOR + 1)
     for (i, j), a, b in product(combinations(range(n), 2), factors, factors):
@@ -110,9 +121,9 @@ def _candidates(densities: tuple[int, ...]) -> Floats:
     return np.array(rungs)
 
 
-def _why_ambiguous(densities: tuple[int, ...]) -> str:
-    listed = ", ".join(str(t) for t in densities)
-    shared = gcd(*densities)
+def _why_ambiguous(densities: tuple[float, ...]) -> str:
+    listed = ", ".join(f"{t:g}" for t in densities)
+    shared = gcd(*map(int, densities)) if all(t == int(t) for t in densities) else 1
     if shared > 1:
         return (
             f"fringe densities {listed} share the factor {shared}, so that omega is known only modulo "
@@ -125,7 +136,7 @@ def _why_ambiguous(densities: tuple[int, ...]) -> str:
 
 
 def _as_plan(
-    densities: tuple[int, ...], rungs: Floats, d: Floats, below: NDArray[np.int64], amplification: float
+    densities: tuple[float, ...], rungs: Floats, d: Floats, below: NDArray[np.int64], amplification: float
 ) -> Plan:
     """Keep only the rungs on the way to a density, each after the one below it."""
     order: list[int] = []

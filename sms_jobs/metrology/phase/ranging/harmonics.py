@@ -75,7 +75,7 @@ def ghosts_of(response: Response, sequence: Sequence, steps: int) -> Ghosts:
 
 
 def ghost_error(
-    omega: Floats, amplitude: Single, response: Response, densities: tuple[int, ...], steps: int
+    omega: Floats, amplitude: Single, response: Response, densities: tuple[float, ...], steps: int
 ) -> Floats:
     """Return by how much ghosts that are not taken out move returns, in rad, at most.
 
@@ -95,7 +95,7 @@ def ghost_error(
     ghosts of all returns are added.
     """
     t = np.array(densities, dtype=np.float64)
-    grid = np.linspace(-pi, pi, _GRID * (densities[-1] + 1))
+    grid = np.linspace(-pi, pi, _GRID * (ceil(densities[-1]) + 1))
     moved = np.zeros(omega.shape)
     for n in range(2, len(response.harmonics) + 1):
         sides = [side for side in (1, -1) if (n - side) % steps == 0]

@@ -17,7 +17,7 @@ _LEAST_SCORE = 5.0  # B over noise of the pixels that are used
 
 
 def modulation_transfer(
-    frames: NDArray[Any], densities: tuple[int, ...], steps: int, camera: GreyLevels
+    frames: NDArray[Any], densities: tuple[float, ...], steps: int, camera: GreyLevels
 ) -> Floats:
     """Estimate the modulation relative to that towards t = 0, (densities,), common to all pixels.
 

@@ -62,7 +62,7 @@ def uniform_steps(steps: int) -> tuple[int, int]:
     return 0, steps // 2
 
 
-def ranging_sequence(densities: tuple[int, ...], steps: int, frames: int) -> Sequence:
+def ranging_sequence(densities: tuple[float, ...], steps: int, frames: int) -> Sequence:
     """Return the sequence of a list of densities, or say why it cannot be ranged.
 
     Parameters
@@ -77,7 +77,7 @@ def ranging_sequence(densities: tuple[int, ...], steps: int, frames: int) -> Seq
 
     Raises `InvalidInput` for other densities and for a wrong number of frames.
     """
-    first, s = (densities[0] if densities else -1), len(densities)
+    first, s = (int(densities[0]) if densities else -1), len(densities)
     if first not in (0, 1) or densities != tuple(range(first, first + s)) or s < 3:
         raise InvalidInput(
             f"Fourier domain ranging needs the fringe densities 0, 1, 2, ... or 1, 2, 3, ... without a gap "
@@ -103,7 +103,7 @@ def ranging_sequence(densities: tuple[int, ...], steps: int, frames: int) -> Seq
     return Sequence(first, s, np.array(table), precision)
 
 
-def _shown(densities: tuple[int, ...]) -> str:
+def _shown(densities: tuple[float, ...]) -> str:
     text = ", ".join(str(t) for t in densities[:8])
     return f"({text}{', ...' if len(densities) > 8 else ''})"
 
