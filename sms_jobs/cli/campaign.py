@@ -197,7 +197,7 @@ def show(
         )
         return
     sequence = campaign.sequence
-    words = f"{sequence.densities} x {sequence.steps} steps, {sequence.frames} frames"
+    words = f"{sequence.in_words}, {sequence.frames} frames"
     fringes = {"fringes": words} if campaign.fringe_views else {}
     output.print_facts(
         {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -42,7 +43,9 @@ def frames(
     densities: Annotated[
         str | None, typer.Option(help="Fringes across the projector, in order of recording: '16 1'.")
     ] = None,
-    steps: Annotated[int | None, typer.Option(help="Phase steps of each density.")] = None,
+    steps: Annotated[
+        str | None, typer.Option(help="Phase steps of all densities, or of each: '4', '3 1 1'.")
+    ] = None,
     orientations: Annotated[
         str | None, typer.Option(help="Directions in which the phase grows, in degrees: '0 90'.")
     ] = None,
@@ -105,8 +108,8 @@ def frames(
         "view": view,
         "frames": shown,
         "order": order,
-        "sequence.densities": _numbers(densities, "--densities", int),
-        "sequence.steps": steps,
+        "sequence.densities": _numbers(densities, "--densities", _whole_or_not),
+        "sequence.steps": _steps(steps),
         "sequence.orientations_deg": _numbers(orientations, "--orientations", float),
         "gray.bits": gray_bits,
         "phase.direction": direction,
@@ -144,7 +147,17 @@ def frames(
     tell_outcome(outcome, as_json=as_json, dry_run=dry_run, campaign=campaign, then="pipeline")
 
 
-def _numbers(text: str | None, option: str, kind: type) -> tuple[Any, ...] | None:
+def _whole_or_not(text: str) -> int | float:
+    return int(text) if text.isdecimal() else float(text)
+
+
+def _steps(text: str | None) -> int | tuple[int, ...] | None:
+    """Return one number for all densities, or one for each."""
+    steps = _numbers(text, "--steps", int)
+    return steps[0] if steps is not None and len(steps) == 1 else steps
+
+
+def _numbers(text: str | None, option: str, kind: Callable[[str], int | float]) -> tuple[Any, ...] | None:
     if text is None:
         return None
     try:

@@ -23,7 +23,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.record_tables import Placement, Table, Vector, Volume, flat, mapped
+from sms_jobs.formats.record_tables import Counts, Number, Placement, Table, Vector, Volume, flat, mapped
 from sms_jobs.formats.session_tables import ARTEFACTS, Pixels, SessionTable, sensor_name
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
@@ -260,13 +260,13 @@ def _densities(value: Any) -> Any:
 
 
 class _Sequence(Table):
-    densities: Annotated[tuple[int, ...], BeforeValidator(_densities)] = FringeSequence().densities
-    steps: int = FringeSequence().steps
+    densities: Annotated[tuple[Number, ...], BeforeValidator(_densities)] = FringeSequence().densities
+    steps: Counts = FringeSequence().steps
     orientations_deg: tuple[float, ...] = (0.0, 90.0)
     exposures: tuple[float, ...] = FringeSequence().exposures
 
     def record(self) -> FringeSequence:
-        return FringeSequence(
+        return FringeSequence.with_counts(
             self.densities, self.steps, mapped(radians, self.orientations_deg), self.exposures
         )
 

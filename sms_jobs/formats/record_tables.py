@@ -6,11 +6,19 @@ from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from math import radians
 from types import GenericAlias, UnionType
-from typing import Annotated, Any, TypeAlias, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeAlias, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, GetPydanticSchema, create_model, model_validator
-from pydantic_core import PydanticCustomError, core_schema
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetPydanticSchema,
+    PlainValidator,
+    create_model,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError, PydanticKnownError, core_schema
 
 from sms_jobs.records.sensors import Box
 
@@ -37,6 +45,24 @@ _NOT_NEGATIVE = frozenset(
 _FRACTIONS = frozenset({"dark", "bright", "visibility", "mirror_reflectance"})
 
 Vector: TypeAlias = tuple[float, float, float]
+
+
+def _number(value: Any) -> int | float:
+    """Return a number as it was written, whole or not."""
+    if type(value) not in (int, float):
+        raise PydanticKnownError("float_type")
+    return cast(int | float, value)
+
+
+def _counts(value: Any) -> int | tuple[int, ...]:
+    """Return a whole number, or several."""
+    if not all(type(one) is int for one in (value if isinstance(value, list | tuple) else (value,))):
+        raise PydanticKnownError("int_type")
+    return tuple(value) if isinstance(value, list) else cast(int | tuple[int, ...], value)
+
+
+Number: TypeAlias = Annotated[int | float, PlainValidator(_number)]
+Counts: TypeAlias = Annotated[int | tuple[int, ...], PlainValidator(_counts)]
 
 
 class Table(BaseModel):

@@ -63,16 +63,15 @@ class Limits:
 
 
 def judged(file: Spooled, sequence: FringeSequence, saturated: NDArray[np.bool_]) -> Verdict:
-    """Judge a finished set by its first fringes, on some of their pixels.
+    """Judge a finished set by fringes of its first orientation, on some of their pixels.
 
     Parameters
     ----------
     saturated
         Which of the pixels `LOOKED_AT` were saturated in a frame of the shortest exposure.
     """
-    patterns = list(sequence.patterns())
-    first = next(i for i, (_, density, _) in enumerate(patterns) if density)
-    steps = np.stack([file.frame(first + k)[LOOKED_AT] for k in range(sequence.steps)])
+    turn = range(sequence.frames_per_exposure)[sequence.frames_of_anchor(0)]
+    steps = np.stack([file.frame(number)[LOOKED_AT] for number in turn])
     about = file.header.about
     quality = recording_quality(steps, saturated, about["full_scale"], about["gain"], about["read_noise"])
     return Verdict(quality.lit_fraction, quality.saturated_fraction, quality.modulation)

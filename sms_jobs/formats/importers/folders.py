@@ -22,7 +22,7 @@ _PARTS = {
     "camera": CAMERA_PATTERN,
     "projector": PROJECTOR_PATTERN,
     "orientation": r"-?\d+(?:\.\d+)?|[A-Za-z]+",
-    "density": r"\d{1,6}",
+    "density": r"\d{1,6}(?:\.\d+)?",
     "step": r"\d{1,6}(?:\.\d+)?",
     "number": r"\d{1,9}",
 }

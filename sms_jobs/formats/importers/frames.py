@@ -205,9 +205,9 @@ def _beyond(layout: FrameLayout, numbers: list[int], first: int) -> list[str]:
 def _spoken(layout: FrameLayout, said: Mapping[str, str], steps: list[float]) -> Role | str:
     """Return what a frame is whose name says density and step, or what is wrong with it."""
     sequence = layout.sequence
-    density = int(said.get("density", sequence.densities[0]))
+    density = float(said.get("density", sequence.densities[0]))
     if density not in sequence.densities:
-        return f"density {density} is none of {', '.join(map(str, sequence.densities))}"
+        return f"density {density:g} is none of {', '.join(map(str, sequence.densities))}"
     if len(steps) > sequence.steps:
         return f"steps {', '.join(f'{s:g}' for s in steps[:12])} are more than the {sequence.steps} there are"
     angles = [round(degrees(a), 6) for a in sequence.orientations_rad]
@@ -243,7 +243,7 @@ def _missing(layout: FrameLayout, named: Mapping[Role, list[str]], first: int) -
         return [f"frames {listed}{more} are missing of {len(layout.roles)}"]
     patterns = list(layout.sequence.patterns())
     at = [patterns[layout.roles[i].index] for i in lacking[:4]]
-    listed = "; ".join(f"{degrees(o):g} deg, density {t}, step {k}" for o, t, k in at)
+    listed = "; ".join(f"{degrees(o):g} deg, density {t:g}, step {k}" for o, t, k in at)
     more = f" and {len(lacking) - 4} more" if len(lacking) > 4 else ""
     return [f"frames are missing: {listed}{more}"]
 
@@ -265,7 +265,7 @@ def _complete(layout: FrameLayout, key: _Key, named: Mapping[Role, str]) -> Foun
 def role_descriptions(layout: FrameLayout, found: FoundTuple) -> Iterator[tuple[str, str]]:
     """Yield each file of a complete tuple and what it shows, in words."""
     for name, (angle, density, step) in zip(found.fringes, layout.sequence.patterns(), strict=True):
-        yield name, f"{density} fringe{'s' * (density != 1)} along {degrees(angle):g} deg, step {step}"
+        yield name, f"{density:g} fringe{'s' * (density != 1)} along {degrees(angle):g} deg, step {step}"
     if layout.gray is not None:
         bits = layout.gray.bits
         for place, name in enumerate(found.code):

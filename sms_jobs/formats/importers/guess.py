@@ -172,7 +172,7 @@ def _guess_sequence(
     inner = dict(table.get("sequence", {})) if isinstance(table.get("sequence", {}), dict) else {}
     table["sequence"] = inner
     if sequence is not None and not {"densities", "steps"} & inner.keys():
-        inner["densities"], inner["steps"] = sequence.densities, sequence.steps
+        inner["densities"], inner["steps"] = sequence.densities, sequence.counts
         inner.setdefault("orientations_deg", tuple(round(degrees(a), 9) for a in sequence.orientations_rad))
         remarks.append("the fringes are those of the campaign")
     known = {"densities", "steps"} <= inner.keys() and "frames" in table
@@ -204,23 +204,44 @@ def _guess_sequence(
         )
 
 
+def _refuse_uncertain(steps: Any, expected: int, seen: FrameOrder) -> None:
+    """Raise `InvalidInput` where frames beside the fringes are not told, nor patterns of two levels."""
+    if isinstance(steps, tuple | list):
+        raise InvalidInput(
+            f"steps {', '.join(map(str, steps))} make {expected} frames of fringes, and there are "
+            f"{len(seen.fringes)}: say what the others are, as in frames = 'fringes white', or in --frames"
+        )
+    if seen.uncertain:
+        raise InvalidInput(
+            f"of the {len(seen.fringes)} frames {int((~seen.fringes).sum())} are neither runs of phase steps "
+            "nor patterns of two levels, so that what they show is not guessed: where some densities have "
+            "fewer than three steps, as in micro or embedded phase shifting, write a layout with [sequence] "
+            "densities = [16, 15.2, 14.6] and steps = [3, 1, 1], or give --steps '3 1 1'"
+        )
+
+
 def _runs(seen: FrameOrder) -> str:
     return f"{seen.runs} run{'s' * (seen.runs != 1)} of {seen.steps}"
 
 
 def _guess_frames(sequence: Mapping[str, Any], seen: FrameOrder | None, remarks: list[str]) -> str:
-    if seen is None or not seen.steps:
+    steps = sequence.get("steps", 0)
+    alike = isinstance(steps, int)
+    if seen is None or (alike and steps and not seen.steps):
         return "fringes"
     count = len(seen.fringes)
     expected = 0
     if {"densities", "steps"} <= sequence.keys():
-        shown = [sequence["steps"] if t else 2 for t in sequence["densities"]]
+        shown = [steps if t else 2 for t in sequence["densities"]] if alike else steps
         expected = sum(shown) * len(sequence.get("orientations_deg", (0.0,)))
-    if seen.fringes.all() or expected == count:
+    if (alike and seen.fringes.all()) or expected == count:
         return "fringes"
-    if expected and count == expected + 1:
+    if alike and expected and count == expected + 1:
         text = "white fringes" if seen.fringes[-1] and not seen.fringes[0] else "fringes white"
     else:
+        _refuse_uncertain(steps, expected, seen)
+        if not seen.steps:
+            return "fringes"
         words = ["fringes" if stepped else "gray" for stepped in seen.fringes]
         text = " ".join(w for i, w in enumerate(words) if i == 0 or words[i - 1] != w)
     remarks.append(f"guessed: the {count} frames are {text}")

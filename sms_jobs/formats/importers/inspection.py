@@ -101,7 +101,7 @@ def inspect(
     at = datetime.fromtimestamp(min(times), UTC) if times else datetime(1970, 1, 1, tzinfo=UTC)
     noise = None
     if sequence is not None and not faults:
-        noise = _noise([sampled[name] for name in telling], sequence.steps, full_scale)
+        noise = _noise([sampled[name] for name in telling], sequence.anchor_steps, full_scale)
     return Inspected(replace(found, faults=abridged(faults)), facts, tuple(remarks), at, noise)
 
 
@@ -109,8 +109,8 @@ def _telling(found: FoundTuple, sequence: FringeSequence) -> list[str]:
     """Return the names of the frames that are to tell the noise: whole sets of steps, of no density 0."""
     stack = np.arange(len(found.fringes))
     each = range(len(sequence.orientations_rad))
-    shown = np.concatenate([stack[sequence.frames_of(k, uniform=False)] for k in each])
-    groups = shown.reshape(-1, sequence.steps)
+    shown = np.concatenate([stack[sequence.whole_turns_of(k)] for k in each])
+    groups = shown.reshape(-1, sequence.anchor_steps)
     chosen = groups[:: -(-len(groups) // _NOISE_GROUPS)]
     return [found.fringes[index] for index in chosen.ravel()]
 
@@ -204,6 +204,7 @@ def source_hash(one: Inspected, layout: FrameLayout) -> str:
         "code": [one.facts[n].sha256 for n in one.found.code],
         "white": None if one.found.white is None else one.facts[one.found.white].sha256,
         "sequence": [layout.sequence.densities, layout.sequence.steps, layout.sequence.orientations_rad],
+        "shown": layout.sequence.shown,
         "offsets": layout.phase_offsets_rad,
         "gray": None if layout.gray is None else [layout.gray.stripes, layout.gray.threshold],
         "camera": [layout.full_scale, layout.gain, layout.read_noise],
@@ -326,12 +327,17 @@ def measurement_of(
 
 
 def _texture(folder: Path, one: Inspected, layout: FrameLayout, frames: FrameStack) -> NDArray[np.uint16]:
-    """Return the white frame, or the mean of the fringe frames, in which fringes cancel."""
+    """Return the white frame, or the mean of all fringe frames whose fringes cancel."""
     if one.found.white is not None:
         levels, _ = read_image(folder / one.found.white, layout.raw)
         return levels.astype(np.uint16)
     count, rows, columns = frames.shape
+    every, sequence = np.arange(count), layout.sequence
+    if sequence.joint:
+        each = range(len(sequence.orientations_rad))
+        every = np.concatenate([every[sequence.whole_turns_of(k)] for k in each])
     total = np.zeros((rows, columns), np.uint32)
-    for index in range(count):
+    for index in every.tolist():
         total += frames.frame(index)
+    count = len(every)
     return np.asarray((total + count // 2) // count, np.uint16)

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from math import degrees, pi, radians
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
@@ -23,7 +24,7 @@ from sms_jobs.errors import ConfigurationError, InvalidInput
 from sms_jobs.formats.importers.folders import NamePattern, printable
 from sms_jobs.formats.importers.image_files import RawFormat
 from sms_jobs.formats.interchange.text_files import read_text
-from sms_jobs.formats.record_tables import Table
+from sms_jobs.formats.record_tables import Counts, Number, Table
 from sms_jobs.formats.written_files import read_toml
 from sms_jobs.records.measurement import FringeSequence, GrayCode
 
@@ -47,8 +48,8 @@ class Role:
 
 
 class _Sequence(Table):
-    densities: tuple[int, ...]
-    steps: int
+    densities: tuple[Number, ...]
+    steps: Counts
     orientations_deg: tuple[float, ...] = (0.0,)
 
 
@@ -189,7 +190,9 @@ class FrameLayout:
         return offsets if any(offsets) else ()
 
     def _whole(self, shift: float) -> int | None:
-        """Return a shift that is a whole number of steps; None for any other."""
+        """Return a shift that is a whole number of steps, all of which are shown; None for any other."""
+        if self.sequence.joint:
+            return None
         near = round(shift)
         step = 2.0 * pi / self.sequence.steps
         return near % self.sequence.steps if abs(shift - near) * step < _OFFSET_TOLERANCE else None
@@ -209,7 +212,7 @@ class FrameLayout:
     def fringe(self, orientation: int, density: int, step: int) -> Role:
         """Return what the frame of a foreign step is; orientation and density by their places."""
         sequence = self.sequence
-        if sequence.densities[density]:
+        if sequence.densities[density] and not sequence.joint:
             shift = self._whole(self._shifts[density]) or 0
             step = (self.direction * step + shift) % sequence.steps
         return Role("fringe", self._places[orientation, density, step])
@@ -241,11 +244,14 @@ class FrameLayout:
         ranges = {
             "orientation": orientations,
             "density": range(len(sequence.densities)),
-            "step": range(sequence.steps),
+            "step": range(max(np.atleast_1d(sequence.counts))),
         }
         for values in product(*(ranges[axis] for axis in self.order)):
             at = dict(zip(self.order, values, strict=True))
-            if at["step"] in sequence.steps_of(sequence.densities[at["density"]]):
+            shown = sequence.steps_of(sequence.densities[at["density"]])
+            if sequence.joint and at["step"] < len(shown):
+                yield self.fringe(at["orientation"], at["density"], shown[at["step"]])
+            elif not sequence.joint and at["step"] in shown:
                 yield self.fringe(at["orientation"], at["density"], at["step"])
 
     def _codes(self, kind: str, orientations: list[int]) -> Iterator[Role]:
@@ -298,11 +304,7 @@ def _as_layout(table: LayoutTable) -> FrameLayout:
     blocks = _blocks(table.frames)
     layout = FrameLayout(
         pattern=pattern,
-        sequence=FringeSequence(
-            table.sequence.densities,
-            table.sequence.steps,
-            tuple(radians(a) for a in table.sequence.orientations_deg),
-        ),
+        sequence=_shown_sequence(table),
         state=table.state,
         view=table.view,
         states=table.states,
@@ -323,6 +325,14 @@ def _as_layout(table: LayoutTable) -> FrameLayout:
     _check_names(layout)
     _check_frames(layout)
     return layout
+
+
+def _shown_sequence(table: LayoutTable) -> FringeSequence:
+    """Return the fringes of a table; where only some steps are shown, these as the foreign rig turns them."""
+    angles = tuple(radians(a) for a in table.sequence.orientations_deg)
+    told = FringeSequence.with_counts(table.sequence.densities, table.sequence.steps, angles)
+    turned = tuple(tuple(table.phase.direction * k % told.steps for k in steps) for steps in told.shown)
+    return replace(told, shown=turned)
 
 
 def _order(text: str) -> tuple[str, ...]:
@@ -386,8 +396,11 @@ def _check_names(layout: FrameLayout) -> None:
             lacking = []
         if lacking:
             raise InvalidInput("the pattern needs {number}, or {density} and {step}, to tell frames apart")
-        if any(b.kind != "fringes" for b in layout.blocks):
-            raise InvalidInput("frames other than fringes need {number} in the pattern")
+        if any(b.kind != "fringes" for b in layout.blocks) or layout.sequence.joint:
+            raise InvalidInput(
+                "frames other than fringes, and densities with steps of their own, need {number} in the "
+                "pattern"
+            )
 
 
 def _check_frames(layout: FrameLayout) -> None:

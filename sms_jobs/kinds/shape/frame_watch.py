@@ -20,6 +20,8 @@ from sms_jobs.metrology.phase.frame_fit import (
     share_by_chance,
 )
 from sms_jobs.metrology.phase.frame_mishaps import Mishap, find_mishap
+from sms_jobs.metrology.phase.joint_check import JointFrames, agrees, find_joint_mishap
+from sms_jobs.metrology.phase.joint_fit import JointCode
 from sms_jobs.metrology.phase.phase_jumps import find_jump
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.subject import Subject
@@ -69,6 +71,7 @@ def check_frames(
     accepted_rad: float,
     motion_px: float,
     ranged: bool,
+    codes: tuple[JointCode, ...] = (),
 ) -> None:
     """Check that the frames agree with the fringe sequence and with each other.
 
@@ -82,6 +85,8 @@ def check_frames(
         Shift of the image between the fringes of two densities that is accepted.
     ranged
         Whether pixels may see several surfaces.
+    codes
+        What the frames of each orientation show, where the densities share a modulation.
 
     Raises
     ------
@@ -96,11 +101,16 @@ def check_frames(
         return
     sequence, grey = measurement.sequence, measurement.grey_levels
     densities = tuple(t for t in sequence.densities if t)
+    contradiction = "the frames of {} are not what is told of them: {}"
     every = np.arange(len(patches))
     places = [every[sequence.frames_of(k, uniform=False)] for k in range(len(sequence.orientations_rad))]
     flat = patches.reshape(len(patches), -1)
     lit = np.logical_and.reduce([lit_pixels(flat[own], grey) for own in places])
     if np.count_nonzero(lit) < _LEAST_PIXELS:
+        return
+    if codes:
+        if finding := _jointly(measurement, codes, [flat[own][:, lit] for own in places], accepted_rad):
+            raise MeasurementFailed(contradiction.format(subject, finding))
         return
     told = tuple(
         SampledFrames(
@@ -119,7 +129,33 @@ def check_frames(
         finding = _in_words(mishap, _namer(measurement, numbers), densities)
     finding = finding or _phases(measurement, told, fits) or _uniform(measurement, flat[:, lit], places)
     if finding:
-        raise MeasurementFailed(f"the frames of {subject} are not what is told of them: {finding}")
+        raise MeasurementFailed(contradiction.format(subject, finding))
+
+
+def _jointly(
+    measurement: Measurement, codes: tuple[JointCode, ...], levels: list[NDArray[Any]], accepted_rad: float
+) -> str:
+    """Say which frame of a sequence that shares one modulation is not what is told; nothing if all are.
+
+    `levels` are (frames, pixels) of each orientation.
+    """
+    sequence = measurement.sequence
+    for k, (own, code) in enumerate(zip(levels, codes, strict=True)):
+        one = JointFrames(own, code, measurement.grey_levels, accepted_rad)
+        share = one.share()
+        if agrees(share):
+            continue
+        mishap = find_joint_mishap(one)
+        if mishap is not None:
+            numbers = np.arange(sequence.frames_per_exposure)[sequence.frames_of(k)]
+            return _in_words(mishap, _namer(measurement, numbers), sequence.densities)
+        along = degrees(sequence.orientations_rad[k])
+        return (
+            f"the frames along {along:g} deg belong to one phase, mean and modulation in {share:.1%} of the "
+            "lit pixels: see that densities, steps and order are right, that nothing moved, that the "
+            "projector is linear, and that no fringes are so much finer than others that blur dampens them"
+        )
+    return ""
 
 
 def _uniform(measurement: Measurement, levels: NDArray[Any], places: list[NDArray[np.intp]]) -> str:
@@ -158,12 +194,12 @@ def _namer(measurement: Measurement, numbers: NDArray[np.intp]) -> Callable[[int
     return name
 
 
-def _in_words(mishap: Mishap, name: Callable[[int], str], told: tuple[int, ...]) -> str:
+def _in_words(mishap: Mishap, name: Callable[[int], str], told: tuple[int | float, ...]) -> str:
     """Say what is wrong, and what to do."""
     again = "record them again"
     if mishap.what == "count":
         return (
-            f"where {mishap.told} fringes are told, the phases are those of {mishap.found:g}: correct the "
+            f"where {mishap.told:g} fringes are told, the phases are those of {mishap.found:g}: correct the "
             "fringe densities"
         )
     if mishap.what == "list":

@@ -83,7 +83,7 @@ class SampledResponse:
     """
 
     responses: tuple[Response, ...]
-    densities: tuple[int, ...]
+    densities: tuple[float, ...]
     pixels: Floats
     omega: Floats
     omega_sigma: tuple[float, ...]
@@ -140,10 +140,11 @@ def rough_response(subject: Subject, measurement: Measurement, threads: int) -> 
     """Find the response from few pixels; None where it matters not or cannot be told.
 
     It matters where it moves phase gradients by a tenth of their own noise. It cannot be told of one
-    density, of patterns with phases of their own, nor where few pixels have clear fringes.
+    density, of patterns of other people, nor where few pixels have clear fringes.
     """
-    densities = set(measurement.sequence.densities) - {0}
-    if len(densities) < 2 or measurement.gray_code is not None or any(measurement.phase_offsets_rad):
+    sequence = measurement.sequence
+    foreign = sequence.joint or measurement.gray_code is not None or any(measurement.phase_offsets_rad)
+    if foreign or len(set(sequence.densities) - {0}) < 2:
         return None
     try:
         sample = sampled_response(subject, measurement, _ROUGH, threads)
@@ -183,7 +184,7 @@ def _some_rows(measurement: Measurement, rows: int) -> tuple[NDArray[np.int64], 
 
 
 def _unwrapped(
-    measurement: Measurement, densities: tuple[int, ...], frames: NDArray[Any], threads: int
+    measurement: Measurement, densities: tuple[float, ...], frames: NDArray[Any], threads: int
 ) -> PhaseGradient:
     return unwrap(
         frames,

@@ -13,6 +13,7 @@ from sms_jobs.kinds.kind import Parameters
 from sms_jobs.metrology.calibration.expected_gap import pixel_size
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.images.masks import high_phase_error, low_modulation
+from sms_jobs.metrology.phase.joint_fit import JointCode
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.ranging.signal import Window
 from sms_jobs.metrology.phase.response import Response
@@ -148,12 +149,15 @@ class Known:
         What the responses do to unwrapped gradients; as many, or none.
     corrected
         Whether that is to be taken out.
+    codes
+        What frames show whose densities share a modulation; empty for any others.
     """
 
     transfers: list[Floats]
     responses: list[Response | None]
     ripples: list[RippleTable]
     corrected: bool
+    codes: tuple[JointCode, ...] = ()
 
 
 def noise_reasons(

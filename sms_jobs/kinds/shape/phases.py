@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Progress
-from sms_jobs.kinds.shape.foreign_patterns import coarse_gradient, offsets_of, refuse_foreign_patterns
+from sms_jobs.kinds.shape.foreign_patterns import (
+    coarse_gradient,
+    joint_codes,
+    offsets_of,
+    refuse_foreign_patterns,
+    stated_by_what_is_left,
+)
 from sms_jobs.kinds.shape.frame_watch import FramePatches, check_frames
 from sms_jobs.kinds.shape.fringe_response import (
     SampledResponse,
@@ -38,7 +44,9 @@ from sms_jobs.kinds.shape.ranged_phases import range_slab, transfers
 from sms_jobs.kinds.shape.streaming import exposed_slabs
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.geometry.triangulation import Projector
-from sms_jobs.metrology.images.masks import phase_error_factor
+from sms_jobs.metrology.images.masks import alone, phase_error_factor
+from sms_jobs.metrology.phase.joint_fit import JointCode, fit_jointly
+from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.response import Response
 from sms_jobs.metrology.phase.ripple_table import RippleTable, ripple_table
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
@@ -111,6 +119,10 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
         del frames  # before the next slab is asked for: two of them are in memory, not three
         _at_exposure_one(slab, exposure, phase, returns)
         progress(0.8 * slab.stop / rows, f"found phases in {slab.stop} of {rows} rows")
+    if known.codes:
+        # Ambiguous pixels lie in lines along fringes; nothing tells the slope at what is left between two.
+        mark(reason, alone(reason == Reason.VALID), Reason.AMBIGUOUS_UNWRAPPING)
+        _state_what_is_left(measurement, known.codes, phase, reason == Reason.VALID)
     check_frames(
         task.subject,
         measurement,
@@ -118,6 +130,7 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
         parameters.maximum_phase_error_rad + (_largest_ripple(known.ripples) if corrected else 0.0),
         parameters.maximum_motion_px,
         ranged=parameters.method != UNWRAPPING,
+        codes=known.codes,
     )
     return Phases(phase, returns, reason, response)
 
@@ -138,7 +151,8 @@ def _known(task: PhaseTask, response: SampledResponse | None) -> Known:
             if response is None
             else [np.array([one.at_density(t)[0] for t in sequence.densities]) for one in response.responses]
         )
-    return Known(ranged, responses, ripples, corrected=response is not None)
+    codes = joint_codes(task.measurement)
+    return Known(ranged, responses, ripples, corrected=response is not None, codes=codes)
 
 
 def _largest_ripple(ripples: list[RippleTable]) -> float:
@@ -162,20 +176,9 @@ def _unwrap_slab(
     """Fill the rows of `phase` and mark those pixels in `reason` whose phase cannot be trusted."""
     measurement, parameters = task.measurement, task.parameters
     sequence = measurement.sequence
-    densities = tuple(t for t in sequence.densities if t)
     for k in range(len(sequence.orientations_rad)):
         fringes = frames[sequence.frames_of(k, uniform=False)]
-        found = unwrap(
-            fringes,
-            densities,
-            sequence.steps,
-            full_scale=measurement.full_scale,
-            gain=measurement.gain,
-            read_noise=measurement.read_noise,
-            offsets=offsets_of(measurement),
-            coarse=coarse_gradient(measurement, k, rows, fringes),
-            threads=task.threads,
-        )
+        found = _gradient(task, known, k, rows, fringes)
         phase.omega[k, rows] = found.omega
         phase.omega_sigma[k, rows] = found.omega_sigma
         ripple: Floats | float = 0.0
@@ -193,19 +196,49 @@ def _unwrap_slab(
         reason[rows] |= _phase_reasons(found, ripple, measurement, parameters)
 
 
+def _gradient(task: PhaseTask, known: Known, orientation: int, rows: slice, fringes: Frames) -> PhaseGradient:
+    """Return the phase gradient of some rows, from the frames of one orientation without the density 0."""
+    measurement = task.measurement
+    sequence = measurement.sequence
+    if known.codes:
+        return fit_jointly(fringes, known.codes[orientation], measurement.grey_levels, task.threads)
+    return unwrap(
+        fringes,
+        tuple(t for t in sequence.densities if t),
+        sequence.steps,
+        full_scale=measurement.full_scale,
+        gain=measurement.gain,
+        read_noise=measurement.read_noise,
+        offsets=offsets_of(measurement),
+        coarse=coarse_gradient(measurement, orientation, rows, fringes),
+        threads=task.threads,
+    )
+
+
+def _state_what_is_left(
+    measurement: Measurement, codes: tuple[JointCode, ...], phase: PhaseMaps, trusted: NDArray[np.bool_]
+) -> None:
+    """Put what the model of a joint sequence leaves beyond noise into the sigma of the trusted pixels."""
+    level = measurement.noise(phase.mean_intensity[trusted])
+    for k, code in enumerate(codes):
+        noise = phase_sigma(level, phase.modulation[k, trusted], code.steps)
+        error, sigma = phase.phase_error[k, trusted], phase.omega_sigma[k, trusted]
+        phase.omega_sigma[k, trusted] = stated_by_what_is_left(sigma, error, noise, code)
+
+
 def _phase_reasons(
     found: PhaseGradient, ripple: Floats | float, measurement: Measurement, parameters: PhaseParameters
 ) -> Reasons:
     """Return the reasons for which the phases of one orientation are not to be trusted."""
-    densities = sum(1 for t in measurement.sequence.densities if t)
-    factors = np.array([phase_error_factor(n, parameters.kept_by_phase_error) for n in range(densities + 1)])
+    most = int(found.fitted.max())
+    factors = np.array([phase_error_factor(n, parameters.kept_by_phase_error) for n in range(most + 1)])
     reason = noise_reasons(
         found.modulation,
         found.phase_error,
         factors[found.fitted],
         ripple,
         measurement.noise(found.mean_intensity),
-        measurement.sequence.steps,
+        measurement.sequence.anchor_steps,
         parameters,
     )
     mark(reason, found.saturated, Reason.SATURATED)

@@ -57,6 +57,14 @@ def at_edge(valid: Mask, smallest_gap: int) -> Mask:
     return np.asarray(valid & beside)
 
 
+def alone(valid: Mask) -> Mask:
+    """Return the valid pixels (rows, columns) without a valid neighbour in their row, or in their column."""
+    padded = np.pad(valid, 1)
+    beside = padded[1:-1, :-2] | padded[1:-1, 2:]
+    above_or_below = padded[:-2, 1:-1] | padded[2:, 1:-1]
+    return np.asarray(valid & ~(beside & above_or_below))
+
+
 def phase_error_factor(fitted: int, kept: float) -> float:
     """Return how many phase standard deviations the phase error may reach so that `kept` of good pixels pass.
 

@@ -13,6 +13,7 @@ from sms_jobs.metrology.phase.phase_stepping import stepping_weights
 MOST_STEPS = 24
 _PIXELS = 3000
 _LIT = 0.2  # of the largest range over the frames
+_BETWEEN = 0.22  # of the pixels: a sixth lie there on stripes of three pixels, a third on fringes
 _FITS = 0.15  # of the modulation: what departures of true runs stay below
 
 
@@ -26,10 +27,13 @@ class FrameOrder:
         (frames,): whether a frame belongs to a run of phase steps; the others are Gray code, white or black.
     steps
         Phase steps of a run; 0 where no frames form one.
+    uncertain
+        Whether the others are not of two levels, as code, white and black are.
     """
 
     fringes: NDArray[np.bool_]
     steps: int
+    uncertain: bool = False
 
     @property
     def runs(self) -> int:
@@ -62,7 +66,19 @@ def frame_order(frames: NDArray[Any]) -> FrameOrder:
         found = _covered(levels, steps)
         if found.sum() > covered.sum():
             best, covered = steps, found
-    return FrameOrder(covered, best)
+    return FrameOrder(covered, best, _of_many_levels(levels, ~covered))
+
+
+def _of_many_levels(levels: NDArray[np.float64], others: NDArray[np.bool_]) -> bool:
+    """Say whether frames have more than two levels: pixels half way between their darkest and brightest.
+
+    Of a sinusoid a third of them are nearer to the middle than to either end; of stripes those on borders.
+    """
+    if not others.any() or not levels.shape[1]:
+        return False
+    low, high = levels.min(axis=0), levels.max(axis=0)
+    between = (levels[others] - low) / np.maximum(high - low, 1.0)
+    return float(np.mean(np.abs(between - 0.5) < 0.25)) > _BETWEEN
 
 
 def _covered(levels: NDArray[np.float64], steps: int) -> NDArray[np.bool_]:
