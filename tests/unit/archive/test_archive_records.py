@@ -75,6 +75,13 @@ def example(hint: Any, rng: np.random.Generator, meta: Any = None) -> Any:
         values = {f.name: example(hints[f.name], rng, f.metadata.get(QUANTITY)) for f in fields(hint)}
         if hint is FringeSequence:
             values["exposures"] = tuple(np.abs(values["exposures"]).tolist())
+            # Steps that are shown of each density have to tell a phase, which chance does not know.
+            density = float(rng.uniform(9.0, 99.0))
+            values |= {
+                "densities": (8, density),
+                "steps": 4,
+                "shown": ((0, 1, 2, 3), (int(rng.integers(4)),)),
+            }
         if hint is Sensor:
             values["name"] = sensor_name(values["role"], int(rng.integers(1, 1000)))
         if hint is Intrinsics:
