@@ -73,6 +73,7 @@ def _by_markers(board: DotBoard, place: Ints, flagged: NDArray[np.bool_]) -> tup
     assert board.markers is not None
     markers = [tuple(m) for m in board.markers]
     found: dict[tuple[int, int, int], tuple[int, int, Ints]] = {}
+    beyond = 0
     for quarter in range(4):
         turned = _turned(place, quarter)
         for i in np.flatnonzero(flagged):
@@ -83,15 +84,23 @@ def _by_markers(board: DotBoard, place: Ints, flagged: NDArray[np.bool_]) -> tup
                     continue
                 moved = (turned + shift).astype(np.int32)
                 inside = _inside(board, moved)
-                if inside.mean() < 1.0 - _MOST_OUTSIDE:
-                    continue
                 is_marker = np.array([tuple(p) in markers for p in moved.tolist()])
                 matched = int((is_marker & flagged).sum())
                 against = int((is_marker != flagged)[inside].sum())
+                if inside.mean() < 1.0 - _MOST_OUTSIDE:
+                    if matched == 3 and not against:
+                        beyond = int((~inside).sum())
+                    continue
                 found[key] = (matched, 2 * matched - against - int((~inside).sum()), moved)
     # Two markers can fit by chance, even in a mirror: then nothing may speak against them.
     fitting = (f for f in found.values() if f[0] == 3 or (f[0] == _LEAST_MARKERS and f[1] == 2 * f[0]))
     likely = sorted(fitting, key=lambda f: -f[1])
+    if not likely and beyond:
+        return (
+            f"all three markers fit, but {beyond} of {len(place)} dots then lie outside the board's "
+            f"{board.columns} by {board.rows}: correct its columns, its rows and the places of its markers, "
+            "if the image is not a mirror's"
+        )
     if not likely:
         return (
             f"{int(flagged.sum())} markers were seen among {len(place)} dots, not two that fit the board: "

@@ -17,6 +17,15 @@ _DISC = 0.4  # of the distance to the nearest corner, so that no other corner is
 _MOST_DISC_PX = 12.0  # lines are straight and light is a plane in that
 _LEAST_DISC_PX = 3.5
 _MOST_RESIDUAL_OVER_CONTRAST = 0.5
+_LEAST_FITTED = 0.85  # part of the corners: where more are missing, squares of another board may stand in
+_CORNER_CONTRAST = 0.5  # of the board's own, of a corner beyond it
+_GOES_ON = 0.5  # part of the places beside a board that are corners from which on it is larger
+_LEAST_BEYOND = 2  # of those in the image: one may be dirt
+_MOST_BEND = 0.35  # change of a step, in steps: perspective makes a tenth, a corner of another row a half
+_LARGER = (
+    "so many were found, but they are a part of a larger board or in no regular order: correct the number of "
+    "corners, which are one fewer than squares in each direction, or show the board whole"
+)
 _NOTHING_WRONG = "show it whole, flat and with a white border about it"
 
 
@@ -68,6 +77,42 @@ def _fitted(image: NDArray[np.float32], grid: Floats, threads: int) -> tuple[Flo
     )
 
 
+def _is_regular(corner: Floats, contrast: Floats) -> bool:
+    """Say whether colours alternate over a grid and its steps change as perspective and lens change them."""
+    row, column = np.indices(contrast.shape)
+    sign = np.sign(contrast * (-1.0) ** (row + column))[np.isfinite(contrast)]
+    if len(np.unique(sign)) > 1:
+        return False
+    for grid in (corner, np.swapaxes(corner, 0, 1)):
+        step = np.diff(grid, axis=0)
+        if len(step) > 1:
+            bend = np.linalg.norm(np.diff(step, axis=0), axis=-1)
+            if np.nanmax(2.0 * bend / np.linalg.norm(step[1:] + step[:-1], axis=-1)) > _MOST_BEND:
+                return False
+    return True
+
+
+def _goes_on(image: NDArray[np.float32], grid: Floats, contrast: Floats, threads: int) -> bool:
+    """Say whether corners follow beyond one of the four sides of a grid: then it is a part of a larger one.
+
+    Beyond a board's own last corners lies the outer edge of its squares, whose corners are dark on one
+    side alone; a corner has the board's contrast, with the sign that the order of squares gives it.
+    """
+    usual = float(np.nanmedian(np.abs(contrast)))
+    for quarter in range(4):
+        turned = np.rot90(grid, quarter)
+        last = np.stack([turned[0], 2.0 * turned[0] - turned[1]])  # of the board, and what may follow
+        inside = ((last[1] > 0.0) & (last[1] < np.array(image.shape[::-1]) - 1.0)).all(axis=1)
+        if inside.sum() < _LEAST_BEYOND:
+            continue
+        _, _, found, residual = _fitted(image, last, threads)
+        alternates = -found[1] * found[0] > (_CORNER_CONTRAST * usual) ** 2
+        corner = alternates & (residual[1] < _MOST_RESIDUAL_OVER_CONTRAST * np.abs(found[1]))
+        if corner[inside].mean() > _GOES_ON:
+            return True
+    return False
+
+
 def _first_square_is_bright(contrast: Floats) -> bool:
     """Tell whether the square before the first corner, along both directions, is bright."""
     row, column = np.indices(contrast.shape)
@@ -92,6 +137,9 @@ def find_chessboard(
     image: NDArray[np.generic], columns: int, rows: int, pitch_mm: float, *, threads: int = 1
 ) -> BoardPoints:
     """Find a chessboard, which must be seen whole, and fit a blurred corner to each of its corners.
+
+    It has no marks by which a part could be numbered: parts that are a column apart look alike, in two
+    cameras too. A board that goes on beyond the corners that were told is therefore refused.
 
     The order is never mirrored: columns run to the right and rows downwards as the board is seen from the
     front. When the sum of columns and rows is odd, the square before the first corner is the dark one of
@@ -120,14 +168,21 @@ def find_chessboard(
         why = why_unseen(grey) or other_chessboard(eight_bits, columns, rows) or _NOTHING_WRONG
         return not_found(f"no chessboard of {columns} by {rows} inner corners was seen as a whole: {why}", {})
     corner, covariance, contrast, residual = _fitted(grey, grid, threads)
+    unseen = f"no chessboard of {columns} by {rows} inner corners was seen as a whole"
+    if not _is_regular(grid, contrast) or _goes_on(grey, grid, contrast, threads):
+        return not_found(f"{unseen}: {_LARGER}", {})
     quarter = _quarters(grid, contrast)
     corner, covariance = np.rot90(corner, quarter), np.rot90(covariance, quarter)
     good = np.rot90(
         np.isfinite(contrast) & (residual < _MOST_RESIDUAL_OVER_CONTRAST * np.abs(contrast)), quarter
     )
     refused = {"no corner": int((~good).sum())} if not good.all() else {}
-    if good.sum() < 4:
-        return not_found("fewer than four of the chessboard's corners could be fitted", refused)
+    if not good.mean() > _LEAST_FITTED:
+        return not_found(
+            f"{unseen}: only {int(good.sum())} of {good.size} corners could be fitted, {_LEAST_FITTED:.0%} "
+            "are needed: keep glare and hands off it, or correct the number of corners",
+            refused,
+        )
     row, column = np.nonzero(good)
     place = np.stack([column, row], axis=-1).astype(np.int32)
     centre, spread = corner[good], covariance[good]

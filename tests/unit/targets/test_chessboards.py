@@ -97,3 +97,16 @@ def test_no_chessboard_is_no_chessboard(draughtsman: Any) -> None:
         found = find_chessboard(other, *ODD, 10.0)
         assert len(found.place) == 0
         assert "8 by 5 inner corners" in found.reason
+
+
+@pytest.mark.parametrize("told", [(7, 5), (8, 4), (7, 4), (6, 3), (3, 3)], ids=str)
+@pytest.mark.parametrize("turn", [0.0, 0.8, 2.6])
+def test_a_part_of_a_larger_board_is_not_numbered(
+    draughtsman: Any, told: tuple[int, int], turn: float
+) -> None:
+    _, image = drawn(draughtsman, ODD, turn)
+    found = find_chessboard(image, *told, 10.0)
+    # One row or column less can be any of two parts of the board: points that are wrong by 10 mm.
+    assert len(found.place) == 0
+    assert f"{told[0]} by {told[1]} inner corners" in found.reason
+    assert "correct the number of corners" in found.reason

@@ -100,6 +100,26 @@ def test_a_part_of_a_board_is_enough(draughtsman: Any, middle: tuple[float, floa
     assert found.refused["at the border of the image"] > 0
 
 
+def test_a_board_with_more_dots_than_told_is_refused(draughtsman: Any) -> None:
+    # The markers alone would fit a mirror image too.
+    view = draughtsman.view_of(320, 320, (40.0, 30.0), 2.8, turn=0.7, tilt=(0.4, -0.3))
+    image = draughtsman.draw(view, draughtsman.dots(RINGS))
+    found = find_board(image, replace(RINGS, columns=7, rows=6))
+    assert len(found.place) == 0
+    assert "21 of 63 dots then lie outside the board's 7 by 6: correct its columns" in found.reason
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(8, 7), (9, 6), (10, 7)])
+def test_a_board_without_markers_of_another_size_is_refused(
+    draughtsman: Any, columns: int, rows: int
+) -> None:
+    view = draughtsman.view_of(320, 320, (40.0, 30.0), 2.8, turn=0.2)
+    image = draughtsman.draw(view, draughtsman.dots(PLAIN))
+    found = find_board(image, replace(PLAIN, columns=columns, rows=rows))
+    assert len(found.place) == 0
+    assert f"dots was seen, not the board's {columns} by {rows}; without markers all rows" in found.reason
+
+
 def test_gaps_do_not_stop_the_walk(draughtsman: Any, rng: np.random.Generator) -> None:
     all_places = [(c, r) for c in range(9) for r in range(7) if (c, r) not in (RINGS.markers or ())]
     hidden = frozenset(all_places[i] for i in rng.permutation(len(all_places))[:12])

@@ -94,6 +94,15 @@ def test_real_chessboards_in_stereo() -> None:
     assert rms < 0.2
 
 
+@pytest.mark.parametrize("told", [(8, 6), (7, 6), (7, 4)], ids=str)
+def test_parts_of_real_chessboards_are_not_numbered(told: tuple[int, int]) -> None:
+    for side in ("left", "right"):
+        for number in (1, 3, 8, 9, 14):
+            found = find_chessboard(grey(f"chessboard_stereo/{side}{number:02d}.jpg"), *told, 1.0)
+            assert len(found.place) == 0
+            assert f"no chessboard of {told[0]} by {told[1]} inner corners" in found.reason
+
+
 def test_real_chessboards_of_one_camera() -> None:
     found = [find_chessboard(grey(f"chess/frame{n:02d}.jpg"), 4, 6, 30.0) for n in range(1, 14)]
     assert [len(f.place) for f in found] == [24] * 13
