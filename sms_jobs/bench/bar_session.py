@@ -257,4 +257,4 @@ def _started(sensor: Sensor, by: float, random: np.random.Generator) -> BundleSe
     off[:PIN_HOLE] = 0.003 * draw[0] * inner.fx, 0.003 * draw[0] * inner.fy, 3.0 * draw[1], 3.0 * draw[2]
     off[PIN_HOLE : PIN_HOLE + 2] = 0.02 * draw[3:]
     begun = Intrinsics.from_vector(inner.vector() + off)
-    return BundleSensor(sensor.name, begun, _moved(sensor.pose, by, random))
+    return BundleSensor(sensor.name, begun, _moved(sensor.pose, by, random), (sensor.columns, sensor.rows))

@@ -26,7 +26,9 @@ def board_problem(
     names, poses = list(initial.sensors), list(initial.board_poses)
     usable = {(v.view.sensor, v.view.pose) for v in initial.views}
     return BundleProblem(
-        sensors=tuple(BundleSensor(n, s.intrinsics, s.pose, fixed) for n, s in initial.sensors.items()),
+        sensors=tuple(
+            BundleSensor(n, s.intrinsics, s.pose, s.size_px, fixed) for n, s in initial.sensors.items()
+        ),
         boards=(BundleBoard("board", 0.0, 0.0),),
         board_poses=tuple(BoardPose(p, 0, pose) for p, pose in initial.board_poses.items()),
         board_points=tuple(

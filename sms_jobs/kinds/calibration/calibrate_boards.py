@@ -269,7 +269,7 @@ def _statistics(calibration: Calibration, quality: CalibrationQuality) -> dict[s
 KIND = Kind(
     name=CALIBRATE_BOARDS,
     summary="calibrate a rig from poses of a board",
-    version=7,
+    version=8,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     inputs=(OBSERVED_BOARDS, LAST),

@@ -204,7 +204,8 @@ def problem_of(
         Parameters that a sensor is not given freely, by its name.
     """
     sensors = tuple(
-        BundleSensor(s.name, s.intrinsics, s.pose, _fixed(start, s, fixed[s.name])) for s in start.rig.sensors
+        BundleSensor(s.name, s.intrinsics, s.pose, (s.columns, s.rows), _fixed(start, s, fixed[s.name]))
+        for s in start.rig.sensors
     )
     number = {s.name: k for k, s in enumerate(start.rig.sensors)}
     board_names = tuple(dict.fromkeys(o.artefact for seen in boards.values() for o in seen))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,9 @@ from sms_jobs.metrology.calibration.bundle_problem import BundleProblem
 from sms_jobs.metrology.calibration.bundle_residuals import ray_distances
 from sms_jobs.metrology.calibration.bundle_result import Nuisance, Rms
 from sms_jobs.metrology.calibration.bundle_weak_directions import described, weakest_direction
-from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, SENSOR_PARAMETERS
+from sms_jobs.metrology.calibration.pair_points import box_grid
+from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, SENSOR_PARAMETERS, Pose, project
+from sms_jobs.metrology.geometry.lens import Intrinsics
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +29,9 @@ _MOST_RELATIVE = 0.01
 _REFUSED_PART, _DOUBTED_PART = 1e-3, 2e-4
 """Of the volume's diagonal, for the standard deviation of a point in the shape of things, scale apart; the
 doubted one is the thesis's 1/5000."""
+
+_STEPS_INWARDS = 40
+"""From a corner of the volume to its middle."""
 
 _SINGULAR = 1e13
 _MOST_Z = 4.0
@@ -207,13 +213,15 @@ def _worst_point(problem: BundleProblem, state: State, covariance: Floats) -> tu
     """Return `shape_mm` and `scale` of `Determined`, the pair of the first, and the volume's diagonal.
 
     Over a grid in the volume, but for motions of the whole: where the world is does not matter here. Nor does
-    its scale, which no pose tells: it is as good as the pitch or the bar that it was taken from.
+    its scale, which no pose tells: it is as good as the pitch or the bar that it was taken from. What both
+    sensors do not see of the volume is not judged: see `_in_sight`.
     """
     low, high = problem.volume if problem.volume is not None else observed_box(problem, state)
-    grid = np.stack(np.meshgrid(*np.linspace(low, high, 3).T, indexing="ij"), -1).reshape(-1, 3)
     worst, named, scale = 0.0, "", 0.0
     for pair in sorted(_pairs(problem)):
         first, second = (adjusted_sensor(problem.sensors[i], state, i) for i in pair)
+        sizes = problem.sensors[pair[0]].size_px, problem.sensors[pair[1]].size_px
+        grid = _in_sight((first, second), sizes, low, high)
         rows = point_jacobian(first, second, grid)
         seen = np.all(np.isfinite(rows), axis=(1, 2))
         if seen.sum() < 4:
@@ -227,6 +235,26 @@ def _worst_point(problem: BundleProblem, state: State, covariance: Floats) -> tu
         if sigma > worst:
             worst, named = sigma, "".join(problem.sensors[i].name for i in pair)
     return worst, scale, named, float(np.linalg.norm(np.subtract(high, low)))
+
+
+def _in_sight(
+    pair: Sequence[tuple[Intrinsics, Pose]], sizes: Sequence[tuple[int, int]], low: Floats, high: Floats
+) -> Floats:
+    """Return a grid (27, 3) in a box, each point moved towards the middle until both images show it.
+
+    NaN where even the middle is not seen. A box has corners at which nothing was shown and that no camera
+    sees; what a calibration would make of them no measurement asks.
+    """
+    whole, middle = box_grid(low, high, 3), 0.5 * (np.asarray(low) + np.asarray(high))
+    grid = np.full_like(whole, np.nan)
+    for part in np.linspace(1.0, 0.0, _STEPS_INWARDS + 1):
+        tried = middle + part * (whole - middle)
+        seen = np.isnan(grid[:, 0])
+        for sensor, size in zip(pair, sizes, strict=True):
+            pixel = project(*sensor, tried)
+            seen &= ((pixel >= -0.5) & (pixel <= np.array(size) - 0.5)).all(axis=1)
+        grid[seen] = tried[seen]
+    return grid
 
 
 def _without_motion(points: Floats, rows: Floats) -> tuple[Floats, Floats]:

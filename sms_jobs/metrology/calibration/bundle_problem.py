@@ -38,6 +38,8 @@ class BundleSensor:
         C1, P1, ...
     intrinsics, pose
         The start; the pose maps the world into the sensor.
+    size_px
+        Columns and rows of its image.
     fixed
         Names of `SENSOR_PARAMETERS` that keep the values of the start.
     fixed_aspect
@@ -47,6 +49,7 @@ class BundleSensor:
     name: str
     intrinsics: Intrinsics
     pose: Pose
+    size_px: tuple[int, int]
     fixed: tuple[str, ...] = KEPT
     fixed_aspect: bool = False
 

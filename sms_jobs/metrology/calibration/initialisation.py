@@ -41,6 +41,8 @@ class InitialSensor:
     ----------
     intrinsics, pose
         Inner parameters; the pose maps the world into the sensor.
+    size_px
+        Columns and rows of its image.
     lens_sigma
         (parameters,) standard deviations of those of the lens from its own views; 0 where held.
     notes
@@ -49,6 +51,7 @@ class InitialSensor:
 
     intrinsics: Intrinsics
     pose: Pose
+    size_px: tuple[int, int]
     lens_sigma: Floats
     notes: tuple[str, ...]
 
@@ -167,7 +170,7 @@ def initialise(
     _check_connected(starts, poses, world)
     used = [v.part(starts[v.sensor].kept[v.pose]) for v, _ in usable if v.pose in starts[v.sensor].poses]
     _settle(starts, used, poses, boards, world)
-    return _result(starts, used, usable, poses, boards, world, refused)
+    return _result(starts, sizes, used, usable, poses, boards, world, refused)
 
 
 def _checked(views: Sequence[BoardView], sizes: Mapping[str, tuple[int, int]], world_pose: str | None) -> str:
@@ -290,6 +293,7 @@ def _board_pose(
 
 def _result(
     starts: Mapping[str, SensorStart],
+    sizes: Mapping[str, tuple[int, int]],
     used: Sequence[BoardView],
     usable: Sequence[tuple[BoardView, HomographyFit]],
     poses: Mapping[str, Pose],
@@ -310,7 +314,7 @@ def _result(
             reason = "the point is far from where the others put it"
             refused.append(Refusal(view.sensor, view.pose, int((~kept).sum()), reason))
     sensors = {
-        name: InitialSensor(start.intrinsics, poses[name], start.lens_sigma, start.notes)
+        name: InitialSensor(start.intrinsics, poses[name], sizes[name], start.lens_sigma, start.notes)
         for name, start in starts.items()
     }
     return InitialCalibration(sensors, dict(boards), world, tuple(found), tuple(refused))

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from sms_jobs.bench.bar_session import TABLE_3, BarSession, SessionDesign, bar_session
 from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.metrology.calibration.bundle_adjustment import adjust
+from sms_jobs.metrology.calibration.bundle_checks import _in_sight
 from sms_jobs.metrology.calibration.bundle_problem import BarPoints, BundleProblem
 from sms_jobs.metrology.calibration.bundle_weak_directions import described, weakest_direction
-from sms_jobs.metrology.geometry.camera import PER_SENSOR
+from sms_jobs.metrology.calibration.pair_points import box_grid
+from sms_jobs.metrology.geometry.camera import PER_SENSOR, project
 from sms_jobs.metrology.geometry.lens import KEPT
 
 NAMES = ("C1", "C2", "P1", "P2")
@@ -185,3 +187,20 @@ def test_numbers_that_name_nothing_are_refused() -> None:
         replace(problem, board_points=(replace(problem.board_points[0], sensor=7),))
     with pytest.raises(InvalidInput, match="has no parameter k9"):
         replace(problem, sensors=(replace(problem.sensors[0], fixed=("k9",)), *problem.sensors[1:]))
+
+
+def test_what_no_image_shows_of_a_volume_is_not_judged() -> None:
+    problem = session().problem
+    low, high = np.full(3, -200.0), np.full(3, 200.0)
+    sensors = problem.sensors[0], problem.sensors[2]
+    pair = [(s.intrinsics, s.pose) for s in sensors]
+    far = [np.full(3, -1500.0), np.full(3, 1500.0)]
+    whole = _in_sight(pair, [s.size_px for s in sensors], low, high)
+    np.testing.assert_allclose(whole, box_grid(low, high, 3))
+    part = _in_sight(pair, [s.size_px for s in sensors], *far)
+    assert np.isfinite(part).all()
+    for sensor in sensors:
+        pixel = project(sensor.intrinsics, sensor.pose, part)
+        assert ((pixel > -0.51) & (pixel < np.array(sensor.size_px) - 0.49)).all()
+    nowhere = _in_sight(pair, [s.size_px for s in sensors], np.full(3, 1e5), np.full(3, 2e5))
+    assert np.isnan(nowhere).all()
