@@ -174,7 +174,7 @@ def field_in_plane(
 ) -> DisplacementField:
     """Return the displacement in the plane of the image, which the specimen does not leave."""
     surface, value, bias = before.surface, image.value, image.verified.bias
-    near = _near_a_match(matches, surface.reason.shape, parameters.spacing_px)
+    near = _near_a_match(matches, before.told, parameters.spacing_px)
     reason = _reasons(np.isnan(value[0]) | ~near, before, matches)
     reason[~image.verified.agrees & (surface.reason == Reason.VALID) & before.of_interest] = np.uint32(
         Reason.IMAGES_DISAGREE
@@ -199,16 +199,20 @@ def field_in_plane(
     )
 
 
-def _near_a_match(matches: ImageMatches, shape: tuple[int, ...], spacing_px: int) -> NDArray[np.bool_]:
+def _near_a_match(matches: ImageMatches, labels: NDArray[np.int32], spacing_px: int) -> NDArray[np.bool_]:
     """Return the pixels within a spacing of a point that was matched, (rows, columns).
 
     No measured shape tells where the specimen ends: what its outermost matches would say of the background
-    beyond, or of a hole, is nothing.
+    beyond, or of a hole, is nothing. Near the outline of a region, which background may have got into, it is
+    half a spacing: there a pixel farther out belongs to a point that could not be matched.
     """
     matched = matches.reason == 0
-    near = np.zeros(shape, dtype=bool)
+    near = np.zeros(labels.shape, dtype=bool)
     near[matches.y[matched].astype(np.int64), matches.x[matched].astype(np.int64)] = True
-    return np.asarray(ndimage.maximum_filter(near, 2 * spacing_px + 1))
+    near = ndimage.maximum_filter(near, 2 * spacing_px + 1)
+    between = ndimage.minimum_filter(near, 2 * (spacing_px - spacing_px // 2) + 1)
+    deep = ndimage.minimum_filter(labels > 0, 4 * spacing_px + 1)
+    return np.asarray(near & (between | deep))
 
 
 def _reasons(missing: NDArray[np.bool_], before: TexturedState, matches: ImageMatches) -> NDArray[np.uint32]:

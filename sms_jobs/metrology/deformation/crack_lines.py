@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 
 from sms_jobs.metrology.deformation.correlation import PreparedImages
 from sms_jobs.metrology.deformation.polylines import evened, way_along, ways
+from sms_jobs.metrology.deformation.subsets import RIM
 from sms_jobs.metrology.deformation.verification import Verified
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -105,6 +106,8 @@ def crack_lines(
         return none
     least = _ABOVE_NOISE * float(np.sqrt(np.median(variance.sum(axis=0)[known])))
     height = np.where(known, np.minimum(np.sqrt(verified.bias.sum(axis=0)), _HIGHEST), _HIGHEST)
+    # At the image's border matches are carried, and off by that.
+    height = np.pad(height[RIM:-RIM, RIM:-RIM], RIM, mode="edge")
     height[~told] = 0.0
     if np.count_nonzero(height > least) < _LEAST_LENGTH * radius * _THICK:
         return none

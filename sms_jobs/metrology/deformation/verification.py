@@ -37,6 +37,7 @@ _AT_MOST = 2.0  # standard errors by which the mean of a smaller square bounds t
 _DISAGREE = 3.0  # variance left over, in units of the noise or, where that is more, of the median of all
 _FINE = 0.4  # radius of means that are taken off what is coarse, in subset radii
 _FAR = 2.0  # px: a step of more than about a speckle's radius says nothing
+_RIM = 3  # px at an image's border: its spline, bent by reflection, is off by 0.01 px there
 _OTHER = 8.0  # median deviations from which on a pixel shows something else
 _LEAST_SHARE = 0.1  # of a subset's pixels that must be there to tell how rough the images are
 _OTHERS = 0.25  # of a window's pixels that may show something else
@@ -89,11 +90,16 @@ class _Sizes:
 
 @dataclass(frozen=True)
 class _Noise:
-    """Factors on the noise that is told: of a pixel's variance, of what windows see, and of differences."""
+    """Factors on the noise that is told: of a pixel's variance, of what windows see, and of differences.
+
+    `left_by_fit` is the part of the windows' that the displacement has not followed; at the image's border,
+    where it is carried, it has followed none.
+    """
 
     pixel: float
     window: float
     rough: float
+    left_by_fit: float
 
 
 @kernel
@@ -108,11 +114,11 @@ def _carry_rows(start: int, coefficients: Floats, code: int, image: Floats, carr
     for r in range(rows):
         count = 0
         carried[r] = np.nan
-        if start + r < RIM or start + r > last_row - RIM:
+        if start + r < _RIM or start + r > last_row - _RIM:
             continue
-        for c in range(RIM, columns - RIM):
+        for c in range(_RIM, columns - _RIM):
             x, y = c + image[0, r, c], start + r + image[1, r, c]
-            if not (x >= RIM and y >= RIM and x <= last_column - RIM and y <= last_row - RIM):
+            if not (x >= _RIM and y >= _RIM and x <= last_column - _RIM and y <= last_row - _RIM):
                 continue
             column, row = np.int64(x + PADDING), np.int64(y + PADDING)
             s[count] = x + PADDING - column
@@ -151,11 +157,12 @@ def _left_over(
     return np.where(known, f - f_mean - gain * (g - g_mean), 0.0), gain, np.where(known, f - f_mean, 0.0)
 
 
-def _mean_square(asked: Floats, spread: Floats, known: Mask, sizes: _Sizes) -> Floats:
+def _mean_square(asked: Floats, spread: Floats, known: Mask, inner: Mask, sizes: _Sizes) -> Floats:
     """Return the mean square of what windows ask for, (rows, columns) in px^2, beyond the variance by noise.
 
     Windows count by what they know. A mean over a square counts where it is significant; that over a larger
-    square does so too, as far as the smaller ones leave room for it.
+    square does so too, as far as the smaller ones leave room for it. What is not `inner` is judged by its
+    smallest square alone, and judges nothing else: there matches are carried to the image's border.
     """
     usable = known & np.isfinite(asked) & (spread > 0.0) & (np.abs(asked) < _FAR)
     asked, noise = np.where(usable, asked, 0.0), np.where(usable, spread, 1.0)
@@ -164,15 +171,22 @@ def _mean_square(asked: Floats, spread: Floats, known: Mask, sizes: _Sizes) -> F
     weight = np.where(usable, typical / (noise + typical), 0.0) ** 2
     found = np.zeros(asked.shape)
     for scale in sizes.squares:
-        total = np.maximum(_means(weight, scale), 1e-9)
-        mean = _means(weight * (asked**2 - noise), scale) / total
-        independent = (2 * scale + 1) ** 2 / (_DEPENDENT * (2 * sizes.window + 1) ** 2)
-        chance = np.maximum(_means((weight * noise) ** 2, scale), 0.0)
-        error = np.sqrt(2.0 * chance / independent) / total
-        bound = np.minimum(found, np.maximum(mean, 0.0) + _AT_MOST * error)
-        found = np.maximum(bound, np.where(mean > _ASKED_FOR * error, mean, 0.0))
+        found = _bounded(found, asked, noise, np.where(inner, weight, 0.0), scale, sizes.window)
+    at_border = _bounded(found, asked, noise, weight, sizes.squares[-1], sizes.window)
+    found = np.where(inner, found, at_border)
     alone = usable & (asked**2 > _ALONE**2 * noise)
     return np.maximum(found, np.where(alone, asked**2, 0.0))
+
+
+def _bounded(found: Floats, asked: Floats, noise: Floats, weight: Floats, scale: int, window: int) -> Floats:
+    """Return the mean square over squares, or `found` as far as it has room, where that is no chance."""
+    total = np.maximum(_means(weight, scale), 1e-9)
+    mean = _means(weight * (asked**2 - noise), scale) / total
+    independent = (2 * scale + 1) ** 2 / (_DEPENDENT * (2 * window + 1) ** 2)
+    chance = np.maximum(_means((weight * noise) ** 2, scale), 0.0)
+    error = np.sqrt(2.0 * chance / independent) / total
+    bound = np.minimum(found, np.maximum(mean, 0.0) + _AT_MOST * error)
+    return np.maximum(bound, np.where(mean > _ASKED_FOR * error, mean, 0.0))
 
 
 def _roughness(residual: Floats, variance: Floats, known: Mask, radius: int) -> Floats:
@@ -229,18 +243,21 @@ def verify_displacement(
     known = np.asarray(np.isfinite(image).all(axis=0))
     sizes = _Sizes.of(radius)
     noise = _factors(images, known, smoothing_px, sizes.window, _LEFT_BY_FIT[order])
+    inner = np.zeros_like(known)
+    inner[RIM:-RIM, RIM:-RIM] = True
     bias = np.zeros(image.shape)
     misfit = np.full(known.shape, np.nan, dtype=np.float32)
     halo = max(sizes.squares) + sizes.window + radius
 
     def work(start: int, stop: int) -> None:
         top, bottom = max(start - halo, 0), min(stop + halo, rows)
-        square, left_over = _in_band(images, image, top, bottom, sizes, noise)
+        square, left_over = _in_band(images, image, inner, top, bottom, sizes, noise)
         own = np.s_[start - top : stop - top]
         bias[:, start:stop] = _WHOLE_BIAS * square[:, own]
         misfit[start:stop] = left_over[own]
 
     in_row_blocks(work, rows, threads, block=256)
+    misfit[~inner] = np.nan
     judged = np.abs(misfit[~np.isnan(misfit)])
     usual = max(1.0, float(np.median(judged))) if len(judged) else 1.0
     bias[:, ~known] = 0.0
@@ -262,6 +279,7 @@ def _factors(
         noise_of_pixels(smoothing_px) / told,
         left_by_fit * seen / told,
         noise_of_differences(smoothing_px) / told,
+        left_by_fit,
     )
 
 
@@ -270,7 +288,7 @@ def _variance(noise: Noise, level: Floats) -> Floats:
 
 
 def _in_band(
-    images: PreparedImages, image: Floats, top: int, bottom: int, sizes: _Sizes, noise: _Noise
+    images: PreparedImages, image: Floats, inner: Mask, top: int, bottom: int, sizes: _Sizes, noise: _Noise
 ) -> tuple[Floats, Floats]:
     """Return for rows top .. bottom the mean square of what windows ask for (2, ..), and their misfit."""
     band = np.s_[top:bottom]
@@ -287,8 +305,9 @@ def _in_band(
     variance = _variance(images.noise[0], f) + gain**2 * _variance(images.noise[1], g)
     roughness = _roughness(residual, noise.rough * variance, known, sizes.subset)
     asked, spread = _asked_for(gx, gy, residual, noise.window * variance, sizes.window)
+    noises = np.where(inner[band], 1.0, 1.0 / noise.left_by_fit) * roughness * spread
     square = np.stack(
-        [_mean_square(a, roughness * s, known, sizes) for a, s in zip(asked, spread, strict=True)]
+        [_mean_square(a, n, known, inner[band], sizes) for a, n in zip(asked, noises, strict=True)]
     )
     x, y, fine = (np.where(like, one - _means(one, sizes.coarse), 0.0) for one in (gx, gy, residual))
     fine_asked, spread = _asked_for(x, y, fine, noise.pixel * variance, sizes.subset)

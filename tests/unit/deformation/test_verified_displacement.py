@@ -75,6 +75,18 @@ def test_a_part_that_went_elsewhere_is_another_thing(speckle: object) -> None:
     assert not found.unlike[:, : edge - 4].any()
 
 
+def test_the_borders_of_the_image_are_looked_at_too(speckle: object) -> None:
+    """Matches are carried to the border: what they are off by there only the border's own pixels tell."""
+    images = prepared(speckle)
+    image = measured(images)
+    image[0, :, -6:] += 0.3
+    found = verified(images, image)
+    rows = np.s_[30:-30]
+    # Windows see all but 3 px of it, and the smallest square about the last pixel holds nothing else.
+    assert np.sqrt(np.median(found.bias[0, rows, -1])) > 0.15
+    assert np.sqrt(np.median(verified(images, measured(images)).bias[0, rows, -5:])) < 0.01
+
+
 def test_noise_that_nobody_told_of_is_no_bias(speckle: object) -> None:
     """Three times the noise: it scatters from pixel to pixel as noise does."""
     images = prepared(speckle, told=NOISE / 3.0)
