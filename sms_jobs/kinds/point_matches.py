@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sms_jobs.metrology.deformation import correlation
 from sms_jobs.metrology.deformation.displacement import ImagePoints
 from sms_jobs.metrology.deformation.matching import GridMatches
 from sms_jobs.metrology.deformation.splitting import Split
+from sms_jobs.metrology.images.masks import narrowed, widened
 from sms_jobs.records.fields import ImageMatches
 from sms_jobs.records.reasons import Reason
 
@@ -106,7 +106,6 @@ def between_matches(found: GridMatches, shape: tuple[int, ...], spacing_px: int)
     matched = found.matches.ending == correlation.CONVERGED
     points = np.zeros(shape, dtype=bool)
     points[found.y[matched], found.x[matched]] = True
-    nearest = ndimage.maximum_filter(points, spacing_px | 1)
+    nearest = widened(points, spacing_px | 1)
     size = 2 * spacing_px + 1
-    between = ndimage.minimum_filter(ndimage.maximum_filter(points, size), size, mode="constant")
-    return np.asarray(nearest & between)
+    return nearest & narrowed(widened(points, size), size, border_ends=True)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sms_jobs.kinds.calibration_factors import (
     DEFORMED,
@@ -60,6 +59,7 @@ from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, m
 from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
 from sms_jobs.metrology.deformation.splitting import Split, cut_out, split_regions
 from sms_jobs.metrology.geometry.planes import covariance_in_space
+from sms_jobs.metrology.images.masks import widened
 from sms_jobs.metrology.images.segmentation import ContinuousRegions
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, ImageMatches, Region, Regions
@@ -178,7 +178,7 @@ def _come_apart(
 
 def _far_from(grid: GridMatches, out: NDArray[np.bool_], radius: int) -> GridMatches:
     """Return the matches whose subsets hold nothing of some pixels (rows, columns)."""
-    near = ndimage.maximum_filter(out, 2 * radius + 1)
+    near = widened(out, 2 * radius + 1)
     kept = ~near[grid.y, grid.x]
     matches = Matches(*(values[kept] for values in vars(grid.matches).values()))
     return GridMatches(grid.x[kept], grid.y[kept], matches)

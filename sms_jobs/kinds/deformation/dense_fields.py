@@ -7,7 +7,6 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
@@ -22,6 +21,7 @@ from sms_jobs.metrology.deformation.matching import GridMatches
 from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
 from sms_jobs.metrology.deformation.verification import Verified, verify_displacement
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
+from sms_jobs.metrology.images.masks import narrowed, widened
 from sms_jobs.records.fields import DisplacementField, ImageMatches
 from sms_jobs.records.reasons import Reason
 
@@ -209,9 +209,9 @@ def _near_a_match(matches: ImageMatches, labels: NDArray[np.int32], spacing_px: 
     matched = matches.reason == 0
     near = np.zeros(labels.shape, dtype=bool)
     near[matches.y[matched].astype(np.int64), matches.x[matched].astype(np.int64)] = True
-    near = ndimage.maximum_filter(near, 2 * spacing_px + 1)
-    between = ndimage.minimum_filter(near, 2 * (spacing_px - spacing_px // 2) + 1)
-    deep = ndimage.minimum_filter(labels > 0, 4 * spacing_px + 1)
+    near = widened(near, 2 * spacing_px + 1)
+    between = narrowed(near, 2 * (spacing_px - spacing_px // 2) + 1)
+    deep = narrowed(labels > 0, 4 * spacing_px + 1)
     return np.asarray(near & (between | deep))
 
 

@@ -7,7 +7,6 @@ from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters, match_settings
 from sms_jobs.kinds.deformation.dense_fields import ImageDisplacement, resolution_in_image, spread
@@ -18,6 +17,7 @@ from sms_jobs.metrology.deformation.displacement import blending_reach
 from sms_jobs.metrology.deformation.finer_subsets import Subsets, Verdict, better_of, ladder, worth_trying
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, is_sure
 from sms_jobs.metrology.deformation.shape_functions import WARP, ShapeOrder
+from sms_jobs.metrology.images.masks import widened
 from sms_jobs.records.fields import ImageMatches
 
 Ints: TypeAlias = NDArray[np.int64]
@@ -123,7 +123,7 @@ def _matched(
 ) -> Tried:
     """Match the points again that have a part in what is wanted, from where they were found."""
     reach = int(np.ceil(blending_reach(subsets.radius, WARP)))
-    near = np.asarray(ndimage.maximum_filter(wanted, 2 * reach + 1))
+    near = widened(wanted, 2 * reach + 1)
     points = np.flatnonzero(near[grid.y, grid.x] & (grid.matches.ending == CONVERGED))
     x, y = grid.x[points], grid.y[points]
     guess = grid.matches.warp[points]

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
@@ -15,6 +14,7 @@ from sms_jobs.kinds.products import CALIBRATED, PHASE, SURFACE
 from sms_jobs.kinds.shape.textures import filtered, white_texture
 from sms_jobs.kinds.surface_ports import StatePorts, position_covariance
 from sms_jobs.metrology.deformation.correlation import Noise
+from sms_jobs.metrology.images.masks import of_one_label
 from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
 from sms_jobs.metrology.images.segmentation import ContinuousRegions, in_order, label_regions, pixel_footprint
 from sms_jobs.metrology.images.texture_extent import textured_pixels
@@ -70,8 +70,7 @@ class TexturedState:
         """Return it with regions that end at discontinuities."""
         size = 2 * parameters.edge_margin_px + 1
         labels = regions.labels
-        same = ndimage.minimum_filter(labels, size) == ndimage.maximum_filter(labels, size)
-        interior = np.asarray(same & (labels > 0))
+        interior = of_one_label(labels, size) & (labels > 0)
         matched = np.where(interior, labels, 0).astype(np.int32)
         return replace(self, regions=regions, interior=interior, matched=matched)
 

@@ -7,9 +7,9 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.images.masks import distance_inside, of_one_label
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
@@ -75,11 +75,9 @@ def _numbered(taken: NDArray[np.bool_]) -> tuple[Ints, Ints, Ints]:
     return node, rows, columns
 
 
-def depth_in_region(labels: Labels) -> Floats:
+def depth_in_region(labels: Labels) -> NDArray[np.float32]:
     """Return how far each pixel (rows, columns) lies inside its region, in px; the image's border ends it."""
-    same = ndimage.maximum_filter(labels, 3) == ndimage.minimum_filter(labels, 3)
-    depth: Floats = ndimage.distance_transform_edt(np.pad(same, 1))[1:-1, 1:-1]
-    return depth
+    return distance_inside(np.pad(of_one_label(labels, 3), 1))[1:-1, 1:-1]
 
 
 def sample_nodes(labels: Labels, spacing: int, edge_spacing: int | None = None) -> Nodes:

@@ -53,8 +53,64 @@ def at_edge(valid: Mask, smallest_gap: int) -> Mask:
     _, labels, statistics, _ = cv2.connectedComponentsWithStats((~valid).astype(np.uint8), connectivity=8)
     is_gap = statistics[:, cv2.CC_STAT_AREA] >= smallest_gap
     is_gap[0] = False  # the valid pixels themselves
-    beside = cv2.dilate(is_gap[labels].astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    return np.asarray(valid & beside)
+    return np.asarray(valid & widened(is_gap[labels], 3))
+
+
+def of_one_label(labels: NDArray[np.int32], side: int) -> Mask:
+    """Return which pixels (rows, columns) have one label all over the square of a side in px about them.
+
+    The border of the image ends no label.
+    """
+    import cv2
+
+    square, values = np.ones((side, side), np.uint8), labels.astype(np.float32)
+    return np.asarray(cv2.erode(values, square) == cv2.dilate(values, square))
+
+
+def widened(mask: Mask, side: int) -> Mask:
+    """Return which pixels have one of the mask's in the square of an odd side in px about them."""
+    import cv2
+
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0)
+
+
+def narrowed(mask: Mask, side: int, *, border_ends: bool = False) -> Mask:
+    """Return which pixels have none but the mask's in the square of an odd side in px about them.
+
+    `border_ends` says whether what lies beyond the image's border is none of the mask's.
+    """
+    import cv2
+
+    square, image = np.ones((side, side), np.uint8), mask.astype(np.uint8)
+    if border_ends:
+        return np.asarray(cv2.erode(image, square, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0)
+    return np.asarray(cv2.erode(image, square) > 0)
+
+
+def distance_inside(mask: Mask) -> NDArray[np.float32]:
+    """Return the distance of each of the mask's pixels from the nearest that is none, in px; 0 for others.
+
+    The border of the image is none.
+    """
+    import cv2
+
+    return np.asarray(cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+
+
+def box_of(mask: Mask) -> tuple[slice, slice]:
+    """Return the rows and columns of the smallest box that holds all pixels (rows, columns) of a mask."""
+    first, last = [], []
+    for axis in (1, 0):
+        some = np.flatnonzero(mask.any(axis=axis))
+        first.append(int(some[0]) if len(some) else 0)
+        last.append(int(some[-1]) + 1 if len(some) else 0)
+    return slice(first[0], last[0]), slice(first[1], last[1])
+
+
+def grown(box: tuple[slice, slice], margin: int) -> tuple[slice, slice]:
+    """Return a box of rows and columns with a margin in px, as far as the image goes that it is cut from."""
+    rows, columns = (slice(max(one.start - margin, 0), one.stop + margin) for one in box)
+    return rows, columns
 
 
 def alone(valid: Mask) -> Mask:

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.metrology.images.masks import distance_inside
+
 WINDOW_RADIUS_PX: Final = 4
 LEAST_CONTRAST: Final = 5.0
 """In standard deviations of the noise: with less, a match would be hardly worth having."""
@@ -39,19 +41,23 @@ def textured_pixels(
     closed. The border of the image is no outline. Where light falls on a plain background, or a background
     has a texture of its own, a region of interest has to say what is meant.
     """
+    import cv2
+
     size = 2 * WINDOW_RADIUS_PX + 1
     levels = np.asarray(texture, dtype=np.float64) - float(np.mean(texture))
-    mean = ndimage.uniform_filter(levels, size)
-    variance = ndimage.uniform_filter(levels**2, size) - mean**2
+    mean, square = (
+        cv2.blur(values, (size, size), borderType=cv2.BORDER_REFLECT) for values in (levels, levels**2)
+    )
+    variance = square - mean**2
     near = variance > LEAST_CONTRAST**2 * np.asarray(noise_variance)
     if not near.any() or near.all():
         return np.asarray(near)
     # The image is continued as it ends, so that its border closes nothing and is no outline either.
     reach = 2 * coarsest_px + WINDOW_RADIUS_PX + margin_px
-    closed = ndimage.distance_transform_edt(~np.pad(near, reach, mode="edge")) <= coarsest_px
+    closed = distance_inside(~np.pad(near, reach, mode="edge")) <= coarsest_px
     if closed.all():
         return np.ones_like(near)
-    inwards = ndimage.distance_transform_edt(closed) > coarsest_px + WINDOW_RADIUS_PX + margin_px
+    inwards = distance_inside(closed) > coarsest_px + WINDOW_RADIUS_PX + margin_px
     labels, _ = ndimage.label(inwards[reach:-reach, reach:-reach])
     area = np.bincount(labels.ravel())
     area[0] = 0

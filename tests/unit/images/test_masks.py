@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from sms_jobs.metrology.images.masks import (
     at_edge,
+    box_of,
+    distance_inside,
+    grown,
     high_phase_error,
     large_ray_gap,
     low_modulation,
+    narrowed,
+    of_one_label,
     outside_box,
     phase_error_factor,
+    widened,
 )
 
 
@@ -73,3 +80,36 @@ def test_pixels_beside_a_gap_are_at_the_edge_but_noise_is_no_gap() -> None:
 def test_an_image_without_a_gap_has_no_edge_and_one_without_a_surface_neither() -> None:
     assert not at_edge(np.ones((5, 5), bool), 4).any()
     assert not at_edge(np.zeros((5, 5), bool), 4).any()
+
+
+@pytest.mark.parametrize("side", [1, 3, 7])
+def test_squares_of_pixels_are_scipys(rng: np.random.Generator, side: int) -> None:
+    mask = ndimage.binary_dilation(rng.random((40, 50)) > 0.97, iterations=2)
+    np.testing.assert_array_equal(widened(mask, side), ndimage.maximum_filter(mask, side))
+    np.testing.assert_array_equal(narrowed(mask, side), ndimage.minimum_filter(mask, side))
+    ended = ndimage.minimum_filter(mask, side, mode="constant")
+    np.testing.assert_array_equal(narrowed(mask, side, border_ends=True), ended)
+
+
+def test_a_label_ends_where_another_one_is_near() -> None:
+    labels = np.ones((20, 30), np.int32)
+    labels[:, 12:] = 70_000
+    labels[8:, 20:] = 0
+    expected = ndimage.minimum_filter(labels, 5) == ndimage.maximum_filter(labels, 5)
+    np.testing.assert_array_equal(of_one_label(labels, 5), expected)
+    assert expected[0, 0]  # the border of the image is no end
+
+
+def test_distances_inside_are_exact(rng: np.random.Generator) -> None:
+    mask = np.pad(rng.random((120, 150)) > 0.005, 1)
+    expected = ndimage.distance_transform_edt(mask)
+    # Roots of whole numbers, in single precision: at whole distances they are exact.
+    np.testing.assert_array_equal(distance_inside(mask), expected.astype(np.float32))
+
+
+def test_a_box_holds_all_of_a_mask_and_no_more() -> None:
+    mask = np.zeros((10, 12), bool)
+    mask[3, 4] = mask[6, 2] = True
+    assert box_of(mask) == (slice(3, 7), slice(2, 5))
+    assert grown(box_of(mask), 3) == (slice(0, 10), slice(0, 8))
+    assert mask[box_of(np.zeros_like(mask))].size == 0
