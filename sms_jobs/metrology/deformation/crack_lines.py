@@ -21,6 +21,7 @@ from sms_jobs.metrology.deformation.correlation import PreparedImages
 from sms_jobs.metrology.deformation.polylines import evened, way_along, ways
 from sms_jobs.metrology.deformation.subsets import RIM
 from sms_jobs.metrology.deformation.verification import Verified
+from sms_jobs.metrology.images.masks import box_of, grown
 
 Floats: TypeAlias = NDArray[np.float64]
 Mask: TypeAlias = NDArray[np.bool_]
@@ -40,6 +41,7 @@ _LINKED = 3.0  # subset radii by which points of one line are apart at most
 _FACING = 0.7  # cosine of the angle between a line's direction and the way to one that goes on with it
 _OTHER = 8.0  # median deviations from which on more says no more
 _AS_GOOD = 1.1  # of what is left over as told, what is left over by two sides at most
+_TRUNCATED = 4.0  # standard deviations at which a filter ends
 _THICK = 3  # px, of a line that is cut
 
 
@@ -125,11 +127,14 @@ def crack_lines(
 def _ridge(height: Floats, least: float, radius: int) -> _Ridge:
     """Return the points at which the filtered height is the largest across a line, jumps not filled in."""
     width = _SMOOTHED * radius
-    smooth = ndimage.gaussian_filter(height, width)
+    smooth = ndimage.gaussian_filter(height, width, truncate=_TRUNCATED)
     candidate = smooth > least
     rows, columns = np.nonzero(candidate)
+    part = grown(box_of(candidate), int(_TRUNCATED * width) + 1)
+    own_rows, own_columns = rows - part[0].start, columns - part[1].start
     rr, rc, cc = (
-        ndimage.gaussian_filter(height, width, order=order)[rows, columns] * width**2
+        ndimage.gaussian_filter(height[part], width, order=order, truncate=_TRUNCATED)[own_rows, own_columns]
+        * width**2
         for order in ((2, 0), (1, 1), (0, 2))
     )
     half, middle = 0.5 * np.hypot(rr - cc, 2.0 * rc), 0.5 * (rr + cc)

@@ -15,6 +15,7 @@ from scipy import special
 
 from sms_jobs.metrology.deformation.displacement import blending_reach
 from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
+from sms_jobs.metrology.images.masks import box_of, grown
 
 Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]
@@ -179,6 +180,9 @@ def pixel_extent(xyz: Floats, labels: Labels, radius: int) -> Floats:
     size = (2 * radius + 1, 2 * radius + 1)
     along = []
     known = np.isfinite(xyz).all(axis=0) & (labels > 0)
+    whole = np.full(labels.shape, np.nan)
+    part = grown(box_of(known), radius)
+    xyz, labels, known = xyz[:, *part], labels[part], known[part]
     for first, second in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])):
         together = np.zeros(labels.shape)
         together[first] = (labels[first] == labels[second]) & known[first] & known[second]
@@ -191,4 +195,5 @@ def pixel_extent(xyz: Floats, labels: Labels, radius: int) -> Floats:
         enough = count > 0.5 / (size[0] * size[1])
         along.append(np.where(enough, step / np.where(enough, count, 1.0), np.nan))
     xx, xy, yy = (np.sum(a * b, axis=0) for a, b in ((along[0],) * 2, along, (along[1],) * 2))
-    return np.asarray(np.sqrt(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)))
+    whole[part] = np.sqrt(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy))
+    return whole

@@ -13,11 +13,11 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.deformation.correlation import Noise, PreparedImages
 from sms_jobs.metrology.deformation.subsets import RIM
+from sms_jobs.metrology.images.masks import box_of, narrowed
 from sms_jobs.metrology.images.smoothing import (
     noise_after_smoothing,
     noise_in_windows,
@@ -103,8 +103,11 @@ class _Noise:
 
 
 @kernel
-def _carry_rows(start: int, coefficients: Floats, code: int, image: Floats, carried: Floats) -> None:
-    """Fill rows of the deformed image where the displacement leads to, NaN for and at the images' borders."""
+def _carry(top: int, left: int, coefficients: Floats, code: int, image: Floats, carried: Floats) -> None:
+    """Fill a part of the deformed image where the displacement leads to, NaN for and at the images' borders.
+
+    The part's first pixel is (`top`, `left`) of the reference image.
+    """
     rows, columns = image.shape[1:]
     stride = coefficients.shape[1]
     last_column, last_row = stride - 2 * PADDING - 1, coefficients.shape[0] - 2 * PADDING - 1
@@ -114,10 +117,10 @@ def _carry_rows(start: int, coefficients: Floats, code: int, image: Floats, carr
     for r in range(rows):
         count = 0
         carried[r] = np.nan
-        if start + r < _RIM or start + r > last_row - _RIM:
+        if top + r < _RIM or top + r > last_row - _RIM:
             continue
-        for c in range(_RIM, columns - _RIM):
-            x, y = c + image[0, r, c], start + r + image[1, r, c]
+        for c in range(max(_RIM - left, 0), min(last_column + 1 - _RIM - left, columns)):
+            x, y = left + c + image[0, r, c], top + r + image[1, r, c]
             if not (x >= _RIM and y >= _RIM and x <= last_column - _RIM and y <= last_row - _RIM):
                 continue
             column, row = np.int64(x + PADDING), np.int64(y + PADDING)
@@ -197,7 +200,7 @@ def _roughness(residual: Floats, variance: Floats, known: Mask, radius: int) -> 
     rough = np.zeros_like(residual)
     rows = residual[:-2] - 2.0 * residual[1:-1] + residual[2:]
     rough[1:-1, 1:-1] = rows[:, :-2] - 2.0 * rows[:, 1:-1] + rows[:, 2:]
-    inner = np.asarray(ndimage.minimum_filter(known, 3, mode="constant"))
+    inner = narrowed(known, 3, border_ends=True)
     squares = np.where(inner, rough**2 / variance, 0.0)
     share = _means(inner.astype(np.float64), radius)
     everywhere = float(np.mean(squares[inner])) if inner.any() else 1.0
@@ -239,7 +242,6 @@ def verify_displacement(
     noise, tells where the images differ: more than three times what noise or, where the noise is not well
     known, the median window has.
     """
-    rows = images.labels.shape[0]
     known = np.asarray(np.isfinite(image).all(axis=0))
     sizes = _Sizes.of(radius)
     noise = _factors(images, known, smoothing_px, sizes.window, _LEFT_BY_FIT[order])
@@ -248,15 +250,19 @@ def verify_displacement(
     bias = np.zeros(image.shape)
     misfit = np.full(known.shape, np.nan, dtype=np.float32)
     halo = max(sizes.squares) + sizes.window + radius
+    rows, columns = box_of(known)
 
     def work(start: int, stop: int) -> None:
-        top, bottom = max(start - halo, 0), min(stop + halo, rows)
-        square, left_over = _in_band(images, image, inner, top, bottom, sizes, noise)
+        start, stop = max(start, rows.start), min(stop, rows.stop)
+        if not start < stop:
+            return
+        top, bottom = max(start - halo, rows.start), min(stop + halo, rows.stop)
+        square, left_over = _in_part(images, image, inner, (slice(top, bottom), columns), sizes, noise)
         own = np.s_[start - top : stop - top]
-        bias[:, start:stop] = _WHOLE_BIAS * square[:, own]
-        misfit[start:stop] = left_over[own]
+        bias[:, start:stop, columns] = _WHOLE_BIAS * square[:, own]
+        misfit[start:stop, columns] = left_over[own]
 
-    in_row_blocks(work, rows, threads, block=256)
+    in_row_blocks(work, len(known), threads, block=256)
     misfit[~inner] = np.nan
     judged = np.abs(misfit[~np.isnan(misfit)])
     usual = max(1.0, float(np.median(judged))) if len(judged) else 1.0
@@ -264,7 +270,7 @@ def verify_displacement(
     with np.errstate(invalid="ignore"):
         agrees = ~(misfit > _DISAGREE * min(usual, 1e6))
     # The outermost windows reach over from pixels that are alike.
-    unlike = ndimage.minimum_filter(np.isposinf(misfit), 3) & (usual <= _DISAGREE)
+    unlike = narrowed(np.isposinf(misfit), 3) & (usual <= _DISAGREE)
     return Verified(bias, agrees, unlike)
 
 
@@ -273,7 +279,8 @@ def _factors(
 ) -> _Noise:
     """Return what of the noise that matching is told a pixel has, and windows see."""
     told = noise_after_smoothing(images.reference, known, smoothing_px)
-    slopes = [np.where(known, slope, 0.0) for slope in (images.gradient_x, images.gradient_y)]
+    part = box_of(known)
+    slopes = [np.where(known[part], slope[part], 0.0) for slope in (images.gradient_x, images.gradient_y)]
     seen = float(np.mean([noise_in_windows(slope, smoothing_px, window) for slope in slopes]))
     return _Noise(
         noise_of_pixels(smoothing_px) / told,
@@ -287,27 +294,32 @@ def _variance(noise: Noise, level: Floats) -> Floats:
     return np.maximum(noise.floor + noise.slope * level, _LEAST_VARIANCE)
 
 
-def _in_band(
-    images: PreparedImages, image: Floats, inner: Mask, top: int, bottom: int, sizes: _Sizes, noise: _Noise
+def _in_part(
+    images: PreparedImages,
+    image: Floats,
+    inner: Mask,
+    part: tuple[slice, slice],
+    sizes: _Sizes,
+    noise: _Noise,
 ) -> tuple[Floats, Floats]:
-    """Return for rows top .. bottom the mean square of what windows ask for (2, ..), and their misfit."""
-    band = np.s_[top:bottom]
-    f = images.reference[band]
+    """Return for rows and columns the mean square of what windows ask for (2, ..), and their misfit."""
+    f = images.reference[part]
     g = np.empty(f.shape)
-    _carry_rows(top, images.coefficients, KERNEL_CODE[images.interpolant], image[:, band], g)
+    code = KERNEL_CODE[images.interpolant]
+    _carry(part[0].start, part[1].start, images.coefficients, code, image[:, *part], g)
     # The rim of a region, which is not matched, mixes with what lies behind it.
-    known = np.isfinite(g) & (images.labels[band] > 0)
+    known = np.isfinite(g) & (images.labels[part] > 0)
     g = np.where(known, g, 0.0)
     coarse = _left_over(f, g, known, known, max(sizes.squares))[0]
     residual, gain, texture = _left_over(f, g, known, _alike(coarse, known), sizes.subset)
     like = _alike(residual, known)
-    gx, gy = (np.where(known, slope[band], 0.0) for slope in (images.gradient_x, images.gradient_y))
+    gx, gy = (np.where(known, slope[part], 0.0) for slope in (images.gradient_x, images.gradient_y))
     variance = _variance(images.noise[0], f) + gain**2 * _variance(images.noise[1], g)
     roughness = _roughness(residual, noise.rough * variance, known, sizes.subset)
     asked, spread = _asked_for(gx, gy, residual, noise.window * variance, sizes.window)
-    noises = np.where(inner[band], 1.0, 1.0 / noise.left_by_fit) * roughness * spread
+    noises = np.where(inner[part], 1.0, 1.0 / noise.left_by_fit) * roughness * spread
     square = np.stack(
-        [_mean_square(a, n, known, inner[band], sizes) for a, n in zip(asked, noises, strict=True)]
+        [_mean_square(a, n, known, inner[part], sizes) for a, n in zip(asked, noises, strict=True)]
     )
     x, y, fine = (np.where(like, one - _means(one, sizes.coarse), 0.0) for one in (gx, gy, residual))
     fine_asked, spread = _asked_for(x, y, fine, noise.pixel * variance, sizes.subset)
@@ -326,11 +338,12 @@ def _alike(residual: Floats, known: Mask) -> Mask:
     return known & (squares <= _OTHER**2 * (float(np.median(squares[known])) if known.any() else 0.0))
 
 
-def _contrast(texture: Floats, known: Mask, window: int) -> Floats:
-    """Return the variance of known pixels about their mean in windows, as a share of the whole window's."""
-    part = np.maximum(_means(known.astype(np.float64), window), 1e-12)
-    mean = _means(np.where(known, texture, 0.0), window) / part
-    return np.maximum(_means(np.where(known, texture, 0.0) ** 2, window) - part * mean**2, 0.0)
+def _contrast(square: Floats, texture: Floats, part: Floats, window: int) -> Floats:
+    """Return the variance of a texture about its mean in windows, as a share of the whole window's.
+
+    The texture is 0 where it is not known; `square` are the means of its square, `part` those of what is.
+    """
+    return np.maximum(square - _means(texture, window) ** 2 / part, 0.0)
 
 
 def _misfit(
@@ -345,17 +358,19 @@ def _misfit(
     """Return means over windows of squared residuals, in variances; infinite where hardly anything is alike.
 
     With a minus where what differs is little beside the texture, whatever the noise; NaN where nothing is
-    known. Single pixels that show something else are no matter.
+    known, where texture and squares are 0. Single pixels that show something else are no matter.
     """
     whole = np.maximum(_means(known.astype(np.float64), window), 1e-12)
     part = np.maximum(_means(like.astype(np.float64), window), 1e-12)
     relative = np.where(like, squares / np.where(like, variance, 1.0), 0.0)
     misfit = _means(relative, window) / part
     left = _means(np.where(like, squares, 0.0), window)
-    misfit[left < _LIKE_ENOUGH * _contrast(texture, like, window)] *= -1.0
-    whole_texture = _means(np.where(like, texture, 0.0) ** 2, window)
-    misfit[(left > _UNLIKE * whole_texture) & (misfit > _DISAGREE * roughness)] = np.inf
-    every = _means(squares, window) > _LIKE_ENOUGH * _contrast(texture, known, window)
+    alike = np.where(like, texture, 0.0)
+    alike_square = _means(alike**2, window)
+    misfit[left < _LIKE_ENOUGH * _contrast(alike_square, alike, part, window)] *= -1.0
+    misfit[(left > _UNLIKE * alike_square) & (misfit > _DISAGREE * roughness)] = np.inf
+    contrast = _contrast(_means(texture**2, window), texture, whole, window)
+    every = _means(squares, window) > _LIKE_ENOUGH * contrast
     misfit[every & (part < (1.0 - _OTHERS) * whole)] = np.inf
     misfit[~known] = np.nan
     return misfit

@@ -6,12 +6,16 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+
+from sms_jobs.metrology.images.masks import box_of, grown
 
 Floats: TypeAlias = NDArray[np.float64]
 
 LARGEST_SMOOTHING_PX = 0.7
 """Just below that of the binomial filter, (1, 2, 1) / 4, beyond which three pixels are too few."""
+
+
+_RIM = 2  # px beyond a pixel that its filtered slope rests on
 
 
 def _weights(sigma_px: float) -> Floats:
@@ -35,9 +39,10 @@ def smooth(image: NDArray[np.floating], sigma_px: float) -> Floats:
     same at every pixel, also beside a region's edge: weights that depend on where an edge is would move
     the texture, and not in each state alike.
     """
-    weights = _weights(sigma_px)
-    rows = ndimage.correlate1d(np.asarray(image, dtype=np.float64), weights, axis=0, mode="nearest")
-    return np.asarray(ndimage.correlate1d(rows, weights, axis=1, mode="nearest"))
+    import cv2
+
+    weights, levels = _weights(sigma_px), np.asarray(image, dtype=np.float64)
+    return np.asarray(cv2.sepFilter2D(levels, -1, weights, weights, borderType=cv2.BORDER_REPLICATE))
 
 
 def noise_after_smoothing(smoothed: Floats, inside: NDArray[np.bool_], sigma_px: float) -> float:
@@ -54,11 +59,12 @@ def noise_after_smoothing(smoothed: Floats, inside: NDArray[np.bool_], sigma_px:
     inside
         (rows, columns), which pixels count.
     """
-    before = after = 0.0
+    part = grown(box_of(inside), _RIM)
+    inside, before, after = inside[part], 0.0, 0.0
     for axis in range(2):
-        slopes = np.gradient(smoothed, axis=axis)
-        before += float(np.sum(slopes[inside] ** 2))
-        after += float(np.sum(smooth(slopes, sigma_px)[inside] ** 2))
+        slopes: Floats = np.gradient(smoothed[part], axis=axis)
+        before += float(np.sum(slopes**2, where=inside))
+        after += float(np.sum(smooth(slopes, sigma_px) ** 2, where=inside))
     return after / before if before > 0.0 else 1.0
 
 
