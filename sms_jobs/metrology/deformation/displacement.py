@@ -11,12 +11,12 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, kernel, summing_kernel
 from sms_jobs.metrology.deformation.averaging import OUTLIER, average_in_region
 from sms_jobs.metrology.deformation.shape_functions import WARP
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
+from sms_jobs.metrology.images.masks import box_of
 
 Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]
@@ -108,66 +108,111 @@ class DenseDisplacement:
     status: NDArray[np.int32]
 
 
+@summing_kernel
+def _weighted_sums(
+    near: Floats, count: int, pixel: tuple[int, int, int], place: tuple[float, float, float],
+    scale: tuple[float, float], sums: Floats,
+) -> None:  # fmt: skip
+    """Fill the weighted sums over the matches near a pixel: of 1, dx, dy, u, v, u^2, v^2 and both variances.
+
+    `pixel` is its column, row and region, `place` where it lies in space, `scale` one over the square of a
+    pixel's size there and half of one over that of the reach in px. Each match is a column of `near`, as
+    `_gather` fills it, and each sum a local number: only then are several matches added at a time. Those
+    beyond reach and of other regions weigh nothing.
+    """
+    per_footprint, per_reach = scale
+    column, row, label = float(pixel[0]), float(pixel[1]), float(pixel[2])
+    x, y, z = place
+    total, off_x, off_y, u_sum, v_sum = 0.0, 0.0, 0.0, 0.0, 0.0
+    u_squares, v_squares, u_noise, v_noise = 0.0, 0.0, 0.0, 0.0
+    for m in range(count):
+        dx = column - near[0, m]
+        dy = row - near[1, m]
+        ax, ay, az = near[2, m] - x, near[3, m] - y, near[4, m] - z
+        d2 = per_reach * (dx * dx + dy * dy + per_footprint * (ax * ax + ay * ay + az * az))
+        weight = (1.0 - d2) * (1.0 - d2) * near[5, m]
+        # Written so that NaN is beyond reach.
+        w = weight if (d2 < 1.0) & (near[6, m] == label) else 0.0
+        xx, xy, yy = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
+        u = near[9, m] + near[10, m] * dx + near[11, m] * dy
+        v = near[12, m] + near[13, m] * dx + near[14, m] * dy
+        u += near[15, m] * xx + near[16, m] * xy + near[17, m] * yy
+        v += near[18, m] * xx + near[19, m] * xy + near[20, m] * yy
+        total += w
+        off_x += w * dx
+        off_y += w * dy
+        u_sum += w * u
+        v_sum += w * v
+        u_squares += w * u * u
+        v_squares += w * v * v
+        u_noise += w * near[7, m]
+        v_noise += w * near[8, m]
+    sums[0], sums[1], sums[2], sums[3], sums[4] = total, off_x, off_y, u_sum, v_sum
+    sums[5], sums[6], sums[7], sums[8] = u_squares, v_squares, u_noise, v_noise
+
+
+@kernel
+def _gather(matches: Floats, first: Ints, row: int, column: int, cells: int, near: Floats) -> int:
+    """Copy the matches in cells about one to the first columns of `near`; return how many they are.
+
+    Or, where `near` is too small, only that.
+    """
+    left, right = max(column - cells, 0), min(column + cells + 1, first.shape[1] - 1)
+    top, bottom = max(row - cells, 0), min(row + cells + 1, first.shape[0])
+    count = 0
+    for j in range(top, bottom):
+        count += first[j, right] - first[j, left]
+    if count > near.shape[1]:
+        return count
+    for i in range(len(matches)):
+        at = 0
+        for j in range(top, bottom):
+            for m in range(first[j, left], first[j, right]):
+                near[i, at] = matches[i, m]
+                at += 1
+    return count
+
+
 @kernel
 def _blend_rows(
     start: int, stop: int, xyz: Floats, labels: Labels, footprint: float, side: int, first: Ints,
-    px: Ints, py: Ints, region: Labels, at: Floats, warp: Floats, own_variance: Floats,
-    reach: float, noise: float, value: Floats, variance: Floats,
+    matches: Floats, reach: float, noise: float, value: Floats, variance: Floats,
 ) -> None:  # fmt: skip
     """Do the work of `blend_matches` for rows start .. stop.
 
     Matches are sorted into square cells of `side`: those of cells (j, i) to (j, m) are `first[j, i]` up to
-    `first[j, m + 1]`. `at` (n, 3) is where they lie in space, `own_variance` (n, 2) that of their u and v.
+    `first[j, m + 1]`. Each is a column: x, y, where it lies in space, one over the sum of its variances, its
+    region, both variances, and 12 numbers of its warp.
     """
     cells = int(np.ceil(reach / side))
-    bent = warp.shape[1] > 6
-    for r in range(start, stop):
-        for c in range(labels.shape[1]):
-            value[0, r, c] = value[1, r, c] = variance[0, r, c] = variance[1, r, c] = np.nan
-            if labels[r, c] == 0:
-                continue
-            total, off_x, off_y, u_sum, v_sum = 0.0, 0.0, 0.0, 0.0, 0.0
-            u_squares, v_squares, u_noise, v_noise = 0.0, 0.0, 0.0, 0.0
-            row = r // side
-            column = c // side
-            left, right = max(column - cells, 0), min(column + cells + 1, first.shape[1] - 1)
-            for j in range(max(row - cells, 0), min(row + cells + 1, first.shape[0])):
-                for m in range(first[j, left], first[j, right]):
-                    dx = c - px[m]
-                    dy = r - py[m]
-                    d2 = dx * dx + dy * dy
-                    if d2 >= 2.0 * reach * reach or region[m] != labels[r, c]:
+    scale = (1.0 / footprint**2, 0.5 / reach**2)
+    near = np.empty((len(matches), 256))
+    sums = np.empty(9)
+    for row in range(start // side, (stop - 1) // side + 1):
+        for column in range(first.shape[1] - 1):
+            count = -1
+            for r in range(max(row * side, start), min((row + 1) * side, stop)):
+                for c in range(column * side, min((column + 1) * side, labels.shape[1])):
+                    value[0, r, c] = value[1, r, c] = variance[0, r, c] = variance[1, r, c] = np.nan
+                    if labels[r, c] == 0:
                         continue
-                    apart = 0.0
-                    for a in range(3):
-                        apart += (xyz[a, r, c] - at[m, a]) ** 2
-                    d2 = 0.5 * (d2 + apart / footprint**2) / reach**2
-                    if not d2 < 1.0:
+                    if count < 0:
+                        count = _gather(matches, first, row, column, cells, near)
+                        if count > near.shape[1]:
+                            near = np.empty((len(matches), 2 * count))
+                            count = _gather(matches, first, row, column, cells, near)
+                    place = (xyz[0, r, c], xyz[1, r, c], xyz[2, r, c])
+                    _weighted_sums(near, count, (c, r, labels[r, c]), place, scale, sums)
+                    total = sums[0]
+                    if not total > 0.0:
                         continue
-                    w = (1.0 - d2) ** 2 / (own_variance[m, 0] + own_variance[m, 1])
-                    total += w
-                    off_x += w * dx
-                    off_y += w * dy
-                    u = warp[m, 0] + warp[m, 1] * dx + warp[m, 2] * dy
-                    v = warp[m, 3] + warp[m, 4] * dx + warp[m, 5] * dy
-                    if bent:
-                        xx, xy, yy = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
-                        u += warp[m, 6] * xx + warp[m, 7] * xy + warp[m, 8] * yy
-                        v += warp[m, 9] * xx + warp[m, 10] * xy + warp[m, 11] * yy
-                    u_sum += w * u
-                    v_sum += w * v
-                    u_squares += w * u * u
-                    v_squares += w * v * v
-                    u_noise += w * own_variance[m, 0]
-                    v_noise += w * own_variance[m, 1]
-            if total > 0.0:
-                one_sided = (off_x * off_x + off_y * off_y) / (total * reach * _HALF_DISC) ** 2
-                for a in range(2):
-                    mean = (u_sum if a == 0 else v_sum) / total
-                    own = noise * (u_noise if a == 0 else v_noise) / total
-                    scatter = max((u_squares if a == 0 else v_squares) / total - mean * mean, 0.0)
-                    value[a, r, c] = mean
-                    variance[a, r, c] = own + one_sided * max(_CARRIED * scatter, scatter - _CHANCE * own)
+                    one_sided = (sums[1] ** 2 + sums[2] ** 2) / (total * reach * _HALF_DISC) ** 2
+                    for a in range(2):
+                        mean = sums[3 + a] / total
+                        own = noise * sums[7 + a] / total
+                        scatter = max(sums[5 + a] / total - mean * mean, 0.0)
+                        value[a, r, c] = mean
+                        variance[a, r, c] = own + one_sided * max(_CARRIED * scatter, scatter - _CHANCE * own)
 
 
 def pixel_pitch(xyz: Floats, labels: NDArray[np.int32], quantile: float) -> float:
@@ -242,15 +287,16 @@ def blend_matches(
     variance = np.empty((2, rows, columns))
     footprint = pixel_pitch(xyz, labels, 0.5)
     x, y = points.x[order], points.y[order]
-    at = np.ascontiguousarray(xyz[:, y, x].T)
-    region, warp = points.region[order], np.ascontiguousarray(points.warp[order])
-    own_variance = np.maximum(points.sigma[order], 1e-6) ** 2
+    own_variance = (np.maximum(points.sigma[order], 1e-6) ** 2).T
+    warp = np.zeros((WARP, len(order)))
+    warp[: points.warp.shape[1]] = points.warp[order].T
+    at = xyz[:, y, x]
+    matches = np.concatenate(
+        [[x, y], at, [1.0 / own_variance.sum(axis=0), points.region[order]], own_variance, warp]
+    )
 
     def work(start: int, stop: int) -> None:
-        _blend_rows(
-            start, stop, xyz, labels, footprint, side, first, x, y, region, at, warp, own_variance,
-            reach, noise, value, variance,
-        )  # fmt: skip
+        _blend_rows(start, stop, xyz, labels, footprint, side, first, matches, reach, noise, value, variance)
 
     in_row_blocks(work, rows, threads)
     return value, variance
@@ -258,8 +304,11 @@ def blend_matches(
 
 def _between_regions(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Return which pixels are within two of another region: they may see either, whichever has got them."""
-    low = ndimage.minimum_filter(np.where(labels > 0, labels, np.iinfo(np.int32).max), 5)
-    return np.asarray((labels > 0) & ((low != labels) | (ndimage.maximum_filter(labels, 5) != labels)))
+    import cv2
+
+    square, values = np.ones((5, 5), np.uint8), labels.astype(np.float32)
+    low = cv2.erode(np.where(values > 0.0, values, np.float32(np.inf)), square)
+    return np.asarray((labels > 0) & ((low != values) | (cv2.dilate(values, square) != values)))
 
 
 def displacement_field(
@@ -296,10 +345,12 @@ def displacement_field(
     resolution. The covariance is that of both positions, averaged, plus that of the match, which is not,
     carried through the deformed surface's slope along the image.
     """
-    xyz, labels = reference.position, reference.labels
-    rows, columns = labels.shape
-    y, x = np.mgrid[0:rows, 0:columns]
-    end_x, end_y = x + image[0], y + image[1]
+    rows, columns = reference.labels.shape
+    part = box_of(reference.labels > 0)
+    xyz, labels = reference.position[:, *part], reference.labels[part]
+    image_part, variance, bias = image[:, *part], variance[:, *part], bias[:, *part]
+    y, x = np.mgrid[part]
+    end_x, end_y = x + image_part[0], y + image_part[1]
     end, _, slope = interpolate_in_region(
         deformed.position, deformed.covariance[:0], deformed.labels, end_x, end_y, threads
     )
@@ -307,17 +358,17 @@ def displacement_field(
     status[np.isnan(end[0])] = NO_SHAPE_AT_END
     inside = (end_x >= 0) & (end_y >= 0) & (end_x <= columns - 1) & (end_y <= rows - 1)
     status[~inside] = LEFT_IMAGE
-    status[np.isnan(image[0])] = NO_MATCH_NEAR
+    status[np.isnan(image_part[0])] = NO_MATCH_NEAR
     status[labels == 0] = OUTSIDE_REGION
     # Interpolated noise is smaller but shared by neighbours: in an average it counts as the cloud's own.
     row, column = (np.where(inside, np.rint(np.where(inside, e, 0.0)), 0).astype(int) for e in (end_y, end_x))
-    total = reference.covariance + deformed.covariance[:, row, column]
+    total = reference.covariance[:, *part] + deformed.covariance[:, row, column]
     moved, spread = end - xyz, total
     status[(status == 0) & (np.isnan(total[0]) & (averaging_radius == 0.0))] = NO_SHAPE_AT_END
     if averaging_radius > 0.0:
-        independent = reference.averaged + deformed.averaged[:, row, column]
+        independent = reference.averaged[:, *part] + deformed.averaged[:, row, column]
         moved, spread = average_in_region(
-            moved, total, labels, interior & (status == 0), averaging_radius, threads, independent
+            moved, total, labels, interior[part] & (status == 0), averaging_radius, threads, independent
         )
     apart = np.sum((end - xyz - moved) ** 2, axis=0)
     # Its own end point lies on another surface, or where two mix.
@@ -330,6 +381,17 @@ def displacement_field(
             along = slope[i, axis] * slope[j, axis]
             biased[packed] += along * bias[axis]
             spread[packed] += along * (variance[axis] + bias[axis])
-    for field in (moved, spread, biased, image):
+    for field in (moved, spread, biased, image_part):
         field[:, status != 0] = np.nan
-    return DenseDisplacement(moved, spread, image, biased, status)
+    everywhere = np.full((rows, columns), OUTSIDE_REGION, dtype=np.int32)
+    everywhere[part] = status
+    image[:, everywhere != 0] = np.nan
+    moved, spread, biased = (_in_whole(field, part, (rows, columns)) for field in (moved, spread, biased))
+    return DenseDisplacement(moved, spread, image, biased, everywhere)
+
+
+def _in_whole(field: Floats, part: tuple[slice, slice], shape: tuple[int, int]) -> Floats:
+    """Return a field (.., rows, columns) of a part of an image over the whole of it, NaN beyond."""
+    whole = np.full((*field.shape[:-2], *shape), np.nan, dtype=field.dtype)
+    whole[..., *part] = field
+    return whole

@@ -63,6 +63,32 @@ def test_affine_displacement_is_exact_to_the_last_pixel() -> None:
     assert np.isnan(value[:, labels == 0]).all()
 
 
+@pytest.mark.parametrize("numbers", [6, 12])
+def test_what_is_blended_are_the_weighted_means(rng: np.random.Generator, numbers: int) -> None:
+    """Thesis Eq. (3.21), match by match, where their number and that of cells is no round one."""
+    labels, xyz, radius = two_regions(), surface(), 6
+    on_grid = points_on(labels, AFFINE, step=3)
+    x, y, count = on_grid.x, on_grid.y, len(on_grid.x)
+    warp = rng.normal(size=(count, numbers)) * np.array([1.0, 0.1, 0.1] * 2 + [0.01] * (numbers - 6))
+    sigma = rng.uniform(1e-3, 2e-3, (count, 2))
+    points = ImagePoints(x, y, on_grid.region, warp, sigma)
+    value, _ = blend_matches(points, xyz, labels, radius)
+    reach, footprint = displacement.blending_reach(radius, numbers), pixel_pitch(xyz, labels, 0.5)
+    bent = np.pad(warp, ((0, 0), (0, 12 - numbers)))
+    for r, c in ((0, 0), (25, 37), (31, 41), (59, 69), (15, 22)):
+        dx, dy = c - x, r - y
+        apart = np.sum((xyz[:, r, c] - xyz[:, y, x].T) ** 2, axis=1)
+        d2 = 0.5 * (dx**2 + dy**2 + apart / footprint**2) / reach**2
+        w = np.where((d2 < 1.0) & (points.region == labels[r, c]), (1.0 - d2) ** 2, 0.0) / np.sum(
+            sigma**2, axis=1
+        )
+        terms = np.stack([np.ones(count), dx, dy, 0.5 * dx**2, dx * dy, 0.5 * dy**2], axis=1)
+        each = [np.sum(terms * bent[:, [a, a + 1, a + 2, b, b + 1, b + 2]], 1) for a, b in ((0, 6), (3, 9))]
+        expected = [np.sum(w * one) / np.sum(w) for one in each]
+        # Rounding of a hundred terms.
+        np.testing.assert_allclose(value[:, r, c], expected, rtol=1e-10)
+
+
 def test_curvature_leaves_no_bias(speckle) -> None:
     """First-order subsets of a curved displacement err one way, carrying their gradients the other."""
     size, radius, bend = 128, 10, 4e-4
