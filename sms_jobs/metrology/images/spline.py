@@ -40,6 +40,17 @@ _SLOPE_TAPS: Final[dict[Interpolant, Floats]] = {
 _LONG_RUN = 12  # pixels from which on a run is worth the start of its own loop
 _ONE, _TWO, _THREE, _FOUR, _FIVE = (np.uint64(number) for number in (1, 2, 3, 4, 5))
 _PER_14400 = 1.0 / 14400.0
+_QUINTIC_TAPS = np.array(
+    [
+        [1.0, 26.0, 66.0, 26.0, 1.0, 0.0, 0.0, 0.0],
+        [-5.0, -50.0, 0.0, 50.0, 5.0, 0.0, 0.0, 0.0],
+        [10.0, 20.0, -60.0, 20.0, 10.0, 0.0, 0.0, 0.0],
+        [-10.0, 20.0, 0.0, -20.0, 10.0, 0.0, 0.0, 0.0],
+        [5.0, -20.0, 30.0, -20.0, 5.0, 0.0, 0.0, 0.0],
+        [-1.0, 5.0, -10.0, 10.0, -5.0, 1.0, 0.0, 0.0],
+    ]
+)
+"""120 times the weights of six coefficients at 0 <= a <= 1 past the third: row n has those of a^n."""
 _LANES = 8  # points that one instruction may take
 
 
@@ -78,10 +89,13 @@ def spline_gradient(coefficients: Floats, interpolant: Interpolant = "quintic") 
     Two arrays (rows, columns), in grey levels a pixel.
     """
     value, slope = _VALUE_TAPS[interpolant], _SLOPE_TAPS[interpolant]
-    inner = np.s_[PADDING:-PADDING, PADDING:-PADDING]
-    along_x = ndimage.correlate1d(ndimage.correlate1d(coefficients, slope, 1), value, 0)
-    along_y = ndimage.correlate1d(ndimage.correlate1d(coefficients, slope, 0), value, 1)
-    return np.ascontiguousarray(along_x[inner]), np.ascontiguousarray(along_y[inner])
+    import cv2
+
+    along_x, along_y = (
+        cv2.sepFilter2D(coefficients, -1, x, y)[PADDING:-PADDING, PADDING:-PADDING]
+        for x, y in ((slope, value), (value, slope))
+    )
+    return np.ascontiguousarray(along_x), np.ascontiguousarray(along_y)
 
 
 @inlined
@@ -144,25 +158,19 @@ def _quintic_run(
 
 @summing_kernel
 def _quintic_points(
-    flat: Floats, columns: int, start: int, stop: int, first: Ints, s: Floats, t: Floats, values: Floats
-) -> None:
-    """Fill the values of a quintic at points anywhere: a column of taps at a time, which stay in registers.
+    flat: Floats, columns: int, start: int, stop: int, taps: Floats,
+    first: Ints, s: Floats, t: Floats, values: Floats,
+) -> None:  # fmt: skip
+    """Fill the values of a quintic at points anywhere, of each all columns of taps at a time.
 
-    Indices are unsigned so that no negative one needs a check.
+    `taps` are `_QUINTIC_TAPS`: six weights and two zeros are what one instruction takes, where neighbours'
+    coefficients would have to be gathered one by one. Indices are unsigned so that no negative one needs a
+    check.
     """
     down = np.uint64(columns)
     for index in range(start, stop):
         k = np.uint64(index)
         a = s[k]
-        a2 = a * a
-        a3 = a2 * a
-        a4 = a2 * a2
-        c5 = a4 * a
-        c0 = 1.0 - 5.0 * a + 10.0 * a2 - 10.0 * a3 + 5.0 * a4 - c5
-        c1 = 26.0 - 50.0 * a + 20.0 * a2 + 20.0 * a3 - 20.0 * a4 + 5.0 * c5
-        c2 = 66.0 - 60.0 * a2 + 30.0 * a4 - 10.0 * c5
-        c4 = 1.0 + 5.0 * a + 10.0 * a2 + 10.0 * a3 + 5.0 * a4 - 5.0 * c5
-        c3 = 120.0 - c0 - c1 - c2 - c4 - c5
         b = t[k]
         b2 = b * b
         b3 = b2 * b
@@ -173,18 +181,21 @@ def _quintic_points(
         d2 = 66.0 - 60.0 * b2 + 30.0 * b4 - 10.0 * d5
         d4 = 1.0 + 5.0 * b + 10.0 * b2 + 10.0 * b3 + 5.0 * b4 - 5.0 * d5
         d3 = 120.0 - d0 - d1 - d2 - d4 - d5
-        total = 0.0
         p0 = np.uint64(first[k])
-        for c in (c0, c1, c2, c3, c4, c5):
-            p1 = p0 + down
-            p2 = p1 + down
-            p3 = p2 + down
-            p4 = p3 + down
-            p5 = p4 + down
-            total += c * (
-                d0 * flat[p0] + d1 * flat[p1] + d2 * flat[p2] + d3 * flat[p3] + d4 * flat[p4] + d5 * flat[p5]
-            )
-            p0 += _ONE
+        p1 = p0 + down
+        p2 = p1 + down
+        p3 = p2 + down
+        p4 = p3 + down
+        p5 = p4 + down
+        total = 0.0
+        # The last coefficients of all have none behind them.
+        for column in range(min(taps.shape[1], flat.size - np.int64(p5))):
+            i = np.uint64(column)
+            c = taps[4, i] + a * taps[5, i]
+            c = taps[0, i] + a * (taps[1, i] + a * (taps[2, i] + a * (taps[3, i] + a * c)))
+            near = d0 * flat[p0 + i] + d1 * flat[p1 + i] + d2 * flat[p2 + i]
+            far = d3 * flat[p3 + i] + d4 * flat[p4 + i] + d5 * flat[p5 + i]
+            total += c * (near + far)
         values[k] = total * _PER_14400
 
 
@@ -267,10 +278,10 @@ def spline_values(
             stop += 1
         n = stop - start
         if n >= _LONG_RUN:
-            _quintic_points(flat, columns, scattered, start, first, s, t, values)
+            _quintic_points(flat, columns, scattered, start, _QUINTIC_TAPS, first, s, t, values)
             scattered = stop
             # Some points more fill the last instruction: they belong to what follows, and are done again.
             more = min(start + -(-n // _LANES) * _LANES, count, start + last - first[start])
             _quintic_run(flat, columns, first[start], start, max(more, stop), s, t, values)
         start = stop
-    _quintic_points(flat, columns, scattered, count, first, s, t, values)
+    _quintic_points(flat, columns, scattered, count, _QUINTIC_TAPS, first, s, t, values)

@@ -107,3 +107,23 @@ def test_slopes_of_the_local_cubic_are_those_of_a_quartic(rng: np.random.Generat
     # Rounding: eight products near 10 over 12.
     np.testing.assert_allclose(along_x[inner], (0.1 * (1.0 + 4.0 * x**3 - 6.0 * x * y**2))[inner], atol=1e-12)
     np.testing.assert_allclose(along_y[inner], (0.1 * (1.5 * y**2 - 2.0 - 6.0 * x**2 * y))[inner], atol=1e-12)
+
+
+def test_the_last_coefficients_of_all_are_enough(rng: np.random.Generator) -> None:
+    """One instruction takes more columns than a quintic has taps: beyond the last row there are none."""
+    image = rng.uniform(0.0, 4095.0, (30, 40))
+    coefficients = spline_coefficients(image)
+    # What a look beyond the coefficients would meet.
+    inside = np.concatenate([coefficients.ravel(), np.full(8, np.nan)])[: coefficients.size]
+    rows, columns = coefficients.shape
+    first = np.array([(rows - 6) * columns + columns - 6, (rows - 6) * columns + columns - 7])
+    found, s, t = np.empty(2), np.array([0.3, 0.6]), np.array([0.7, 0.2])
+    spline_values(inside.reshape(rows, columns), KERNEL_CODE["quintic"], 2, first, s, t, found)
+    weights = [BSpline.basis_element(np.arange(-3.0, 4.0))(np.arange(2.0, -4.0, -1.0) + a) for a in s]
+    across = np.nan_to_num(weights)
+    down = np.nan_to_num(
+        [BSpline.basis_element(np.arange(-3.0, 4.0))(np.arange(2.0, -4.0, -1.0) + b) for b in t]
+    )
+    taps = [coefficients[-6:, -6:], coefficients[-6:, -7:-1]]
+    expected = [down[k] @ taps[k] @ across[k] for k in range(2)]
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
