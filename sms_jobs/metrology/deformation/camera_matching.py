@@ -19,7 +19,6 @@ from sms_jobs.metrology.deformation.correlation import (
     Noise,
     PreparedImages,
     match_points,
-    prepare_images,
 )
 from sms_jobs.metrology.deformation.epipolar_search import FoundSeeds, Width, best_of, search_along_rays
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, Seeds, spread_matches
@@ -112,7 +111,7 @@ def match_cameras(
             known = _matched_of(result)
             result = spread_matches(images, nodes, seeds, settings, grid, threads, known=known)
     refuse_misfits(result.matches)
-    missed, allowed = _way_back(reference, partner, result, settings, threads)
+    missed, allowed = _way_back(images, result, settings, threads)
     with np.errstate(invalid="ignore"):
         result.matches.ending[missed > allowed] = NOT_CONVERGED
     return result
@@ -169,11 +168,7 @@ def _first_matches(
 
 
 def _way_back(
-    reference: TexturedCamera,
-    partner: TexturedCamera,
-    found: GridMatches,
-    settings: MatchSettings,
-    threads: int,
+    images: PreparedImages, found: GridMatches, settings: MatchSettings, threads: int
 ) -> tuple[Floats, Floats]:
     """Match smaller subsets of the partner with the reference image; return by how many px they miss nodes.
 
@@ -186,7 +181,7 @@ def _way_back(
     warp = found.matches.warp[matched]
     start = np.stack([found.x[matched], found.y[matched]], axis=1).astype(np.float64)
     place = start + warp[:, [0, 3]]
-    rows, columns = partner.texture.shape
+    rows, columns = images.deformed.shape
     pixel = np.clip(np.rint(place), 0, [columns - 1, rows - 1]).astype(np.int64)
     slope = np.stack([1.0 + warp[:, 1], warp[:, 2], warp[:, 4], 1.0 + warp[:, 5]], axis=1).reshape(-1, 2, 2)
     back = np.linalg.inv(slope)
@@ -196,10 +191,9 @@ def _way_back(
         [home[:, 0], back[:, 0, 0] - 1.0, back[:, 0, 1], home[:, 1], back[:, 1, 0], back[:, 1, 1] - 1.0],
         axis=1,
     )
-    everywhere = np.ones(partner.texture.shape, dtype=np.int32)
-    images = prepare_images(partner.texture, reference.texture, everywhere, (partner.noise, reference.noise))
     smaller = replace(settings, radius=max(5, round(_RETURN_RADIUS * settings.radius)), shape_order=1)
-    again: Matches = match_points(images, pixel[:, 0].copy(), pixel[:, 1].copy(), guess, smaller, threads)
+    x, y = (np.ascontiguousarray(values) for values in pixel.T)
+    again: Matches = match_points(images.way_back(), x, y, guess, smaller, threads)
     there = carried(again.warp, *(place - pixel).T)
     distance = np.hypot(*(place + there[:, [0, 3]] - start).T)
     distance[np.isin(again.ending, (LEFT_IMAGE, NOT_CONVERGED))] = np.inf

@@ -80,16 +80,44 @@ class MatchSettings:
 
 @dataclass(frozen=True)
 class PreparedImages:
-    """A reference and a deformed image, ready to be matched at any number of points."""
+    """A reference and a deformed image, ready to be matched at any number of points.
+
+    Attributes
+    ----------
+    reference, deformed
+        (rows, columns), in grey levels.
+    gradient_x, gradient_y
+        Slopes of the reference image at its pixels, in grey levels a pixel.
+    coefficients, reference_coefficients
+        Of the splines through the deformed and the reference image.
+    labels
+        (rows, columns), continuous regions of the reference image, 0 for none.
+    noise
+        Of the reference and of the deformed image.
+    interpolant
+        The kind of the splines.
+    """
 
     reference: Floats
     gradient_x: Floats
     gradient_y: Floats
     deformed: Floats
     coefficients: Floats
+    reference_coefficients: Floats
     labels: NDArray[np.int32]
     noise: tuple[Noise, Noise]
     interpolant: Interpolant
+
+    def way_back(self) -> PreparedImages:
+        """Return the images the other way round, to match the deformed one, all of which is one region."""
+        everywhere = np.ones(self.deformed.shape, dtype=np.int32)
+        return _prepared(
+            (self.deformed, self.coefficients),
+            (self.reference, self.reference_coefficients),
+            everywhere,
+            self.noise[::-1],
+            self.interpolant,
+        )
 
 
 @dataclass(frozen=True)
@@ -142,16 +170,24 @@ def prepare_images(
     interpolant
         Between the pixels of the deformed image; the slopes of the reference image are its own.
     """
-    gradient_x, gradient_y = spline_gradient(spline_coefficients(reference, interpolant), interpolant)
+    first, second = (
+        (np.ascontiguousarray(image, dtype=np.float64), spline_coefficients(image, interpolant))
+        for image in (reference, deformed)
+    )
+    return _prepared(first, second, np.ascontiguousarray(labels, dtype=np.int32), noise, interpolant)
+
+
+def _prepared(
+    reference: tuple[Floats, Floats],
+    deformed: tuple[Floats, Floats],
+    labels: Labels,
+    noise: tuple[Noise, Noise],
+    interpolant: Interpolant,
+) -> PreparedImages:
+    """Return two images, each with the coefficients of its spline, ready to be matched."""
+    slopes = spline_gradient(reference[1], interpolant)
     return PreparedImages(
-        np.ascontiguousarray(reference, dtype=np.float64),
-        gradient_x,
-        gradient_y,
-        np.ascontiguousarray(deformed, dtype=np.float64),
-        spline_coefficients(deformed, interpolant),
-        np.ascontiguousarray(labels, dtype=np.int32),
-        noise,
-        interpolant,
+        reference[0], *slopes, deformed[0], deformed[1], reference[1], labels, noise, interpolant
     )
 
 

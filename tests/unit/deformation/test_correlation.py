@@ -270,3 +270,12 @@ def test_what_cannot_be_matched_says_why(
     assert found.ending[0] == ending or (ending == correlation.NOT_CONVERGED and found.score[0] < 0.8)
     if ending != correlation.NOT_CONVERGED:
         assert np.isnan(found.sigma).all()
+
+
+def test_the_way_back_is_that_of_images_prepared_the_other_way_round(rng: np.random.Generator) -> None:
+    first, second = rng.uniform(0.0, 4095.0, (2, 40, 50))
+    noise = (Noise(4.0, 0.1), Noise(9.0, 0.2))
+    back = prepare_images(first, second, np.zeros((40, 50), np.int32), noise).way_back()
+    expected = prepare_images(second, first, np.ones((40, 50), np.int32), noise[::-1])
+    for name, value in vars(expected).items():
+        np.testing.assert_array_equal(getattr(back, name), value)
