@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel
-from sms_jobs.metrology.deformation.normal_matrix import invert
 from sms_jobs.metrology.geometry.camera import Camera, project, ray_directions
 from sms_jobs.metrology.geometry.lens_kernels import by_point, distorted, undistorted
 from sms_jobs.metrology.geometry.triangulation import closest, turned
@@ -23,7 +22,13 @@ from sms_jobs.metrology.geometry.triangulation import closest, turned
 Floats: TypeAlias = NDArray[np.float64]
 
 _STEPS = 3
-"""Of Gauss-Newton from the closest approach of two rays: each squares what is left of hundredths of a px."""
+"""Of Gauss-Newton from the closest approach of two rays, at most; each squares what is left of hundredths of
+a px."""
+_STILL = 1e-3
+"""Standard deviations of a match, below which a step is the last: where rays miss each other by a pixel, a
+thousandth of a focal length, the next one would be a thousandth of it."""
+_SINGULAR = 1e-9
+"""Part of what the images say of a depth that may be left beside what they say of the matches."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,7 @@ class SeenPoints:
     freedom: NDArray[np.int32]
 
 
-@kernel
+@inlined
 def _seen_from(turn: Floats, shift: Floats, lens: Floats, x: float, y: float, z: float, out: Floats) -> bool:
     """Fill out (2 + 6) with the pixel of a point of the world and its derivatives; say if it is in front."""
     a = turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + shift[0]
@@ -72,7 +77,7 @@ def _seen_from(turn: Floats, shift: Floats, lens: Floats, x: float, y: float, z:
     return True
 
 
-@kernel
+@inlined
 def _first_depth(
     direction: tuple[float, float, float],
     centre: Floats,
@@ -98,7 +103,7 @@ def _is_seen(places: Floats, sigma: Floats, k: int, i: int) -> bool:
     return bool(np.isfinite(places[k, 0, i]) and sigma[k, 0, i] > 0.0 and sigma[k, 1, i] > 0.0)
 
 
-@kernel
+@inlined
 def _own_variance(places: Floats, sigma: Floats, i: int) -> tuple[int, float]:
     """Return how many partners see a point, and the reference image's part of a match's variance, px^2."""
     count, own = 0, 0.0
@@ -107,6 +112,27 @@ def _own_variance(places: Floats, sigma: Floats, i: int) -> tuple[int, float]:
             own += 0.25 * (sigma[k, 0, i] ** 2 + sigma[k, 1, i] ** 2)
             count += 1
     return count, own / max(count, 1)
+
+
+@inlined
+def _solved(
+    aa: float, ab: float, az: float, bb: float, bz: float, zz: float, ra: float, rb: float, rz: float
+) -> tuple[float, float, float, float]:
+    """Solve normal equations in (a, b, depth), given by their upper triangle and their right side.
+
+    The last number is the variance of the depth, NaN where they say nothing of it.
+    """
+    # The depth comes last, so that what is left of its diagonal is one over its variance.
+    mixed, lever = ab / aa, az / aa
+    left_b = bb - mixed * ab
+    cross = bz - mixed * az
+    other = cross / left_b
+    left_z = zz - lever * az - other * cross
+    variance = 1.0 / left_z if left_z > _SINGULAR * zz else np.nan
+    rest_b = rb - mixed * ra
+    step_z = (rz - lever * ra - other * rest_b) * variance
+    step_b = rest_b / left_b - other * step_z
+    return ra / aa - mixed * step_b - lever * step_z, step_b, step_z, variance
 
 
 @kernel
@@ -123,8 +149,6 @@ def _meet_block(
     """
     turn, centre, lens = reference
     inner, seen = np.empty(6), np.empty(8)
-    normal, inverse, right, step = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
-    row = np.empty(3)
     for i in range(start, stop):
         depth = np.nan
         count, own = _own_variance(places, sigma, i)
@@ -136,23 +160,21 @@ def _meet_block(
         for k in range(len(lenses)):
             if np.isnan(depth) and np.isfinite(places[k, 0, i]):
                 depth, gap[i] = _first_depth(
-                    d, centre, turns[k], pin_holes[k], lenses[k], places[k, :, i].copy(), inner
+                    d, centre, turns[k], pin_holes[k], lenses[k], places[k, :, i], inner
                 )
-        a, b, chi = 0.0, 0.0, np.nan
+        a, b, chi, variance = 0.0, 0.0, np.nan, np.nan
         for _ in range(_STEPS):
-            normal[:] = 0.0
-            right[:] = 0.0
-            normal[1, 1] = normal[2, 2] = 1.0 / own
-            right[1], right[2] = -a / own, -b / own
+            # Of the normal equations in (a, b, depth) the upper triangle and the right side.
+            aa = bb = 1.0 / own
+            ab, az, bz, zz = 0.0, 0.0, 0.0, 0.0
+            ra, rb, rz = -a / own, -b / own, 0.0
             chi = (a * a + b * b) / own
             for k in range(len(lenses)):
                 if not _is_seen(places, sigma, k, i):
                     continue
-                ray0, ray1, ray2 = (
-                    d[0] + a * across[0] + b * down[0],
-                    d[1] + a * across[1] + b * down[1],
-                    d[2] + a * across[2] + b * down[2],
-                )
+                ray0 = d[0] + a * across[0] + b * down[0]
+                ray1 = d[1] + a * across[1] + b * down[1]
+                ray2 = d[2] + a * across[2] + b * down[2]
                 if not _seen_from(
                     turns[k], shifts[k], lenses[k],
                     centre[0] + depth * ray0, centre[1] + depth * ray1, centre[2] + depth * ray2, seen,
@@ -161,24 +183,30 @@ def _meet_block(
                     break
                 for axis in range(2):
                     j = 2 + 3 * axis
-                    row[0] = seen[j] * ray0 + seen[j + 1] * ray1 + seen[j + 2] * ray2
-                    row[1] = depth * (seen[j] * across[0] + seen[j + 1] * across[1] + seen[j + 2] * across[2])
-                    row[2] = depth * (seen[j] * down[0] + seen[j + 1] * down[1] + seen[j + 2] * down[2])
+                    by_z = seen[j] * ray0 + seen[j + 1] * ray1 + seen[j + 2] * ray2
+                    by_a = depth * (seen[j] * across[0] + seen[j + 1] * across[1] + seen[j + 2] * across[2])
+                    by_b = depth * (seen[j] * down[0] + seen[j + 1] * down[1] + seen[j + 2] * down[2])
                     weight = 2.0 / sigma[k, axis, i] ** 2
                     off = places[k, axis, i] - seen[axis]
                     chi += weight * off * off
-                    for m in range(3):
-                        right[m] += weight * off * row[m]
-                        for n in range(3):
-                            normal[m, n] += weight * row[m] * row[n]
-            if not np.isfinite(chi) or not invert(normal, inverse):
+                    ra += weight * off * by_a
+                    rb += weight * off * by_b
+                    rz += weight * off * by_z
+                    aa += weight * by_a * by_a
+                    ab += weight * by_a * by_b
+                    az += weight * by_a * by_z
+                    bb += weight * by_b * by_b
+                    bz += weight * by_b * by_z
+                    zz += weight * by_z * by_z
+            step_a, step_b, step_z, variance = _solved(aa, ab, az, bb, bz, zz, ra, rb, rz)
+            if not (np.isfinite(chi) and variance > 0.0):
                 chi = np.nan
                 break
-            for m in range(3):
-                step[m] = inverse[m, 0] * right[0] + inverse[m, 1] * right[1] + inverse[m, 2] * right[2]
-            depth += step[0]
-            a += step[1]
-            b += step[2]
+            depth += step_z
+            a += step_a
+            b += step_b
+            if aa * step_a**2 + bb * step_b**2 + zz * step_z**2 < _STILL**2:
+                break
         if not (np.isfinite(chi) and depth > 0.0):
             gap[i] = np.nan
             continue
@@ -187,7 +215,7 @@ def _meet_block(
         for m in range(3):
             xyz[m, i] = centre[m] + depth * d[m]
             for n in range(m, 3):
-                covariance[at, i] = inverse[0, 0] * d[m] * d[n]
+                covariance[at, i] = variance * d[m] * d[n]
                 at += 1
 
 
