@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 
@@ -57,45 +57,55 @@ def pixel_footprint(xyz: Floats, intrinsics: Intrinsics, pose: Pose) -> Floats:
     return np.asarray(depth * (2.0 / (intrinsics.fx + intrinsics.fy)))
 
 
-@kernel
+@inlined
 def _slope(
-    xyz: Floats, valid: Mask, start: tuple[int, int, int, int], first: int, last: int, slope: Floats
-) -> float:
-    """Fit a line to the valid pixels at start + k direction, k = first .. last; return |d(xyz)/dk|.
+    xyz: Floats, valid: Mask, start: tuple[int, int, int, int], first: int, last: int
+) -> tuple[float, float, float]:
+    """Fit a line to the valid pixels at start + k direction, k = first .. last; return d(xyz)/dk.
 
-    `start` is (row, column, row step, column step). NaN with fewer than two valid pixels.
+    `start` is (row, column, row step, column step), of which the pixel is valid. NaN without another one.
     """
     row, column, down, right = start
+    x0, y0, z0 = xyz[0, row, column], xyz[1, row, column], xyz[2, row, column]
     n, sum_k, sum_kk = 0.0, 0.0, 0.0
+    x, y, z, kx, ky, kz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(first, last + 1):
         r, c = row + k * down, column + k * right
         if 0 <= r < valid.shape[0] and 0 <= c < valid.shape[1] and valid[r, c]:
             n += 1.0
             sum_k += k
             sum_kk += k * k
-    spread = n * sum_kk - sum_k * sum_k
-    if n < 2.0:
-        return np.nan
-    slope[:] = 0.0
-    for k in range(first, last + 1):
-        r, c = row + k * down, column + k * right
-        if 0 <= r < valid.shape[0] and 0 <= c < valid.shape[1] and valid[r, c]:
-            for i in range(3):
-                slope[i] += (n * k - sum_k) / spread * xyz[i, r, c]
-    return sqrt(slope[0] * slope[0] + slope[1] * slope[1] + slope[2] * slope[2])
+            dx, dy, dz = xyz[0, r, c] - x0, xyz[1, r, c] - y0, xyz[2, r, c] - z0
+            x += dx
+            y += dy
+            z += dz
+            kx += k * dx
+            ky += k * dy
+            kz += k * dz
+    per_spread = 1.0 / (n * sum_kk - sum_k * sum_k) if n > 1.0 else np.nan
+    return (
+        (n * kx - sum_k * x) * per_spread,
+        (n * ky - sum_k * y) * per_spread,
+        (n * kz - sum_k * z) * per_spread,
+    )
+
+
+@inlined
+def _length(x: float, y: float, z: float) -> float:
+    return sqrt(x * x + y * y + z * z)
 
 
 @kernel
 def _gradient_rows(
     xyz: Floats, valid: Mask, half_width: int, start: int, stop: int, gradient: Floats
 ) -> None:
-    slope = np.empty(3)
     for row in range(start, stop):
         for column in range(valid.shape[1]):
+            if not valid[row, column]:
+                continue
             for axis in range(2):
-                if valid[row, column]:
-                    line = (row, column, axis, 1 - axis)
-                    gradient[axis, row, column] = _slope(xyz, valid, line, -half_width, half_width, slope)
+                x, y, z = _slope(xyz, valid, (row, column, axis, 1 - axis), -half_width, half_width)
+                gradient[axis, row, column] = _length(x, y, z)
 
 
 def surface_gradient(xyz: Floats, valid: Mask, half_width: int = 2, threads: int = 1) -> Floats:
@@ -133,29 +143,30 @@ def _mark_jumps(
     jump: Mask,
 ) -> None:
     """Mark both pixels of every pair of neighbours that no crease explains."""
-    before, after = np.zeros(3), np.zeros(3)
     rows, columns = valid.shape
     for row in range(rows):
         for column in range(columns):
+            if not valid[row, column]:
+                continue
             for d in range(len(directions)):
-                down, right = directions[d]
+                down, right = directions[d, 0], directions[d, 1]
                 r, c = row + down, column + right
-                if not (r < rows and 0 <= c < columns and valid[row, column] and valid[r, c]):
+                if not (r < rows and 0 <= c < columns and valid[r, c]):
                     continue
-                this, other = (row, column, down, right), (r, c, down, right)
-                steep_before = _slope(xyz, valid, this, -half_width, 0, before)
-                steep_after = _slope(xyz, valid, other, 0, half_width, after)
-                one_sided = not (steep_before >= 0.0 and steep_after >= 0.0)
-                square = 0.0
-                for i in range(3):
-                    gap = xyz[i, r, c] - xyz[i, row, column]
-                    if not one_sided:
-                        gap -= 0.5 * (before[i] + after[i])
-                    square += gap * gap
-                allowed = limit[row, column] * np.sqrt(float(down * down + right * right))
-                if not one_sided:
-                    allowed = min(allowed, _CREASE * max(steep_before, steep_after))
-                if np.sqrt(square) > allowed + _NOISE * max(sigma[row, column], sigma[r, c]):
+                gap_x = xyz[0, r, c] - xyz[0, row, column]
+                gap_y = xyz[1, r, c] - xyz[1, row, column]
+                gap_z = xyz[2, r, c] - xyz[2, row, column]
+                allowed = limit[row, column] * sqrt(float(down * down + right * right))
+                x, y, z = _slope(xyz, valid, (row, column, down, right), -half_width, 0)
+                after_x, after_y, after_z = _slope(xyz, valid, (r, c, down, right), 0, half_width)
+                if np.isfinite(x) and np.isfinite(after_x):
+                    steeper = max(_length(x, y, z), _length(after_x, after_y, after_z))
+                    allowed = min(allowed, _CREASE * steeper)
+                    gap_x -= 0.5 * (x + after_x)
+                    gap_y -= 0.5 * (y + after_y)
+                    gap_z -= 0.5 * (z + after_z)
+                gap = _length(gap_x, gap_y, gap_z)
+                if gap > allowed + _NOISE * max(sigma[row, column], sigma[r, c]):
                     jump[row, column] = True
                     jump[r, c] = True
 
