@@ -1,4 +1,4 @@
-"""First guesses of the image displacement, to a pixel, by masked cross-correlation in the Fourier domain."""
+"""First guesses of the image displacement, to a pixel, by masked cross-correlation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage
+from scipy import ndimage
 
 from sms_jobs.metrology.compilation import in_row_blocks
 
@@ -68,19 +68,13 @@ def masked_correlation(
 
     Notes
     -----
-    Thesis Eq. (3.10)-(3.13), normalised for the mask as in Padfield 2012, Eq. (8)-(20). The transforms
-    are padded with zeros to the image's size, so no lag that is returned wraps round.
+    Thesis Eq. (3.10)-(3.13), normalised for the mask as in Padfield 2012, Eq. (8)-(20). Sums are
+    made in the Fourier domain where the template is large.
     """
-    lags = (image.shape[0] - template.shape[0] + 1, image.shape[1] - template.shape[1] + 1)
-    size = tuple(fft.next_fast_len(n, real=True) for n in image.shape)
+    import cv2
 
-    def transform(values: NDArray[np.float32]) -> NDArray[np.complex64]:
-        spectrum: NDArray[np.complex64] = fft.rfft2(values, size)
-        return spectrum
-
-    def correlate(a: NDArray[np.complex64], b: NDArray[np.complex64]) -> NDArray[np.float32]:
-        lagged: NDArray[np.float32] = fft.irfft2(np.conj(a) * b, size)
-        return lagged[: lags[0], : lags[1]]
+    def correlate(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.asarray(cv2.matchTemplate(b, a, cv2.TM_CCORR), dtype=np.float32)
 
     # Means are removed first: in single precision the differences below would lose small contrasts.
     m1 = template_mask.astype(np.float32)
@@ -88,16 +82,20 @@ def masked_correlation(
     count1 = max(float(m1.sum()), 1.0)
     f = np.where(template_mask, template - np.sum(template * m1) / count1, 0.0).astype(np.float32)
     g = np.where(image_mask, image - np.sum(image * m2) / max(float(m2.sum()), 1.0), 0.0).astype(np.float32)
-    one, two, f1, g1 = transform(m1), transform(m2), transform(f), transform(g)
-    overlap = np.maximum(correlate(one, two), 1.0)
-    sum_f, sum_g = correlate(f1, two), correlate(one, g1)
-    var_f = correlate(transform(f * f), two) - sum_f**2 / overlap
-    var_g = correlate(one, transform(g * g)) - sum_g**2 / overlap
+    squares = f * f
+    if image_mask.all():
+        # Every lag has the whole template, whose mean is 0.
+        overlap, sum_f, ff = (np.asarray(v, np.float32) for v in (count1, 0.0, np.sum(squares)))
+    else:
+        overlap = np.maximum(np.rint(correlate(m1, m2)), 1.0)  # a number of pixels
+        sum_f, ff = correlate(f, m2), correlate(squares, m2)
+    sum_g = correlate(m1, g)
+    var_f, var_g = ff - sum_f**2 / overlap, correlate(m1, g * g) - sum_g**2 / overlap
     product = var_f * var_g
-    enough = overlap >= _LEAST_OVERLAP * count1
+    met = overlap >= _LEAST_OVERLAP * count1
     # A patch without contrast has a variance of rounding errors alone, which must not be divided by.
-    enough &= product > 1e-8 * float(np.sum(f * f)) * float(np.sum(g * g))
-    correlation = correlate(f1, g1) - sum_f * sum_g / overlap
+    enough = met & (product > 1e-8 * float(np.sum(squares)) * float(np.sum(g * g)))
+    correlation = correlate(f, g) - sum_f * sum_g / overlap
     return np.where(enough, correlation / np.sqrt(np.where(enough, product, 1.0)), np.float32(-1.0))
 
 

@@ -15,9 +15,10 @@ from sms_jobs.metrology.deformation.seeding import (
 )
 
 
-def test_masked_correlation_is_the_slow_reference(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("missing", [0.1, 0.0])
+def test_masked_correlation_is_the_slow_reference(rng: np.random.Generator, missing: float) -> None:
     template, image = rng.uniform(0.0, 4095.0, (9, 11)), rng.uniform(0.0, 4095.0, (20, 24))
-    own, searched = rng.random((9, 11)) > 0.3, rng.random((20, 24)) > 0.1
+    own, searched = rng.random((9, 11)) > 0.3, rng.random((20, 24)) >= missing
     found = masked_correlation(template, own, image, searched)
     assert found.shape == (12, 14)
     for j in range(12):
