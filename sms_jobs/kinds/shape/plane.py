@@ -88,7 +88,7 @@ def run(inputs: Inputs, parameters: PlaneParameters, progress: Progress) -> Iter
 KIND = Kind(
     name="plane",
     summary="the image of a camera alone as a surface: where the specimen is, and how large a pixel",
-    version=1,
+    version=2,
     scope=Scope.TUPLE,
     parameters=PlaneParameters,
     inputs=(_FRAMES,),
