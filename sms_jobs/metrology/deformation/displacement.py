@@ -347,7 +347,7 @@ def displacement_field(
     """
     rows, columns = reference.labels.shape
     part = box_of(reference.labels > 0)
-    xyz, labels = reference.position[:, *part], reference.labels[part]
+    xyz, labels = reference.position[:, *part], np.ascontiguousarray(reference.labels[part])
     image_part, variance, bias = image[:, *part], variance[:, *part], bias[:, *part]
     y, x = np.mgrid[part]
     end_x, end_y = x + image_part[0], y + image_part[1]
