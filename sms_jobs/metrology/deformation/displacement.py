@@ -306,6 +306,8 @@ def _between_regions(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Return which pixels are within two of another region: they may see either, whichever has got them."""
     import cv2
 
+    if not labels.size:  # nothing was measured, and OpenCV takes no empty image
+        return np.zeros(labels.shape, dtype=bool)
     square, values = np.ones((5, 5), np.uint8), labels.astype(np.float32)
     low = cv2.erode(np.where(values > 0.0, values, np.float32(np.inf)), square)
     return np.asarray((labels > 0) & ((low != values) | (cv2.dilate(values, square) != values)))
