@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import redis
 import sqlalchemy
+from argon2 import PasswordHasher
 from support import catalogues
 
 # Deadlines would time the tests on a busy machine; fixed seeds make a failure repeat itself.
@@ -52,6 +53,13 @@ def _settings_of_the_developer_do_not_matter(monkeypatch: pytest.MonkeyPatch) ->
         if name.startswith("SMS_") and not name.startswith("SMS_TEST_"):
             monkeypatch.delenv(name)
     monkeypatch.setenv("MPLBACKEND", "Agg")
+
+
+@pytest.fixture(autouse=True)
+def _passwords_cost_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A hash is to cost tenths of a second and 64 MB, and tests make hundreds. Services hash as always.
+    quick = PasswordHasher(time_cost=1, memory_cost=1024, parallelism=1)
+    monkeypatch.setattr("sms_jobs.app.people._hasher", lambda: quick)
 
 
 @pytest.fixture
