@@ -123,6 +123,7 @@ def _calibrations(calibration: Calibration, draws: int, rng: np.random.Generator
     nothing = np.zeros(len(uncertainty.covariance))
     for _ in range(draws):
         steps = rng.multivariate_normal(nothing, uncertainty.covariance, method="eigh")
+        steps[np.diag(uncertainty.covariance) == 0.0] = 0.0  # but for rounding, as the sort of a lens must be
         yield {"calibration": moved(calibration, names, steps), "uncertainty": uncertainty}
 
 
