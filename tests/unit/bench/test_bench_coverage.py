@@ -11,11 +11,19 @@ import pytest
 from sms_jobs.bench.figures import Condition, Figure, Run
 from sms_jobs.bench.groups import coverage
 from sms_jobs.bench.truth_pairs import pairs
-from sms_jobs.virtual_rig.campaigns import small_plate
+from sms_jobs.virtual_rig.campaigns import small_plate, top_hat_bending
 
 
 def test_a_share_is_that_within_two_deviations() -> None:
     assert coverage._share(np.array([0.0, 1.9, -2.1, 3.0])) == 0.5
+
+
+def test_drawn_calibrations_are_off_in_what_they_do_not_know_alone(rng: np.random.Generator) -> None:
+    exact, _ = top_hat_bending("top-hat", "small")
+    (known,) = coverage._calibrations(exact, 1, rng)
+    for before, after in zip(exact.rig.sensors, known["calibration"].rig.sensors, strict=True):
+        assert after.intrinsics.fisheye == before.intrinsics.fisheye
+        assert after.intrinsics.fx != before.intrinsics.fx
 
 
 def test_strata_of_a_plate_and_of_a_camera_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
