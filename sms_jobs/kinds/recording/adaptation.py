@@ -69,10 +69,6 @@ class Outlook:
     full_scale: int
     projector: Pixels
 
-    def exposures(self, longest: float) -> tuple[float, ...]:
-        """Return the fewest exposures that serve every lit pixel, up to the longest; see `exposure_set`."""
-        return exposure_set(self.brightness, self.full_scale, longest=longest)
-
     def dimming(self, exposure: float) -> NDArray[np.float32]:
         """Return factors for the projector's pixels, (rows, columns), so that one exposure serves all."""
         factor = projector_dimming(

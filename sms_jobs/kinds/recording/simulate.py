@@ -25,7 +25,7 @@ from sms_jobs.kinds.kind import (
     no_needs,
 )
 from sms_jobs.kinds.products import MEASURED
-from sms_jobs.kinds.recording.adaptation import QUICK, Adaptive, adaptation_statistics, outlook
+from sms_jobs.kinds.recording.adaptation import QUICK, Adaptive, adaptation_statistics, adapted
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.measurement import FringeSequence, Measurement
@@ -154,11 +154,10 @@ def _recorded(
     if not seen_by.projectors:
         return rig.record(view, task.sequence)  # a lamp stays as it is
     projector = task.scene.rig.sensor(seen_by.projector)
-    seen = outlook(rig.record(view, QUICK), projector, threads)
-    if parameters.adaptive == "exposures":
-        chosen = seen.exposures(parameters.longest_exposure)
-        return rig.record(view, replace(task.sequence, exposures=chosen))
-    return rig.record(view, task.sequence, seen.dimming(max(task.sequence.exposures)))
+    quick = rig.record(view, QUICK)
+    adaptive, longest = parameters.adaptive, parameters.longest_exposure
+    shown = adapted(adaptive, longest, task.sequence, projector, [quick], threads)
+    return rig.record(view, shown.sequence, shown.dimming)
 
 
 def _statistics(measurement: Measurement) -> dict[str, float]:
