@@ -14,7 +14,7 @@ from sms_jobs.kinds.shape.streaming import in_best_exposure, sampled
 from sms_jobs.metrology.phase.gray_code import gradient_of_stripes, read_stripes
 from sms_jobs.metrology.phase.joint_fit import JointCode, with_transfer
 from sms_jobs.metrology.phase.temporal_unwrapping import CoarseGradient
-from sms_jobs.records.measurement import Measurement
+from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.subject import Subject
 
 _DOUBT = 3.0  # standard deviations of the noise from the threshold, within which a bit may be misread
@@ -49,18 +49,19 @@ def joint_codes(measurement: Measurement) -> tuple[JointCode, ...]:
     sequence = measurement.sequence
     if not sequence.joint:
         return ()
-    told, levels = _told_code(measurement), measurement.grey_levels
+    told, levels = told_code(sequence, offsets_of(measurement)), measurement.grey_levels
     some, _ = in_best_exposure(measurement, sampled(measurement.frames, _ROWS, _COLUMNS))
     each = range(len(sequence.orientations_rad))
     return tuple(with_transfer(some[sequence.frames_of(k)], told, levels) for k in each)
 
 
-def _told_code(measurement: Measurement) -> JointCode:
-    sequence = measurement.sequence
-    offsets = offsets_of(measurement) or (0.0,) * len(sequence.densities)
+def told_code(sequence: FringeSequence, offsets: tuple[float, ...] = ()) -> JointCode:
+    """Return what the frames of an orientation show; `offsets` in rad are added to each density's phase."""
     shown = [
         (density, offset + 2.0 * pi * step / sequence.steps)
-        for density, offset in zip(sequence.densities, offsets, strict=True)
+        for density, offset in zip(
+            sequence.densities, offsets or (0.0,) * len(sequence.densities), strict=True
+        )
         for step in sequence.steps_of(density)
     ]
     densities, turns = np.array(shown, np.float64).T.copy()

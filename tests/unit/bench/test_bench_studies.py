@@ -39,7 +39,7 @@ def test_a_study_is_written_as_picture_and_numbers(home: Path) -> None:
 
 
 STORED = Path(__file__).resolve().parents[3] / "docs" / "studies"
-QUICK = ("glossy-surface", "half-and-half", "large-rotation", "table-6", "two-returns")
+QUICK = ("codes", "glossy-surface", "half-and-half", "large-rotation", "table-6", "two-returns")
 
 
 @pytest.mark.long  # 60 s

@@ -75,10 +75,12 @@ def test_shape_is_as_near_to_the_truth_as_is_stated(sequence: FringeSequence, va
     assert np.count_nonzero(np.abs(z) > 10.0) <= 1
 
 
-def test_a_projector_that_is_not_linear_makes_sigma_larger() -> None:
-    calibration, measurement, shape = simulated(EMBEDDED, gamma=1.1)
+@pytest.mark.parametrize(("sequence", "most"), [(EMBEDDED, 1.1), (MICRO, 1.3)], ids=["eps", "micro"])
+def test_a_projector_that_is_not_linear_makes_sigma_larger(sequence: FringeSequence, most: float) -> None:
+    calibration, measurement, shape = simulated(sequence, gamma=1.1)
     z = in_sigmas(reconstructed(calibration, measurement), shape)
-    assert np.std(z) < 1.1
+    # 1.3 is what broken models may have at the most; micro phase shifting has 1.19 (ADR 74).
+    assert np.std(z) < most
     assert np.count_nonzero(np.abs(z) > 10.0) == 0
 
 
