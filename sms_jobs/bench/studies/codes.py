@@ -63,15 +63,17 @@ def run(say: Callable[[str], None]) -> Outcome:
     for name, sequence in CODES.items():
         say(name)
         found = [_row(sequence, noise, random) for noise in NOISE]
-        rows += [(name, noise, *one) for noise, one in zip(NOISE, found, strict=True)]
+        rows.append((name, *(value for one in found for value in one)))
         axes.plot(NOISE, [100.0 * part for part, _, _ in found], "o-", label=name)
     axes.set_xlabel("noise of a frame over the modulation")
     axes.set_ylabel("ambiguous pixels [%]")
     axes.legend(fontsize="x-small")
-    columns = ("code", "noise / modulation", "ambiguous", "wrong orders", "errors / stated deviation")
+    kinds = ("ambiguous", "wrong orders", "errors / stated")
+    columns = ("code", *(f"{noise}: {kind}" for noise in NOISE for kind in kinds))
     remarks = {
-        "conditions": f"{_ROWS * _COLUMNS} px a row, exact cosines of one modulation, normal noise of which "
-        "half is shot noise, 12 bit; wrong orders are counted among pixels that are not ambiguous"
+        "conditions": f"{_ROWS * _COLUMNS} px at each noise, which is a frame's over the modulation; exact "
+        "cosines of one modulation, normal noise of which half is shot noise, 12 bit; wrong orders are "
+        "counted among pixels that are not ambiguous"
     }
     return Outcome(Table(columns, rows, remarks), figure)
 
