@@ -14,6 +14,7 @@ from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.models import CampaignRow, DependencyRow, FileRow, JobRow, LoadStateRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.jobs.newer_results import replaced
 from sms_jobs.jobs.reuse import reuse_key
 from sms_jobs.kinds import all_kinds
 from sms_jobs.records.job import JobState
@@ -238,4 +239,5 @@ def _earlier(session: Session, keys: Collection[str]) -> dict[str, str]:
             .order_by(JobRow.finished_at)
         )
         found |= {key or "": job_id for key, job_id in rows}
-    return found
+    passed = replaced(session, found.values())
+    return {key: job_id for key, job_id in found.items() if job_id not in passed}

@@ -38,7 +38,7 @@ from sms_jobs.errors import (
     StorageFull,
     StorageUnusable,
 )
-from sms_jobs.jobs import indexing, lifecycle, outages, queues, recovery, reuse
+from sms_jobs.jobs import indexing, lifecycle, newer_results, outages, queues, recovery, reuse
 from sms_jobs.jobs.importing import add_states
 from sms_jobs.jobs.indexing import Entry
 from sms_jobs.jobs.lifecycle import Claim
@@ -176,6 +176,8 @@ class Runner:
             hashes = {i.role: i.content_hash for i in task.inputs}
             key = reuse.reuse_key(kind, held.subject, held.parameters, task.context, hashes)
             earlier = reuse.earlier_success(session, key) if held.use_cache and held.repeatable else None
+            if earlier is not None and newer_results.replaced(session, [earlier.job_id]):
+                return _Begun(task, key, earlier, "other results have come since, and the newest counts")
             if earlier is None or earlier.size_bytes > _READ_AT_ONCE_BYTES:
                 return _Begun(task, key, earlier)
             if damage := reuse.damage(self.archive, earlier):
@@ -404,7 +406,8 @@ class _Begun:
     Attributes
     ----------
     damage
-        What of the earlier result is not as it was sealed; empty when all is, None when it was not read.
+        Why the earlier result is not reused, such as what of it is not as it was sealed; empty when all is,
+        None when it was not read.
     reused
         The next job or None, when this one has ended with the earlier result; else nothing.
     """

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from datetime import timedelta
+from datetime import datetime, timedelta
 
 import pytest
 from sqlalchemy import select
+from sqlalchemy.orm import Session
 from support.archives import Clock, everything, registered, run_jobs
 
 from sms_jobs.archive import Archive
@@ -90,8 +91,32 @@ def test_what_anything_that_stays_was_made_from_stays(
     # Displacements were computed from the older shapes and are the newest of their kind.
     assert planned(catalogue, clock) == set()
     (older, _), *_ = shapes(catalogue)
-    jobs = run_jobs(catalogue, archive, clock, [Request("reconstruct")])
-    with catalogue.reading() as session:
-        # A reused result is as young as the last job that was answered by it.
-        assert all(session.get_one(JobRow, job).reused_from for job in jobs)
+    run_jobs(catalogue, archive, clock, [Request("reconstruct")])
+    # Computed again, these are the newest; the trial is replaced, and nothing was made from it.
     assert older not in planned(catalogue, clock)
+    assert {number for number, _ in shapes(catalogue)[2:4]} == planned(catalogue, clock)
+
+
+def test_a_result_is_as_young_as_the_last_job_that_was_answered_by_it(
+    catalogue: Catalogue, archive: Archive, clock: Clock
+) -> None:
+    registered(catalogue, archive, clock)
+    run_jobs(catalogue, archive, clock, [Request("simulate"), Request("reconstruct")])
+    jobs = run_jobs(catalogue, archive, clock, [Request("reconstruct")])
+    run_jobs(catalogue, archive, clock, [Request("reconstruct", {"maximum_shift_px": 0.4})])
+    first, second, *_ = (number for number, _ in shapes(catalogue))
+    with catalogue.reading() as session:
+        assert all(session.get_one(JobRow, job).reused_from for job in jobs)
+        made = max(session.get_one(FileRow, number).created_at for number in (first, second))
+        answered = min(finished(session, job) for job in jobs)
+        now = max(finished(session, job) for job in jobs) + timedelta(days=1)
+        between = now - made - (answered - made) / 2
+        assert made < answered
+        assert retention.removable(session, now, between) == []
+        assert {one.file_id for one in retention.removable(session, now, SECOND)} == {first, second}
+
+
+def finished(session: Session, job: str) -> datetime:
+    ended = session.get_one(JobRow, job).finished_at
+    assert ended is not None
+    return ended
