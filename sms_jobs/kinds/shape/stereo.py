@@ -100,6 +100,8 @@ _GAP_SIGMAS = 6.0
 """Largest gap of the rays, in units of what noise and calibration explain; noise alone never reaches it."""
 _OFF_SIGMAS, _OFF_PX = 3.0, 0.05
 """Deviations of a match, and px, by which images may ask for another place; by more than both it is none."""
+_PIXEL_VARIANCE = 1.0 / 12.0
+"""Of a pixel's own square, px^2: what blurs an image beside the filter; a lens's blur is not known."""
 _MOST_SATURATED = 0.5
 """Part of an image that may be saturated: a bright background may, a specimen and its surroundings not."""
 
@@ -184,7 +186,8 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
         )
         volume = (calibration.volume.low, calibration.volume.high)
         search = RaySearch(volume, line_width(factor, number + 1, parameters.epipolar_width_px))
-        images = prepare_images(reference.texture, partner.texture, labels, (reference.noise, partner.noise))
+        noise, blur = (reference.noise, partner.noise), parameters.smoothing_px**2 + _PIXEL_VARIANCE
+        images = prepare_images(reference.texture, partner.texture, labels, noise, blur=blur)
         found.append(_matched(inputs, reference, partner, images, nodes, parameters, search))
         spread.append(_spread(images, found[-1], parameters, inputs.threads))
     progress(0.8, "; ".join(summary(one.matches.ending) for one in found))
@@ -435,7 +438,7 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=12,
+    version=13,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),

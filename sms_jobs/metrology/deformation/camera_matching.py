@@ -24,7 +24,7 @@ from sms_jobs.metrology.deformation.epipolar_search import FoundSeeds, Width, be
 from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, Seeds, spread_matches
 from sms_jobs.metrology.deformation.sampling import Nodes, choose_seeds
 from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
-from sms_jobs.metrology.deformation.shape_functions import carried
+from sms_jobs.metrology.deformation.shape_functions import WARP, carried
 from sms_jobs.metrology.geometry.camera import Camera, project
 from sms_jobs.metrology.geometry.several_cameras import depths_in_box, points_along_rays
 
@@ -195,12 +195,27 @@ def _way_back(
     x, y = (np.ascontiguousarray(values) for values in pixel.T)
     again: Matches = match_points(images.way_back(), x, y, guess, smaller, threads)
     there = carried(again.warp, *(place - pixel).T)
-    distance = np.hypot(*(place + there[:, [0, 3]] - start).T)
+    bent = _taken_for_a_shift(warp, back, smaller.radius)
+    distance = np.hypot(*(place + there[:, [0, 3]] - bent - start).T)
     distance[np.isin(again.ending, (LEFT_IMAGE, NOT_CONVERGED))] = np.inf
     missed[matched] = np.where(np.isin(again.ending, (NO_TEXTURE, TOO_FEW_PIXELS)), np.nan, distance)
     sigma = np.hypot(found.matches.sigma[matched].max(axis=1), np.nan_to_num(again.sigma.max(axis=1)))
     allowed[matched] = np.maximum(_RETURN_PX, _RETURN_SIGMAS * sigma)
     return missed, allowed
+
+
+def _taken_for_a_shift(warp: Floats, back: Floats, radius: int) -> Floats:
+    """Return what second derivatives shift subsets of first order by on the way back, (n, 2) in px.
+
+    A subset of first order takes the mean of the second derivatives' part over its square for a shift. With
+    slopes `back` (n, 2, 2) of the inverse its second derivatives are -back (back^T u,ij back).
+    """
+    if warp.shape[1] < WARP:
+        return np.zeros((len(warp), 2))
+    xx, xy, yy = warp[:, 6::3], warp[:, 7::3], warp[:, 8::3]
+    metric = back @ np.swapaxes(back, 1, 2)
+    along = xx * metric[:, :1, 0] + 2.0 * xy * metric[:, :1, 1] + yy * metric[:, 1:, 1]
+    return np.asarray(-radius * (radius + 1) / 6.0 * (back @ along[..., None])[..., 0])
 
 
 def distance_from_rays(

@@ -23,7 +23,7 @@ from sms_jobs.metrology.deformation.shape_functions import (
     inside,
     places,
 )
-from sms_jobs.metrology.deformation.subsets import collect, deformed_sums, reference_sums
+from sms_jobs.metrology.deformation.subsets import collect, deformed_sums, reference_sums, see_as_partner
 from sms_jobs.metrology.images.spline import (
     KERNEL_CODE,
     PADDING,
@@ -96,6 +96,8 @@ class PreparedImages:
         Of the reference and of the deformed image.
     interpolant
         The kind of the splines.
+    blur
+        Variance in px^2 of the spot that either image shows of a point; 0 where both show the specimen alike.
     """
 
     reference: Floats
@@ -107,6 +109,7 @@ class PreparedImages:
     labels: NDArray[np.int32]
     noise: tuple[Noise, Noise]
     interpolant: Interpolant
+    blur: float = 0.0
 
     def way_back(self) -> PreparedImages:
         """Return the images the other way round, to match the deformed one, all of which is one region."""
@@ -117,6 +120,7 @@ class PreparedImages:
             everywhere,
             self.noise[::-1],
             self.interpolant,
+            self.blur,
         )
 
 
@@ -156,6 +160,7 @@ def prepare_images(
     labels: NDArray[np.int32],
     noise: tuple[Noise, Noise] = (Noise(0.0, 0.0), Noise(0.0, 0.0)),
     interpolant: Interpolant = "quintic",
+    blur: float = 0.0,
 ) -> PreparedImages:
     """Interpolate the deformed image and differentiate the reference image.
 
@@ -169,12 +174,14 @@ def prepare_images(
         Of the reference and of the deformed image.
     interpolant
         Between the pixels of the deformed image; the slopes of the reference image are its own.
+    blur
+        Variance in px^2 of what both images have been blurred by.
     """
     first, second = (
         (np.ascontiguousarray(image, dtype=np.float64), spline_coefficients(image, interpolant))
         for image in (reference, deformed)
     )
-    return _prepared(first, second, np.ascontiguousarray(labels, dtype=np.int32), noise, interpolant)
+    return _prepared(first, second, np.ascontiguousarray(labels, dtype=np.int32), noise, interpolant, blur)
 
 
 def _prepared(
@@ -183,11 +190,12 @@ def _prepared(
     labels: Labels,
     noise: tuple[Noise, Noise],
     interpolant: Interpolant,
+    blur: float,
 ) -> PreparedImages:
     """Return two images, each with the coefficients of its spline, ready to be matched."""
     slopes = spline_gradient(reference[1], interpolant)
     return PreparedImages(
-        reference[0], *slopes, deformed[0], deformed[1], reference[1], labels, noise, interpolant
+        reference[0], *slopes, deformed[0], deformed[1], reference[1], labels, noise, interpolant, blur
     )
 
 
@@ -295,7 +303,7 @@ def _refine(
 @kernel
 def _match_block(
     start: int, stop: int,
-    images: tuple[Floats, Floats, Floats, Floats, Labels], noise: Floats,
+    images: tuple[Floats, Floats, Floats, Floats, Labels], noise: Floats, blur: float,
     x: Ints, y: Ints, radius: int, minimum: int, orders: tuple[int, int], ends: tuple[float, int],
     warp: Floats, sigma: Floats, score: Floats, iterations: Labels, ending: Labels, misfit: Floats,
 ) -> None:  # fmt: skip
@@ -316,6 +324,8 @@ def _match_block(
         if n < minimum:
             ending[k] = TOO_FEW_PIXELS
             continue
+        if blur > 0.0:
+            see_as_partner(gradient_x, gradient_y, (x[k], y[k]), p, blur, n, dx, dy, f)
         reference_sums(n, dx, dy, f, gx, gy, orders[0], hessian, j1, jf, levels)
         f_mean = levels[0] / n
         ff = levels[1] - levels[0] * f_mean
@@ -379,6 +389,10 @@ def match_points(
     that is larger. The noise model is the base since interpolation smooths the residual (but not the
     match, which rests on slow grey level changes) by up to a third, and
     the residual is what shows a subset whose shape does not fit.
+
+    Where the images have a `blur`, f is what the deformed image shows of it: a subset that is half as wide
+    there is blurred twice as far, and that is no noise. To f is added half of blur ((F^T F)^-1 - 1) times its
+    second derivatives, with F of the guess.
     """
     warp = np.zeros((len(x), WARP))
     numbers = min(guess.shape[1], WARP if settings.shape_order == 2 else 6)
@@ -393,7 +407,7 @@ def match_points(
 
     def work(start: int, stop: int) -> None:
         _match_block(
-            start, stop, pixels, noise, x, y, settings.radius, minimum, orders, ends,
+            start, stop, pixels, noise, images.blur, x, y, settings.radius, minimum, orders, ends,
             warp, result.sigma, result.score, result.iterations, result.ending, result.misfit,
         )  # fmt: skip
 

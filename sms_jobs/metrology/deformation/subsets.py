@@ -7,14 +7,66 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.compilation import kernel, summing_kernel
+from sms_jobs.metrology.compilation import inlined, kernel, summing_kernel
 from sms_jobs.metrology.deformation.shape_functions import inside
 
 Floats: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int32]
 Ints: TypeAlias = NDArray[np.int64]
 
+_FLAT = 0.01  # determinant below which a subset is seen edge-on: nothing is known of its blur
 RIM = 5  # px at an image's border where reflection bends its spline: the effect falls by 0.43 a pixel
+
+
+@inlined
+def blur_tensor(ux: float, uy: float, vx: float, vy: float) -> tuple[float, float, float]:
+    """Return xx, xy and yy of (F^T F)^-1 - 1 for F = 1 + grad u; 0 where a subset folds up.
+
+    A spot that is round in the deformed image, of variance 1, has so much more in the reference image.
+    """
+    xx = (1.0 + ux) ** 2 + vx**2
+    xy = (1.0 + ux) * uy + vx * (1.0 + vy)
+    yy = uy**2 + (1.0 + vy) ** 2
+    determinant = xx * yy - xy * xy
+    if not determinant > _FLAT:
+        return 0.0, 0.0, 0.0
+    return yy / determinant - 1.0, -xy / determinant, xx / determinant - 1.0
+
+
+@inlined
+def blurred_more(
+    gradient_x: Floats, gradient_y: Floats, r: int, c: int, tensor: tuple[float, float, float]
+) -> float:
+    """Return what blurring by variances `tensor` adds to a grey level: half of them times its curvature."""
+    xx, xy, yy = tensor
+    along_x = gradient_x[r, c + 1] - gradient_x[r, c - 1]
+    across = gradient_x[r + 1, c] - gradient_x[r - 1, c]
+    along_y = gradient_y[r + 1, c] - gradient_y[r - 1, c]
+    return float(0.25 * (xx * along_x + 2.0 * xy * across + yy * along_y))
+
+
+@kernel
+def see_as_partner(
+    gradient_x: Floats,
+    gradient_y: Floats,
+    centre: tuple[int, int],
+    warp: Floats,
+    blur: float,
+    count: int,
+    dx: Floats,
+    dy: Floats,
+    f: Floats,
+) -> None:
+    """Blur a subset's grey levels, or sharpen them, as the deformed image shows them.
+
+    Both images have the same `blur` (variance in px^2), but a subset that the deformed image shows larger is
+    blurred less there, and one that it shows smaller more: to first order by half of that times the second
+    derivatives. The subset's pixels are off the image's border by more than one.
+    """
+    tensor = blur_tensor(warp[1], warp[2], warp[4], warp[5])
+    for k in range(count):
+        c, r = centre[0] + int(dx[k]), centre[1] + int(dy[k])
+        f[k] += blur * blurred_more(gradient_x, gradient_y, r, c, tensor)
 
 
 @kernel

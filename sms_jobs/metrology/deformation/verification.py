@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.deformation.correlation import Noise, PreparedImages
-from sms_jobs.metrology.deformation.subsets import RIM
+from sms_jobs.metrology.deformation.subsets import RIM, blur_tensor, blurred_more
 from sms_jobs.metrology.images.masks import box_of, narrowed
 from sms_jobs.metrology.images.smoothing import (
     noise_after_smoothing,
@@ -132,6 +132,21 @@ def _carry(top: int, left: int, coefficients: Floats, code: int, image: Floats, 
         spline_values(coefficients, code, count, first, s, t, values)
         for k in range(count):
             carried[r, where[k]] = values[k]
+
+
+@kernel
+def _see_as_deformed(
+    image: Floats, gradient_x: Floats, gradient_y: Floats, blur: float, seen: Floats
+) -> None:
+    """Blur or sharpen the reference image's grey levels `seen` as a displacement's slopes tell."""
+    rows, columns = seen.shape
+    for r in range(1, rows - 1):
+        for c in range(1, columns - 1):
+            ux, uy = image[0, r, c + 1] - image[0, r, c - 1], image[0, r + 1, c] - image[0, r - 1, c]
+            vx, vy = image[1, r, c + 1] - image[1, r, c - 1], image[1, r + 1, c] - image[1, r - 1, c]
+            if np.isfinite(ux + uy + vx + vy):
+                tensor = blur_tensor(0.5 * ux, 0.5 * uy, 0.5 * vx, 0.5 * vy)
+                seen[r, c] += blur * blurred_more(gradient_x, gradient_y, r, c, tensor)
 
 
 def _means(values: Floats, radius: int) -> Floats:
@@ -303,7 +318,7 @@ def _in_part(
     noise: _Noise,
 ) -> tuple[Floats, Floats]:
     """Return for rows and columns the mean square of what windows ask for (2, ..), and their misfit."""
-    f = images.reference[part]
+    f = _seen_as_deformed(images, image, part)
     g = np.empty(f.shape)
     code = KERNEL_CODE[images.interpolant]
     _carry(part[0].start, part[1].start, images.coefficients, code, image[:, *part], g)
@@ -330,6 +345,16 @@ def _in_part(
     mended = residual - step[0] * gx - step[1] * gy
     squares = np.where(like, np.minimum(mended**2, residual**2), np.where(known, residual**2, 0.0))
     return square, _misfit(squares, texture, noise.pixel * variance, roughness, known, like, sizes.window)
+
+
+def _seen_as_deformed(images: PreparedImages, image: Floats, part: tuple[slice, slice]) -> Floats:
+    """Return a part of the reference image, as blurred as the deformed one is."""
+    f = images.reference[part]
+    if images.blur == 0.0:
+        return f
+    seen = f.copy()
+    _see_as_deformed(image[:, *part], images.gradient_x[part], images.gradient_y[part], images.blur, seen)
+    return seen
 
 
 def _alike(residual: Floats, known: Mask) -> Mask:
