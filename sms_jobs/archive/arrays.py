@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from math import ceil
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.archive import hdf5
-from sms_jobs.archive.blocks import Checks, Grid, Part, Shape, check_of, pieces, read_part, read_whole
-from sms_jobs.archive.damage import altered, readable
-from sms_jobs.archive.hashing import ArrayDigest
-
-_CHECKS = Checks()
-"""Of this process, by what manifests say of the arrays: another file of the same contents has the same."""
+from sms_jobs.archive.blocks import Grid, Part, Shape, block_checks, check_of, pieces, read_part
+from sms_jobs.archive.damage import altered, differs, readable
+from sms_jobs.archive.hashing import ArrayDigest, checks_in
+from sms_jobs.errors import ArchiveCorrupt
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,7 @@ class StoredArray:
     _dataset: Any
     _where: str
     grid: Grid
-    _checks: Callable[[], NDArray[np.uint32]]
+    _checks: NDArray[np.uint32]
 
     @property
     def shape(self) -> Shape:
@@ -49,15 +47,33 @@ class StoredArray:
 
         Raises `ArchiveCorrupt` where it is not what was sealed.
         """
-        checks = self._checks()
 
         def compare(index: Shape, block: NDArray[Any]) -> None:
-            if check_of(block) != checks[index]:
-                place = ", ".join(str(one.start) for one in self.grid.bounds(index))
-                raise altered(self._where, f"the block at {place} has", "other values", "their check")
+            if check_of(block) != self._checks[index]:
+                raise self._altered(index)
 
         with readable(self._where):
             return read_part(self._dataset, self.grid, part, compare)
+
+    def whole_blocks(self, part: Part) -> NDArray[Any]:
+        """Return a part that begins and ends with blocks, read at once; raises as `read` does."""
+        with readable(self._where):
+            slab = np.asarray(self._dataset[part])
+        each = tuple(zip(part, self.grid.block, strict=True))
+        first = tuple(one.start // b for one, b in each)
+        checks = self._checks[tuple(slice(one.start // b, ceil(one.stop / b)) for one, b in each)]
+        differ = np.argwhere(block_checks(slab, self.grid.block) != checks)
+        if len(differ):
+            raise self._altered(tuple(int(i) + k for i, k in zip(differ[0], first, strict=True)))
+        return slab
+
+    def whole(self) -> NDArray[Any]:
+        """Return all of it, read at once; raises as `read` does."""
+        return self.whole_blocks(tuple(slice(0, length, 1) for length in self.shape))
+
+    def _altered(self, index: Shape) -> ArchiveCorrupt:
+        place = ", ".join(str(one.start) for one in self.grid.bounds(index))
+        return altered(self._where, f"the block at {place} has", "other values", "their check")
 
     def glance(self, part: Part) -> NDArray[Any]:
         """Return a part of it as it stands there, compared with nothing: for a first look, not for a number.
@@ -78,16 +94,13 @@ class StoredArray:
 
 
 def stored_array(dataset: Any, stated: ArrayDigest, where: str) -> StoredArray:
-    """Return an array that has one hash; raises `ArchiveCorrupt`, when it is read, where that differs."""
-    shape: Shape = tuple(dataset.shape)
-    grid = Grid(shape, hdf5.chunk_shape(shape, dataset.dtype.itemsize, False))
+    """Return an array of whose blocks the manifest has the checks.
 
-    def compared() -> NDArray[np.uint32]:
-        with readable(where):
-            found, checks = read_whole(dataset, grid)
-        if found != stated["sha256"]:
-            raise altered(where, "its values hash to", f"{found[:12]}...", f"{stated['sha256'][:12]}...")
-        return checks
-
-    key = (stated["sha256"], stated["dtype"], shape)
-    return StoredArray(dataset, where, grid, lambda: _CHECKS.of(key, compared))
+    Raises `ArchiveCorrupt` where it has another type or shape than the manifest says, or these checks cannot
+    be its own.
+    """
+    form, stated_form = [dataset.dtype.str, *dataset.shape], [stated["dtype"], *stated["shape"]]
+    if form != stated_form:
+        raise differs(where, form, stated_form)
+    with readable(where):
+        return StoredArray(dataset, where, *checks_in(stated))

@@ -1,16 +1,12 @@
 """Parts of arrays, read and compared block by block: neither a reader nor its memory needs the whole.
 
-The manifest has one hash of a whole array, to which no part can be compared. Whoever first asks for a part
-has the array read once, in blocks in C order: its hash is compared, and the CRC-32 of every block is noted in
-this process, by that hash. From then on a part costs the blocks that it touches, each compared with its
-check, so that an array which rots later is noticed. Frames bring the checks of their blocks along.
+The manifest has the CRC-32 of every block, so that a part costs the blocks that it touches, each of which is
+compared with its check whenever it is read.
 """
 
 from __future__ import annotations
 
-import threading
 import zlib
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -20,15 +16,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.archive.hashing import SlabHash
-
 Shape: TypeAlias = tuple[int, ...]
 Part: TypeAlias = tuple[slice, ...]
 """One slice for each axis, with beginning, end and a positive step that are known."""
 
 PIECE_BYTES = 4 << 20
 """Of what `pieces` yields at a time."""
-_MOST_TABLES = 2048
 
 
 @dataclass(frozen=True)
@@ -57,51 +50,22 @@ class Grid:
         yield from product(*ranges)
 
 
-class Checks:
-    """The checks of the blocks of arrays that were read as a whole, by what the manifest says of them."""
-
-    def __init__(self) -> None:
-        self._tables: OrderedDict[Any, NDArray[np.uint32]] = OrderedDict()
-        self._making: dict[Any, threading.Lock] = {}
-        self._lock = threading.Lock()
-
-    def of(self, key: Any, make: Callable[[], NDArray[np.uint32]]) -> NDArray[np.uint32]:
-        """Return the checks of an array, made where they are not known; by one thread, others wait."""
-        with self._lock:
-            if key in self._tables:
-                self._tables.move_to_end(key)
-                return self._tables[key]
-            making = self._making.setdefault(key, threading.Lock())
-        with making:
-            with self._lock:
-                known = self._tables.get(key)
-            if known is None:
-                known = make()
-            with self._lock:
-                self._tables[key] = known
-                self._making.pop(key, None)
-                while len(self._tables) > _MOST_TABLES:
-                    self._tables.popitem(last=False)
-            return known
-
-
-def read_whole(dataset: Any, grid: Grid) -> tuple[str, NDArray[np.uint32]]:
-    """Read an array once; return its SHA-256 and the CRC-32 of each block.
-
-    Blocks in C order are the array in C order, as `hdf5.chunk_shape` cuts it.
-    """
-    hashed = SlabHash()
-    checks = np.empty(grid.counts, np.uint32)
+def block_checks(slab: NDArray[Any], block: Shape) -> NDArray[np.uint32]:
+    """Return the CRC-32 of each block of a slab that begins with one, (blocks along each axis)."""
+    grid = Grid(slab.shape, block)
+    found = np.empty(grid.counts, np.uint32)
     for index in np.ndindex(*grid.counts):
-        block = np.ascontiguousarray(dataset[grid.bounds(index)])
-        hashed.update(block)
-        checks[index] = check_of(block)
-    return hashed.hexdigest(), checks
+        found[index] = check_of(slab[grid.bounds(index)])
+    return found
 
 
-def check_of(block: NDArray[Any]) -> int:
-    """Return the CRC-32 of the bytes of a block in C order."""
-    return zlib.crc32(np.ascontiguousarray(block).data)
+def check_of(block: NDArray[Any], before: int = 0) -> int:
+    """Return the CRC-32 of the bytes of a block in C order, after that of what came before."""
+    if block.flags.c_contiguous:
+        return zlib.crc32(block.data, before)
+    for part in block:
+        before = check_of(part, before)
+    return before
 
 
 def read_part(

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from sms_jobs.archive import hdf5
 from sms_jobs.archive.arrays import StoredArray, stored_array
-from sms_jobs.archive.blocks import Grid
 from sms_jobs.archive.codec import class_named, layout_of, record_from_parts
 from sms_jobs.archive.damage import altered, differs, readable
 from sms_jobs.archive.form import DATASET_MEDIA_TYPE, FORMAT, require_version
-from sms_jobs.archive.hashing import ArrayDigest, RecordDigest, SlabHash, block_checks, manifest_from
+from sms_jobs.archive.hashing import RecordDigest, manifest_from
 from sms_jobs.archive.limits import refuse_excess
 from sms_jobs.archive.provenance import Provenance, Sealed, digest, provenance_from_json
 from sms_jobs.archive.sealing import safe_file, sha256_of, sync
@@ -34,67 +33,47 @@ R = TypeVar("R")
 class StoredFrames:
     """Frames in a sealed file, read when they are asked for, as long as the file is open.
 
-    They are read in whole blocks, each of which is compared with its check in the file: `_block` are its
-    frames and rows, `_checks` the CRC-32 of all.
+    They are read in whole blocks, each of which is compared with its check.
     """
 
-    _dataset: Any
-    _where: str
-    _block: tuple[int, int]
-    _checks: NDArray[np.uint32]
+    _array: StoredArray
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """(frames, rows, columns)."""
-        frames, rows, columns = self._dataset.shape
+        frames, rows, columns = self._array.shape
         return frames, rows, columns
 
     @property
     def dtype(self) -> np.dtype[Any]:
         """uint8 or uint16."""
-        dtype: np.dtype[Any] = self._dataset.dtype
-        return dtype
-
-    def as_array(self, where: str) -> StoredArray:
-        """Return the same as an array of which any part is read."""
-        grid = Grid(self.shape, (*self._block, self.shape[2]))
-        return StoredArray(self._dataset, where, grid, lambda: self._checks[..., np.newaxis])
+        return self._array.dtype
 
     def frame(self, index: int) -> NDArray[Any]:
         """Return one frame, (rows, columns)."""
         index = range(self.shape[0])[index]
-        first = index - index % self._block[0]
-        frame: NDArray[Any] = self._blocks(first, first + self._block[0], 0, self.shape[1])[index - first]
+        first = index - index % self._array.grid.block[0]
+        frame: NDArray[Any] = self._blocks(first, 0, self.shape[1])[index - first]
         return frame
 
     def rows(self, start: int, stop: int) -> NDArray[Any]:
         """Return a slab of every frame, (frames, stop - start, columns)."""
         count, rows, columns = self.shape
         start, stop, _ = slice(start, stop).indices(rows)
-        depth, height = self._block
+        depth, height, _ = self._array.grid.block
         top, bottom = start - start % height, min(-(-stop // height) * height, rows)
         if (top, bottom) == (start, stop):
-            return self._blocks(0, count, top, bottom)
+            return self._array.whole_blocks((slice(0, count, 1), slice(top, bottom, 1), slice(0, columns, 1)))
         slab = np.empty((count, max(stop - start, 0), columns), self.dtype)
         for first in range(0, count, depth):
-            some = self._blocks(first, first + depth, top, bottom)
-            slab[first : first + depth] = some[:, start - top : stop - top]
+            slab[first : first + depth] = self._blocks(first, top, bottom)[:, start - top : stop - top]
         return slab
 
-    def _blocks(self, first: int, last: int, top: int, bottom: int) -> NDArray[Any]:
-        """Return whole blocks."""
-        with readable(self._where):
-            slab: NDArray[Any] = self._dataset[first:last, top:bottom]
-        depth, height = self._block
-        checks = self._checks[first // depth : -(-last // depth), top // height : -(-bottom // height)]
-        differ = np.argwhere(block_checks(slab, self._block) != checks)
-        if differ.size:
-            group, band = differ[0]
-            frame, row = first + group * depth, top + band * height
-            raise altered(
-                self._where, f"the block from frame {frame}, row {row} on has", "other values", "their check"
-            )
-        return slab
+    def _blocks(self, first: int, top: int, bottom: int) -> NDArray[Any]:
+        """Return whole rows of the frames of one block, the first of which is given."""
+        count, _, columns = self.shape
+        last = min(first + self._array.grid.block[0], count)
+        return self._array.whole_blocks((slice(first, last, 1), slice(top, bottom, 1), slice(0, columns, 1)))
 
 
 @contextmanager
@@ -212,16 +191,8 @@ class ArchivedDataset:
             present = {one["name"]: one for one in self._manifest[record]["arrays"]}
             if name not in present:
                 raise NotFound(f"{where} has no array '{name}'; it has {', '.join(present)}")
-            stated = present[name]
             with readable(where):
-                dataset = group[name]
-                form = [dataset.dtype.str, *dataset.shape]
-                if form != [stated["dtype"], *stated["shape"]]:
-                    raise differs(f"{where}.{name}", form, [stated["dtype"], *stated["shape"]])
-                if "blocks" in stated:
-                    found = _frames(dataset, stated, where).as_array(f"{where}.{name}")
-                else:
-                    found = stored_array(dataset, stated, f"{where}.{name}")
+                found = stored_array(group[name], present[name], f"{where}.{name}")
             yield found
 
     def read(self, name: str, record: type[R]) -> R:
@@ -240,7 +211,6 @@ class ArchivedDataset:
         declared = layout_of(record).arrays
         streamed = any(field.streamed for field in declared.values())
         arrays: dict[str, Any] = {}
-        hashes: dict[str, SlabHash] = {}
         with ExitStack() as briefly, readable(where):
             group = self._group(name, self._streams if streamed else briefly)
             entry = self._manifest[name]
@@ -252,36 +222,12 @@ class ArchivedDataset:
                     continue
                 if field_name not in present:
                     raise ArchiveCorrupt(f"{where} has no {field_name}; was it written by another version?")
-                dataset, stated = group[field_name], present[field_name]
+                dataset = group[field_name]
                 if field.dtype is not None and dataset.dtype != field.dtype:
                     raise ArchiveCorrupt(f"{where}.{field_name} is {dataset.dtype}, not {field.dtype}")
-                form = [dataset.dtype.str, *dataset.shape]
-                if form != [stated["dtype"], *stated["shape"]]:
-                    raise differs(f"{where}.{field_name}", form, [stated["dtype"], *stated["shape"]])
-                if field.streamed:
-                    arrays[field_name] = _frames(dataset, stated, where)
-                else:
-                    arrays[field_name] = dataset[...]
-                    # Taken while the next array is read.
-                    hashes[field_name] = SlabHash()
-                    hashes[field_name].update(arrays[field_name])
-        for field_name, hashed in hashes.items():
-            found, recorded = hashed.hexdigest(), present[field_name]["sha256"]
-            if found != recorded:
-                raise altered(
-                    f"{where}.{field_name}", "its values hash to", f"{found[:12]}...", f"{recorded[:12]}..."
-                )
+                array = stored_array(dataset, present[field_name], f"{where}.{field_name}")
+                arrays[field_name] = StoredFrames(array) if field.streamed else array.whole()
         return record_from_parts(record, entry["fields"], arrays, where)
-
-
-def _frames(dataset: Any, stated: ArrayDigest, where: str) -> StoredFrames:
-    block = hdf5.frames_in_blocks(dataset)
-    if block is None:
-        raise ArchiveCorrupt(f"the frames of {where} have no checks; was it written by another version?")
-    checks = dataset.attrs[hdf5.BLOCK_CHECKS]
-    if hdf5.table_digest(block, checks) != stated.get("blocks"):
-        raise differs(where, checks, "the checks of its frames")
-    return StoredFrames(dataset, where, block, checks)
 
 
 @contextmanager

@@ -5,8 +5,8 @@ from __future__ import annotations
 from sms_jobs.errors import OtherFormat
 
 FORMAT = "sms-archive"
-FORMAT_VERSION = 2
-"""1 knew no views; what was written before the first release is not read."""
+FORMAT_VERSION = 3
+"""1 knew no views, 2 no checks of blocks; what was written before the first release is not read."""
 DATASET_MEDIA_TYPE = "application/x-hdf5"
 LARGEST_TEXT_BYTES = 64 << 20
 """Of a file's texts together, and of what stands beside a document."""

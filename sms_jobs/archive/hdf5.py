@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from sms_jobs.archive.codec import ArrayField, checked_array, layout_of, plain_to_json
 from sms_jobs.archive.form import FORMAT, FORMAT_VERSION, LARGEST_TEXT_BYTES
-from sms_jobs.archive.hashing import ArrayDigest, FramesHash, RecordDigest, SlabHash, manifest_text
+from sms_jobs.archive.hashing import ArrayDigest, ArrayHash, RecordDigest, manifest_text
+from sms_jobs.archive.limits import LARGEST_SLAB_BYTES
 from sms_jobs.archive.provenance import Provenance, digest, provenance_to_json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.quantity import Quantity, quantities_of
@@ -32,7 +33,6 @@ SLAB_BYTES = 4 << 20
 FRAMES_IN_CHUNK = 4
 ROWS_IN_CHUNK = 64
 FIELDS = "record_fields"
-BLOCK_CHECKS = "block_crc32"
 BLOCK = "block"
 PROCESS = "process"
 MANIFEST = "manifest"
@@ -46,7 +46,7 @@ def chunk_shape(shape: tuple[int, ...], itemsize: int, streamed: bool) -> tuple[
     without reading much else.
     """
     if streamed:
-        frames, rows, columns = shape
+        frames, rows, columns = (max(1, length) for length in shape)
         depth = min(FRAMES_IN_CHUNK, frames)
         slab = max(1, CHUNK_BYTES // (depth * columns * itemsize))
         return depth, min(ROWS_IN_CHUNK, rows, slab), columns
@@ -78,11 +78,9 @@ def _create(group: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any, st
     )
 
 
-def _write_stack(dataset: Any, stack: Any) -> tuple[str, str]:
-    """Write frames, a few in memory at a time, and the checks of their blocks; return the digests of both."""
+def _write_stack(dataset: Any, stack: Any, hashed: ArrayHash) -> None:
+    """Write and hash frames, a few in memory at a time."""
     count, rows, columns = stack.shape
-    block = dataset.chunks[:2] if dataset.chunks else (FRAMES_IN_CHUNK, ROWS_IN_CHUNK)
-    hashed = FramesHash(stack.shape, block)
     for start in range(0, count, FRAMES_IN_CHUNK):
         stop = min(start + FRAMES_IN_CHUNK, count)
         slab = np.empty((stop - start, rows, columns), dataset.dtype)
@@ -90,9 +88,6 @@ def _write_stack(dataset: Any, stack: Any) -> tuple[str, str]:
             slab[index - start] = stack.frame(index)
         hashed.update(slab)
         dataset[start:stop] = slab
-    dataset.attrs[BLOCK] = np.array(block, np.int32)
-    dataset.attrs[BLOCK_CHECKS] = hashed.table()
-    return hashed.hexdigest(), table_digest(block, hashed.table())
 
 
 def _name(node: Any, attribute: str, names: Sequence[str]) -> None:
@@ -160,22 +155,16 @@ def _write_record(entry: h5py.Group, name: str, record: Any) -> RecordDigest:
         array = checked_array(f"{name}.{field_name}", field, value)
         dataset = _create(group, field_name, array.shape, array.dtype, field.streamed)
         _describe(dataset, quantities[field_name])
-        described: ArrayDigest = {
-            "name": field_name,
-            "dtype": dataset.dtype.str,
-            "shape": list(dataset.shape),
-            "unit": quantities[field_name].unit,
-            "sha256": "",
-        }
+        block = chunk_shape(array.shape, np.dtype(array.dtype).itemsize, field.streamed)
+        hashed = ArrayHash(block)
         if field.streamed:
-            described["sha256"], described["blocks"] = _write_stack(dataset, array)
+            _write_stack(dataset, array, hashed)
         else:
-            hashed = SlabHash()
             hashed.update(array)
             dataset[...] = array
-            described["sha256"] = hashed.hexdigest()
-        dataset.attrs["sha256"] = described["sha256"]
-        arrays.append(described)
+        dataset.attrs[BLOCK] = np.array(block, np.int64)
+        dataset.attrs["sha256"] = hashed.sha256()
+        arrays.append(_digest_of(field_name, dataset, hashed))
     plain = plain_to_json(record)
     group.attrs["record"] = type(record).__name__
     _name(group, "arrays", [described["name"] for described in arrays])
@@ -236,61 +225,50 @@ def write(file: h5py.File, records: Mapping[str, Any], provenance: Provenance) -
     return digest(manifest)
 
 
-def _slabs(dataset: Any) -> Iterator[NDArray[Any]]:
-    """Yield a dataset in C order, some MiB at a time and chunks whole."""
+def _slabs(dataset: Any, block: Sequence[int]) -> Iterator[NDArray[Any]]:
+    """Yield a dataset in C order, some MiB at a time and blocks whole."""
     if not dataset.shape or 0 in dataset.shape:
-        yield np.ascontiguousarray(dataset[()])
+        yield np.ascontiguousarray(dataset[()]).reshape(dataset.shape)
         return
-    step = dataset.chunks[0] if dataset.chunks else 1
     line = prod(dataset.shape[1:]) * dataset.dtype.itemsize
-    step *= max(1, SLAB_BYTES // (step * line))
+    step = block[0] * max(1, SLAB_BYTES // (block[0] * line))
     for start in range(0, dataset.shape[0], step):
         yield np.ascontiguousarray(dataset[start : start + step])
 
 
-def table_digest(block: Any, checks: Any) -> str:
-    """Return what the manifest says of the blocks of frames: how large they are, and the check of each."""
-    return digest(np.asarray(block, "<i4").tobytes() + np.asarray(checks, "<u4").tobytes())
-
-
-def _found_digest(name: str, dataset: Any) -> ArrayDigest:
-    """Read a whole array and return what the manifest has to say of it; `ValueError` if its own hash lies."""
-    block = frames_in_blocks(dataset)
-    hashed = SlabHash() if block is None else FramesHash(dataset.shape, block)
-    for slab in _slabs(dataset):
-        hashed.update(slab)
-    found: ArrayDigest = {
+def _digest_of(name: str, dataset: Any, hashed: ArrayHash) -> ArrayDigest:
+    """Return what the manifest says of an array that was hashed as a whole."""
+    return {
         "name": name,
         "dtype": dataset.dtype.str,
         "shape": list(dataset.shape),
         "unit": dataset.attrs["units"],
-        "sha256": hashed.hexdigest(),
+        "sha256": hashed.sha256(),
+        "block": [int(length) for length in dataset.attrs[BLOCK]],
+        "checks": hashed.checks(),
     }
-    if isinstance(hashed, FramesHash):
-        found["blocks"] = table_digest(block, hashed.table())
-        if table_digest(block, dataset.attrs[BLOCK_CHECKS]) != found["blocks"]:
-            raise ValueError(f"the blocks of {name} have other checks than are written beside them")
-    if dataset.attrs["sha256"] != found["sha256"]:
+
+
+def _found_digest(name: str, dataset: Any) -> ArrayDigest:
+    """Read a whole array and return what the manifest has to say of it; `ValueError` if its own hash lies."""
+    block = _block_of(dataset)
+    hashed = ArrayHash(block)
+    for slab in _slabs(dataset, block):
+        hashed.update(slab)
+    if dataset.attrs["sha256"] != hashed.sha256():
         raise ValueError(f"the values of {name} have another hash than is written beside them")
-    return found
+    return _digest_of(name, dataset, hashed)
 
 
-def frames_in_blocks(dataset: Any) -> tuple[int, int] | None:
-    """Return the frames and rows of a block whose check is stored; None for what is read as a whole.
-
-    Raises `ValueError` where they cannot be those of this array.
-    """
-    if BLOCK_CHECKS not in dataset.attrs:
-        return None
-    depth, height = (int(length) for length in dataset.attrs[BLOCK])
-    if (
-        dataset.ndim != 3
-        or depth < 1
-        or height < 1
-        or dataset.chunks not in (None, (depth, height, dataset.shape[2]))
-    ):
-        raise ValueError(f"its blocks of {depth} frames and {height} rows are not as it is stored")
-    return depth, height
+def _block_of(dataset: Any) -> tuple[int, ...]:
+    """Return the shape of a block; `ValueError` where it cannot be that of this array, or is too large."""
+    block = tuple(int(length) for length in dataset.attrs[BLOCK])
+    if len(block) != dataset.ndim or any(length < 1 for length in block):
+        raise ValueError(f"blocks of {block} are none of an array of {dataset.shape}")
+    at_once = prod((*block[:1], *dataset.shape[1:])) * dataset.dtype.itemsize
+    if min(at_once, dataset.nbytes) > LARGEST_SLAB_BYTES:
+        raise ValueError(f"its blocks of {block} cannot be read in pieces of {LARGEST_SLAB_BYTES >> 20} MiB")
+    return block
 
 
 def read_text(dataset: Any) -> str:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import itertools
 import json
 import subprocess
 import sys
 import tracemalloc
+import zlib
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -230,11 +233,25 @@ def test_the_hash_changes_with_everything_that_is_said(
     assert before.content_hash != after.content_hash
 
 
+def crc32_of_blocks(array: h5py.Dataset) -> Iterator[int]:
+    """Yield the CRC-32 of each block, in C order."""
+    block = array.attrs["block"]
+    starts = [range(0, n, int(b)) for n, b in zip(array.shape, block, strict=True)]
+    for start in itertools.product(*starts):
+        part = tuple(slice(s, s + int(b)) for s, b in zip(start, block, strict=True))
+        yield zlib.crc32(array[part].tobytes())
+
+
 def test_the_hash_can_be_computed_from_the_description_of_the_format(
     archive: Archive, rng: np.random.Generator
 ) -> None:
-    # Only h5py, hashlib and json: what docs/archive_format.md says, and nothing of the program.
-    records = {"surface": point_cloud(rng), "calibration": calibration(), "regions": regions()}
+    # Only h5py, hashlib, zlib and json: what docs/archive_format.md says, and nothing of the program.
+    records = {
+        "surface": point_cloud(rng),
+        "calibration": calibration(),
+        "regions": regions(),
+        "measurement": measurement(rng),
+    }
     sealed = archive.seal_dataset(records, provenance())
     manifest = []
     with h5py.File(archive.store.path(sealed.path)) as file:
@@ -247,6 +264,8 @@ def test_the_hash_can_be_computed_from_the_description_of_the_format(
                     "shape": list(group[array].shape),
                     "unit": group[array].attrs["units"],
                     "sha256": hashlib.sha256(group[array][()].tobytes()).hexdigest(),
+                    "block": group[array].attrs["block"].tolist(),
+                    "checks": "".join(f"{crc:08x}" for crc in crc32_of_blocks(group[array])),
                 }
                 for array in group.attrs["arrays"]
             ]
@@ -339,7 +358,7 @@ def test_a_file_of_a_newer_version_is_refused_with_both_versions(archive: Archiv
     with h5py.File(path, "r+") as file:
         file.attrs["format_version"] = 7
     with (
-        pytest.raises(OtherFormat, match=r"version 7, this program reads version 2"),
+        pytest.raises(OtherFormat, match=r"version 7, this program reads version 3"),
         archive.open_unrecorded(sealed.path),
     ):
         pass

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from support.sealing import measurement, point_cloud, provenance
 
-from sms_jobs.archive import Archive, Sealed, arrays, blocks
-from sms_jobs.archive.blocks import Checks, Grid, lengths, pieces
+from sms_jobs.archive import Archive, Sealed, blocks
+from sms_jobs.archive.arrays import stored_array
+from sms_jobs.archive.blocks import Grid, lengths, pieces
+from sms_jobs.archive.hashing import ArrayDigest
 from sms_jobs.errors import ArchiveCorrupt, NotFound
 from sms_jobs.records.fields import Surface
 
@@ -27,11 +29,6 @@ def large(rng: np.random.Generator) -> Surface:
         ray_gap=rng.normal(size=image).astype(np.float32),
         reason=np.zeros(image, np.uint32),
     )
-
-
-@pytest.fixture(autouse=True)
-def nothing_was_read_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(arrays, "_CHECKS", Checks())
 
 
 PARTS = [
@@ -91,17 +88,59 @@ def altered(archive: Archive, sealed: Sealed, name: str, place: Any) -> Sealed:
     return replace(sealed, size_bytes=path.stat().st_size, sha256="")
 
 
-def test_an_array_that_was_altered_is_noticed_wherever_it_is_read(
-    archive: Archive, rng: np.random.Generator
+@pytest.mark.parametrize("index", list(np.ndindex(3, 2, 1)))
+def test_an_altered_block_is_noticed_by_whoever_reads_of_it_and_no_other_is(
+    archive: Archive, rng: np.random.Generator, index: tuple[int, int, int]
 ) -> None:
-    sealed = archive.seal_dataset({"surface": large(rng)}, provenance())
-    changed = altered(archive, sealed, "surface/position", (2, 300, 3))
-    with (
-        archive.open(changed) as dataset,
-        dataset.array("surface", "position") as stored,
-        pytest.raises(ArchiveCorrupt, match=r"surface\.position is not what was sealed"),
-    ):
-        stored.read((slice(0, 1, 1), slice(0, 1, 1), slice(0, 1, 1)))
+    record = large(rng)
+    sealed = archive.seal_dataset({"surface": record}, provenance())
+    grid = Grid((3, 301, 700), (1, 187, 700))
+    component, rows, columns = grid.bounds(index)
+    changed = altered(archive, sealed, "surface/position", (component.start, rows.stop - 1, 3))
+    with archive.open(changed) as dataset, dataset.array("surface", "position") as stored:
+        assert stored.grid == grid
+        message = rf"surface\.position is not what was sealed: the block at {index[0]}, {rows.start}, 0 has"
+        for part in ((component, rows, columns), (component, slice(rows.start, rows.start + 1, 1), columns)):
+            with pytest.raises(ArchiveCorrupt, match=message):
+                stored.read(part)
+        for other in np.ndindex(3, 2, 1):
+            if other != index:
+                np.testing.assert_array_equal(stored.block(other), record.position[grid.bounds(other)])
+        with pytest.raises(ArchiveCorrupt, match=message):
+            stored.whole()
+
+
+def test_two_blocks_that_have_changed_places_are_noticed(archive: Archive, rng: np.random.Generator) -> None:
+    record = large(rng)
+    sealed = archive.seal_dataset({"surface": record}, provenance())
+    path = archive.store.path(sealed.path)
+    path.chmod(0o644)
+    with h5py.File(path, "r+") as file:
+        file["entry/surface/position"][[0, 2]] = record.position[[2, 0]]
+    exchanged = replace(sealed, size_bytes=path.stat().st_size, sha256="")
+    with archive.open(exchanged) as dataset:
+        with pytest.raises(ArchiveCorrupt, match="the block at 0, 0, 0 has other values"):
+            dataset.read("surface", Surface)
+        with dataset.array("surface", "position") as stored:
+            np.testing.assert_array_equal(stored.block((1, 0, 0)), record.position[1:2, :187])
+
+
+@pytest.mark.parametrize(
+    ("block", "checks"),
+    [([1, 187], "00" * 24), ([1, 0, 700], "00" * 24), ([1, 187, 700], "00" * 20), ([1, 187, 700], "no")],
+)
+def test_checks_that_cannot_be_those_of_an_array_are_refused(block: list[int], checks: str) -> None:
+    stated: ArrayDigest = {
+        "name": "position",
+        "dtype": "<f8",
+        "shape": [3, 301, 700],
+        "unit": "mm",
+        "sha256": "",
+        "block": block,
+        "checks": checks,
+    }
+    with pytest.raises(ArchiveCorrupt, match=r"surface\.position cannot be read"):
+        stored_array(np.zeros((3, 301, 700)), stated, "surface.position")
 
 
 def test_an_array_that_rots_after_it_was_compared_is_noticed_where_it_did(
