@@ -11,6 +11,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -23,9 +24,8 @@ from support.command import wait_until
 from support.compose import ComposeServers, compose_servers
 from support.namespaces import Computer, network
 
+from sms_jobs import __version__
 from sms_jobs.archive import Archive, FolderStore
-
-pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).resolve().parents[2]
 NEXT = "0.1.1"
@@ -178,8 +178,8 @@ def make_release(folder: Path) -> None:
 
 
 def release_next(folder: Path) -> None:
-    project = folder / "pyproject.toml"
-    project.write_text(project.read_text().replace('version = "0.1.0"', f'version = "{NEXT}"'))
+    package = folder / "sms_jobs" / "__init__.py"
+    package.write_text(package.read_text().replace(f'"{__version__}"', f'"{NEXT}"'))
     name = ["-c", "user.name=a test", "-c", "user.email=test@localhost"]
     subprocess.run(["git", *name, "commit", "--quiet", "--all", "-m", "Release"], cwd=folder, check=True)
 
@@ -201,6 +201,19 @@ def hosts(folder: Path, release: Path) -> Iterator[tuple[Host, ...]]:
         yield tuple(made)
 
 
+def test_the_next_release_says_that_it_is_another(tmp_path: Path) -> None:
+    make_release(tmp_path)
+    release_next(tmp_path)
+    command = [sys.executable, "-c", "import sms_jobs; print(sms_jobs.__file__, sms_jobs.__version__)"]
+    said = subprocess.run(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=True).stdout
+    assert said.split() == [str(tmp_path / "sms_jobs" / "__init__.py"), NEXT]
+    files = subprocess.run(
+        ["git", "diff", "--name-only", "HEAD~"], cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=True
+    )
+    assert files.stdout.split() == ["sms_jobs/__init__.py"]
+
+
+@pytest.mark.long
 def test_hosts_are_upgraded_under_load_one_after_the_other(tmp_path: Path) -> None:
     make_release(tmp_path / "release")
     with hosts(tmp_path, tmp_path / "release") as (one, two, three):
@@ -245,7 +258,7 @@ def test_hosts_are_upgraded_under_load_one_after_the_other(tmp_path: Path) -> No
             by[made.host, made.program_version] += 1
         print(dict(by))
         assert {host for host, _ in by} == {"one", "two", "three"}
-        assert {version for _, version in by} == {"0.1.0", NEXT}
+        assert {version for _, version in by} == {__version__, NEXT}
         assert one.answer("archive", "verify", "--quick")["findings"] == []
         for host in (one, two, three):
             assert f"job {jobs[0]}: simulate plate/S000" in host.say("job", "logs", jobs[0])
