@@ -12,6 +12,7 @@ import os
 import select
 import signal
 import sys
+from contextlib import suppress
 
 from sms_jobs.kinds import all_kinds
 from sms_jobs.workers import place, preparation
@@ -48,11 +49,19 @@ def main() -> None:
 
 
 def _bury(children: dict[int, int]) -> None:
-    while children:
-        pid, _ = os.waitpid(-1, os.WNOHANG)
-        if pid == 0:
-            return
-        children.pop(pid, None)
+    """Take leave of children that have ended, and let what compiles kernels go on where it was stopped.
+
+    The supervisor wakes the places; of what compiles it knows nothing.
+    """
+    with suppress(ChildProcessError):  # there is none
+        while True:
+            pid, status = os.waitpid(-1, os.WNOHANG | os.WUNTRACED)
+            if pid == 0:
+                return
+            if not os.WIFSTOPPED(status):
+                children.pop(pid, None)
+            elif pid not in children:
+                os.kill(pid, signal.SIGCONT)
 
 
 def _fork(board: Board, line: int, lifeline: int, wishes: int) -> int:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from support.command import service, wait_until
 from support.deployments import Deployment
@@ -96,3 +98,19 @@ def submitted(catalogue: Catalogue) -> str:
 def ended(catalogue: Catalogue) -> bool:
     with catalogue.reading() as session:
         return set(inquiry.counts(session)) == {JobState.SUCCEEDED.value}
+
+
+def test_what_compiles_kernels_is_woken_when_it_was_stopped(home: Path, tmp_path: Path) -> None:
+    make_home(home, {})
+    with service(home, {"SMS_WORKERS": "1", "NUMBA_CACHE_DIR": str(tmp_path / "nothing-is-compiled")}) as up:
+
+        def compiling() -> list[psutil.Process]:
+            with suppress(psutil.NoSuchProcess):
+                return [p for n in up.children() for p in n.children() if p.nice() > up.nice()]
+            return []
+
+        (process, *_) = wait_until(compiling)
+        process.suspend()
+        wait_until(lambda: process.status() == psutil.STATUS_STOPPED)
+        wait_until(lambda: process.status() != psutil.STATUS_STOPPED, timeout=LONGEST_STALL_S)
+        assert process.status() != psutil.STATUS_ZOMBIE
