@@ -219,7 +219,9 @@ class KillCampaign:
         with suppress(psutil.NoSuchProcess, psutil.AccessDenied):
             # What has died and nobody has buried yet has no command any more.
             if "sms_jobs.workers.nursery" in process.cmdline():
-                return bool(process.environ().get("SMS_HOME") == str(self._home))
+                # What compiles kernels is no place: it is nicer than those.
+                same = process.nice() == psutil.Process().nice()
+                return same and bool(process.environ().get("SMS_HOME") == str(self._home))
         return False
 
     def _settle(self, catalogue: Catalogue) -> None:
