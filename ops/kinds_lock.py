@@ -10,7 +10,8 @@ it, or somebody has to say that no number changes:
                                                           note one whose numbers stay, and why
 
 The digest covers the kind's module and every module of this project that it needs, however indirectly, but
-for comments, docstrings and the modules of NEUTRAL, which carry numbers and make none.
+for comments, docstrings and the modules of NEUTRAL, which carry numbers and make none. A kind whose jobs are
+never run again, a recording, has no line: nothing of it is reused.
 """
 
 from __future__ import annotations
@@ -118,13 +119,15 @@ def digest_of(module: str, graph: grimp.ImportGraph) -> str:
 
 
 def found() -> dict[str, Locked]:
-    """Return version and digest of every kind, as the source has them."""
+    """Return version and digest of every kind whose results are reused, as the source has them."""
     from sms_jobs.kinds import all_kinds
+    from sms_jobs.kinds.kind import never
 
     graph = grimp.build_graph("sms_jobs")
     return {
         name: Locked(kind.version, digest_of(kind.run.__module__, graph))
         for name, kind in all_kinds().items()
+        if kind.repeatable is not never
     }
 
 
@@ -140,7 +143,7 @@ def complaints(now: dict[str, Locked], noted: dict[str, Locked]) -> list[str]:
     said = []
     for name in sorted(now.keys() | noted.keys()):
         if name not in now:
-            said.append(f"there is no kind {name} any more: run ops/kinds_lock.py --write")
+            said.append(f"nothing of a kind {name} is reused any more: run ops/kinds_lock.py --write")
         elif name not in noted or now[name].version != noted[name].version:
             said.append(f"version {now[name].version} of {name} is not noted: run ops/kinds_lock.py --write")
         elif now[name].digest != noted[name].digest:
@@ -198,7 +201,7 @@ def main() -> int:
         }
     unknown = sorted(why.keys() - now.keys())
     if unknown:
-        parser.error(f"there is no job kind {unknown[0]}; choose one of {', '.join(now)}")
+        parser.error(f"nothing of a job kind {unknown[0]} is reused; choose one of {', '.join(now)}")
     if given.write or why:
         noted = updated(now, noted, why)
         LOCK.write_text(_text(noted), encoding="utf-8")

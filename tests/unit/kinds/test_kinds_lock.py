@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from sms_jobs.kinds import all_kinds
+
 PROGRAM = Path(__file__).parents[3] / "ops" / "kinds_lock.py"
 
 
@@ -24,6 +26,13 @@ def graph(lock: Any) -> Any:
 
 def test_every_kind_is_noted_as_it_is(lock: Any) -> None:
     assert lock.complaints(lock.found(), lock.locked()) == []
+
+
+def test_recordings_are_never_reused_and_have_no_line(lock: Any) -> None:
+    # A new camera or trigger box asks for no decision.
+    noted = lock.found()
+    assert noted.keys() == all_kinds().keys() - {"acquire", "stream"}
+    assert "simulate" in noted
 
 
 def test_a_digest_covers_all_that_numbers_come_from_and_no_more(lock: Any, graph: Any) -> None:
@@ -63,4 +72,4 @@ def test_a_change_is_decided_by_version_or_by_name(lock: Any) -> None:
     assert "version 4 of strain is not noted" in said
     assert lock.updated({"strain": raised}, {"strain": one}, {}) == {"strain": raised}
     (said,) = lock.complaints({}, {"strain": one})
-    assert "no kind strain any more" in said
+    assert "nothing of a kind strain is reused any more" in said
