@@ -9,7 +9,8 @@ and their names in every array, table, file and report follow from `Intrinsics`.
 
 To put another model here:
 
-1. Declare its parameters: the fields of `Intrinsics`, after those of the pin-hole, and its name in `Model`.
+1. Declare its parameters: the fields of `Intrinsics`, after all that are there, and its name in `Model`; tell
+   it from the others in `Intrinsics.model` and `is_plain`.
 2. Write its equations: `distorted`, `by_point`, `by_parameters` and, where the inverse needs another place to
    begin, `begun`, which are compiled too; and where it folds, in `lens_field.py`.
 3. Write them a second time in `virtual_rig/optics.py`, which stays a witness of its own.
@@ -18,8 +19,9 @@ To put another model here:
    longer those of a polynomial.
 
 `tests/unit/geometry/test_lens.py` checks the derivatives of whatever model stands here,
-`tests/unit/test_virtual_rig_optics.py` compares it with the witness, and `test_interchange_calibrations.py`
-names a file that is refused for coefficients beyond it. `docs/equations.md` has the equations.
+`tests/unit/test_virtual_rig_optics.py` compares it with the witness; `test_interchange_calibrations.py` and
+`test_foreign_stereo_calibrations.py` each name a file that is refused for coefficients beyond it.
+`docs/equations.md` has the equations, `docs/conventions.md` the parameters.
 """
 
 from __future__ import annotations
