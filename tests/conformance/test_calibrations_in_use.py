@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from sqlalchemy import select
-from support.archives import Clock, emptied, everything, registered, run_jobs, runner
+from support.archives import Clock, everything, rebuilt, registered, run_jobs, runner
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, Checker, FolderStore, InputReference
@@ -25,7 +25,6 @@ from sms_jobs.jobs import (
     portable,
     portable_import,
     recovery,
-    reindexing,
     repair,
 )
 from sms_jobs.jobs.chosen import named
@@ -204,14 +203,11 @@ def test_plans_imports_and_folders_of_others_change_no_result(
         reused(catalogue, archive, clock, name, jobs)
     # A catalogue that is rebuilt comes to the same decisions.
     told = everything(catalogue)
-    emptied(catalogue)
-    paths = reindexing.unknown_files(catalogue, archive)
-    outcomes = {one.outcome for one in reindexing.reindex(catalogue, archive, paths, checker=checker)}
-    assert outcomes == {"indexed"}
-    rebuilt = everything(catalogue)
+    rebuilt(catalogue, archive, checker)
+    again = everything(catalogue)
     for name in ("acceptances", "calibrations"):
         # Numbers are given in the order of age, and what was unpacked is older than it is here.
-        assert sorted(row[1:] for row in rebuilt[name]) == sorted(row[1:] for row in told[name])
+        assert sorted(row[1:] for row in again[name]) == sorted(row[1:] for row in told[name])
     work(catalogue, clock)
     for name in ours:
         again = run_jobs(catalogue, archive, clock, SHAPES, name)
@@ -239,10 +235,9 @@ def test_what_was_recorded_before_a_calibration_keeps_the_one_of_its_time(
     new = run_jobs(catalogue, archive, clock, [Request("reconstruct", states=("S01",))], "real")
     assert not calibrations_of(catalogue, new) & calibrations_of(catalogue, before)
     told = everything(catalogue)
-    emptied(catalogue)
-    list(reindexing.reindex(catalogue, archive, reindexing.unknown_files(catalogue, archive)))
-    rebuilt = everything(catalogue)
-    assert [rebuilt[name] for name in ("states", "acceptances")] == [
+    rebuilt(catalogue, archive)
+    again = everything(catalogue)
+    assert [again[name] for name in ("states", "acceptances")] == [
         told[name] for name in ("states", "acceptances")
     ]
     work(catalogue, clock)
@@ -313,8 +308,7 @@ def test_a_calibration_waits_until_it_is_accepted(
     assert acceptances.accept(catalogue, archive, 2, "real", clock())
     assert len(stale(catalogue, jobs, clock)) == 1
     before = everything(catalogue)["acceptances"]
-    emptied(catalogue)
-    list(reindexing.reindex(catalogue, archive, reindexing.unknown_files(catalogue, archive)))
+    rebuilt(catalogue, archive)
     assert everything(catalogue)["acceptances"] == before
 
 

@@ -6,7 +6,7 @@ import json
 
 import pytest
 from sqlalchemy import select
-from support.archives import Clock, emptied, everything, registered, run_jobs, work_again
+from support.archives import Clock, everything, rebuilt, registered, run_jobs, work_again
 from support.deployments import Deployment
 
 from sms_jobs.app.finding import vocabulary
@@ -17,7 +17,7 @@ from sms_jobs.catalogue.finding import find_page
 from sms_jobs.catalogue.models import FileRow, MeasurementRow
 from sms_jobs.catalogue.query_language import parse
 from sms_jobs.formats.importers.readings import Reading
-from sms_jobs.jobs import reindexing, retention
+from sms_jobs.jobs import retention
 from sms_jobs.jobs.importing import amend_campaign, with_readings
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.stations import Stations
@@ -105,9 +105,7 @@ def test_results_are_found_by_time_and_load_of_their_recording(
     check_questions(catalogue)
     before = everything(catalogue)
     assert all(before.values())
-    emptied(catalogue)
-    paths = reindexing.unknown_files(catalogue, recorded)
-    assert {one.outcome for one in reindexing.reindex(catalogue, recorded, paths)} == {"indexed"}
+    rebuilt(catalogue, recorded)
     after = everything(catalogue)
     assert (after["readings"], after["files"]) == (before["readings"], before["files"])
     check_questions(catalogue)

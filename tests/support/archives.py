@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import select, text
 from sqlalchemy.orm import aliased
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import Archive, Checker
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
@@ -32,7 +32,7 @@ from sms_jobs.catalogue.models import (
     StatisticRow,
     Table,
 )
-from sms_jobs.jobs import recovery
+from sms_jobs.jobs import recovery, reindexing
 from sms_jobs.jobs.planning import Request
 from sms_jobs.jobs.registration import register_campaign
 from sms_jobs.jobs.runner import Runner
@@ -98,6 +98,19 @@ def emptied(catalogue: Catalogue) -> None:
     with catalogue.writing() as session:
         session.execute(text("DROP TABLE alembic_version"))
     schema.upgrade(catalogue)
+
+
+def entered(catalogue: Catalogue, archive: Archive, checker: Checker | None = None) -> None:
+    """Enter all files of an archive into a catalogue that knows none; each has to be taken."""
+    paths = reindexing.unknown_files(catalogue, archive)
+    outcomes = {one.outcome for one in reindexing.reindex(catalogue, archive, paths, checker=checker)}
+    assert outcomes == {"indexed"}
+
+
+def rebuilt(catalogue: Catalogue, archive: Archive, checker: Checker | None = None) -> None:
+    """Make a catalogue anew from the files of its archive alone."""
+    emptied(catalogue)
+    entered(catalogue, archive, checker)
 
 
 def work_again(catalogue: Catalogue, clock: Clock) -> None:

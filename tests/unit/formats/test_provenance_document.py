@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.archives import Clock, registered
+from support.archives import Clock, entered, registered
 from support.sealing import measurement, point_cloud, provenance
 
 from sms_jobs.archive import Archive, FolderStore, InputReference, Sealed
@@ -23,7 +23,7 @@ from sms_jobs.formats.provenance_document import (
     DocumentedInput,
     provenance_document,
 )
-from sms_jobs.jobs import lineage_documents, reindexing
+from sms_jobs.jobs import lineage_documents
 from sms_jobs.records.subject import Subject
 
 NOW = datetime(2026, 3, 1, 12, 0, 5, tzinfo=UTC)
@@ -130,8 +130,7 @@ def made(tmp_path: Path, rng: Any) -> Iterator[tuple[Catalogue, Archive, Sealed,
     )
     points = archive.seal_dataset({"surface": point_cloud(rng)}, later)
     archive.seal_document("page.txt", "text/plain", lambda path: path.write_text("page"), later)
-    paths = reindexing.unknown_files(catalogue, archive)
-    assert {one.outcome for one in reindexing.reindex(catalogue, archive, paths)} == {"indexed"}
+    entered(catalogue, archive)
     yield catalogue, archive, recorded, points
     catalogue.close()
 

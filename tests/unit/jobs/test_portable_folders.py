@@ -16,7 +16,7 @@ from typing import Any
 
 import h5py
 import pytest
-from support.archives import Clock, everything, registered, run_jobs
+from support.archives import Clock, entered, everything, registered, run_jobs
 from support.sealing import calibration
 from typer.testing import CliRunner
 
@@ -153,10 +153,7 @@ def test_the_folder_is_an_archive_itself(full: Home, tmp_path: Path) -> None:
     archive = Archive(FolderStore(tmp_path / "plate" / "data"))
     catalogue = Catalogue(f"sqlite:///{tmp_path / 'catalogue.sqlite'}", create=True)
     schema.upgrade(catalogue)
-    paths = reindexing.unknown_files(catalogue, archive)
-    assert {one.outcome for one in reindexing.reindex(catalogue, archive, paths, checker=full.checker)} == {
-        "indexed"
-    }
+    entered(catalogue, archive, full.checker)
     assert of_campaign(everything(catalogue), False) == of_campaign(everything(full.catalogue), False)
     assert list(verification.check_unknown(catalogue, archive)) == []
     catalogue.close()

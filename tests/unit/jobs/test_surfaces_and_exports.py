@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from support.archives import entered
 from support.homes import WHEN, make_home, stored
 
 from sms_jobs import bootstrap
@@ -20,7 +21,6 @@ from sms_jobs.cli import exporting, importing_surface
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.formats.exporters import all_exporters, exporter_named
 from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.reindexing import reindex, unknown_files
 from sms_jobs.jobs.submission import submit
 from sms_jobs.jobs.surfaces import register_surface
 from sms_jobs.kinds.kind import REFERENCE_SURFACES
@@ -105,9 +105,7 @@ def test_surfaces_are_told_by_files_alone(services: Services, tmp_path: Path) ->
     other = tmp_path / "again"
     bootstrap.initialise(other)
     with bootstrap.services(other) as again:
-        paths = unknown_files(again.catalogue, services.archive)
-        outcomes = [one.outcome for one in reindex(again.catalogue, services.archive, paths)]
-        assert set(outcomes) == {"indexed"}
+        entered(again.catalogue, services.archive)
         with again.catalogue.reading() as session:
             found = search.find_files(session, source=REFERENCE_SURFACES, campaign="plate")
             assert len(found) == 3
