@@ -218,11 +218,6 @@ class Browser:
             mobile=mobile,
         )
 
-    def photograph(self, whole: bool = False) -> bytes:
-        """Return a PNG of what is in sight, or of the whole page."""
-        answer = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
-        return base64.b64decode(answer["data"])
-
     def print(self) -> bytes:
         """Return the page as PDF."""
         answer = self.call("Page.printToPDF", preferCSSPageSize=True, printBackground=True)
