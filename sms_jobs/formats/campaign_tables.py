@@ -23,13 +23,24 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.record_tables import Counts, Number, Placement, Table, Vector, Volume, flat, mapped
+from sms_jobs.formats.record_tables import (
+    Counts,
+    GrayTable,
+    Number,
+    Placement,
+    Table,
+    Vector,
+    Volume,
+    flat,
+    mapped,
+)
 from sms_jobs.formats.session_tables import ARTEFACTS, Pixels, SessionTable, sensor_name
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
 from sms_jobs.metrology.phase.sequences import named_sequence
 from sms_jobs.records import scene as scenes
 from sms_jobs.records.campaign import Campaign, LoadState, ParameterValue, Specimen
+from sms_jobs.records.gray_code import Threshold
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, Gloss, ProjectorResponse, Scene, Speckle
 from sms_jobs.records.sensors import Calibration, Rig, Sensor
@@ -259,16 +270,21 @@ def _densities(value: Any) -> Any:
         raise PydanticCustomError("unknown_sequence", "{why}", {"why": f"is unknown: {error}"}) from None
 
 
+class _Gray(GrayTable):
+    threshold: Threshold = "inverse"
+
+
 class _Sequence(Table):
     densities: Annotated[tuple[Number, ...], BeforeValidator(_densities)] = FringeSequence().densities
     steps: Counts = FringeSequence().steps
     orientations_deg: tuple[float, ...] = (0.0, 90.0)
     exposures: tuple[float, ...] = FringeSequence().exposures
+    gray: _Gray | None = None
 
     def record(self) -> FringeSequence:
-        return FringeSequence.with_counts(
-            self.densities, self.steps, mapped(radians, self.orientations_deg), self.exposures
-        )
+        gray = None if self.gray is None else self.gray.code(self.gray.threshold)
+        angles = mapped(radians, self.orientations_deg)
+        return FringeSequence.with_counts(self.densities, self.steps, angles, self.exposures, gray)
 
 
 class CampaignTable(Table):

@@ -11,6 +11,7 @@ from typing import Annotated, Any, TypeAlias, Union, cast, get_args, get_origin,
 import numpy as np
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     GetPydanticSchema,
@@ -20,6 +21,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError, PydanticKnownError, core_schema
 
+from sms_jobs.records.gray_code import LARGEST_BITS, GrayCode, Threshold
 from sms_jobs.records.sensors import Box
 
 _POSITIVE = (
@@ -188,3 +190,22 @@ class Volume(Table):
     def record(self) -> Box:
         """Return the box."""
         return Box(self.low_mm, self.high_mm)
+
+
+def _several(value: Any) -> Any:
+    return (value,) if isinstance(value, int | float) else value
+
+
+Stripes = Annotated[tuple[Annotated[float, Field(ge=2.0)], ...], BeforeValidator(_several)]
+"""Stripes of a Gray code: one number, or one for each orientation; empty for all that its bits tell apart."""
+
+
+class GrayTable(Table):
+    """A Gray code as files describe it."""
+
+    bits: Annotated[int, Field(ge=1, le=LARGEST_BITS)]
+    stripes: Stripes = ()
+
+    def code(self, threshold: Threshold) -> GrayCode:
+        """Return the code, with a threshold."""
+        return GrayCode(self.bits, self.stripes or (float(2**self.bits),), threshold)

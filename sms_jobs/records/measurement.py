@@ -6,13 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from math import inf, lcm, pi
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
+from sms_jobs.records.gray_code import GrayCode, Stripes
 from sms_jobs.records.quantity import array
 from sms_jobs.records.scene import Simulation
 
@@ -21,7 +22,8 @@ from sms_jobs.records.scene import Simulation
 class FringeSequence:
     """The patterns that a projector shows, in order: orientations, then densities, then phase steps.
 
-    All of them are recorded with one exposure after the other, the frames of an exposure together.
+    Those of a Gray code follow the fringes. All of them are recorded with one exposure after the other, the
+    frames of an exposure together.
 
     Attributes
     ----------
@@ -39,6 +41,8 @@ class FringeSequence:
     shown
         Which of the steps are shown of each density, where some have fewer than three: all densities then
         share one mean and one modulation, as in micro and embedded phase shifting. Empty for all of them.
+    gray
+        A Gray code beside the fringes, or without any: then there are no densities. None for fringes alone.
     """
 
     densities: tuple[int | float, ...] = (32, 31, 30, 28, 24, 16)
@@ -46,14 +50,21 @@ class FringeSequence:
     orientations_rad: tuple[float, ...] = (0.0, pi / 2)
     exposures: tuple[float, ...] = (1.0,)
     shown: tuple[tuple[int, ...], ...] = ()
+    gray: GrayCode | None = None
 
     def __post_init__(self) -> None:
         if self.steps < 3:
             raise InvalidInput(f"a fringe sequence needs at least 3 phase steps, not {self.steps}")
         below = [t for t in self.densities if not (t == 0 or 1 <= t < inf)]
-        if not self.densities or below or max(self.densities) == 0:
+        needed = self.densities or self.gray is None
+        if below or (needed and max(self.densities, default=0) == 0):
             raise InvalidInput(
                 f"fringe densities must be at least 1, or 0 beside others, not {self.densities}"
+            )
+        if self.gray is not None and (self.gray.threshold == "fringes") > bool(self.densities):
+            raise InvalidInput(
+                "a Gray code without fringes needs the inverse of each pattern, or white and black, to tell "
+                "bright from dark"
             )
         if self.shown:
             self._check_shown()
@@ -61,6 +72,11 @@ class FringeSequence:
             raise InvalidInput("the fringe density 0 is shown once at most: it is the same field every time")
         if not self.orientations_rad:
             raise InvalidInput("a fringe sequence needs at least one orientation")
+        if self.gray is not None and len(self.gray.stripes) not in (1, len(self.orientations_rad)):
+            raise InvalidInput(
+                f"a Gray code has one number of stripes, or one for each of the {len(self.orientations_rad)} "
+                f"orientations, not {len(self.gray.stripes)}"
+            )
         if not self.exposures or not all(0.0 < e < inf for e in self.exposures):
             raise InvalidInput(
                 f"a fringe sequence needs one exposure or several, each above 0 times the camera's own, not "
@@ -76,6 +92,7 @@ class FringeSequence:
         counts: int | tuple[int, ...],
         orientations_rad: tuple[float, ...],
         exposures: tuple[float, ...] = (1.0,),
+        gray: GrayCode | None = None,
     ) -> FringeSequence:
         """Return a sequence from one number of steps, or from one for each density.
 
@@ -83,17 +100,17 @@ class FringeSequence:
         `InvalidInput` for a list of another length, and as the sequence itself does.
         """
         if isinstance(counts, int):
-            return cls(densities, counts, orientations_rad, exposures)
-        if len(counts) != len(densities) or min(counts) < 1:
+            return cls(densities, counts, orientations_rad, exposures, gray=gray)
+        if not counts or len(counts) != len(densities) or min(counts) < 1:
             raise InvalidInput(
                 f"steps should be one number, or one for each of the {len(densities)} densities and at "
                 f"least 1, not {list(counts)}"
             )
         if len(set(counts)) == 1 and counts[0] > 2:
-            return cls(densities, counts[0], orientations_rad, exposures)
+            return cls(densities, counts[0], orientations_rad, exposures, gray=gray)
         steps = lcm(*(4 if n == 2 else n for n in counts))
         parts = [range(0, steps // 2, steps // 4) if n == 2 else range(0, steps, steps // n) for n in counts]
-        return cls(densities, max(steps, 3), orientations_rad, exposures, tuple(map(tuple, parts)))
+        return cls(densities, max(steps, 3), orientations_rad, exposures, tuple(map(tuple, parts)), gray)
 
     def _check_shown(self) -> None:
         """Raise `InvalidInput` where the steps that are shown cannot tell mean, modulation and phase."""
@@ -127,6 +144,11 @@ class FringeSequence:
         return bool(self.shown)
 
     @property
+    def striped(self) -> bool:
+        """Whether a Gray code is all there is."""
+        return not self.densities
+
+    @property
     def anchor(self) -> int:
         """Place of the density with the most equal steps, which by itself tells mean and modulation."""
         evenly = [len(steps) if self._evenly(steps) else 0 for steps in self.shown]
@@ -134,7 +156,9 @@ class FringeSequence:
 
     @property
     def anchor_steps(self) -> int:
-        """How many steps that density has."""
+        """How many steps that density has; 2 of a Gray code alone, bright and dark."""
+        if self.striped:
+            return 2
         return len(self.steps_of(self.densities[self.anchor]))
 
     @property
@@ -144,19 +168,36 @@ class FringeSequence:
 
     @property
     def in_words(self) -> str:
-        """Densities and steps: 16, 1 x 4 steps, or 70.5, 66, 64 x 3, 1, 1 steps."""
+        """What is shown: densities 16, 1 x 4 steps, or densities 70.5, 66, 64 x 3, 1, 1 steps."""
+        code = "" if self.gray is None else self.gray.in_words
+        if self.striped:
+            return code
         counts = ", ".join(str(len(steps)) for steps in self.shown) or str(self.steps)
-        return f"{', '.join(f'{t:g}' for t in self.densities)} x {counts} steps"
+        fringes = f"densities {', '.join(f'{t:g}' for t in self.densities)} x {counts} steps"
+        return f"{fringes} with {code}" if code else fringes
 
     @property
     def frames(self) -> int:
-        """Number of fringe frames of the whole sequence, all exposures together."""
+        """Number of frames of the whole sequence, all exposures together."""
         return len(self.exposures) * self.frames_per_exposure
 
     @property
     def frames_per_exposure(self) -> int:
-        """Number of fringe frames of one exposure: of the patterns that are shown."""
-        return len(self.orientations_rad) * sum(len(self.steps_of(t)) for t in self.densities)
+        """Number of frames of one exposure: of the patterns that are shown."""
+        code = 0 if self.gray is None else self.gray.frames(len(self.orientations_rad))
+        return len(self.orientations_rad) * self._fringes_each + code
+
+    @property
+    def _fringes_each(self) -> int:
+        """Number of fringe frames of one exposure and orientation."""
+        return sum(len(self.steps_of(t)) for t in self.densities)
+
+    @property
+    def averaged_frames(self) -> int:
+        """Number of frames of one exposure that the mean intensity is the mean of."""
+        if self.gray is not None and self.striped:
+            return 2 if self.gray.threshold == "white-black" else self.frames_per_exposure
+        return len(self.orientations_rad) * self._fringes_each
 
     def steps_of(self, density: float) -> tuple[int, ...]:
         """Return the phase steps that are shown of a density, in order.
@@ -170,11 +211,11 @@ class FringeSequence:
         return tuple(range(self.steps)) if density else (0, self.steps // 2)
 
     def frames_of(self, orientation: int, uniform: bool = True) -> NDArray[np.intp] | slice:
-        """Return where the frames of an orientation are, by its number, with or without the density 0.
+        """Return where the fringes of an orientation are, by its number, with or without the density 0.
 
-        They are counted among those of one exposure, in the order of `patterns`.
+        They are counted among the frames of one exposure, in the order of `patterns`.
         """
-        count = self.frames_per_exposure // len(self.orientations_rad)
+        count = self._fringes_each
         start = orientation * count
         if uniform or 0 not in self.densities:
             return slice(start, start + count)
@@ -184,20 +225,51 @@ class FringeSequence:
         return start + np.flatnonzero(shown)
 
     def frames_of_anchor(self, orientation: int) -> slice:
-        """Return where the frames of the density are that tells mean and modulation, as `frames_of` does."""
-        count = self.frames_per_exposure // len(self.orientations_rad)
+        """Return where the frames are that tell mean and modulation, as `frames_of` does.
+
+        Of fringes those of the anchor, of a Gray code alone a pattern and its inverse, or white and black.
+        """
+        if self.gray is not None and self.striped:
+            plain = self.gray.threshold == "white-black"
+            start = self.frames_per_exposure - 2 if plain else self.code_frames_of(orientation).start
+            return slice(start, start + 2)
+        count = self._fringes_each
         before = sum(len(self.steps_of(t)) for t in self.densities[: self.anchor])
         start = orientation * count + before
         return slice(start, start + self.anchor_steps)
 
     def whole_turns_of(self, orientation: int) -> NDArray[np.intp] | slice:
-        """Return where the frames are whose fringes cancel in the mean over steps, as `frames_of` does."""
+        """Return where the frames are whose patterns cancel in the mean over steps, as `frames_of` does."""
+        if self.gray is not None and self.striped:
+            own = self.code_frames_of(orientation)
+            return own if self.gray.threshold == "inverse" else self.frames_of_anchor(orientation)
         if self.joint:
             return self.frames_of_anchor(orientation)
         return self.frames_of(orientation, uniform=False)
 
+    def code_frames_of(self, orientation: int) -> slice:
+        """Return where the frames of the Gray code of an orientation are, as `frames_of` does."""
+        each = 0 if self.gray is None else self.gray.frames_each
+        start = len(self.orientations_rad) * self._fringes_each + orientation * each
+        return slice(start, start + each)
+
+    def code_patterns(self) -> Iterator[Stripes]:
+        """Yield the patterns of the Gray code in order; in an exposure they follow the fringes."""
+        if self.gray is None:
+            return
+        bits = self.gray.bits
+        each = [(angle, bits, self.gray.stripes_of(k)) for k, angle in enumerate(self.orientations_rad)]
+        for about in each:
+            for bit in range(bits):
+                yield Stripes(*about, bit)
+                if self.gray.threshold == "inverse":
+                    yield Stripes(*about, bit, inverted=True)
+        if self.gray.threshold == "white-black":
+            yield Stripes(*each[0], None)
+            yield Stripes(*each[0], None, inverted=True)
+
     def patterns(self) -> Iterator[tuple[float, float, int]]:
-        """Yield (orientation in rad, density, step 0 .. steps-1) of each frame of an exposure in order."""
+        """Yield (orientation in rad, density, step 0 .. steps-1) of each fringe frame of an exposure."""
         for orientation in self.orientations_rad:
             for density in self.densities:
                 for step in self.steps_of(density):
@@ -260,34 +332,6 @@ class ArrayStack:
 
 
 @dataclass(frozen=True)
-class GrayCode:
-    """Stripe patterns that were recorded beside the fringes: they tell the fringe order.
-
-    Attributes
-    ----------
-    bits
-        Patterns of each orientation, the coarsest first.
-    stripes
-        How many stripes go across the projector; 2^bits where they fill it.
-    threshold
-        Above which grey level a bit is set: that of the inverse pattern, the mean of the white and the black
-        frame, or the mean of the pixel's fringe frames.
-    """
-
-    bits: int
-    stripes: float
-    threshold: Literal["inverse", "white-black", "fringes"] = "fringes"
-
-    def frames(self, orientations: int) -> int:
-        """Return how many frames there are: orientation by orientation, inverse patterns behind the others.
-
-        White and black come last, once for all orientations.
-        """
-        each = 2 * self.bits if self.threshold == "inverse" else self.bits
-        return orientations * each + (2 if self.threshold == "white-black" else 0)
-
-
-@dataclass(frozen=True)
 class Measurement:
     """What one view recorded at one state.
 
@@ -305,7 +349,8 @@ class Measurement:
         White frame: the projector at full brightness and no fringes, at the camera's own exposure, 1,
         whatever the exposures of the fringes: what is correlated has one noise model.
     frames
-        Fringe frames in the order of `sequence.patterns()`, exposure by exposure; streamed.
+        In the order of `sequence.patterns()`, then of `sequence.code_patterns()`, exposure by exposure;
+        streamed.
     simulation
         For a virtual rig: what was simulated.
     dimming
@@ -313,10 +358,6 @@ class Measurement:
         and in the white frame; None for full brightness.
     phase_offsets_rad
         What the patterns of a foreign projector add to the phase omega t, by density; empty for nothing.
-    gray_code
-        Of a foreign projector: the code that was shown beside the fringes; None for none.
-    code_frames
-        The frames of that code, in the order of `GrayCode.frames`; streamed.
     """
 
     recorded_at: datetime
@@ -331,10 +372,6 @@ class Measurement:
         "1", "factor by which the projector's pixels were dimmed", default=None
     )
     phase_offsets_rad: tuple[float, ...] = ()
-    gray_code: GrayCode | None = None
-    code_frames: FrameStack | None = array(
-        "count", "frames of the Gray code", ("frame", "row", "column"), default=None
-    )
 
     @property
     def grey_levels(self) -> GreyLevels:

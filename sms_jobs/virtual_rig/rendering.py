@@ -21,11 +21,13 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel, uncounted_kernel
 from sms_jobs.metrology.phase.patterns import direction, fringe_harmonics, span_px
+from sms_jobs.records.gray_code import Stripes
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, Simulation
 from sms_jobs.records.sensors import Sensor
 from sms_jobs.virtual_rig.gloss import dimmed, shining
 from sms_jobs.virtual_rig.light import SUBSAMPLES, Floats, Light, Singles, sensor_named
+from sms_jobs.virtual_rig.stripes import A_PIXEL, stripe_profile
 
 Image: TypeAlias = NDArray[np.uint16]
 Window: TypeAlias = tuple[int, int, int, int]
@@ -216,6 +218,7 @@ class SimulatedFrames(SimulatedImage):
         super().__init__(simulation, light, threads, sequence.frames)
         self._sequence = sequence
         self._patterns = list(sequence.patterns())
+        self._code = list(sequence.code_patterns())
         self._projector: Sensor = sensor_named(simulation, simulation.projector or "")
         self._response = simulation.scene.projector
         self._lock = Lock()
@@ -233,11 +236,17 @@ class SimulatedFrames(SimulatedImage):
         for (orientation, density), frames in groupby(enumerate(self._patterns), key=lambda f: f[1][:2]):
             images = self._pattern_images(orientation, density, start, stop)
             for index, (_, _, step) in frames:
-                for number, exposure in enumerate(self._sequence.exposures):
-                    place = number * len(self._patterns) + index
-                    weights = self._weights(len(images), step, exposure)
-                    slab[place] = self._recorded(images, weights, place, start)
+                self._record(slab, images, self._weights(len(images), step), index, start)
+        for index, stripes in enumerate(self._code, len(self._patterns)):
+            images = self._stripe_images(stripes, start, stop)
+            self._record(slab, images, np.ones(2), index, start)
         return slab
+
+    def _record(self, slab: Image, images: Singles, weights: Floats, index: int, start: int) -> None:
+        """Put a pattern in all exposures into its places of a slab."""
+        for number, exposure in enumerate(self._sequence.exposures):
+            place = number * self._sequence.frames_per_exposure + index
+            slab[place] = self._recorded(images, exposure * weights, place, start)
 
     def expected(self, index: int) -> Singles:
         """Return the grey levels of a frame before noise and rounding, (rows, columns)."""
@@ -246,20 +255,24 @@ class SimulatedFrames(SimulatedImage):
 
     def _parts(self, index: int) -> tuple[Singles, Floats]:
         """Return the images that a frame is a weighted sum of, and their weights."""
-        number, pattern = divmod(index, len(self._patterns))
+        number, pattern = divmod(index, self._sequence.frames_per_exposure)
+        exposure = self._sequence.exposures[number]
+        if pattern >= len(self._patterns):
+            stripes = self._code[pattern - len(self._patterns)]
+            return self._stripe_images(stripes, 0, self.shape[1]), exposure * np.ones(2)
         orientation, density, step = self._patterns[pattern]
         shown = (orientation, density)
         with self._lock:
             if self._shown is None or self._shown[0] != shown:
                 self._shown = (shown, self._pattern_images(orientation, density, 0, self.shape[1]))
             images = self._shown[1]
-        return images, self._weights(len(images), step, self._sequence.exposures[number])
+        return images, exposure * self._weights(len(images), step)
 
-    def _weights(self, count: int, step: int, exposure: float) -> Floats:
-        """Return the weights of `_pattern_images` in a frame, (count,)."""
+    def _weights(self, count: int, step: int) -> Floats:
+        """Return the weights of `_pattern_images` in a frame of exposure 1, (count,)."""
         angles = 2.0 * pi * step / self._sequence.steps * np.arange(1, (count + 1) // 2)
         fringes = np.stack([np.cos(angles), -np.sin(angles)], axis=-1)
-        return exposure * np.concatenate([[1.0], fringes.ravel()])
+        return np.concatenate([[1.0], fringes.ravel()])
 
     def _pattern_images(self, orientation: float, density: float, start: int, stop: int) -> Singles:
         """Return rows of the images of which every step of one density is a weighted sum.
@@ -289,6 +302,24 @@ class SimulatedFrames(SimulatedImage):
         white, ambient = self._steady[:, start:stop]
         mean = np.float32(harmonics[0]) * white + ambient
         return np.concatenate([mean[None], self._imaged(fringes, 2 * len(harmonics) - 2, start, stop)])
+
+    def _stripe_images(self, stripes: Stripes, start: int, stop: int) -> Singles:
+        """Return rows of the images whose sum is a pattern of a Gray code: its light and ambient light."""
+        columns, rows = self._projector.columns, self._projector.rows
+        span = span_px(columns, rows, stripes.orientation_rad)
+        a, b = direction(stripes.orientation_rad)
+        profile = stripe_profile(stripes, span, self._response)
+
+        def light_of(samples: Window) -> Singles:
+            top, bottom, left, right = samples
+            window = slice(None), slice(top, bottom), slice(left, right)
+            x, y = self._light.x[window], self._light.y[window]
+            along = a * (x + 0.5 - columns / 2.0) + b * (y + 0.5 - rows / 2.0) + span / 2.0
+            place = np.clip(np.rint(along * A_PIXEL - 0.5).astype(np.int64), 0, len(profile) - 1)
+            shown = self._light.strength[window] * profile[place]
+            return np.asarray(shown.sum(axis=0, dtype=np.float32)[None])
+
+        return np.concatenate([self._imaged(light_of, 1, start, stop), self._steady[1:, start:stop]])
 
 
 def _noise_seed(simulation: Simulation) -> int:

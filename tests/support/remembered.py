@@ -56,8 +56,7 @@ def _kept(output: Output) -> Output:
 def _in_memory(record: Any) -> Any:
     if not isinstance(record, Measurement):
         return record
-    code = record.code_frames
-    return replace(record, frames=_stack(record.frames), code_frames=None if code is None else _stack(code))
+    return replace(record, frames=_stack(record.frames))
 
 
 def _stack(frames: FrameStack) -> ArrayStack:

@@ -185,7 +185,7 @@ def _planned(task: Task) -> CampaignPlan | None:
 
 def _fringes(sequence: Any) -> str:
     angles = ", ".join(f"{degrees(a):g}" for a in sequence.orientations_rad)
-    return f"densities {sequence.in_words} along {angles} deg"
+    return f"{sequence.in_words} along {angles} deg"
 
 
 @dataclass(frozen=True)

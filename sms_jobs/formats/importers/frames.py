@@ -42,9 +42,14 @@ class FoundTuple:
     faults: tuple[str, ...] = ()
 
     @property
+    def stack(self) -> tuple[str, ...]:
+        """The frames of the measurement, in its order."""
+        return self.fringes + self.code
+
+    @property
     def files(self) -> tuple[str, ...]:
         """All of its files."""
-        return self.fringes + self.code + (() if self.white is None else (self.white,))
+        return self.stack + (() if self.white is None else (self.white,))
 
 
 @dataclass(frozen=True)
@@ -255,7 +260,7 @@ def _complete(layout: FrameLayout, key: _Key, named: Mapping[Role, str]) -> Foun
 
     white, black = named.get(Role("white")), named.get(Role("black"))
     code = stack("code")
-    if layout.gray is not None and layout.gray.threshold == "white-black":
+    if layout.sequence.gray is not None and layout.sequence.gray.threshold == "white-black":
         assert white is not None
         assert black is not None
         code = (*code, white, black)
@@ -266,13 +271,14 @@ def role_descriptions(layout: FrameLayout, found: FoundTuple) -> Iterator[tuple[
     """Yield each file of a complete tuple and what it shows, in words."""
     for name, (angle, density, step) in zip(found.fringes, layout.sequence.patterns(), strict=True):
         yield name, f"{density:g} fringe{'s' * (density != 1)} along {degrees(angle):g} deg, step {step}"
-    if layout.gray is not None:
-        bits = layout.gray.bits
-        for place, name in enumerate(found.code):
-            if name == found.white or place >= layout.gray.frames(len(layout.sequence.orientations_rad)):
-                continue
-            each = 2 * bits if layout.gray.threshold == "inverse" else bits
-            bit = place % each
-            yield name, f"Gray code bit {bit % bits}" + (" inverted" if bit >= bits else "")
+    for name, stripes in zip(found.code, layout.sequence.code_patterns(), strict=True):
+        inverted = " inverted" if stripes.inverted else ""
+        if stripes.bit is not None:
+            yield (
+                name,
+                f"Gray code bit {stripes.bit} along {degrees(stripes.orientation_rad):g} deg{inverted}",
+            )
+        elif stripes.inverted:
+            yield name, "black"
     if found.white is not None:
         yield found.white, "white"

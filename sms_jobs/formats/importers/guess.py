@@ -162,6 +162,14 @@ def _folder(names: set[str]) -> str:
     return next(iter(names)) if len(names) == 1 else "*"
 
 
+_FRAMES_OF_CODE = {
+    "inverse": ("gray+inverse", "fringes gray+inverse"),
+    "white-black": ("gray white black", "fringes gray white black"),
+    "fringes": ("", "fringes gray"),
+}
+"""What frames of a Gray code are called, by its threshold: alone, and beside fringes."""
+
+
 def _guess_sequence(
     listing: Listing,
     images: list[str],
@@ -172,9 +180,15 @@ def _guess_sequence(
     inner = dict(table.get("sequence", {})) if isinstance(table.get("sequence", {}), dict) else {}
     table["sequence"] = inner
     if sequence is not None and not {"densities", "steps"} & inner.keys():
-        inner["densities"], inner["steps"] = sequence.densities, sequence.counts
+        if sequence.densities:
+            inner["densities"], inner["steps"] = sequence.densities, sequence.counts
+        if sequence.gray is not None and "gray" not in table:
+            table["gray"] = {"bits": sequence.gray.bits, "stripes": sequence.gray.stripes}
+            table.setdefault("frames", _FRAMES_OF_CODE[sequence.gray.threshold][bool(sequence.densities)])
         inner.setdefault("orientations_deg", tuple(round(degrees(a), 9) for a in sequence.orientations_rad))
         remarks.append("the fringes are those of the campaign")
+    if "frames" in table and "fringes" not in str(table["frames"]):
+        return
     known = {"densities", "steps"} <= inner.keys() and "frames" in table
     seen = None if known else _look(listing, images, table)
     if "steps" not in inner and seen is not None and seen.steps:

@@ -107,12 +107,12 @@ def inspect(
 
 def _telling(found: FoundTuple, sequence: FringeSequence) -> list[str]:
     """Return the names of the frames that are to tell the noise: whole sets of steps, of no density 0."""
-    stack = np.arange(len(found.fringes))
+    stack = np.arange(len(found.stack))
     each = range(len(sequence.orientations_rad))
     shown = np.concatenate([stack[sequence.whole_turns_of(k)] for k in each])
     groups = shown.reshape(-1, sequence.anchor_steps)
     chosen = groups[:: -(-len(groups) // _NOISE_GROUPS)]
-    return [found.fringes[index] for index in chosen.ravel()]
+    return [found.stack[index] for index in chosen.ravel()]
 
 
 def _spread_rows(rows: int) -> list[int]:
@@ -199,6 +199,7 @@ def source_hash(one: Inspected, layout: FrameLayout) -> str:
     What is found from the frames of the whole folder, such as the noise, is no part of it: more states beside
     a state do not make it another.
     """
+    gray = layout.sequence.gray
     parts = {
         "fringes": [one.facts[n].sha256 for n in one.found.fringes],
         "code": [one.facts[n].sha256 for n in one.found.code],
@@ -206,7 +207,7 @@ def source_hash(one: Inspected, layout: FrameLayout) -> str:
         "sequence": [layout.sequence.densities, layout.sequence.steps, layout.sequence.orientations_rad],
         "shown": layout.sequence.shown,
         "offsets": layout.phase_offsets_rad,
-        "gray": None if layout.gray is None else [layout.gray.stripes, layout.gray.threshold],
+        "gray": None if gray is None else [gray.stripes, gray.threshold],
         "camera": [layout.full_scale, layout.gain, layout.read_noise],
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
@@ -310,8 +311,7 @@ def measurement_of(
     folder: Path, one: Inspected, layout: FrameLayout, camera: CameraModel, recorded_at: datetime
 ) -> Measurement:
     """Return the measurement that the files of a tuple are; its frames are read as they are asked for."""
-    frames: FrameStack = FileFrames(folder, one.found.fringes, one.facts, layout.raw)
-    code = FileFrames(folder, one.found.code, one.facts, layout.raw) if one.found.code else None
+    frames: FrameStack = FileFrames(folder, one.found.stack, one.facts, layout.raw)
     return Measurement(
         recorded_at=recorded_at,
         sequence=layout.sequence,
@@ -321,19 +321,19 @@ def measurement_of(
         texture=_texture(folder, one, layout, frames),
         frames=frames,
         phase_offsets_rad=layout.phase_offsets_rad,
-        gray_code=layout.gray,
-        code_frames=code,
     )
 
 
 def _texture(folder: Path, one: Inspected, layout: FrameLayout, frames: FrameStack) -> NDArray[np.uint16]:
-    """Return the white frame, or the mean of all fringe frames whose fringes cancel."""
+    """Return the white frame, or the mean of all fringe frames whose fringes cancel, or of all stripes."""
     if one.found.white is not None:
         levels, _ = read_image(folder / one.found.white, layout.raw)
         return levels.astype(np.uint16)
     count, rows, columns = frames.shape
     every, sequence = np.arange(count), layout.sequence
-    if sequence.joint:
+    if not (sequence.joint or sequence.striped):
+        every = every[: len(one.found.fringes)]
+    else:
         each = range(len(sequence.orientations_rad))
         every = np.concatenate([every[sequence.whole_turns_of(k)] for k in each])
     total = np.zeros((rows, columns), np.uint32)

@@ -17,16 +17,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field, ValidationError
 
 from sms_jobs.errors import ConfigurationError, InvalidInput
 from sms_jobs.formats.importers.folders import NamePattern, printable
 from sms_jobs.formats.importers.image_files import RawFormat
 from sms_jobs.formats.interchange.text_files import read_text
-from sms_jobs.formats.record_tables import Counts, Number, Table
+from sms_jobs.formats.record_tables import Counts, GrayTable, Number, Table
 from sms_jobs.formats.written_files import read_toml
-from sms_jobs.records.measurement import FringeSequence, GrayCode
+from sms_jobs.records.gray_code import GrayCode, Threshold
+from sms_jobs.records.measurement import FringeSequence
 
 MOST_FRAMES = 4096
 
@@ -48,8 +48,8 @@ class Role:
 
 
 class _Sequence(Table):
-    densities: tuple[Number, ...]
-    steps: Counts
+    densities: tuple[Number, ...] = ()
+    steps: Counts | None = None
     orientations_deg: tuple[float, ...] = (0.0,)
 
 
@@ -59,19 +59,8 @@ class _Phase(Table):
     offset_deg: float = 0.0
 
 
-class _Gray(Table):
-    bits: Annotated[int, Field(ge=1, le=16)]
-    stripes: Annotated[float, Field(ge=2.0)] | None = None
+class _Gray(GrayTable):
     order: Literal["coarse-first", "fine-first"] = "coarse-first"
-
-    @model_validator(mode="after")
-    def _not_too_many(self) -> _Gray:
-        if self.stripes is not None and self.stripes > 2**self.bits:
-            raise PydanticCustomError(
-                "stripes", "has {s} stripes, of which {b} patterns tell {n} apart",
-                {"s": self.stripes, "b": self.bits, "n": 2**self.bits},
-            )  # fmt: skip
-        return self
 
 
 class _Camera(Table):
@@ -92,7 +81,7 @@ class LayoutTable(Table):
     frames: str = "fringes"
     order: str = "orientation density step"
     first: Annotated[int, Field(ge=0)] | None = None
-    sequence: _Sequence
+    sequence: _Sequence = _Sequence()
     phase: _Phase = _Phase()
     gray: _Gray | None = None
     camera: _Camera = _Camera()
@@ -122,7 +111,7 @@ class FrameLayout:
     orientation_names
         Angles in degrees by what the names call them.
     sequence
-        The fringes, as this program orders them.
+        Fringes and Gray code, as this program orders them.
     blocks
         In order of recording.
     order
@@ -132,8 +121,8 @@ class FrameLayout:
     direction, origin, offset_rad
         Step k adds direction * 2 pi k / q to the phase; the first step is cos(offset) at the projector's
         middle or edge.
-    gray, fine_first
-        The Gray code beside the fringes, and whether its finest pattern is shown first.
+    fine_first
+        Whether the finest pattern of the Gray code is shown first.
     full_scale, gain, read_noise
         Of the camera; found from the frames if None.
     raw
@@ -152,7 +141,6 @@ class FrameLayout:
     direction: int = 1
     origin: str = "middle"
     offset_rad: float = 0.0
-    gray: GrayCode | None = None
     fine_first: bool = False
     full_scale: int | None = None
     gain: float | None = None
@@ -255,17 +243,16 @@ class FrameLayout:
                 yield self.fringe(at["orientation"], at["density"], at["step"])
 
     def _codes(self, kind: str, orientations: list[int]) -> Iterator[Role]:
-        assert self.gray is not None
-        bits = self.gray.bits
-        inverted = self.gray.threshold == "inverse"
+        assert self.sequence.gray is not None
+        bits, each = self.sequence.gray.bits, self.sequence.gray.frames_each
+        apart = each // bits
         order = range(bits - 1, -1, -1) if self.fine_first else range(bits)
         for orientation in orientations:
-            base = orientation * bits * (2 if inverted else 1)
             for bit in order:
                 if kind != "inverse":
-                    yield Role("code", base + bit)
+                    yield Role("code", orientation * each + apart * bit)
                 if kind != "gray":
-                    yield Role("code", base + bits + bit)
+                    yield Role("code", orientation * each + apart * bit + 1)
 
 
 def load_layout(path: Path) -> dict[str, Any]:
@@ -304,7 +291,7 @@ def _as_layout(table: LayoutTable) -> FrameLayout:
     blocks = _blocks(table.frames)
     layout = FrameLayout(
         pattern=pattern,
-        sequence=_shown_sequence(table),
+        sequence=_shown_sequence(table, blocks),
         state=table.state,
         view=table.view,
         states=table.states,
@@ -315,7 +302,6 @@ def _as_layout(table: LayoutTable) -> FrameLayout:
         direction=table.phase.direction,
         origin=table.phase.origin,
         offset_rad=radians(table.phase.offset_deg),
-        gray=_gray(table.gray, blocks),
         fine_first=table.gray is not None and table.gray.order == "fine-first",
         full_scale=table.camera.full_scale,
         gain=table.camera.gain,
@@ -327,10 +313,21 @@ def _as_layout(table: LayoutTable) -> FrameLayout:
     return layout
 
 
-def _shown_sequence(table: LayoutTable) -> FringeSequence:
-    """Return the fringes of a table; where only some steps are shown, these as the foreign rig turns them."""
+def _shown_sequence(table: LayoutTable, blocks: tuple[Block, ...]) -> FringeSequence:
+    """Return what a table shows; where only some steps are shown, these as the foreign rig turns them."""
     angles = tuple(radians(a) for a in table.sequence.orientations_deg)
-    told = FringeSequence.with_counts(table.sequence.densities, table.sequence.steps, angles)
+    densities, steps = table.sequence.densities, table.sequence.steps
+    gray = _gray(table.gray, blocks)
+    if gray is not None and not any(b.kind == "fringes" for b in blocks):
+        if densities or steps is not None:
+            raise InvalidInput(
+                "sequence has densities or steps, but frames names no fringes: add them where they were "
+                "recorded, or leave them out"
+            )
+        return FringeSequence((), orientations_rad=angles, gray=gray)
+    if not densities or steps is None:
+        raise InvalidInput("sequence.densities or sequence.steps is missing: say both for fringes")
+    told = FringeSequence.with_counts(densities, steps, angles, gray=gray)
     turned = tuple(tuple(table.phase.direction * k % told.steps for k in steps) for steps in told.shown)
     return replace(told, shown=turned)
 
@@ -368,10 +365,8 @@ def _gray(table: _Gray | None, blocks: tuple[Block, ...]) -> GrayCode | None:
         raise InvalidInput("frames has a Gray code: say its patterns an orientation, as [gray] bits = 6")
     both = {"white", "black"} <= set(kinds)
     inverted = "gray+inverse" in kinds or "inverse" in kinds
-    threshold: Literal["inverse", "white-black", "fringes"] = (
-        "inverse" if inverted else "white-black" if both else "fringes"
-    )
-    return GrayCode(table.bits, table.stripes or float(2**table.bits), threshold)
+    threshold: Threshold = "inverse" if inverted else "white-black" if both else "fringes"
+    return table.code(threshold)
 
 
 def _check_names(layout: FrameLayout) -> None:
@@ -408,11 +403,10 @@ def _check_frames(layout: FrameLayout) -> None:
     sequence, roles = layout.sequence, layout.roles
     if len(set(sequence.densities)) < len(sequence.densities):
         raise InvalidInput(f"densities has one twice: {', '.join(map(str, sequence.densities))}")
-    expected = {Role("fringe", i) for i in range(sequence.frames)}
-    if layout.gray is not None:
-        count = layout.gray.frames(len(sequence.orientations_rad))
-        apart = 2 if layout.gray.threshold == "white-black" else 0
-        expected |= {Role("code", i) for i in range(count - apart)}
+    coded = 0 if sequence.gray is None else sequence.gray.frames(len(sequence.orientations_rad))
+    apart = 2 if sequence.gray is not None and sequence.gray.threshold == "white-black" else 0
+    expected = {Role("fringe", i) for i in range(sequence.frames - coded)}
+    expected |= {Role("code", i) for i in range(coded - apart)}
     shown = [r for r in roles if r.kind in ("fringe", "code")]
     if set(shown) != expected or len(shown) != len(expected):
         raise InvalidInput(

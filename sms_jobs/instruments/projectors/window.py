@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from sms_jobs.errors import DeviceFault, InvalidInput, LinkLost
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.optical_drivers import DriverContext, ProjectorDriver, optional_package
-from sms_jobs.metrology.phase.patterns import direction, fringe_pattern
+from sms_jobs.metrology.geometry.camera import pixel_grid
+from sms_jobs.metrology.phase.patterns import direction, fringe_pattern, phase_gradient, stripe_brightness
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import ProjectorInstrument
 
@@ -229,12 +230,20 @@ class WindowProjector:
         return brightness if self._dimming is None else brightness * self._dimming
 
     def _picture(self, number: int) -> Levels:
-        orientation, density, step = list(self._sequence.patterns())[number]
-        columns, rows, steps = self.settings.columns, self.settings.rows, self._sequence.steps
+        columns, rows = self.settings.columns, self.settings.rows
+        fringes, code = list(self._sequence.patterns()), list(self._sequence.code_patterns())
+        stripes = code[number - len(fringes)] if number >= len(fringes) else None
+        orientation = fringes[number][0] if stripes is None else stripes.orientation_rad
         across, down = direction(orientation)
-        # Of fringes along an axis one line is computed, and seen as all of them.
+        # Of patterns along an axis one line is computed, and seen as all of them.
         line = (columns if across else 1, rows if down else 1)
-        brightness = self._dimmed(fringe_pattern(*line, orientation, density, step, steps))
+        if stripes is None:
+            brightness = fringe_pattern(*line, orientation, *fringes[number][1:], self._sequence.steps)
+        else:
+            omega = phase_gradient(pixel_grid(line[1], line[0]), *line, orientation)
+            shown = stripes.bits, stripes.stripes, stripes.bit, stripes.inverted
+            brightness = stripe_brightness(omega, *shown)
+        brightness = self._dimmed(brightness)
         levels: Levels = np.broadcast_to(grey_levels(brightness, self.settings.gamma), (rows, columns))
         return levels
 

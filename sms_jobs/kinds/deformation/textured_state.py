@@ -186,7 +186,7 @@ def average_noise(measurement: Measurement, phase: PhaseMaps, valid: NDArray[np.
     Where pixels have exposures of their own it is right for the valid ones together: too much for the dark
     ones and too little for a highlight, which has the short exposures.
     """
-    frames = measurement.sequence.frames_per_exposure
+    frames = measurement.sequence.averaged_frames
     read_variance, gain = measurement.read_noise**2 / frames, measurement.gain / frames
     if phase.exposure is None or not valid.any():
         return Noise(read_variance, gain)

@@ -2,29 +2,46 @@
 
 from __future__ import annotations
 
-from math import pi
+from math import degrees, pi, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 from scipy.special import chdtri
 
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.kinds.shape.streaming import in_best_exposure, sampled
-from sms_jobs.metrology.phase.gray_code import gradient_of_stripes, read_stripes
+from sms_jobs.metrology.phase.gray_code import (
+    UNREAD,
+    gradient_at,
+    gradient_of_stripes,
+    order_mishap,
+    read_stripes,
+)
 from sms_jobs.metrology.phase.joint_fit import JointCode, with_transfer
-from sms_jobs.metrology.phase.temporal_unwrapping import CoarseGradient
+from sms_jobs.metrology.phase.temporal_unwrapping import CoarseGradient, PhaseGradient
+from sms_jobs.records.fields import PhaseMaps
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.subject import Subject
 
+Singles = NDArray[np.float32]
+
 _DOUBT = 3.0  # standard deviations of the noise from the threshold, within which a bit may be misread
+_SURE = 4.0  # the same without fringes, which a wrong bit would contradict
+_WRONG_SIGN = 0.35  # of the modulation: a pattern that is seen with less may be seen with the wrong sign
+_CLEAR, _NEAR_PX = 0.75, 5  # of the modulation, and the pixels across in which a clear pattern has to show it
+_LIT = 5.0  # standard deviations of the noise
+_LEAST_LIT = 200  # pixels
+_UNEVEN = 0.1  # of the modulation: what light from elsewhere may add to one pattern
+_UNLIKE = 0.25  # of the lit pixels: an exchanged pattern is wrong in half of them
 _ROWS, _COLUMNS = 24, 200  # of the pixels that tell what blur leaves
 
 
 def refuse_foreign_patterns(subject: Subject, measurement: Measurement, instead: str) -> None:
     """Raise `InvalidInput` where patterns are not this program's own; `instead` says what can use them."""
     foreign = {
-        "a Gray code": measurement.gray_code is not None,
+        "a Gray code": measurement.sequence.gray is not None,
         "one modulation for all densities": measurement.sequence.joint,
         "phases of their own": any(measurement.phase_offsets_rad),
     }
@@ -95,29 +112,153 @@ def stated_by_what_is_left(
 
 
 def coarse_gradient(
-    measurement: Measurement, orientation: int, rows: slice, fringes: NDArray[Any]
+    measurement: Measurement, orientation: int, frames: NDArray[Any]
 ) -> CoarseGradient | None:
-    """Return what a Gray code says of the rows of an orientation, before its fringes are unwrapped.
+    """Return what a Gray code says of some rows of an orientation, before its fringes are unwrapped.
 
     Parameters
     ----------
-    fringes
-        (frames, rows, columns): those of the orientation, whose mean may be the threshold.
+    frames
+        (frames, rows, columns): all of one exposure.
     """
-    code, stack = measurement.gray_code, measurement.code_frames
-    if code is None or stack is None:
+    code = measurement.sequence.gray
+    if code is None:
         return None
-    both = code.threshold == "inverse"
-    first = orientation * (2 * code.bits if both else code.bits)
-    frames = stack.rows(rows.start, rows.stop)
-    mine = frames[first : first + code.bits]
-    threshold: NDArray[np.float32]
-    if both:
-        # Half way between a pattern and its inverse: what is above it in the one is below it in the other.
-        threshold = 0.5 * (mine.astype(np.float32) + frames[first + code.bits : first + 2 * code.bits])
-    elif code.threshold == "white-black":
-        threshold = frames[-2:].mean(axis=0, dtype=np.float32)
+    above, _, noise = _contrast(measurement, orientation, frames)
+    stripes = code.stripes_of(orientation)
+    return gradient_of_stripes(read_stripes(above, _DOUBT * noise, stripes).nearly_sure, stripes)
+
+
+def striped_gradient(measurement: Measurement, orientation: int, frames: NDArray[Any]) -> PhaseGradient:
+    """Return the phase gradient of some rows of an orientation by their Gray code alone.
+
+    Parameters
+    ----------
+    frames
+        (frames, rows, columns): all of one exposure.
+
+    Notes
+    -----
+    A pixel's gradient is the middle of the stripes that agree with its bits, and sigma their width over the
+    root of 12, as of a uniform distribution. A bit is in doubt within four standard deviations of the noise.
+    Of a pattern that no pixel near by shows with three quarters of the modulation it is in doubt below 0.35
+    of that, too: what a pixel sees may be as wide as one and a half periods, and then has up to a third of
+    the contrast with the wrong sign. Where it is shown, as c sin(pi x / 2) at x stripes from a border with c
+    of 0.75 at least, less than 0.35 is found within half a stripe of the border alone.
+    """
+    sequence = measurement.sequence
+    code = sequence.gray
+    assert code is not None
+    above, threshold, noise = _contrast(measurement, orientation, frames)
+    if code.threshold == "inverse":
+        modulation, mean = np.median(np.abs(above), axis=0), threshold.mean(axis=0)
     else:
-        threshold = fringes.mean(axis=0, dtype=np.float32)
-    doubt = _DOUBT * measurement.noise(threshold)
-    return gradient_of_stripes(read_stripes(mine, threshold, doubt), code.stripes)
+        white, black = frames[-2:].astype(np.float32)
+        modulation, mean = 0.5 * (white - black), threshold
+    near = maximum_filter(np.abs(above), (1, _NEAR_PX, _NEAR_PX)) >= _CLEAR * modulation
+    noisy, faint = _SURE * noise, _WRONG_SIGN * modulation
+    doubt = np.where(near, noisy, np.maximum(noisy, faint))
+    stripes = code.stripes_of(orientation)
+    found = read_stripes(above, doubt, stripes, near & (noisy <= faint))
+    used = [frames[sequence.code_frames_of(orientation)], frames[sequence.frames_of_anchor(orientation)]]
+    shape = modulation.shape
+    return PhaseGradient(
+        omega=gradient_at(found.middle, stripes),
+        omega_sigma=np.asarray(2.0 * pi / stripes / sqrt(12.0) * found.width, np.float32),
+        modulation=np.asarray(modulation, np.float32),
+        phase_error=np.zeros(shape, np.float32),
+        mean_intensity=np.asarray(mean, np.float32),
+        fitted=np.ones(shape, np.uint8),
+        saturated=np.logical_or.reduce([(f >= measurement.full_scale).any(axis=0) for f in used]),
+        ambiguous=found.stripe == UNREAD,
+    )
+
+
+def _contrast(
+    measurement: Measurement, orientation: int, frames: NDArray[Any]
+) -> tuple[Singles, Singles, Singles]:
+    """Return how far patterns are above their threshold, (bits, rows, columns), the threshold, and its noise.
+
+    Of inverses the noise is that of half the difference, of white and black that of a pattern and their mean.
+    """
+    sequence = measurement.sequence
+    assert sequence.gray is not None
+    own = frames[sequence.code_frames_of(orientation)].astype(np.float32)
+    if sequence.gray.threshold == "inverse":
+        # Half way between a pattern and its inverse: what is above it in the one is below it in the other.
+        threshold = 0.5 * (own[::2] + own[1::2])
+        return own[::2] - threshold, threshold, measurement.noise(threshold) / np.float32(sqrt(2.0))
+    if sequence.gray.threshold == "white-black":
+        threshold = frames[-2:].mean(axis=0, dtype=np.float32)
+        return own - threshold, threshold, measurement.noise(threshold) * np.float32(sqrt(1.5))
+    fringes = frames[sequence.frames_of(orientation, uniform=False)]
+    threshold = fringes.mean(axis=0, dtype=np.float32)
+    return own - threshold, threshold, measurement.noise(threshold)
+
+
+def check_stripes(
+    subject: Subject,
+    measurement: Measurement,
+    patches: NDArray[Any],
+    phase: PhaseMaps,
+    trusted: NDArray[np.bool_],
+) -> None:
+    """Check that frames are the Gray code that is told, where it is all there is.
+
+    Parameters
+    ----------
+    patches
+        (frames, ...): of one exposure, some of the pixels.
+    phase, trusted
+        Of the whole image, and where it can be.
+
+    Raises
+    ------
+    MeasurementFailed
+        Patterns and inverses do not add up to one brightness, patterns do not lie between black and white, or
+        stripes that should be neighbours are not: it names the bits.
+    """
+    sequence = measurement.sequence
+    code = sequence.gray
+    assert code is not None
+    for k, angle in enumerate(sequence.orientations_rad):
+        along = f" along {degrees(angle):g} deg"
+        finding = _levels_mishap(measurement, k, patches.reshape(len(patches), -1)) if patches.size else None
+        if finding is None:
+            stripes = code.stripes_of(k)
+            place = (phase.omega[k] / (2.0 * pi) + 0.5) * stripes
+            sure = trusted & (phase.omega_sigma[k] < 1.5 * 2.0 * pi / stripes / sqrt(12.0))
+            sure &= np.abs(place % 1.0 - 0.5) < 0.25  # not the middle of two
+            stripe = np.where(sure, np.floor(np.where(sure, place, 0.0)), UNREAD).astype(np.int32)
+            finding = order_mishap(stripe, code.bits)
+        if finding is not None:
+            raise MeasurementFailed(f"the frames of {subject} are not what is told of them{along}: {finding}")
+
+
+def _levels_mishap(measurement: Measurement, orientation: int, frames: NDArray[Any]) -> str | None:
+    """Say which patterns do not go with their threshold, frames (frames, pixels); None for none."""
+    sequence = measurement.sequence
+    assert sequence.gray is not None
+    above, threshold, noise = _contrast(measurement, orientation, frames[:, None, :])
+    if sequence.gray.threshold == "inverse":
+        # Every pattern and its inverse are as bright together as all others are.
+        off, within = np.abs(threshold - np.median(threshold, axis=0)), 1.0
+        lit = np.median(np.abs(above), axis=0) > _LIT * noise[0]
+        what = "patterns and inverses of bits {} do not add up to the brightness of the others"
+    else:
+        white, black = frames[-2:].astype(np.float32)
+        if np.count_nonzero(black - white > _LIT * noise[0]) > np.count_nonzero(
+            white - black > _LIT * noise[0]
+        ):
+            return "the black frame is brighter than the white one: they have changed places"
+        half = 0.5 * (white - black)
+        off, within = np.abs(above) - half, 2.0
+        lit = half[None] > _LIT * noise
+        what = "bit {} is brighter than white or darker than black"
+    limit = within * _SURE * noise + _UNEVEN * np.median(np.abs(above), axis=0)
+    if np.count_nonzero(lit) < _LEAST_LIT:
+        return None
+    wrong = [b for b, one in enumerate(off > limit) if one[lit].mean() > _UNLIKE]
+    if len(wrong) > 2 and sequence.gray.threshold == "inverse":
+        return "patterns and inverses do not go together: see if frames are gray+inverse or gray inverse"
+    return what.format(", ".join(map(str, wrong))) if wrong else None

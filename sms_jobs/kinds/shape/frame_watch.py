@@ -97,7 +97,7 @@ def check_frames(
     -----
     Nothing is said of frames with a Gray code, nor where fewer than 200 of the sampled pixels are lit.
     """
-    if measurement.gray_code is not None or not patches.size:
+    if measurement.sequence.gray is not None or not patches.size:
         return
     sequence, grey = measurement.sequence, measurement.grey_levels
     densities = tuple(t for t in sequence.densities if t)

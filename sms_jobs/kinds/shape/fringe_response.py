@@ -143,7 +143,7 @@ def rough_response(subject: Subject, measurement: Measurement, threads: int) -> 
     density, of patterns of other people, nor where few pixels have clear fringes.
     """
     sequence = measurement.sequence
-    foreign = sequence.joint or measurement.gray_code is not None or any(measurement.phase_offsets_rad)
+    foreign = sequence.joint or sequence.gray is not None or any(measurement.phase_offsets_rad)
     if foreign or len(set(sequence.densities) - {0}) < 2:
         return None
     try:

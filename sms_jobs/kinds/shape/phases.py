@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Progress
 from sms_jobs.kinds.shape.foreign_patterns import (
+    check_stripes,
     coarse_gradient,
     joint_codes,
     offsets_of,
     refuse_foreign_patterns,
     stated_by_what_is_left,
+    striped_gradient,
 )
 from sms_jobs.kinds.shape.frame_watch import FramePatches, check_frames
 from sms_jobs.kinds.shape.fringe_response import (
@@ -44,7 +46,7 @@ from sms_jobs.kinds.shape.ranged_phases import range_slab, transfers
 from sms_jobs.kinds.shape.streaming import exposed_slabs
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.geometry.triangulation import Projector
-from sms_jobs.metrology.images.masks import alone, phase_error_factor
+from sms_jobs.metrology.images.masks import alone, narrowed, phase_error_factor
 from sms_jobs.metrology.phase.joint_fit import JointCode, fit_jointly
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.response import Response
@@ -123,6 +125,12 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
         # Ambiguous pixels lie in lines along fringes; nothing tells the slope at what is left between two.
         mark(reason, alone(reason == Reason.VALID), Reason.AMBIGUOUS_UNWRAPPING)
         _state_what_is_left(measurement, known.codes, phase, reason == Reason.VALID)
+    if sequence.striped:
+        # Beyond an edge a pixel shows the stripe of a surface that its centre misses.
+        lit = (reason & Reason.LOW_MODULATION) == 0
+        mark(reason, lit & ~narrowed(lit, 3), Reason.OUTSIDE_REGION)
+        check_stripes(task.subject, measurement, patches.stacked(), phase, reason == Reason.VALID)
+        return Phases(phase, returns, reason, response)
     check_frames(
         task.subject,
         measurement,
@@ -178,7 +186,11 @@ def _unwrap_slab(
     sequence = measurement.sequence
     for k in range(len(sequence.orientations_rad)):
         fringes = frames[sequence.frames_of(k, uniform=False)]
-        found = _gradient(task, known, k, rows, fringes)
+        found = (
+            striped_gradient(measurement, k, frames)
+            if sequence.striped
+            else _gradient(task, known, k, frames, fringes)
+        )
         phase.omega[k, rows] = found.omega
         phase.omega_sigma[k, rows] = found.omega_sigma
         ripple: Floats | float = 0.0
@@ -196,8 +208,10 @@ def _unwrap_slab(
         reason[rows] |= _phase_reasons(found, ripple, measurement, parameters)
 
 
-def _gradient(task: PhaseTask, known: Known, orientation: int, rows: slice, fringes: Frames) -> PhaseGradient:
-    """Return the phase gradient of some rows, from the frames of one orientation without the density 0."""
+def _gradient(
+    task: PhaseTask, known: Known, orientation: int, frames: Frames, fringes: Frames
+) -> PhaseGradient:
+    """Return the phase gradient of some rows, from the fringes of one orientation without the density 0."""
     measurement = task.measurement
     sequence = measurement.sequence
     if known.codes:
@@ -210,7 +224,7 @@ def _gradient(task: PhaseTask, known: Known, orientation: int, rows: slice, frin
         gain=measurement.gain,
         read_noise=measurement.read_noise,
         offsets=offsets_of(measurement),
-        coarse=coarse_gradient(measurement, orientation, rows, fringes),
+        coarse=coarse_gradient(measurement, orientation, frames),
         threads=task.threads,
     )
 

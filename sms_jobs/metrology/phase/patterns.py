@@ -86,6 +86,31 @@ def fringe_pattern(
     return fringe_intensity(omega, density, step, steps)
 
 
+def stripe_brightness(omega: Floats, bits: int, stripes: float, bit: int | None, inverted: bool) -> Floats:
+    """Return the brightness of a pattern of a Gray code, 0 or 1 of the projector's full brightness.
+
+    Parameters
+    ----------
+    omega
+        (...), phase gradient in rad.
+    bits, stripes
+        Patterns of the code, and how many stripes go across the projector.
+    bit
+        Which pattern, 0 the coarsest; None for a uniform field.
+    inverted
+        Whether bright and dark are exchanged.
+
+    Notes
+    -----
+    Bright where the bit of stripe xor stripe / 2 is set, with stripe = floor((omega / 2 pi + 1/2) stripes).
+    """
+    if bit is None:
+        return np.full(omega.shape, 0.0 if inverted else 1.0)
+    number = np.clip(np.floor((omega / (2.0 * pi) + 0.5) * stripes), 0, 2**bits - 1).astype(np.int64)
+    bright = ((number ^ (number >> 1)) >> (bits - 1 - bit)) & 1 == 1
+    return np.asarray(bright != inverted, np.float64)
+
+
 def fringe_harmonics(
     density: float, span: float, *, visibility: float = 1.0, gamma: float = 1.0, defocus_px: float = 0.0
 ) -> Floats:

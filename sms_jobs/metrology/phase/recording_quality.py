@@ -39,7 +39,8 @@ def recording_quality(
     Parameters
     ----------
     steps
-        (q, rows, columns), q >= 3, grey levels of equally spaced phase steps; some of the pixels will do.
+        (q, rows, columns), grey levels of equally spaced phase steps, or of a pattern and its inverse
+        (q = 2); some of the pixels will do.
     saturated
         (rows, columns): where a frame of the recording, any, reaches full scale.
     full_scale
@@ -50,13 +51,14 @@ def recording_quality(
     Notes
     -----
     The amplitude is that of the first harmonic, 2 |sum I_k exp(-2 pi i k / q)| / q; its standard deviation is
-    sigma sqrt(2 / q).
+    sigma sqrt(2 / q). Of two steps amplitude and variance are half of that.
     """
     count = len(steps)
     level = steps.astype(np.float32)
     turn = np.exp(-2j * np.pi * np.arange(count) / count).astype(np.complex64)
-    amplitude = 2.0 / count * np.abs(np.tensordot(turn, level, axes=1))
-    sigma = np.sqrt((read_noise**2 + gain * level.mean(axis=0)) * (2.0 / count))
+    share = 0.5 if count == 2 else 2.0 / count
+    amplitude = share * np.abs(np.tensordot(turn, level, axes=1))
+    sigma = np.sqrt((read_noise**2 + gain * level.mean(axis=0)) * share)
     lit = saturated | (amplitude > LEAST_MODULATION_TO_NOISE * sigma)
     if not lit.any():
         return RecordingQuality(0.0, 0.0, 0.0)

@@ -251,7 +251,7 @@ def correct_texture(
     omega_sigma: Single,
     modulation: Single,
     usable: Mask,
-    meet: Meet,
+    meet: Meet | None,
     *,
     blur_px: float | None = None,
     maximum_shift_px: float = np.inf,
@@ -268,7 +268,8 @@ def correct_texture(
     usable
         (rows, columns): whose omega can be used.
     meet
-        Gives the ray gaps that tell the blur; not called for one orientation or with `blur_px`.
+        Gives the ray gaps that tell the blur; not called for one orientation or with `blur_px`. None where
+        gaps do not tell it, as those of stripes, whose omega has steps: it is then `UNKNOWN`.
     blur_px
         Standard deviation of the spot, if it is known.
     maximum_shift_px
@@ -303,10 +304,10 @@ def correct_texture(
 
 
 def _blur_of_gaps(
-    omega: Floats, omega_sigma: Single, shift: Floats, spread: Single, telling: Mask, meet: Meet
+    omega: Floats, omega_sigma: Single, shift: Floats, spread: Single, telling: Mask, meet: Meet | None
 ) -> Blur:
     """Return the blur that the ray gaps of some rows tell, or that is unknown of a single orientation."""
-    if len(omega) == 1:
+    if meet is None or len(omega) == 1:
         return UNKNOWN
     every = max(len(telling) // _BLUR_ROWS, 1)
     part, sigma = omega[:, ::every].copy(), omega_sigma[:, ::every].copy()

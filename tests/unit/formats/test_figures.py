@@ -90,7 +90,7 @@ def test_points_and_meshes_and_frames_can_be_drawn(rng: np.random.Generator) -> 
         ("u", "v"), ("mm", "mm"), rng.random((n, 3)), np.array([[0, 1, 2]], np.int32), rng.random((2, n))
     )
     assert plot_record(mesh, "values", "v") != plot_record(mesh, "values", "u")
-    assert plottable(Measurement) == ("texture", "frames", "dimming", "code_frames")
+    assert plottable(Measurement) == ("texture", "frames", "dimming")
 
 
 def test_one_frame_of_a_measurement(rng: np.random.Generator) -> None:

@@ -52,7 +52,7 @@ def gradients(measurement: Measurement) -> NDArray[np.float64]:
             gain=measurement.gain,
             read_noise=measurement.read_noise,
             offsets=offsets_of(measurement),
-            coarse=coarse_gradient(measurement, k, slice(0, ROWS), mine),
+            coarse=coarse_gradient(measurement, k, measurement.frames.rows(0, ROWS)),
         )
         assert not one.ambiguous.any()
         found.append(one.omega)
@@ -133,8 +133,8 @@ def test_gray_code_tells_the_order_of_one_density(tmp_path: Path, first: str, th
         "here",
     )
     measurement = imported(tmp_path, layout)
-    assert measurement.gray_code is not None
-    assert measurement.gray_code.threshold == threshold
+    assert measurement.sequence.gray is not None
+    assert measurement.sequence.gray.threshold == threshold
     # Rounding of 0.29 levels against a modulation of at least 49 in 12 frames: 0.0024 rad over 32; 6 sigma.
     assert np.abs(gradients(measurement)[0] - omega()).max() < 6.0 * 0.0024 / 32
     expected = 200 if threshold == "white-black" else np.rint(fringes((32,), 12)).mean(axis=0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from math import pi
+from math import isnan, nan, pi
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +16,10 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.phase.gray_code import UNREAD, gradient_of_stripes, read_stripes
 from sms_jobs.metrology.phase.temporal_unwrapping import unwrap
 from sms_jobs.metrology.phase.unwrapping_plan import unwrapping_plan
+from sms_jobs.records.gray_code import GrayCode
 
 COLUMNS = 1920
+DOUBT = np.float32(4.0)
 MEAN, MODULATION = 100.0, 60.0
 
 
@@ -25,6 +28,10 @@ def seen(columns: NDArray[np.float64], bits: int, stripes: float) -> NDArray[np.
     stripe = np.floor((columns + 0.5) / COLUMNS * stripes).astype(int)
     bright = np.stack([gray_pattern(stripe, b, bits) for b in range(bits)])
     return np.where(bright, MEAN + MODULATION, MEAN - MODULATION)[:, None, :]
+
+
+def above(frames: NDArray[np.float64], threshold: Any) -> NDArray[np.float32]:
+    return np.asarray(frames - threshold, np.float32)
 
 
 def fringes(
@@ -45,16 +52,33 @@ def test_a_stripe_is_read_as_itself_and_differs_from_the_next_in_one_pattern(bit
     stripe %= 2**bits
     here, there = (np.array([gray_pattern(s, b, bits) for b in range(bits)]) for s in (stripe, stripe + 1))
     frames = np.where(here, 200.0, 20.0)[:, None, None]
-    assert read_stripes(frames, np.full((1, 1), 110.0), 5.0)[0, 0] == stripe
+    found = read_stripes(above(frames, 110.0), DOUBT, 2.0**bits)
+    assert (found.stripe[0, 0], found.middle[0, 0], found.width[0, 0]) == (stripe, stripe + 0.5, 1.0)
     if stripe + 1 < 2**bits:
         assert (here != there).sum() == 1
 
 
-def test_one_doubtful_bit_is_read_and_two_are_not() -> None:
-    frames = np.array([200.0, 111.0, 20.0])[:, None, None]
-    assert read_stripes(frames, np.full((1, 1), 110.0), 5.0)[0, 0] != UNREAD
-    frames[2] = 108.0
-    assert read_stripes(frames, np.full((1, 1), 110.0), 5.0)[0, 0] == UNREAD
+@pytest.mark.parametrize(
+    ("levels", "middle", "width"),
+    [
+        ((1, 0, 1), 6.5, 1.0),  # every bit is sure
+        ((1, 0.01, 1), 6.0, 1.0),  # the border of 5 and 6: half a stripe on either side
+        ((0.01, 1, -1), 4.0, 1.0),  # of 3 and 4
+        ((1, 1, 0.01), 5.0, 2.0),  # the finest bit may be too fine to be seen: 4 or 5
+        ((1, -0.01, 0.01), 6.0, 4.0),  # and the next: 4 .. 7
+        ((0.01, 1, 0.01), 4.0, 4.0),  # the border of 3 and 4, where the finest bit cannot be seen: 2 .. 5
+        ((1, 0.01, -1), nan, 0.0),  # 4 or 7, which is no border
+        ((0.01, 0.01, -1), nan, 0.0),
+    ],
+)
+def test_doubtful_bits_leave_the_stripes_that_agree(
+    levels: tuple[float, ...], middle: float, width: float
+) -> None:
+    signs = [2.0 * (level > 0) - 1.0 if level in (0, 1, -1) else level for level in levels]
+    found = read_stripes(np.array(signs, np.float32)[:, None, None], np.float32(0.1), 8.0)
+    assert (found.stripe[0, 0] == UNREAD) == isnan(middle)
+    if not isnan(middle):
+        assert (found.middle[0, 0], found.width[0, 0]) == (middle, width)
 
 
 @pytest.mark.parametrize(("bits", "stripes", "density"), [(6, 64.0, 32), (5, 32.0, 32), (7, 96.0, 40)])
@@ -64,8 +88,9 @@ def test_the_code_gives_the_fringe_order(
     columns = np.sort(rng.uniform(0.0, COLUMNS - 1.0, 5000))
     code = seen(columns, bits, stripes) + rng.normal(0.0, 1.0, (bits, 1, columns.size))
     frames = np.rint(fringes(columns, (density,), 12, (0.0,)) + rng.normal(0.0, 1.0, (12, 1, columns.size)))
-    stripe = read_stripes(code, frames.mean(axis=0), 4.0)
-    found = unwrap(
+    found = read_stripes(above(code, frames.mean(axis=0)), DOUBT, stripes)
+    stripe = found.nearly_sure
+    gradient = unwrap(
         frames.astype(np.uint8),
         (density,),
         12,
@@ -76,9 +101,9 @@ def test_the_code_gives_the_fringe_order(
     )
     truth = 2.0 * pi * (columns + 0.5 - COLUMNS / 2) / COLUMNS
     # Noise of 1 and rounding (1/12) in 12 frames of modulation 60: 0.0071 rad a phase; 6 sigma.
-    assert np.abs(found.omega[0] - truth)[~found.ambiguous[0]].max() < 6.0 * 0.0071 / density
+    assert np.abs(gradient.omega[0] - truth)[~gradient.ambiguous[0]].max() < 6.0 * 0.0071 / density
     # Where a stripe is as wide as a fringe, a tenth of the fringe at its borders is given up.
-    assert found.ambiguous.mean() < (0.15 if stripes == density else 0.001)
+    assert gradient.ambiguous.mean() < (0.15 if stripes == density else 0.001)
 
 
 def test_how_far_off_a_stripe_may_be_read() -> None:
@@ -130,10 +155,10 @@ def test_a_code_coarser_than_fringes_is_refused() -> None:
     coarse = gradient_of_stripes(np.zeros((1, 4), np.int32), 16.0)
     with pytest.raises(InvalidInput, match="2 times as wide as a fringe"):
         unwrap(frames, (32,), 3, full_scale=255, gain=0.0, read_noise=1.0, coarse=coarse)
-    with pytest.raises(InvalidInput, match="at least 2 stripes"):
-        gradient_of_stripes(np.zeros((1, 4), np.int32), 1.0)
+    with pytest.raises(InvalidInput, match="2 to 8 stripes"):
+        GrayCode(3, (1.0,))
     with pytest.raises(InvalidInput, match="1 to 16 patterns"):
-        read_stripes(np.zeros((17, 1, 1)), np.zeros((1, 1)), 1.0)
+        GrayCode(17, (2.0,))
 
 
 def test_with_a_code_the_lowest_density_begins() -> None:

@@ -1,0 +1,163 @@
+"""A Gray code without fringes: every point in its stripes as is stated, and wrong words refused by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import pi
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from sms_jobs.bench.in_memory import run_kind
+from sms_jobs.errors import InvalidInput, MeasurementFailed
+from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
+from sms_jobs.records.fields import Surface
+from sms_jobs.records.gray_code import GrayCode, Threshold
+from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.scene import Simulation
+from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.subject import Subject
+from sms_jobs.virtual_rig.campaigns import small_plate
+from sms_jobs.virtual_rig.rendering import render
+from sms_jobs.virtual_rig.truth import Shape, exact_shape
+
+SUBJECT = Subject("plate", "S00", "C1P1")
+BOTH = (0.0, pi / 2)
+Seen = tuple[Calibration, Measurement, Shape]
+
+
+def simulated(code: GrayCode, camera: dict[str, float], projector: dict[str, float]) -> Seen:
+    calibration, campaign = small_plate("plate")
+    assert campaign.scene is not None
+    scene = replace(
+        campaign.scene,
+        camera=replace(campaign.scene.camera, **camera),
+        projector=replace(campaign.scene.projector, **projector),
+    )
+    simulation = Simulation(scene, "C1", "P1", (), state="S00")
+    sequence = FringeSequence((), orientations_rad=BOTH, gray=code)
+    seen = render(simulation, sequence)
+    frames = ArrayStack(seen.frames.rows(0, seen.frames.shape[1]))
+    measurement = Measurement(
+        calibration.valid_from, sequence, seen.full_scale, seen.gain, seen.read_noise, seen.texture, frames
+    )
+    return calibration, measurement, exact_shape(simulation)
+
+
+def reconstructed(calibration: Calibration, measurement: Measurement, **parameters: object) -> Surface:
+    records = {"measurement": measurement, "calibration": calibration}
+    given = ReconstructParameters.model_validate(parameters)
+    surface = run_kind(KIND, SUBJECT, records, 1, given).records["surface"]
+    assert isinstance(surface, Surface)
+    return surface
+
+
+@pytest.mark.parametrize("threshold", ["inverse", "white-black"])
+@pytest.mark.parametrize(
+    ("stripes", "camera", "projector", "low", "high"),
+    [
+        ((32.0,), {}, {}, 0.8, 1.1),
+        ((128.0,), {}, {}, 0.8, 1.1),
+        ((256.0, 192.0), {}, {}, 0.8, 1.1),  # of a pixel of the projector each
+        ((200.0, 150.0), {"ambient": 0.3}, {"gamma": 2.2}, 0.8, 1.1),
+        # Doubtful bits leave more stripes than one, which is stated as if all were as likely.
+        ((128.0,), {"read_noise": 300.0}, {}, 0.6, 1.1),
+        ((128.0,), {}, {"defocus_px": 4.0}, 0.6, 1.1),
+        # The texture moves what a camera out of focus sees, and nothing tells how far.
+        ((128.0,), {"blur_px": 1.5}, {}, 0.85, 1.2),
+    ],
+)
+def test_points_lie_within_their_stripes_as_is_stated(
+    threshold: Threshold,
+    stripes: tuple[float, ...],
+    camera: dict[str, float],
+    projector: dict[str, float],
+    low: float,
+    high: float,
+) -> None:
+    code = GrayCode(int(np.ceil(np.log2(max(stripes)))), stripes, threshold)
+    calibration, measurement, shape = simulated(code, camera, projector)
+    surface = reconstructed(calibration, measurement)
+    valid = surface.reason == Reason.VALID
+    assert valid[shape.lit].mean() > 0.9
+    inside = valid & ndimage.binary_erosion(shape.lit, iterations=3)
+    z = ((surface.position[2] - shape.xyz[2]) / np.sqrt(surface.covariance[5]))[inside]
+    assert low < np.std(z) < high
+    # No error is larger than half of the stripes, 1.73 deviations, but by what light beside a pixel adds.
+    assert np.mean(np.abs(z) > 3.0) < 0.02
+    assert np.abs(z).max() < 7.0
+
+
+def test_a_projector_out_of_focus_leaves_wider_stripes() -> None:
+    each = [simulated(GrayCode(7, (128.0,)), {}, {"defocus_px": blur}) for blur in (0.0, 4.0)]
+    sharp, soft = (reconstructed(one[0], one[1]) for one in each)
+    sigma = [np.sqrt(np.median(s.covariance[5][s.reason == Reason.VALID])) for s in (sharp, soft)]
+    assert 3.0 < sigma[1] / sigma[0] < 5.0  # two bits of seven are lost
+
+
+def exchanged(*pairs: tuple[int, int]) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    def change(frames: NDArray[Any]) -> NDArray[Any]:
+        found = frames.copy()
+        for i, j in pairs:
+            found[[i, j]] = frames[[j, i]]
+        return found
+
+    return change
+
+
+def blocks(frames: NDArray[Any]) -> NDArray[Any]:
+    """All patterns of a direction before their inverses."""
+    return np.concatenate([frames[k : k + 14][i::2] for k in (0, 14) for i in (0, 1)])
+
+
+def fine_first(frames: NDArray[Any]) -> NDArray[Any]:
+    return np.concatenate(
+        [frames[k : k + 14].reshape(7, 2, 128, 128)[::-1].reshape(14, 128, 128) for k in (0, 14)]
+    )
+
+
+@pytest.mark.parametrize(
+    ("threshold", "change", "told"),
+    [
+        ("inverse", exchanged((4, 8), (5, 9)), "along 0 deg: bits 2 and 4 have changed places"),
+        ("inverse", exchanged((20, 21)), "along 90 deg: bit 3 is inverted"),
+        ("inverse", exchanged((4, 9)), "along 0 deg: patterns and inverses of bits 2, 4 do not add up"),
+        ("inverse", blocks, "see if frames are gray+inverse or gray inverse"),
+        ("inverse", fine_first, "shown in the other order"),
+        ("white-black", exchanged((1, 3)), "along 0 deg: bits 1 and 3 have changed places"),
+        ("white-black", exchanged((14, 15)), "the black frame is brighter than the white one"),
+        ("white-black", exchanged((9, 15)), "along 0 deg: bit"),
+    ],
+)
+def test_frames_in_another_order_are_refused_by_name(
+    threshold: Threshold, change: Callable[[NDArray[Any]], NDArray[Any]], told: str
+) -> None:
+    calibration, measurement, _ = simulated(GrayCode(7, (128.0,), threshold), {}, {})
+    frames = change(measurement.frames.rows(0, 128))
+    with pytest.raises(MeasurementFailed, match="are not what is told of them") as said:
+        reconstructed(calibration, replace(measurement, frames=ArrayStack(frames)))
+    assert told in str(said.value)
+
+
+def test_exchanged_directions_are_refused() -> None:
+    calibration, measurement, _ = simulated(GrayCode(7, (128.0,)), {}, {})
+    frames = measurement.frames.rows(0, 128)
+    other = replace(measurement, frames=ArrayStack(np.concatenate([frames[14:], frames[:14]])))
+    with pytest.raises(MeasurementFailed, match="deg"):
+        reconstructed(calibration, other)
+
+
+def test_what_needs_fringes_is_refused() -> None:
+    calibration, measurement, _ = simulated(GrayCode(5, (32.0,)), {}, {})
+    for parameters in ({"method": "fdr"}, {"response": "measured"}):
+        with pytest.raises(InvalidInput, match="have a Gray code, which method=temporal-unwrapping"):
+            reconstructed(calibration, measurement, **parameters)
+    with pytest.raises(InvalidInput, match="needs the inverse of each pattern, or white and black"):
+        FringeSequence((), gray=GrayCode(5, (32.0,), "fringes"))
+    with pytest.raises(InvalidInput, match="one for each of the 2 orientations, not 3"):
+        FringeSequence((), gray=GrayCode(5, (32.0, 30.0, 20.0)))
