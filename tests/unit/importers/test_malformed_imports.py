@@ -240,7 +240,7 @@ CASES: dict[str, tuple[Spoil, tuple[str, ...], str]] = {
     "more stripes than bits": (
         written("layout.toml", 'frames = "fringes gray"\n' + SEQUENCE + "[gray]\nbits = 3\nstripes = 9.0\n"),
         LAYOUT,
-        "9.* stripes, of which 3 patterns tell 8",
+        "3 patterns has 2 to 8 stripes across the projector, not 9",
     ),
 }  # fmt: skip
 

@@ -41,14 +41,14 @@ def measured(folder: Path, given: dict[str, Any]) -> tuple[dict[str, Any], Measu
 def gradient(measurement: Measurement, rows: slice) -> PhaseGradient:
     frames = measurement.frames.rows(rows.start, rows.stop)
     return unwrap(
-        frames,
+        frames[measurement.sequence.frames_of(0)],
         measurement.sequence.densities,
         measurement.sequence.steps,
         full_scale=measurement.full_scale,
         gain=measurement.gain,
         read_noise=measurement.read_noise,
         offsets=offsets_of(measurement),
-        coarse=coarse_gradient(measurement, 0, rows, frames),
+        coarse=coarse_gradient(measurement, 0, frames),
     )
 
 
