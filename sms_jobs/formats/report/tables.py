@@ -23,7 +23,7 @@ def campaign_facts(campaign: Campaign) -> Markup:
     """Say what was tested, with what and how."""
     sequence = campaign.sequence
     fringes = [
-        ("fringe densities and phase steps", sequence.in_words),
+        ("patterns of the projector", sequence.in_words),
         ("fringe orientations [rad]", ", ".join(f"{angle:.4g}" for angle in sequence.orientations_rad)),
     ]
     return facts(

@@ -19,6 +19,7 @@ from sms_jobs.archive.codec import layout_of, plain_to_json, record_classes, rec
 from sms_jobs.errors import ArchiveCorrupt
 from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen
+from sms_jobs.records.gray_code import GrayCode
 from sms_jobs.records.measurement import ArrayStack, FrameStack, FringeSequence, Measurement
 from sms_jobs.records.numbers import LARGEST
 from sms_jobs.records.quantity import QUANTITY, Quantity
@@ -82,6 +83,8 @@ def example(hint: Any, rng: np.random.Generator, meta: Any = None) -> Any:
                 "steps": 4,
                 "shown": ((0, 1, 2, 3), (int(rng.integers(4)),)),
             }
+        if hint is GrayCode:
+            values["stripes"] = (float(rng.uniform(2.0, 2.0 ** values["bits"])),)
         if hint is Sensor:
             values["name"] = sensor_name(values["role"], int(rng.integers(1, 1000)))
         if hint is Intrinsics:

@@ -179,5 +179,5 @@ def test_steps_are_equal_parts_of_a_turn_and_two_are_a_quarter_apart() -> None:
     assert EMBEDDED.steps == 12
     assert EMBEDDED.shown == ((0, 4, 8), (0, 3), (0, 3))
     assert (EMBEDDED.frames, EMBEDDED.counts, EMBEDDED.anchor) == (7, (3, 2, 2), 0)
-    assert EMBEDDED.in_words == "16, 17, 20 x 3, 2, 2 steps"
+    assert EMBEDDED.in_words == "densities 16, 17, 20 x 3, 2, 2 steps"
     assert FringeSequence.with_counts((9, 3), (4, 4), (0.0,)) == FringeSequence((9, 3), 4, (0.0,))
