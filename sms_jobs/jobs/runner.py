@@ -180,18 +180,18 @@ class Runner:
                 return _Begun(task, key, earlier, "other results have come since, and the newest counts")
             if earlier is None or earlier.size_bytes > _READ_AT_ONCE_BYTES:
                 return _Begun(task, key, earlier)
-            if damage := reuse.damage(self.archive, earlier):
-                return _Begun(task, key, earlier, damage)
+            if objection := reuse.damage(self.archive, earlier):
+                return _Begun(task, key, earlier, objection)
             return _Begun(task, key, earlier, "", (self._reuse(session, held, key, earlier, fault),))
 
         begun = self._commit(held, begin)
-        if begun.earlier is not None and begun.damage is None:
+        if begun.earlier is not None and begun.objection is None:
             begun = self._read_earlier(held, begun, begun.earlier, fault)
         if begun.reused:
             return begun.reused[0]
         task, because = begun.task, ""
         if begun.earlier is not None:
-            because = f"; not reused from job {begun.earlier.job_id[:8]}: {begun.damage}"
+            because = f"; not reused from job {begun.earlier.job_id[:8]}: {begun.objection}"
             logger.warning("job %s is computed again%s", held.job_id, because)
         if held.attempt > 1 and (held.repeatable or kind.with_instruments):
             self._clear_leftovers(held)
@@ -218,12 +218,12 @@ class Runner:
 
     def _read_earlier(self, held: Claim, begun: _Begun, earlier: Earlier, fault: SmsError | None) -> _Begun:
         """Read a large result while others use the catalogue, and reuse it if it is whole."""
-        if damage := reuse.damage(self.archive, earlier):
-            return replace(begun, damage=damage)
+        if objection := reuse.damage(self.archive, earlier):
+            return replace(begun, objection=objection)
 
         def end(session: Session) -> _Begun:
             if reuse.earlier_success(session, begun.key) != earlier:
-                return replace(begun, damage="its files were removed meanwhile")
+                return replace(begun, objection="its files were removed meanwhile")
             return replace(begun, reused=(self._reuse(session, held, begun.key, earlier, fault),))
 
         return self._commit(held, end)
@@ -405,9 +405,9 @@ class _Begun:
 
     Attributes
     ----------
-    damage
-        Why the earlier result is not reused, such as what of it is not as it was sealed; empty when all is,
-        None when it was not read.
+    objection
+        Why the earlier result is not reused, such as what of it is not as it was sealed; None when it was not
+        read.
     reused
         The next job or None, when this one has ended with the earlier result; else nothing.
     """
@@ -415,7 +415,7 @@ class _Begun:
     task: _Task
     key: str
     earlier: Earlier | None
-    damage: str | None = None
+    objection: str | None = None
     reused: tuple[Claim | None, ...] = ()
 
 
