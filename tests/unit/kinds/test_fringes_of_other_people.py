@@ -7,57 +7,18 @@ from math import pi
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy import ndimage
+from support.measured_plate import in_sigmas, reconstructed, simulated
 
-from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.errors import InvalidInput, MeasurementFailed
-from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
-from sms_jobs.records.fields import Surface
-from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
+from sms_jobs.records.measurement import ArrayStack, FringeSequence
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.scene import Simulation
-from sms_jobs.records.sensors import Calibration
-from sms_jobs.records.subject import Subject
-from sms_jobs.virtual_rig.campaigns import small_plate
-from sms_jobs.virtual_rig.rendering import render
-from sms_jobs.virtual_rig.truth import Shape, exact_shape
 
-SUBJECT = Subject("plate", "S00", "C1P1")
 BOTH = (0.0, pi / 2)
 MICRO = FringeSequence.with_counts(
     (15.0, 14.0, 14.3, 14.6, 14.8, 15.3, 15.5, 15.8, 16.0, 16.3), (3,) + (1,) * 9, BOTH
 )
 EMBEDDED = FringeSequence.with_counts((16, 17, 20), (3, 2, 2), BOTH)
 HETERODYNE = FringeSequence((20.5, 17.3, 15.1), 4, BOTH)
-
-
-def simulated(sequence: FringeSequence, gamma: float = 1.0) -> tuple[Calibration, Measurement, Shape]:
-    calibration, campaign = small_plate("plate")
-    assert campaign.scene is not None
-    scene = replace(campaign.scene, projector=replace(campaign.scene.projector, gamma=gamma))
-    simulation = Simulation(scene, "C1", "P1", (), state="S00")
-    seen = render(simulation, sequence)
-    frames = ArrayStack(seen.frames.rows(0, seen.frames.shape[1]))
-    measurement = Measurement(
-        calibration.valid_from, sequence, seen.full_scale, seen.gain, seen.read_noise, seen.texture, frames
-    )
-    return calibration, measurement, exact_shape(simulation)
-
-
-def reconstructed(calibration: Calibration, measurement: Measurement, **parameters: object) -> Surface:
-    records = {"measurement": measurement, "calibration": calibration}
-    given = ReconstructParameters.model_validate(parameters)
-    surface = run_kind(KIND, SUBJECT, records, 1, given).records["surface"]
-    assert isinstance(surface, Surface)
-    return surface
-
-
-def in_sigmas(surface: Surface, shape: Shape) -> NDArray[np.float64]:
-    """Return the errors in Z of valid pixels, 3 px inside what is lit, in their standard deviations."""
-    inside = (surface.reason == Reason.VALID) & ndimage.binary_erosion(shape.lit, iterations=3)
-    error = (surface.position[2] - shape.xyz[2]) / np.sqrt(surface.covariance[5])
-    return np.asarray(error[inside])
 
 
 @pytest.mark.parametrize(
@@ -77,7 +38,7 @@ def test_shape_is_as_near_to_the_truth_as_is_stated(sequence: FringeSequence, va
 
 @pytest.mark.parametrize(("sequence", "most"), [(EMBEDDED, 1.1), (MICRO, 1.3)], ids=["eps", "micro"])
 def test_a_projector_that_is_not_linear_makes_sigma_larger(sequence: FringeSequence, most: float) -> None:
-    calibration, measurement, shape = simulated(sequence, gamma=1.1)
+    calibration, measurement, shape = simulated(sequence, projector={"gamma": 1.1})
     z = in_sigmas(reconstructed(calibration, measurement), shape)
     # 1.3 is what broken models may have at the most; micro phase shifting has 1.19 (ADR 74).
     assert np.std(z) < most

@@ -10,51 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import ndimage
+from support.measured_plate import Seen, in_sigmas, reconstructed, simulated
 
-from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.errors import InvalidInput, MeasurementFailed
-from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
-from sms_jobs.records.fields import Surface
 from sms_jobs.records.gray_code import GrayCode, Threshold
-from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
+from sms_jobs.records.measurement import ArrayStack, FringeSequence
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.scene import Simulation
-from sms_jobs.records.sensors import Calibration
-from sms_jobs.records.subject import Subject
-from sms_jobs.virtual_rig.campaigns import small_plate
-from sms_jobs.virtual_rig.rendering import render
-from sms_jobs.virtual_rig.truth import Shape, exact_shape
 
-SUBJECT = Subject("plate", "S00", "C1P1")
 BOTH = (0.0, pi / 2)
-Seen = tuple[Calibration, Measurement, Shape]
 
 
-def simulated(code: GrayCode, camera: dict[str, float], projector: dict[str, float]) -> Seen:
-    calibration, campaign = small_plate("plate")
-    assert campaign.scene is not None
-    scene = replace(
-        campaign.scene,
-        camera=replace(campaign.scene.camera, **camera),
-        projector=replace(campaign.scene.projector, **projector),
-    )
-    simulation = Simulation(scene, "C1", "P1", (), state="S00")
-    sequence = FringeSequence((), orientations_rad=BOTH, gray=code)
-    seen = render(simulation, sequence)
-    frames = ArrayStack(seen.frames.rows(0, seen.frames.shape[1]))
-    measurement = Measurement(
-        calibration.valid_from, sequence, seen.full_scale, seen.gain, seen.read_noise, seen.texture, frames
-    )
-    return calibration, measurement, exact_shape(simulation)
-
-
-def reconstructed(calibration: Calibration, measurement: Measurement, **parameters: object) -> Surface:
-    records = {"measurement": measurement, "calibration": calibration}
-    given = ReconstructParameters.model_validate(parameters)
-    surface = run_kind(KIND, SUBJECT, records, 1, given).records["surface"]
-    assert isinstance(surface, Surface)
-    return surface
+def coded(code: GrayCode, **light: dict[str, float]) -> Seen:
+    return simulated(FringeSequence((), orientations_rad=BOTH, gray=code), **light)
 
 
 @pytest.mark.parametrize("threshold", ["inverse", "white-black"])
@@ -81,12 +48,11 @@ def test_points_lie_within_their_stripes_as_is_stated(
     high: float,
 ) -> None:
     code = GrayCode(int(np.ceil(np.log2(max(stripes)))), stripes, threshold)
-    calibration, measurement, shape = simulated(code, camera, projector)
+    calibration, measurement, shape = coded(code, camera=camera, projector=projector)
     surface = reconstructed(calibration, measurement)
     valid = surface.reason == Reason.VALID
     assert valid[shape.lit].mean() > 0.9
-    inside = valid & ndimage.binary_erosion(shape.lit, iterations=3)
-    z = ((surface.position[2] - shape.xyz[2]) / np.sqrt(surface.covariance[5]))[inside]
+    z = in_sigmas(surface, shape)
     assert low < np.std(z) < high
     # No error is larger than half of the stripes, 1.73 deviations, but by what light beside a pixel adds.
     assert np.mean(np.abs(z) > 3.0) < 0.02
@@ -94,7 +60,7 @@ def test_points_lie_within_their_stripes_as_is_stated(
 
 
 def test_a_projector_out_of_focus_leaves_wider_stripes() -> None:
-    each = [simulated(GrayCode(7, (128.0,)), {}, {"defocus_px": blur}) for blur in (0.0, 4.0)]
+    each = [coded(GrayCode(7, (128.0,)), projector={"defocus_px": blur}) for blur in (0.0, 4.0)]
     sharp, soft = (reconstructed(one[0], one[1]) for one in each)
     sigma = [np.sqrt(np.median(s.covariance[5][s.reason == Reason.VALID])) for s in (sharp, soft)]
     assert 3.0 < sigma[1] / sigma[0] < 5.0  # two bits of seven are lost
@@ -121,6 +87,15 @@ def fine_first(frames: NDArray[Any]) -> NDArray[Any]:
     )
 
 
+def binary(frames: NDArray[Any]) -> NDArray[Any]:
+    """A bit of the number itself is the exclusive or of those of the Gray code up to it."""
+    pairs = frames.reshape(2, 7, 2, 128, 128)
+    bright = np.logical_xor.accumulate(pairs[:, :, 0] > pairs[:, :, 1], axis=1)
+    high, low = pairs.max(axis=2), pairs.min(axis=2)
+    shown = np.stack([np.where(bright, high, low), np.where(bright, low, high)], axis=2)
+    return shown.reshape(frames.shape)
+
+
 @pytest.mark.parametrize(
     ("threshold", "change", "told"),
     [
@@ -129,6 +104,7 @@ def fine_first(frames: NDArray[Any]) -> NDArray[Any]:
         ("inverse", exchanged((4, 9)), "along 0 deg: patterns and inverses of bits 2, 4 do not add up"),
         ("inverse", blocks, "see if frames are gray+inverse or gray inverse"),
         ("inverse", fine_first, "shown in the other order"),
+        ("inverse", binary, "the patterns are a plain binary code, not a Gray code"),
         ("white-black", exchanged((1, 3)), "along 0 deg: bits 1 and 3 have changed places"),
         ("white-black", exchanged((14, 15)), "the black frame is brighter than the white one"),
         ("white-black", exchanged((9, 15)), "along 0 deg: bit"),
@@ -137,7 +113,7 @@ def fine_first(frames: NDArray[Any]) -> NDArray[Any]:
 def test_frames_in_another_order_are_refused_by_name(
     threshold: Threshold, change: Callable[[NDArray[Any]], NDArray[Any]], told: str
 ) -> None:
-    calibration, measurement, _ = simulated(GrayCode(7, (128.0,), threshold), {}, {})
+    calibration, measurement, _ = coded(GrayCode(7, (128.0,), threshold))
     frames = change(measurement.frames.rows(0, 128))
     with pytest.raises(MeasurementFailed, match="are not what is told of them") as said:
         reconstructed(calibration, replace(measurement, frames=ArrayStack(frames)))
@@ -145,7 +121,7 @@ def test_frames_in_another_order_are_refused_by_name(
 
 
 def test_exchanged_directions_are_refused() -> None:
-    calibration, measurement, _ = simulated(GrayCode(7, (128.0,)), {}, {})
+    calibration, measurement, _ = coded(GrayCode(7, (128.0,)))
     frames = measurement.frames.rows(0, 128)
     other = replace(measurement, frames=ArrayStack(np.concatenate([frames[14:], frames[:14]])))
     with pytest.raises(MeasurementFailed, match="deg"):
@@ -153,7 +129,7 @@ def test_exchanged_directions_are_refused() -> None:
 
 
 def test_what_needs_fringes_is_refused() -> None:
-    calibration, measurement, _ = simulated(GrayCode(5, (32.0,)), {}, {})
+    calibration, measurement, _ = coded(GrayCode(5, (32.0,)))
     for parameters in ({"method": "fdr"}, {"response": "measured"}):
         with pytest.raises(InvalidInput, match="have a Gray code, which method=temporal-unwrapping"):
             reconstructed(calibration, measurement, **parameters)
