@@ -84,8 +84,11 @@ def test_places_that_hang_are_replaced(home: Path) -> None:
 def test_a_nursery_that_is_stopped_while_it_loads_is_woken(home: Path) -> None:
     make_home(home, {})
     with service(home, {"SMS_WORKERS": "1"}) as supervisor:
-        # It has not said yet that it is there: to load kinds takes it a second.
-        (nursery,) = wait_until(supervisor.children)
+        # It has not said yet that it is there: to load kinds takes it a second. Stopped between fork and exec
+        # it would hold up who forks it, for the kernel lets that one wait until its child has a program.
+        (nursery,) = wait_until(
+            lambda: [p for p in supervisor.children() if "sms_jobs.workers.nursery" in p.cmdline()]
+        )
         nursery.suspend()
         wait_until(lambda: [p for n in supervisor.children() for p in n.children()], timeout=LONGEST_STALL_S)
 
