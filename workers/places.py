@@ -207,7 +207,7 @@ class Places:
             self._end_nursery(self._nursery)
         self._board.clear(NURSERY)
         self._log.parent.mkdir(parents=True, exist_ok=True)
-        command = [sys.executable, "-m", "sms_jobs.workers.nursery"]
+        command = [sys.executable, "-P", "-m", "sms_jobs.workers.nursery"]
         command += [str(self._descriptor), str(self._lifeline)]
         with self._log.open("ab") as output:
             # A group of its own: Ctrl-C reaches the supervisor alone, which then ends the places in order.

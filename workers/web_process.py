@@ -31,8 +31,8 @@ class WebProcess:
     """
 
     def __init__(self, home: Path, listen: str) -> None:
-        serve = ["-m", "sms_jobs.cli.main", "serve", "--until-eof", "--listen", listen]
-        self._command = [sys.executable, *serve, "--home", str(home)]
+        serve = ["serve", "--until-eof", "--listen", listen, "--home", str(home)]
+        self._command = [sys.executable, "-P", "-m", "sms_jobs.cli.main", *serve]
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._tend, name="web", daemon=True)
         # Its end is told by the system even where this process is killed.

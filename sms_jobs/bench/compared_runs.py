@@ -84,7 +84,7 @@ def measured(home: Path, quick: bool, say: Callable[[str], None]) -> ComparedRun
     page = home / "page.html"
     say("comparing the runs")
     begun = os.times()
-    command = [sys.executable, "-m", "sms_jobs.cli.main", "run", "compare", _BEFORE, _AFTER]
+    command = [sys.executable, "-P", "-m", "sms_jobs.cli.main", "run", "compare", _BEFORE, _AFTER]
     told = subprocess.run(
         [*command, "-o", str(page), "--home", str(home), "--json"],
         capture_output=True,

@@ -20,7 +20,7 @@ def compile_seconds(groups: Sequence[str]) -> float:
     """Return the seconds that the kernels of some groups take to compile where nothing is compiled yet."""
     with tempfile.TemporaryDirectory(prefix="sms-kernels-") as folder:
         environment = os.environ | {"NUMBA_CACHE_DIR": folder}
-        command = [sys.executable, "-m", __name__, *groups]
+        command = [sys.executable, "-P", "-m", __name__, *groups]
         done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     if done.returncode:
         reason = done.stderr.strip().splitlines()[-1:] or ["no message"]

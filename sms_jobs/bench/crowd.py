@@ -74,7 +74,7 @@ def crowd(words: Sequence[str], count: int, folder: Path) -> list[Visit]:
     folder
         An empty one, for what they tell.
     """
-    command = [sys.executable, "-m", "sms_jobs.bench.crowd", str(folder), str(count), *words]
+    command = [sys.executable, "-P", "-m", "sms_jobs.bench.crowd", str(folder), str(count), *words]
     # A process that is forked must have no threads.
     alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     with (folder / "crowd.log").open("wb") as log:

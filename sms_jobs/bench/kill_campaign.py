@@ -149,7 +149,7 @@ class KillCampaign:
 
     @contextmanager
     def _served(self) -> Iterator[psutil.Process]:
-        command = [sys.executable, "-m", "sms_jobs.cli.main", "up", "--home", str(self._home)]
+        command = [sys.executable, "-P", "-m", "sms_jobs.cli.main", "up", "--home", str(self._home)]
         with (self._home / "up.log").open("ab") as log:
             service = subprocess.Popen(
                 command, env=self._environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log

@@ -197,7 +197,7 @@ class KilledPlan:
         """Begin the service again where it has ended, as the system does after a reboot."""
         if self._service is not None and self._service.poll() is None:
             return
-        command = [sys.executable, "-m", "sms_jobs.cli.main", "up", "--home", str(self._home)]
+        command = [sys.executable, "-P", "-m", "sms_jobs.cli.main", "up", "--home", str(self._home)]
         with (self._home / "up.log").open("ab") as log:
             self._service = subprocess.Popen(
                 command, env=self._environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log

@@ -80,7 +80,7 @@ QUESTIONS: Mapping[str, tuple[str, Callable[[Services], Asked]]] = {
 
 def answers(home: Path, question: str, calls: int) -> Answers:
     """Ask a question so often in a process of its own."""
-    command = [sys.executable, "-m", __name__, str(home), question, str(calls)]
+    command = [sys.executable, "-P", "-m", __name__, str(home), question, str(calls)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SmsError(f"asking for {question} of {home} failed: {done.stderr.strip()[-500:]}; report it")

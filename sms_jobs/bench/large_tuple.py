@@ -214,7 +214,7 @@ class Taken:
 
 def measure(folder: Path, threads: int) -> Taken:
     """Reconstruct the sealed `tiny` and `large` in a process of their own; return what `large` took."""
-    command = [sys.executable, "-m", __name__, str(folder), str(threads)]
+    command = [sys.executable, "-P", "-m", __name__, str(folder), str(threads)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         reason = done.stderr.strip().splitlines()[-1:] or ["no message"]

@@ -169,7 +169,7 @@ class Taken:
 
 def measure(folder: Path, states: int) -> Taken:
     """Write the report of a test whose results are sealed in a folder; return what that took."""
-    command = [sys.executable, "-m", __name__, str(folder), str(states)]
+    command = [sys.executable, "-P", "-m", __name__, str(folder), str(states)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         reason = done.stderr.strip().splitlines()[-1:] or ["no message"]

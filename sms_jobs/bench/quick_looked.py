@@ -71,7 +71,7 @@ def looked(home: Path, states: int, say: Callable[[str], None]) -> Looked:
         register_campaign(services.catalogue, services.archive, campaign, calibration, datetime.now(UTC))
         services.stations.add(home / "rig.toml", replace=False)
         planned_recordings.plan(services, CAMPAIGN, InTime(), look=Look(True, (_LIMIT,)))
-        command = [sys.executable, "-m", "sms_jobs.cli.main", "up", "--home", str(home)]
+        command = [sys.executable, "-P", "-m", "sms_jobs.cli.main", "up", "--home", str(home)]
         service = subprocess.Popen(
             command, env=os.environ, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
         )

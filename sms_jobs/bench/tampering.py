@@ -81,7 +81,7 @@ def tried(folder: Path, mode: str, count: int) -> Iterator[str]:
     """
     done = 0
     while done < count:
-        command = [sys.executable, "-m", __name__, str(folder), mode, str(done), str(count)]
+        command = [sys.executable, "-P", "-m", __name__, str(folder), mode, str(done), str(count)]
         process = subprocess.run(command, capture_output=True, text=True, check=False)
         lines = process.stdout.split()
         yield from lines

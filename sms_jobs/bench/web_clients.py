@@ -44,7 +44,7 @@ def served(home: Path) -> Iterator[Served]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "sms_jobs.cli.main", "serve", "--home", str(home)]
+    command = [sys.executable, "-P", "-m", "sms_jobs.cli.main", "serve", "--home", str(home)]
     with (home / "serve.log").open("ab") as log:
         process = subprocess.Popen(
             [*command, "--listen", f"127.0.0.1:{port}"], stdin=subprocess.DEVNULL, stdout=log, stderr=log

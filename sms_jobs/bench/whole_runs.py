@@ -30,7 +30,7 @@ class Taken:
 
 def taken_by(command: Sequence[str], environment: Mapping[str, str]) -> Taken:
     """Run a command of this program to its end; raise `SmsError` where it fails."""
-    whole = [sys.executable, "-m", __name__, *command]
+    whole = [sys.executable, "-P", "-m", __name__, *command]
     done = subprocess.run(whole, capture_output=True, text=True, env=dict(environment), check=False)
     if done.returncode:
         reason = done.stderr.strip().splitlines()[-1:] or ["no message"]

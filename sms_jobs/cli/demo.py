@@ -68,7 +68,7 @@ def _service(home: Path) -> Iterator[Any]:
     log = home / "logs" / "up.log"
     with log.open("ab") as stream:
         process = subprocess.Popen(
-            [sys.executable, "-m", "sms_jobs.cli.main", "up", "--home", str(home)],
+            [sys.executable, "-P", "-m", "sms_jobs.cli.main", "up", "--home", str(home)],
             stdin=subprocess.DEVNULL,
             stdout=stream,
             stderr=stream,

@@ -50,7 +50,7 @@ def read_node_fields(path: Path) -> tuple[NDArray[np.float64], NodeFields]:
     memory = _MEMORY_BYTES + _MEMORY_PER_BYTE * size
     try:
         done = subprocess.run(
-            [sys.executable, "-m", __name__, str(path.absolute()), str(memory), str(seconds)],
+            [sys.executable, "-P", "-m", __name__, str(path.absolute()), str(memory), str(seconds)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

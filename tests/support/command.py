@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 
 from sms_jobs.cli.main import app, main
 
-SMS = [sys.executable, "-W", "error::DeprecationWarning:sms_jobs", "-m", "sms_jobs.cli.main"]
+SMS = [sys.executable, "-P", "-W", "error::DeprecationWarning:sms_jobs", "-m", "sms_jobs.cli.main"]
 
 
 def sms(
@@ -94,11 +94,13 @@ def _within(seconds: float) -> Iterator[None]:
 
 
 @contextmanager
-def service(home: Path, environment: Mapping[str, str] | None = None) -> Iterator[psutil.Process]:
+def service(
+    home: Path, environment: Mapping[str, str] | None = None, *options: str
+) -> Iterator[psutil.Process]:
     """Run `sms up` meanwhile; whatever is left of it afterwards is killed."""
     log = (home / "up.log").open("ab")
     process = subprocess.Popen(
-        [*SMS, "up", "--home", str(home)],
+        [*SMS, "up", *options, "--home", str(home)],
         env=os.environ | dict(environment or {}),
         stdin=subprocess.DEVNULL,
         stdout=log,

@@ -102,7 +102,7 @@ def _overhead_ms(home: Path, submissions: int) -> tuple[float, int]:
     """Return milliseconds a job whose result is reused, and how many there were, through a real worker."""
     home.mkdir()
     bootstrap.initialise(home)
-    command = [sys.executable, "-m", "sms_jobs.cli.main", "up", "--home", str(home)]
+    command = [sys.executable, "-P", "-m", "sms_jobs.cli.main", "up", "--home", str(home)]
     with bootstrap.services(home) as services:
         calibration, campaign = small_plate("plate")
         # Two states are run; the others are there because what a service does for a job may grow with them.

@@ -24,7 +24,7 @@ def measure(run: Run) -> Iterator[Found]:
 def _commands(run: Run) -> Iterator[Found]:
     home = run.folder / "home"
     bootstrap.initialise(home)
-    bare = [sys.executable, "-c", "import sqlalchemy, typer"]
+    bare = [sys.executable, "-P", "-c", "import sqlalchemy, typer"]
     sms = str(Path(sys.executable).with_name("sms"))
     for words in ("status", "job list", "campaign list", "data find"):
         ratios = []
@@ -74,7 +74,7 @@ def _first_run(run: Run) -> Iterator[Found]:
 
 def _demo(home: Path, kernels: Path) -> Taken:
     """Run the demo in a new home with kernels of that folder."""
-    command = [sys.executable, "-m", "sms_jobs.cli.main", "demo", "--json", "--out", str(home)]
+    command = [sys.executable, "-P", "-m", "sms_jobs.cli.main", "demo", "--json", "--out", str(home)]
     return taken_by(command, os.environ | {"NUMBA_CACHE_DIR": str(kernels)})
 
 

@@ -19,7 +19,7 @@ def tried(folder: Path, deployment: Deployment, seed: int, batches: range) -> It
 
     Raises `RuntimeError` when the trial itself breaks off.
     """
-    command = [sys.executable, "-m", __package__, str(folder), deployment]
+    command = [sys.executable, "-P", "-m", __package__, str(folder), deployment]
     command += [str(number) for number in (seed, batches.start, batches.stop)]
     with (folder / "trial.log").open("w+b") as log:
         with subprocess.Popen(

@@ -42,7 +42,7 @@ def status_cpu_s(home: Path, active: int, run: Run) -> float:
 
 
 def _status(home: Path) -> tuple[dict[str, Any], float]:
-    command = [sys.executable, "-m", "sms_jobs.cli.main", "status", "--json", "--home", str(home)]
+    command = [sys.executable, "-P", "-m", "sms_jobs.cli.main", "status", "--json", "--home", str(home)]
     before = os.times()
     done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
     after = os.times()
