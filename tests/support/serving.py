@@ -32,7 +32,7 @@ def serving(
 ) -> Iterator[str]:
     """Run `sms serve` and give its address; it ends with the block."""
     port = port or free_port()
-    command = [sys.executable, "-m", "sms_jobs.cli.main", "serve", "--home", str(home)]
+    command = [sys.executable, "-P", "-m", "sms_jobs.cli.main", "serve", "--home", str(home)]
     command += ["--listen", f"127.0.0.1:{port}", *options]
     process = subprocess.Popen(
         command,
