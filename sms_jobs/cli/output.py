@@ -10,7 +10,6 @@ import sys
 from collections.abc import Iterable, Sequence
 from datetime import datetime
 from enum import Enum
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -43,7 +42,6 @@ def _width() -> int | None:
     return None if watched else _AS_WIDE_AS_IT_IS
 
 
-@cache
 def answer() -> Console:
     """Return what tables and trees are printed on.
 

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from sms_jobs.cli.output import answer
 from sms_jobs.cli.tables import fitted
 
 COLUMNS = ("file", "kind", "subject", "type", "size", "created")
@@ -28,6 +29,12 @@ def printed(columns: Sequence[str], rows: Sequence[Sequence[str]], width: int) -
 @pytest.mark.parametrize("width", [72, 80, 100])
 def test_subjects_stand_on_one_line(width: int) -> None:
     assert "top-hat-demo/S01/C1P1" in printed(COLUMNS, ROWS, width)
+
+
+def test_a_terminal_that_was_made_wider_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    for width in (80, 120):
+        monkeypatch.setenv("COLUMNS", str(width))
+        assert answer().width == width
 
 
 def test_names_stay_whole_and_sentences_are_broken() -> None:
