@@ -7,7 +7,7 @@ import signal
 
 import pytest
 from sqlalchemy import select
-from support.command import answer, service, sms, wait_until
+from support.command import answer, inside, service, sms, wait_until
 from support.deployments import Deployment
 from support.homes import make_home
 from support.jobs import JOBS
@@ -33,10 +33,20 @@ def test_a_frozen_job_is_cancelled_by_force_and_the_rest_runs_on(deployment: Dep
             row = session.scalar(select(JobRow).where(JobRow.state == JobState.RUNNING))
             return None if row is None or row.pid is None else (row.id, row.pid)
 
+    def freeze() -> str | None:
+        found = running()
+        if found is None:
+            return None
+        os.kill(found[1], signal.SIGSTOP)
+        if running() == found:
+            return found[0]
+        os.kill(found[1], signal.SIGCONT)  # its job ended before it was stopped
+        return None
+
     with service(deployment.home, environment):
-        frozen, pid = wait_until(running)
-        os.kill(pid, signal.SIGSTOP)
-        assert sms("job", "cancel", frozen, *home, environment=environment).returncode == 0
+        frozen = wait_until(freeze)
+        # Within this process: a stopped one is woken after 3 s, and to start another may take longer.
+        assert inside("job", "cancel", frozen, *home, environment=environment).returncode == 0
         sms("job", "wait", *jobs, *home, environment=environment)
     with catalogue.reading() as session:
         counted = inquiry.counts(session)
