@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sqlite3
 import subprocess
@@ -12,7 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-import typer
+from support.examining import doctor
 from support.homes import make_home
 from typer.testing import CliRunner
 
@@ -20,7 +19,6 @@ from sms_jobs import bootstrap
 from sms_jobs.catalogue import renewal
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.cli import archive as command
-from sms_jobs.cli.doctor import doctor
 from sms_jobs.errors import CatalogueEmpty, Conflict
 from sms_jobs.jobs import inquiry
 
@@ -52,10 +50,6 @@ BRIEFLY = ("header", "half", "emptied", "without tables")
 DAMAGED = ("header", "pages", "half")
 
 
-doctor_app = typer.Typer()
-doctor_app.command()(doctor)
-
-
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A home with a campaign in it."""
@@ -71,9 +65,8 @@ def reindex(home: Path, *options: str) -> tuple[int, str]:
 
 def advised(home: Path) -> bool:
     """Tell whether `sms doctor` finds that the files are to be entered again."""
-    done = CliRunner().invoke(doctor_app, ["--json", "--home", str(home)])
-    assert done.exit_code == 6
-    findings = {check["check"]: check["finding"] for check in json.loads(done.stdout)["checks"]}
+    code, findings = doctor(home)
+    assert code == 6
     assert "sms init" not in "".join(findings.values())
     return any("'sms archive reindex'" in finding for finding in findings.values())
 

@@ -20,14 +20,13 @@ from typing import NoReturn
 import psutil
 import pytest
 import redis
-import typer
 from pydantic import SecretStr
 from sqlalchemy import update
 from support.command import kill_all, sms, wait_until
+from support.examining import doctor
 from support.jobs import JOBS, NOW, claim, submit_pipeline
 from support.places import mounted
 from support.servers import RedisServer
-from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
 from sms_jobs.app.doctor import Examined, examine
@@ -35,15 +34,12 @@ from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import WorkerRow
-from sms_jobs.cli import doctor as doctor_command
 from sms_jobs.jobs import health, lifecycle, liveness, queues, recovery
 from sms_jobs.jobs.origin import Origin, started_at
 from sms_jobs.settings import Settings
 from sms_jobs.workers import broker
 
 HOST = socket.gethostname()
-APP = typer.Typer()
-APP.command()(doctor_command.doctor)
 
 
 @pytest.fixture
@@ -299,13 +295,6 @@ def test_a_full_redis_is_noticed(home: Path, tmp_path: Path) -> None:
     assert finding is not None
     assert "Redis takes no messages" in finding
     assert "raise 'maxmemory'" in finding
-
-
-def doctor(home: Path) -> tuple[int, dict[str, str]]:
-    """Run the command in this process; return its exit code and what each check found."""
-    done = CliRunner().invoke(APP, ["--json", "--home", str(home)])
-    found = json.loads(done.stdout.splitlines()[-1])["checks"]
-    return done.exit_code, {check["check"]: check["finding"] for check in found}
 
 
 def test_the_command_tells_what_it_found(home: Path) -> None:
