@@ -2,7 +2,8 @@
 
 Across a crack no subset follows both sides, and the bias that the images find has a ridge along it. A ridge
 is a crack where both its sides are quiet and lead to different displacements of it; where a surface only
-bends, they lead to the same.
+bends, or is folded, they lead to the same: by parabolas, for straight lines through the sides of a fold miss
+each other by its curvature.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ _HIGHEST = 1.0  # px, of a ridge: more says no more
 _ABOVE_NOISE = 3.0  # standard deviations of the displacement that a ridge has at least
 _STEEP = 0.1  # of a ridge's height: its curvature across, in units of the filter
 _ALONG = 0.6  # of its curvature across, that along it
-_SIDES = (1.6, 2.3, 3.2)  # where its sides are looked at, in subset radii
+_SIDES = (1.3, 1.7, 2.2, 2.7, 3.2)  # where its sides are looked at, in subset radii
+_LEAST_SIDES = 4  # of these, that say something
+_LEAST_VARIANCE = 1e-8  # px^2, below which no displacement is known
 _QUIET = 0.5  # of a ridge's height, that of its sides at most
 _LEAST_LENGTH = 4.0  # of a line, in subset radii
 _JUMP = 5.0  # standard errors of a jump that is none by chance
@@ -54,22 +57,19 @@ class _Ridge:
     place, normal
         (n, 2), as row and column.
     side, slope
-        (n, 2, 2): the displacement at the point as the side behind and before it has it, and its derivative
-        along the normal.
-    variance
-        (n, 2), of the difference of the sides.
+        (n, 2, 2): the displacement at the point as a straight line through the side behind and before it has
+        it, and its derivative along the normal.
+    jump, variance
+        (n, 2): the displacement before the line less that behind it in px, by parabolas through the sides,
+        and its variance.
     """
 
     place: Floats
     normal: Floats
     side: Floats
     slope: Floats
+    jump: Floats
     variance: Floats
-
-    @property
-    def jump(self) -> Floats:
-        """The displacement before the line less that behind it, (n, 2) in px."""
-        return np.asarray(self.side[:, 1] - self.side[:, 0])
 
     def where(self, chosen: NDArray[Any]) -> _Ridge:
         return _Ridge(*(values[chosen] for values in vars(self).values()))
@@ -147,7 +147,7 @@ def _ridge(height: Floats, least: float, radius: int) -> _Ridge:
     good = (-across > _STEEP * own) & (np.abs(along) < -_ALONG * across)
     good &= (own >= sides[0]) & (own > sides[1])
     unknown = np.zeros((int(good.sum()), 2, 2))
-    return _Ridge(place[good], normal[good], unknown, unknown, unknown[:, 0])
+    return _Ridge(place[good], normal[good], unknown, unknown, unknown[:, 0], unknown[:, 0])
 
 
 def _at(image: Floats, place: Floats) -> Floats:
@@ -165,26 +165,39 @@ def _with_quiet_sides(
 ) -> _Ridge:
     """Return the points of a ridge on whose sides the displacement is known, with where these lead."""
     lever = np.array(_SIDES) * radius
-    # What a straight line through the sides says of the ridge.
-    rising = (lever - lever.mean()) / np.sum((lever - lever.mean()) ** 2)
-    weight = 1.0 / len(lever) - lever.mean() * rising
     filtered = ndimage.gaussian_filter(height, 0.5 * _SMOOTHED * radius)
-    own = _at(filtered, ridge.place)
-    good = np.ones(len(own), dtype=bool)
-    label = []
-    side, slope, spread = np.zeros_like(ridge.side), np.zeros_like(ridge.slope), np.zeros_like(ridge.variance)
+    own = _at(filtered, ridge.place)[:, None]
+    good, label = np.ones(len(own), dtype=bool), []
+    side, slope = np.zeros_like(ridge.side), np.zeros_like(ridge.slope)
+    jump, spread = np.zeros_like(ridge.jump), np.zeros_like(ridge.variance)
     for number, sign in enumerate((-1.0, 1.0)):
-        for distance, part, rise in zip(lever, weight, rising, strict=True):
-            row, column = np.rint(ridge.place + sign * distance * ridge.normal).astype(int).T
-            inside = (row >= 0) & (row < known.shape[0]) & (column >= 0) & (column < known.shape[1])
-            row, column = np.where(inside, row, 0), np.where(inside, column, 0)
-            good &= inside & known[row, column] & (filtered[row, column] < _QUIET * own)
-            label.append(labels[row, column])
-            side[:, number] += part * displacement[:, row, column].T
-            slope[:, number] += sign * rise * displacement[:, row, column].T
-            spread += (part**2 * variance[:, row, column]).T
-    good &= np.all(np.array(label) == label[0], axis=0)
-    return _Ridge(ridge.place, ridge.normal, side, slope, spread).where(good)
+        row, column = np.rint(ridge.place + sign * lever[:, None, None] * ridge.normal).astype(int).T
+        inside = (row >= 0) & (row < known.shape[0]) & (column >= 0) & (column < known.shape[1])
+        row, column = np.where(inside, row, 0), np.where(inside, column, 0)
+        usable = inside & known[row, column] & (filtered[row, column] < _QUIET * own)
+        label.append(np.where(usable, labels[row, column], 0).max(axis=1))
+        usable &= labels[row, column] == label[-1][:, None]
+        good &= usable.sum(axis=1) >= _LEAST_SIDES
+        weight = np.where(usable, 1.0 / np.maximum(variance[:, row, column], _LEAST_VARIANCE), 0.0)
+        weight[:, ~good] = 1.0
+        told = np.where(usable, displacement[:, row, column], 0.0)
+        straight, _ = _led(lever, told, weight, 2)
+        bent, of_bent = _led(lever, told, weight, 3)
+        side[:, number], slope[:, number] = straight[..., 0].T, sign * straight[..., 1].T
+        jump += sign * bent[..., 0].T
+        spread += of_bent.T
+    good &= label[0] == label[1]
+    return _Ridge(ridge.place, ridge.normal, side, slope, jump, spread).where(good)
+
+
+def _led(lever: Floats, told: Floats, weight: Floats, terms: int) -> tuple[Floats, Floats]:
+    """Return polynomials (2, n, terms) by weighted least squares, and the variance (2, n) of their constants.
+
+    `told` and `weight` are (2, n, k), at the k levers.
+    """
+    powers = np.vander(lever, terms, increasing=True)
+    inverse = np.linalg.inv(np.einsum("cnk,ki,kj->cnij", weight, powers, powers))
+    return np.einsum("cnij,kj,cnk->cni", inverse, powers, weight * told), inverse[..., 0, 0]
 
 
 def _lines(ridge: _Ridge, radius: int) -> Iterator[_Ridge]:
@@ -203,7 +216,9 @@ def _on_one_side(line: _Ridge, radius: int) -> _Ridge:
     side, slope = (
         np.where(turned[:, None, None], values[:, ::-1], values) for values in (line.side, line.slope)
     )
-    return _Ridge(line.place, sign * line.normal, side, sign[:, :, None] * slope, line.variance)
+    return replace(
+        line, normal=sign * line.normal, side=side, slope=sign[:, :, None] * slope, jump=sign * line.jump
+    )
 
 
 def _even(line: _Ridge, radius: int) -> _Ridge:
@@ -217,9 +232,10 @@ def _even(line: _Ridge, radius: int) -> _Ridge:
     along = np.gradient(smooth(line.place, radius), axis=0)
     normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-    return _Ridge(
-        place, normal, smooth(line.side, radius), smooth(line.slope, radius), smooth(line.variance, radius)
+    side, slope, jump, variance = (
+        smooth(values, radius) for values in (line.side, line.slope, line.jump, line.variance)
     )
+    return _Ridge(place, normal, side, slope, jump, variance)
 
 
 def _settled(line: _Ridge, images: PreparedImages, displacement: Floats, radius: int) -> _Ridge | None:

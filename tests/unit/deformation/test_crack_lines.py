@@ -22,18 +22,18 @@ SLANTING = 0.8 * (COLUMN - 110.0) + 0.6 * (ROW - 110.0)
 CURVED = np.hypot(COLUMN + 290.0, ROW - 110.0) - 400.0
 
 
-def images(speckle: object, parts: list[tuple[np.ndarray, Any]]) -> PreparedImages:
-    """Return speckle of which the chosen parts (rows, columns) have moved by (2, rows, columns)."""
+def images(speckle: object, parts: list[tuple[np.ndarray, Any]], sigma: float = NOISE) -> PreparedImages:
+    """Return noisy speckle of which the chosen parts (rows, columns) have moved by (2, rows, columns)."""
     pattern, rng = speckle.random(3, SIZE), np.random.default_rng(4)  # type: ignore[attr-defined]
     deformed = np.zeros((SIZE, SIZE))
     for chosen, (u, v) in parts:
         moved = pattern.image(SIZE, lambda x, y, u=u, v=v: (x - u, y - v))
         deformed[chosen] = moved[chosen]
     both = [
-        smooth(one + rng.normal(0.0, NOISE, one.shape), SMOOTHING) for one in (pattern.image(SIZE), deformed)
+        smooth(one + rng.normal(0.0, sigma, one.shape), SMOOTHING) for one in (pattern.image(SIZE), deformed)
     ]
     factor = noise_after_smoothing(both[0], np.ones((SIZE, SIZE), bool), SMOOTHING)
-    noise = Noise(NOISE**2 * factor, 0.0)
+    noise = Noise(sigma**2 * factor, 0.0)
     return prepare_images(*both, np.ones((SIZE, SIZE), np.int32), (noise, noise))
 
 
@@ -83,6 +83,26 @@ def test_a_band_that_stretches_is_no_crack(speckle: object) -> None:
         x = COLUMN - profile(x)
     pair = images(speckle, [(np.ones((SIZE, SIZE), bool), (COLUMN - x, 0.0 * ROW))])
     assert not lines(pair).any()
+
+
+@pytest.mark.parametrize("bent", [0.0, 1e-4, 2e-4, 4e-4])
+def test_a_fold_is_no_crack(speckle: object, bent: float) -> None:
+    """Straight lines through the sides of a fold do not meet where the sheet is bent beside it."""
+
+    def moved(x: np.ndarray) -> np.ndarray:
+        way = np.minimum(np.maximum(-x, 0.0), 60.0)
+        return bent * way * (2.0 * np.maximum(-x, 0.0) - way) - 0.02 * np.maximum(-x, 0.0)
+
+    undeformed = STRAIGHT.copy()
+    for _ in range(30):
+        undeformed = STRAIGHT - moved(undeformed)
+    everywhere, noise = np.ones((SIZE, SIZE), bool), 4.0
+    pair = images(speckle, [(everywhere, (STRAIGHT - undeformed, np.zeros_like(ROW)))], noise)
+    exact = np.stack([moved(STRAIGHT), np.zeros_like(ROW)])
+    # What a subset makes of a fold: it is rounded.
+    told = ndimage.gaussian_filter(exact, (0.0, 0.5 * RADIUS, 0.5 * RADIUS))
+    verified = verify_displacement(pair, told, RADIUS, 1, SMOOTHING)
+    assert not crack_lines(pair, told, np.full_like(told, 1e-6), verified, pair.labels, RADIUS).any()
 
 
 def test_where_nothing_has_jumped_there_is_nothing(speckle: object) -> None:
