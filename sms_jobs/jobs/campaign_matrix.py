@@ -10,15 +10,12 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import (
-    CalibrationUseRow,
     CampaignRow,
     FileRow,
     JobRow,
     LoadStateRow,
-    ResultRow,
 )
-from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
-from sms_jobs.jobs.turned_results import turned_files
+from sms_jobs.jobs.stale_results import stale_files
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.job import ACTIVE, JobState
@@ -33,21 +30,16 @@ _Place: TypeAlias = tuple[str | None, str | None, str]
 class _File:
     number: int
     media_type: str
-    version: int | None
 
 
 def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]:
     """Return what there is of a campaign, the oldest first, in a few queries however large it is.
 
-    A result is stale where another version of its kind would compute it now, another calibration holds for
-    what it was computed from, or it lies along the axes of another frame of the specimen. Where the newest
-    job has reused a result, that is what there is.
+    What is stale, `stale_files` says. Where the newest job has reused a result, that is what there is.
     """
     files, by_job = _files(session, campaign.id)
     jobs = _jobs(session, campaign)
-    turned = turned_files(session, campaign)
-    used = _calibrations_used(session, campaign.id)
-    valid = ValidCalibrations(session, campaign.id, now)
+    stale = stale_files(session, campaign, now)
     cells = []
     for state, view, kind in dict.fromkeys([*files, *jobs]):
         place = (state, view, kind)
@@ -60,12 +52,7 @@ def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]
         elif kind == MEASUREMENT:
             condition = "measured"
         else:
-            holding = valid.of(Subject(campaign.name, state, view))
-            own = used.get(file.number, set())
-            other = file.version not in (None, all_kinds()[kind].version)
-            withdrawn = state is not None and bool(own) and (holding is None or holding.number not in own)
-            other = other or file.number in turned
-            condition = "stale" if other or withdrawn else "computed"
+            condition = "stale" if file.number in stale else "computed"
         cells.append(
             Cell(
                 *place,
@@ -99,19 +86,17 @@ def _files(session: Session, campaign_id: int) -> tuple[dict[_Place, _File], dic
             FileRow.source,
             FileRow.id,
             FileRow.media_type,
-            ResultRow.kind_version,
             FileRow.job_id,
         )
         .outerjoin(LoadStateRow, LoadStateRow.id == FileRow.state_id)
-        .outerjoin(ResultRow, ResultRow.file_id == FileRow.id)
         .where(FileRow.campaign_id == campaign_id)
         .order_by(FileRow.id)
     )
     newest: dict[_Place, _File] = {}
     by_job: dict[tuple[_Place, str], _File] = {}
-    for label, view, source, number, media_type, version, job in rows:
+    for label, view, source, number, media_type, job in rows:
         place = (label, view, source)
-        newest[place] = by_job[place, job or ""] = _File(number, media_type, version)
+        newest[place] = by_job[place, job or ""] = _File(number, media_type)
     return newest, by_job
 
 
@@ -127,15 +112,3 @@ def _jobs(session: Session, campaign: CampaignRow) -> dict[_Place, _Job]:
         about = Subject.parse(subject)
         found[about.state, about.view, kind] = _Job(job, state, reused_from)
     return found
-
-
-def _calibrations_used(session: Session, campaign_id: int) -> dict[int, set[int]]:
-    rows = session.execute(
-        select(CalibrationUseRow.file_id, CalibrationUseRow.calibration_id)
-        .join(FileRow, FileRow.id == CalibrationUseRow.file_id)
-        .where(FileRow.campaign_id == campaign_id)
-    )
-    used: dict[int, set[int]] = {}
-    for file, calibration in rows:
-        used.setdefault(file, set()).add(calibration)
-    return used

@@ -16,6 +16,7 @@ from sms_jobs.catalogue.models import (
     CampaignRow,
     DependencyRow,
     EventRow,
+    FileRow,
     JobCountRow,
     JobRow,
     QueueRow,
@@ -25,12 +26,9 @@ from sms_jobs.catalogue.models import (
 )
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import Conflict, NotFound
-from sms_jobs.jobs import calibration_choice, chosen, empty_results, locks
+from sms_jobs.jobs import chosen, empty_results, locks
 from sms_jobs.jobs.chosen import Chosen
-from sms_jobs.kinds import all_kinds
-from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, SHORT_ID, UNSUCCESSFUL, JobState
-from sms_jobs.records.subject import Subject
 
 
 @dataclass(frozen=True)
@@ -263,28 +261,11 @@ def _changes(session: Session, earlier: JobRow, job: JobRow) -> list[str]:
 
 def _staleness(session: Session, job: JobRow, now: datetime) -> list[str]:
     # What makes keys reads archives, which nobody who only lists jobs should wait for.
-    from sms_jobs.jobs.turned_results import is_turned
+    from sms_jobs.jobs.stale_results import stale_files
 
-    say = []
-    current = all_kinds().get(job.kind)
-    if current is not None and current.version != job.kind_version:
-        say.append(
-            f"it is stale: {job.kind} is now version {current.version}, it was made by {job.kind_version}"
-        )
-    used = session.execute(
-        select(DependencyRow.file_id, DependencyRow.subject).where(
-            DependencyRow.job_id == job.id, DependencyRow.source == CALIBRATION
-        )
-    ).first()
-    if used is not None:
-        holds = calibration_choice.chosen(session, Subject.parse(used.subject), now)
-        if holds is None:
-            say.append("its calibration is not in use any more, and there is no other")
-        elif holds.file_id != used.file_id:
-            say.append("it is stale: another calibration of the rig is valid for this state now")
-    if is_turned(session, job):
-        say.append("it is stale: the specimen's frame of the campaign is another now")
-    return say
+    made = session.scalars(select(FileRow.id).where(FileRow.job_id == (job.reused_from or job.id))).all()
+    stale = stale_files(session, session.get_one(CampaignRow, job.campaign_id), now) if made else {}
+    return [f"it is stale: {why}" for why in dict.fromkeys(stale[n] for n in made if n in stale)]
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs import campaign_matrix
 from sms_jobs.jobs.importing import with_view
@@ -153,11 +154,7 @@ def test_a_view_without_a_calibration_is_refused(
 ) -> None:
     registered(catalogue, archive, clock)
     with catalogue.reading() as session:
-        number = (
-            campaign_matrix.ValidCalibrations(session, campaigns.campaign_id(session, "plate"), clock())
-            .used[0]
-            .number
-        )
+        number = ValidCalibrations(session, campaigns.campaign_id(session, "plate"), clock()).used[0].number
     said(deployment, "calibration", "withdraw", str(number), "--campaign", "plate", "--reason", "moved")
     refused = said(deployment, "campaign", "add-view", "plate", "C1P2", code=2)
     assert "none of rig small-virtual-rig is in use" in refused.stderr
