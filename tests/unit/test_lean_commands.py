@@ -21,19 +21,21 @@ COMMAND_LINE = {
 TABLES = {"rich", "attr", "pygments", "markdown_it", "mdurl"}
 CATALOGUE = {"sqlalchemy", "greenlet"}
 _SAY = (
-    "import runpy, sys\n"
+    "import sys\n"
+    "of_the_interpreter = set(sys.modules)\n"
+    "import runpy\n"
     "sys.argv[0] = 'sms'\n"
     "try:\n"
     "    runpy.run_module('sms_jobs.cli.main', run_name='__main__')\n"
     "except SystemExit as end:\n"
     "    assert not end.code, end.code\n"
-    "ours = (n for n in sys.modules if '.' not in n and n[0] != '_' and n not in sys.stdlib_module_names)\n"
-    "print(*ours, file=sys.stderr)\n"
+    "ours = (n for n in set(sys.modules) - of_the_interpreter if '.' not in n and n[0] != '_')\n"
+    "print(*(n for n in ours if n not in sys.stdlib_module_names), file=sys.stderr)\n"
 )
 
 
 def loaded(*words: str) -> set[str]:
-    """Return the packages, none of which is Python's own, that a command has loaded at its end."""
+    """Return the packages that a command has loaded at its end: none that comes with Python."""
     command = [sys.executable, "-c", _SAY, *words]
     done = subprocess.run(command, capture_output=True, text=True, check=True, stdin=subprocess.DEVNULL)
     return set(done.stderr.splitlines()[-1].split())
